@@ -38,8 +38,15 @@ _GOALS_IN = {
     )
 }
 _CHANGES = frozenset(
-    functor(name, 1) for name in ("assert", "asserta", "assertz", "retract", "retractall", "dynamic", "db")
+    (
+        *[
+            functor(name, 1)
+            for name in ("assert", "asserta", "assertz", "retract", "retractall", "dynamic", "db")
+        ],
+        functor("dynamic", 2),
+    )
 )
+_AS = functor("as", 2)
 _INTERVAL = frozenset((functor("t1", 1), functor("t2", 1)))
 _FOR_GOALS = frozenset((COMMA, functor("call", 1), functor("once", 1)))
 _CUT = functor("!", 0)
@@ -166,7 +173,7 @@ def _heads(term: Term) -> Set[Functor]:
         item = deref(stack.pop())
         if item.__class__ is tuple and item[0] in _SEVERAL:
             stack += item[1:]
-        elif item.__class__ is tuple and item[0] is _NECK:
+        elif item.__class__ is tuple and (item[0] is _NECK or item[0] is _AS):
             stack.append(item[1])
         elif item.__class__ is tuple and item[0] is SLASH:
             name, arity = deref(item[1]), deref(item[2])

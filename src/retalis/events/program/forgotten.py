@@ -19,7 +19,13 @@ _GIVING_WAY: Dict[Functor, Callable[[Term], bool]] = {
 }
 """Predicates with names that programs give to facts of their own, and whether a fact of them was meant as a goal."""
 
-_DECLARES = frozenset(functor(name, 1) for name in ("dynamic", "discontiguous", "multifile", "table"))
+_DECLARES = frozenset(
+    (
+        *[functor(name, 1) for name in ("dynamic", "discontiguous", "multifile", "table")],
+        functor("dynamic", 2),
+    )
+)
+_AS = functor("as", 2)
 
 
 def defined_in(steps: Sequence[FileEntry]) -> Set[Functor]:
@@ -93,6 +99,8 @@ def _declared(goal: Term) -> Set[Functor]:
             continue
         if term[0] is COMMA or term[0] is CONS:
             stack += [deref(term[2]), deref(term[1])]
+        elif term[0] is _AS:  # with options
+            stack.append(deref(term[1]))
         elif term[0] is SLASH:
             name, arity = deref(term[1]), deref(term[2])
             if isinstance(name, Atom) and isinstance(arity, int):

@@ -3,7 +3,7 @@
 from typing import List, Optional
 
 from ..machine import domain_error, instantiation_error, type_error
-from ..terms import NIL, SLASH, TRUE, Atom, Functor, Term, Var, deref, functor, list_parts
+from ..terms import FALSE, NIL, SLASH, TRUE, Atom, Functor, Term, Var, deref, functor, list_parts
 from .program import Machine
 
 
@@ -44,6 +44,14 @@ def atom_of(term: Term) -> Atom:
     if term.__class__ is Var:
         raise instantiation_error()
     raise type_error("atom", term)
+
+
+def is_true(term: Term) -> bool:
+    """Return an argument that has to be ``true`` or ``false``."""
+    value = atom_of(term)
+    if value is not TRUE and value is not FALSE:
+        raise type_error("boolean", value)
+    return value is TRUE
 
 
 def callable_of(term: Term) -> Term:

@@ -1,10 +1,10 @@
 """The clause store as predicates: assert, retract, clause, declarations."""
 
-from typing import Callable, Dict, Iterator, List, Optional, Tuple
+from typing import Callable, Dict, Iterator, List, Optional, Set, Tuple
 
 from ..compiler import CONTROL, key_of
 from ..database import NEVER, Clause, Predicate, may_match
-from ..machine import LAST, Frame, indicator, instantiation_error, permission_error, type_error
+from ..machine import LAST, Frame, domain_error, indicator, instantiation_error, permission_error, type_error
 from ..terms import (
     COMMA,
     CONS,
@@ -24,9 +24,10 @@ from ..terms import (
     undo,
     unify,
 )
-from .arguments import indicator_of, is_iso
+from .arguments import indicator_of, is_iso, is_true, items, option_values
 from .program import Machine, Outcome, Solutions
 from .registry import control, deterministic, nondeterministic
+from .tabling import AS, tables_of
 
 _NECK = functor(":-", 2)
 
@@ -38,7 +39,7 @@ def _check_rights(machine: Machine, key: Functor, action: str, kind: str) -> Pre
         predicate.library and (predicate.system or action == "modify") and not predicate.dynamic
     ):
         raise permission_error(action, kind, indicator(key))
-    return predicate
+    return predicate if predicate.tabled is None else predicate.tabled
 
 
 def _assert(first: bool) -> Callable[[Machine, Term], bool]:
@@ -86,6 +87,8 @@ def _key(head: Term) -> Functor:
 
 def _candidates(predicate: Predicate, head: Term) -> Iterator[Clause]:
     """Yield the clauses whose heads may match, as they are now."""
+    if predicate.incremental:
+        predicate.note_read()
     frame = (None, *head[1:], None) if head.__class__ is tuple else (None, None)
     keys = [key_of(arg) for arg in frame[1:-1]]
     generation = predicate.database.generation
@@ -217,30 +220,31 @@ def abolish_named(machine: Machine, name: Term, arity: Term) -> bool:
     return abolish(machine, (SLASH, name, arity))
 
 
-def _each(term: Term) -> Iterator[Functor]:
-    """Yield the functors that a declaration names: indicators in lists and conjunctions."""
-    return map(indicator_of, declared(term))
-
-
 def declared(term: Term) -> Iterator[Term]:
     """Yield what a declaration names: items of lists and conjunctions."""
-    stack = [term]
+    return (item for item, _ in declared_with_options(term))
+
+
+def declared_with_options(term: Term) -> Iterator[Tuple[Term, Values]]:
+    """Yield what a declaration names, each with the options that ``as`` gives it."""
+    stack: List[Tuple[Term, Values]] = [(term, ())]
     while stack:
-        item = deref(stack.pop())
+        item, options = stack.pop()
+        item = deref(item)
         if item.__class__ is tuple and item[0] is COMMA:
-            stack += reversed(list(conjuncts(item)))
+            stack += [(one, options) for one in reversed(list(conjuncts(item)))]
         elif item.__class__ is tuple and item[0] is CONS:
-            stack += (item[2], item[1])
-        elif item.__class__ is tuple and item[0].name == "as":
-            stack.append(item[1])
+            stack += ((item[2], options), (item[1], options))
+        elif item.__class__ is tuple and item[0] is AS:
+            stack.append((item[1], (*options, *conjuncts(item[2]))))
         elif item is not NIL:
-            yield item
+            yield item, options
 
 
 def _declaration(attribute: str) -> Callable[[Machine, Term], bool]:
     def run(machine: Machine, term: Term) -> bool:
-        for key in _each(machine.logic.database.modules.names_of(term)):
-            predicate = machine.logic.database.writable(key, "modify")
+        for item in declared(machine.logic.database.modules.names_of(term)):
+            predicate = machine.logic.database.writable(indicator_of(item), "modify")
             setattr(predicate, attribute, True)
             machine.logic.database.changes += 1
         return True
@@ -248,7 +252,51 @@ def _declaration(attribute: str) -> Callable[[Machine, Term], bool]:
     return run
 
 
-deterministic("dynamic/1", "thread_local/1")(_declaration("dynamic"))
+@deterministic("dynamic/1", "thread_local/1")
+def dynamic(machine: Machine, term: Term) -> bool:
+    """Declare predicates dynamic; ``as incremental`` has incremental tables depend on their clauses."""
+    for item, options in declared_with_options(machine.logic.database.modules.names_of(term)):
+        declare_dynamic(machine, item, set(map(_dynamic_option, options)))
+    return True
+
+
+@deterministic("dynamic/2")
+def dynamic_with_options(machine: Machine, names: Term, options: Term) -> bool:
+    """Declare the predicates of a list dynamic, with options as in SWI-Prolog; unknown ones are ignored."""
+    chosen: Set[str] = set()
+    for option in option_values(options):
+        if option.__class__ is tuple and len(option) == 2 and option[0].name in _MARKS and is_true(option[1]):
+            chosen.add(option[0].name)
+    for item in items(machine.logic.database.modules.names_of(names)):
+        declare_dynamic(machine, item, chosen)
+    return True
+
+
+_MARKS = frozenset(("incremental", "discontiguous", "multifile"))
+_WITHOUT_EFFECT = frozenset(("opaque", "volatile", "shared", "local", "abstract"))
+"""Options of SWI-Prolog that say what is so anyway, as there is one thread, or what concerns its saved states."""
+
+
+def _dynamic_option(option: Term) -> str:
+    """Return the name of an option of ``dynamic ... as``."""
+    key = _key(option)
+    if key.name not in _MARKS | _WITHOUT_EFFECT or key.arity != (key.name == "abstract"):
+        raise domain_error("predicate_option", option)
+    return key.name
+
+
+def declare_dynamic(machine: Machine, item: Term, options: Set[str]) -> None:
+    """Make the predicate dynamic that ``Name/Arity`` names."""
+    database = machine.logic.database
+    predicate = database.writable(indicator_of(item), "modify")
+    predicate.dynamic = True
+    predicate.discontiguous |= "discontiguous" in options
+    predicate.multifile |= "multifile" in options
+    database.changes += 1
+    if "incremental" in options:
+        tables_of(machine).observe(predicate)
+
+
 deterministic("discontiguous/1")(_declaration("discontiguous"))
 deterministic("multifile/1")(_declaration("multifile"))
 deterministic("module_transparent/1", "volatile/1", "public/1")(lambda machine, term: True)
@@ -270,9 +318,7 @@ def current_predicate(machine: Machine, term: Term) -> Solutions:
     database = machine.logic.database
     if name.__class__ is Atom and arity.__class__ is int:
         predicate = database.predicates.get(functor(name.name, arity))
-        if predicate is None or predicate.kind == "undefined":
-            return
-        if len(predicate) or predicate.kind != "user" and not is_iso(machine):
+        if predicate is not None and _is_current(predicate, is_iso(machine)):
             yield LAST
         return
     for key, predicate in list(database.predicates.items()):
@@ -283,6 +329,14 @@ def current_predicate(machine: Machine, term: Term) -> Solutions:
             and machine.unify_all((name, atom(key.name)), (arity, key.arity))
         ):
             yield None
+
+
+def _is_current(predicate: Predicate, iso: bool) -> bool:
+    """Tell whether a predicate that is named whole has clauses, or is built in."""
+    predicate.note_read()
+    if predicate.kind == "undefined":
+        return False
+    return bool(len(predicate)) or predicate.kind != "user" and not iso
 
 
 @control("garbage_collect/0", "prompt/2")

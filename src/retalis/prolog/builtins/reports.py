@@ -1,9 +1,9 @@
 """Messages, assertions, and the listing of clauses."""
 
-from typing import Any, Callable, Dict, Iterator, List, Optional
+from typing import Any, Callable, Dict, Iterable, Iterator, List, Optional
 
 from ..compiler import ARROW, NOT, SEMICOLON, SOFT_ARROW
-from ..database import Predicate
+from ..database import Clause, Predicate
 from ..machine import ERROR, LAST, describe, indicator
 from ..syntax import Operators, by_name, write_term
 from ..terms import COMMA, SLASH, TRUE, Atom, String, Term, Var, atom, copy, deref, functor, list_items
@@ -201,21 +201,17 @@ def listing_all(machine: Machine) -> bool:
     return True
 
 
-def _with_clauses(predicate: Predicate) -> Predicate:
-    """Return the predicate that has the clauses of one: for a tabled one that which its tables call."""
-    return predicate if predicate.tabled is None else predicate.tabled
-
-
 def _list_predicate(machine: Machine, predicate: Predicate) -> None:
-    own = _with_clauses(predicate)
-    if own.kind != "user" and not predicate.dynamic:
+    own = predicate.with_clauses
+    if own.kind != "user" and not own.dynamic:
         return
     logic = machine.logic
-    declared = "table" if own is not predicate else "dynamic" if predicate.dynamic else None
     modules = logic.database.modules
-    if declared is not None:
-        key = modules.plain_of(predicate.functor) or predicate.functor
-        logic.write(f":- {declared} {logic.show(indicator(key))}.\n\n")
+    key = modules.plain_of(predicate.functor) or predicate.functor
+    for declared, one in (("dynamic", own), ("table", predicate)):
+        if own.dynamic if declared == "dynamic" else own is not predicate:
+            incremental = " as incremental" if one.incremental else ""
+            logic.write(f":- {declared} {logic.show(indicator(key))}{incremental}.\n\n")
     for clause in own.live():
         logic.write(clause_text(machine, modules.plain((_NECK, clause.head, clause.body))))
     logic.write("\n")
@@ -252,22 +248,27 @@ def predicate_property(machine: Machine, head: Term, prop: Term) -> Solutions:
 def _properties(predicate: Predicate) -> Iterator[Term]:
     yield atom("defined")
     yield atom("visible")
-    yield atom("dynamic" if predicate.dynamic else "static")
+    own = predicate.with_clauses
+    yield atom("dynamic" if own.dynamic else "static")
     if predicate.library:
         yield atom("system" if predicate.system else "library")
         if predicate.system:
             yield atom("built_in")
-    own = _with_clauses(predicate)
-    if own.kind != "user" and not predicate.dynamic:
+    if own.kind != "user" and not own.dynamic:
         yield atom("foreign")
     else:
+        own.note_read()
         yield (functor("number_of_clauses", 1), len(own))
-    if predicate.discontiguous:
+    if own.discontiguous:
         yield atom("discontiguous")
-    if predicate.multifile:
+    if own.multifile:
         yield atom("multifile")
+    if predicate.incremental:
+        yield atom("incremental")
     if predicate.tabled is not None:
         yield atom("tabled")
+        for option in ("variant", "incremental") if predicate.incremental else ("variant",):
+            yield (functor("tabled", 1), atom(option))
 
 
 @nondeterministic("nth_clause/3")
@@ -277,7 +278,11 @@ def nth_clause(machine: Machine, head: Term, number: Term, reference: Term) -> S
     key = head[0] if head.__class__ is tuple else atom_of(head).functor
     predicate = machine.logic.lookup(key)
     given = deref(number)
-    for at, clause in enumerate([] if predicate is None else _with_clauses(predicate).live(), 1):
+    clauses: Iterable[Clause] = ()
+    if predicate is not None:
+        predicate.with_clauses.note_read()
+        clauses = predicate.with_clauses.live()
+    for at, clause in enumerate(clauses, 1):
         if given.__class__ is int and at != given:
             continue
         if machine.unify_all((number, at), (reference, copy((_NECK, clause.head, clause.body)))):

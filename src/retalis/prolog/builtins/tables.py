@@ -1,9 +1,23 @@
 """What tabling keeps: the answers to a variant of a call, and the calls that wait for more of them."""
 
-from typing import Any, Dict, Hashable, List, NamedTuple, Optional, Tuple
+from typing import Any, Dict, Hashable, List, NamedTuple, Optional, Protocol, Tuple
 
 from ..machine import Frame
 from ..terms import Term, Var
+
+
+class VersionedSource(Protocol):
+    """Data outside of tables that an incremental table may read: a predicate, the memories or the states."""
+
+    def version(self, part: Hashable, /) -> object:
+        """Return a value that is another one after each change of a part of the data."""
+
+
+Reads = Dict[Tuple[VersionedSource, Hashable], object]
+"""The parts of sources that an evaluation has read, with their versions when it first did."""
+
+_CHANGED = object()
+"""The version of what has changed between two reads of an evaluation: equal to no other."""
 
 
 class Follower(NamedTuple):
@@ -29,7 +43,9 @@ class Table:
             better one for.
         known: the answers' keys, with their positions.
         ground: whether no answer has a variable.
-        state: "new", "active", "waiting" (for the oldest table that it depends on) or "complete".
+        reads: of an incremental table what its answers were made of; None for another one.
+        state: "new", "active", "waiting" (for the oldest table that it depends on), "complete", or of an incremental
+            table "checked": complete, as long as nothing that it has read changes.
         index: position on the stack of active tables.
         low: position there of the oldest table that it is known to depend on.
         parent: of a waiting table the one below it on that stack, which depends on it.
@@ -49,6 +65,7 @@ class Table:
         "answers",
         "known",
         "ground",
+        "reads",
         "state",
         "index",
         "low",
@@ -59,8 +76,9 @@ class Table:
         "followers",
     )
 
-    def __init__(self) -> None:
+    def __init__(self, incremental: bool = False) -> None:
         self.state = "new"
+        self.reads: Optional[Reads] = {} if incremental else None
         self.parent: Optional[Table] = None
         self.empty()
 
@@ -71,10 +89,31 @@ class Table:
         self.ground = True
         self.followers: List[Follower] = []
 
+    def renew(self) -> None:
+        """Be a table that has not been evaluated."""
+        self.state = "new"
+        self.empty()
+        if self.reads is not None:
+            self.reads = {}  # not cleared: tables that were completed together share one
+
     def complete(self) -> None:
         """Note that there will be no other answers."""
-        self.state = "complete"
+        self.state = "complete" if self.reads is None else "checked"
         if len(self.known) < len(self.answers):
             self.answers = [answer for answer in self.answers if answer is not None]
         self.known.clear()
         self.followers.clear()
+
+    @property
+    def is_outdated(self) -> bool:
+        """Whether something has changed that an incremental table has read."""
+        reads = self.reads or {}
+        return any(source.version(part) != version for (source, part), version in reads.items())
+
+    def depend(self, reads: Reads) -> None:
+        """Note that an incremental table depends on what another one has read."""
+        own = self.reads
+        if own is not None and own is not reads:
+            for read, version in reads.items():
+                if own.setdefault(read, version) != version:
+                    own[read] = _CHANGED

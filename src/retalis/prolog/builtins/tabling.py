@@ -7,11 +7,16 @@ depend on each other are complete together, when the oldest of them has no follo
 Within negation, ``findall/3``, ``catch/3`` and the like a call cannot go on later; where it has missed answers, the
 evaluation of the oldest table is repeated. Everything runs as frames of the machine.
 
+An incremental table also records what it reads of dynamic predicates, memories and states, with the version that
+each has at the first read; of a complete incremental table that it calls it takes over the reads. Tables that are
+complete together share theirs. A later call compares the versions and evaluates the table anew where one differs:
+nothing is done when something changes, and nothing for tables that are not incremental.
+
 An answer is what the call's unbound variables stand for, in the order in which they are met. A call that finds
 them gives its variables these values, which cannot fail: nothing is unified.
 """
 
-from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Set, Tuple
 
 from ..database import Predicate
 from ..machine import Code, Frame, Guard, uninstantiation_error
@@ -22,6 +27,7 @@ from ..terms import (
     Term,
     Values,
     Var,
+    atom,
     conjunction,
     copy,
     deref,
@@ -33,11 +39,15 @@ from ..terms import (
 )
 from .modes import Mode
 from .program import Machine
-from .tables import Follower, Table
+from .tables import Follower, Reads, Table, VersionedSource
 
 _ANSWER = functor("answer", 0)
+AS, INCREMENTAL = functor("as", 2), atom("incremental")
 _PLAIN = frozenset((Atom, int, String))
 """Kinds of terms that are their own keys."""
+
+_SPARE = 1000
+"""Tables from which on, and then at twice as many, those that are out of date are dropped."""
 
 TabledCall = Callable[[Frame], Optional[Frame]]
 
@@ -49,10 +59,14 @@ class Tables:
         self.machine = machine
         self.by_call: Dict[Hashable, Table] = {}
         self.declared: Dict[Functor, Term] = {}
-        """How the predicates were declared that have tables."""
+        """Indicators or heads with modes of the predicates that have tables."""
         self.active: List[Table] = []
+        """Those that are being evaluated, the oldest first; always the same list, for what is read to look at it."""
         self.waiting: List[Table] = []
         self.ready: List[Tuple[Table, Follower]] = []
+        self._repeated: Dict[Table, Set[Table]] = {}
+        """By the oldest of some tables those evaluated with it in rounds before this one: they may not be again."""
+        self._many = _SPARE
         self._guard = Guard("table", self._abandon)
         self._round = Code("table", self._end_of_round)
         self._next = Code("table", lambda entry: self._enumerate(*entry[1:6]))
@@ -65,21 +79,48 @@ class Tables:
         self._moded = Code("table", lambda frame: frame[3] if machine.unify_all(*zip(*frame[1:3])) else None)
 
     def clear(self) -> None:
-        """Forget all answers."""
-        self.by_call.clear()
+        """Forget all answers; nothing is done while a table is evaluated."""
+        if not self.active:
+            self.by_call.clear()
+            self._many = _SPARE
+
+    def note(self, source: VersionedSource, part: Hashable) -> None:
+        """Record that part of a source is about to be read; to be called where `active` has tables."""
+        reads = self.active[-1].reads
+        if reads is not None and (source, part) not in reads:
+            reads[source, part] = source.version(part)
+
+    def observe(self, predicate: Predicate) -> None:
+        """Have incremental tables depend on the clauses of a predicate."""
+        if not predicate.incremental:
+            predicate.observe(self.note_predicate)
+            self.clear()  # those that have read it do not know that
+
+    def note_predicate(self, predicate: Predicate) -> None:
+        """Record that the clauses of a predicate are about to be read."""
+        if self.active:
+            self.note(predicate, None)
+
+    def declarations(self) -> List[Term]:
+        """Return how the predicates were declared that have tables."""
+        predicate = self.machine.logic.database.predicate
+        return [
+            (AS, item, INCREMENTAL) if predicate(key).incremental else item
+            for key, item in self.declared.items()
+        ]
 
     def mend(self) -> None:
         """Forget all evaluations that are not over: nothing is evaluated."""
         self.active.clear()
         self.waiting.clear()
         self.ready.clear()
+        self._repeated.clear()
         for table in self.by_call.values():
             if table.state != "complete":
-                table.state = "new"
-                table.empty()
+                table.renew()
 
     def kept(self) -> List[Tuple[Hashable, List[Values], bool]]:
-        """Return the calls whose answers are known, with those; see `restore`."""
+        """Return the calls whose answers are known, with those, but for incremental tables; see `restore`."""
         complete = [(key, table) for key, table in self.by_call.items() if table.state == "complete"]
         return [(key, table.answers, table.ground) for key, table in complete]
 
@@ -115,7 +156,7 @@ class Tables:
         find = self.by_call.get
         bound = self.machine.trail.append
 
-        def call(frame: Frame, moded: Sequence[Var] = ()) -> Optional[Frame]:
+        def call(frame: Frame, moded: Sequence[Var] = ()) -> Optional[Frame]:  # noqa: C901
             key: Any = [key_of_call]
             free: List[Var] = []
             walked = False
@@ -138,7 +179,7 @@ class Tables:
             after: Frame = frame[-1]
             table = find(key)
             if table is None:
-                table = self.by_call[key] = Table()
+                table = self.by_call[key] = Table(predicate.incremental)
             elif table.state == "complete":
                 if len(table.answers) != 1 or not table.ground:
                     return self._enumerate(table.answers, table.ground, 0, free, after)
@@ -146,6 +187,11 @@ class Tables:
                     var.ref = value
                     bound(var)
                 return after
+            elif table.state == "checked" and table.reads is not None:
+                if not table.is_outdated:
+                    self._depend(table.reads)
+                    return self._enumerate(table.answers, table.ground, 0, free, after)
+                table.renew()  # goals that are going through its answers have a list of their own
             if table.state == "new":
                 collect = self._collector(table, free, moded, modes)
                 own = collect[2]
@@ -191,6 +237,8 @@ class Tables:
 
     def _evaluate(self, clauses: Frame, table: Table, free: List[Var], after: Frame) -> Frame:
         """Evaluate the clauses once; all bindings are undone in the end."""
+        if table.reads is not None and len(self.by_call) >= self._many:
+            self._drop_outdated()
         machine = self.machine
         index = len(self.active)
         table.index = table.low = index
@@ -200,6 +248,18 @@ class Tables:
         table.state = "active"
         self._begin(table, clauses, free, after)
         return clauses
+
+    def _drop_outdated(self) -> None:
+        """Drop the tables that are out of date: those of calls that never come again would stay for ever."""
+        for key, table in list(self.by_call.items()):
+            if table.state == "checked" and table.is_outdated:
+                del self.by_call[key]
+        self._many = 2 * len(self.by_call) + _SPARE
+
+    def _depend(self, reads: Reads) -> None:
+        """Note that the table that is being evaluated, if any, depends on what a complete one has read."""
+        if self.active:
+            self.active[-1].depend(reads)
 
     def _begin(self, table: Table, clauses: Frame, free: List[Var], after: Frame) -> None:
         """Have the end of what is evaluated from here on be noticed."""
@@ -300,13 +360,35 @@ class Tables:
             for member in members:
                 member.followers.clear()
                 member.state = "active" if member is table else "new"
+            self._repeated.setdefault(table, set()).update(members[1:])
             self._begin(table, clauses, free, after)
             return clauses
+        if len(members) > 1 or self._repeated:
+            self._share_reads(members)
+            self._forget_repeated(members)
         for member in members:
             member.complete()
         self.active.pop()
         self.machine.choices.pop()  # the guard
+        if table.reads is not None:
+            self._depend(table.reads)
         return self._enumerate(table.answers, table.ground, 0, free, after)
+
+    def _forget_repeated(self, members: List[Table]) -> None:
+        """Empty the tables of earlier rounds that the last one has not called: what they have read may change."""
+        for member in members:
+            for table in self._repeated.pop(member, ()):
+                if table.state == "new":
+                    table.renew()
+
+    @staticmethod
+    def _share_reads(members: List[Table]) -> None:
+        """Have the incremental ones of tables that depend on each other depend on what any of them has read."""
+        incremental = [member for member in members if member.reads is not None]
+        for other in incremental[1:]:
+            incremental[0].depend(other.reads or {})
+        for other in incremental[1:]:
+            other.reads = incremental[0].reads
 
     def _go_on(self, entry: Frame, followed: Table, follower: Follower) -> Optional[Frame]:
         """Bring back what was bound when a call had seen all answers, and give it those that came since."""
@@ -365,9 +447,10 @@ class Tables:
         table: Table
         _, index, table, _ = entry
         waiting, ready = table.first
-        for member in [*self.active[index:], *self.waiting[waiting:]]:
-            member.state = "new"
-            member.empty()
+        members = [*self.active[index:], *self.waiting[waiting:]]
+        self._forget_repeated(members)
+        for member in members:
+            member.renew()
         del self.active[index:]
         del self.waiting[waiting:]
         del self.ready[ready:]

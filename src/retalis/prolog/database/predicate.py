@@ -5,7 +5,7 @@ which costs nothing to set up and suits facts and predicates that change all the
 again and again without changing is compiled.
 """
 
-from typing import Any, Callable, Dict, Iterator, List, Optional, Protocol, Tuple
+from typing import Any, Callable, Dict, Hashable, Iterator, List, Optional, Protocol, Tuple
 
 from ...foundation import look
 from ..compiler import ClauseParts, Direct, Generator, KnownDatabase, fact_search
@@ -64,6 +64,8 @@ class Predicate:
         dynamic: clauses may be asserted and retracted by the program.
         library: belongs to the system; programs may redefine it unless it is ``locked``.
         missed: whether it was warned of a call of it, where nobody has defined it.
+        incremental: tables that depend on it are evaluated anew after it has changed: on its clauses, see `observe`;
+            on its answers, where it is tabled itself.
         system: a program that looks its clauses up, or changes them one by one, gets an error.
     """
 
@@ -84,6 +86,9 @@ class Predicate:
         self.missed = False
         self.compiled = False
         self.tabled: Optional[Predicate] = None
+        self.incremental = False
+        self._on_read: Optional[Callable[[Predicate], None]] = None
+        self._revision = 0
         self.direct: Optional[Direct] = None
         self.ground = False
         self._searches: Dict[Optional[int], Callable[..., Optional[Frame]]] = {}
@@ -114,6 +119,11 @@ class Predicate:
     def is_fixed(self) -> bool:
         """Tell whether it is the program's and made of clauses that no goal may change."""
         return self.kind == "user" and not self.dynamic and not self.library
+
+    @property
+    def with_clauses(self) -> "Predicate":
+        """The predicate that has its clauses: for a tabled one the hidden one that its tables call."""
+        return self if self.tabled is None else self.tabled
 
     def live(self) -> Iterator[Clause]:
         """Yield the clauses that are there, in order."""
@@ -164,6 +174,7 @@ class Predicate:
     def abolish(self) -> None:
         """Remove all clauses and what was declared: calling it is an error from now on."""
         self.clear()
+        self.changed()  # also where it had no clauses: a call that failed is an error now
         self.dynamic = self.discontiguous = self.multifile = False
         if self.kind == "user":
             self.kind = "undefined"
@@ -171,9 +182,10 @@ class Predicate:
     def changed(self) -> None:
         """Go back to interpretation: the clauses are not what was compiled."""
         self.database.changes += 1
+        self._revision += 1
         if self.compiled:
             self.compiled = self.steady = False
-            self.run = self._call
+            self._run_by(self._call)
             self.compile_after *= 2
         self.calls = 0
         if self.direct is not None:
@@ -204,10 +216,46 @@ class Predicate:
             self.direct.reset(None)
         if self.kind == "user":
             self.compiled = self.steady = False
-            self.run = self._call
+            self._run_by(self._call)
             self.calls = 0
             for clause in self.clauses:
                 clause.code = None
+
+    # Reads by incremental tables
+
+    def observe(self, on_read: "Callable[[Predicate], None]") -> None:
+        """Call ``on_read`` from now on before each call of it and each access to its clauses.
+
+        Not where compiled goals of Python code call it as a function, see `Direct`: no table is evaluated by these.
+        """
+        if self._on_read is not None:
+            return
+        self.incremental = True
+        self._on_read = on_read
+        self.database.changes += 1
+        self._run_by(self.run)
+
+    def note_read(self) -> None:
+        """Report an access to its clauses."""
+        if self._on_read is not None:
+            self._on_read(self)
+
+    def version(self, part: Hashable = None) -> int:
+        """Return a number that is another one after each change of its clauses."""
+        return self._revision
+
+    def _run_by(self, step: Step) -> None:
+        """Have calls done by a function, and reported first where it is observed."""
+        on_read = self._on_read
+        if on_read is None:
+            self.run = step
+            return
+
+        def run(frame: Frame) -> Optional[Frame]:
+            on_read(self)
+            return step(frame)
+
+        self.run = run
 
     # Calls of interpreted clauses
 
@@ -338,7 +386,7 @@ class Predicate:
             return self._go_by_keys()
         rules = [ClauseParts(_args(clause.head), clause.body, clause.place) for clause in clauses]
         generator = Generator(self._view(), self.functor, rules, self)
-        self.run = generator.main()
+        self._run_by(generator.main())
         self.steady = generator.steady
         self.compiled = True
         return True
@@ -355,7 +403,7 @@ class Predicate:
         if run == self._call:
             self.compile_after *= 2
             return False
-        self.run = run
+        self._run_by(run)
         self.compiled = True
         return True
 

@@ -24,11 +24,13 @@ class KeptLogic(NamedTuple):
         operators: priority, type and name of each.
         tabled: how tabled predicates were declared.
         predicates: the program's.
+        incremental: those of them whose clauses incremental tables depend on.
     """
 
     operators: List[Tuple[int, str, str]]
     tabled: List[Term]
     predicates: List[KeptClauses]
+    incremental: List[Functor]
 
 
 class KeptValues(NamedTuple):
@@ -40,7 +42,7 @@ class KeptValues(NamedTuple):
         column: where what the program prints stands in its line.
         counted: what built-ins keep by name.
         records: of the recorded database.
-        answers: of tabled predicates, as far as they are known.
+        answers: of tabled predicates, as far as they are known; those of incremental tables are found anew.
     """
 
     flags: Dict[str, Term]
@@ -55,7 +57,7 @@ def keep_logic(logic: Logic) -> KeptLogic:
     """Return what a program says."""
     tables = tables_of(logic.machine)
     clauses = [_kept(one) for one in program_predicates(logic)]
-    return KeptLogic(list(logic.operators), list(tables.declared.values()), clauses)
+    return KeptLogic(list(logic.operators), tables.declarations(), clauses, _incremental(logic))
 
 
 def keep_values(logic: Logic) -> KeptValues:
@@ -72,6 +74,10 @@ def keep_values(logic: Logic) -> KeptValues:
         records_of(logic.machine).kept(),
         tables_of(logic.machine).kept(),
     )
+
+
+def _incremental(logic: Logic) -> List[Functor]:
+    return [one.functor for one in program_predicates(logic) if one.incremental]
 
 
 def program_predicates(logic: Logic) -> List[Predicate]:
@@ -95,8 +101,11 @@ def restore_logic(logic: Logic, kept: KeptLogic) -> None:
         PrologError: where it says something that no program can.
     """
     _restore_operators(logic.operators, kept.operators)
+    tables = tables_of(logic.machine)
     for declaration in kept.tabled:
         declare_as(logic.machine, declaration)
+    for functor in kept.incremental:
+        tables.observe(logic.database.writable(functor, "modify"))
     for functor, marks, clauses in kept.predicates:
         predicate = logic.database.writable(functor, "modify")
         predicate.dynamic, predicate.discontiguous, predicate.multifile, there = marks
