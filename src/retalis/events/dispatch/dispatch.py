@@ -28,6 +28,7 @@ class Dispatcher(Audience):
             not sure.
         mark: makes the token of an event; tracking replaces it.
         tracked: whether tokens tell what events came from.
+        retractions: how often events were taken back, with what came from them.
         cause: where that is tracked, the rule and match whose goal is running, or the token of the event that asked
             the query that is answered.
         shortcuts: by the functor of an event, what can take the values of a rule's match in place of the event:
@@ -48,6 +49,7 @@ class Dispatcher(Audience):
         self.shortcuts: Dict[Functor, Callable[[Any, EventAction], Optional[Tuple[EventAction, Lane]]]] = {}
         self.mark: Callable[[Dispatch], Any] = lambda event: next(self._tokens)
         self.tracked = False
+        self.retractions = 0
 
     def mend(self) -> None:
         """Make the plans anew and serve nothing, after an interrupt."""

@@ -196,6 +196,7 @@ class Tracker:
         Returns what does not hold without them though it was not made of them, and what fires without them, each with
         its node: what they kept from firing, and the later results of runs that they were part of.
         """
+        self._rules.dispatcher.retractions += 1
         for named in found:
             named.reported = True
         runs: Dict[Any, _Extends] = {}

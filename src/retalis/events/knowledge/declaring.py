@@ -3,7 +3,7 @@
 from typing import Any, Callable, Dict, Hashable, Iterable, Iterator, List, Optional, Sequence, Tuple, Union
 
 from ...foundation import UsageError
-from ...prolog.builtins import callable_of, instant_of
+from ...prolog.builtins import callable_of, instant_of, tables_of
 from ...prolog.logic import Logic
 from ...prolog.machine import (
     Machine,
@@ -47,6 +47,7 @@ class States:
         self._all: Dict[Hashable, DeclaredState] = {}
         self._aside: Dict[Hashable, DeclaredState] = {}
         self._by_functor: Dict[Functor, List[DeclaredState]] = {}
+        self._tables = tables_of(logic.machine)
         self.on_event: Callable[[Term], None] = lambda event: None
         _StateGoals(self).define(logic)
 
@@ -101,20 +102,31 @@ class States:
     def asked(self, state: Any) -> Tuple[Sequence[DeclaredState], Optional[Hashable]]:
         """Return the declarations that a question is about, and the key of the state where it names one.
 
+        An incremental table that is evaluated depends on them.
+
         Raises:
             PrologError: where there is no such state.
         """
         if state.__class__ is Var:
+            if self._tables.active:
+                self._tables.note(self, None)
             return list(self._all.values()), None
         callable_of(state)
+        key = state[0] if state.__class__ is tuple else state.functor
+        if self._tables.active:
+            self._tables.note(self, key)
         found = self.like(state)
         if not found:
-            key = state[0] if state.__class__ is tuple else state.functor
             raise existence_error("state", indicator(key))
         try:
             return found, freeze(state)
         except ValueError:
             return found, None
+
+    def version(self, part: Hashable) -> object:
+        """Return a value that changes with the states of a functor, with None with all of them."""
+        found = self._all.values() if part is None else self._by_functor.get(part, ())  # type: ignore[call-overload]
+        return self._dispatcher.retractions, tuple([one.version for one in found])
 
     # ---- from outside --------------------------------------------------------------------------------
 

@@ -6,7 +6,7 @@ from typing import Callable, Iterator, Optional, Sequence, Tuple
 from ...foundation import UsageError
 from ...prolog.logic import Logic
 from ...prolog.machine import Frame, Machine, instantiation_error, type_error
-from ...prolog.terms import Atom, Term, Var, deref, functor
+from ...prolog.terms import Term, Var, deref, functor
 from ..dispatch import Dispatcher
 from ..language import subscribed_event
 from .chains import Chains
@@ -179,14 +179,14 @@ class Knowledge:
 
     def _define_size(self, name: str, number: Callable[[Instance], int]) -> None:
         """Define a predicate of a memory's id and a number."""
-        known, find = self.memories.instances.get, self.memories.find
+        find, read_all = self.memories.find, self.memories.read_all
 
         def of_one(name: Term) -> Optional[int]:
-            instance = known(name) if name.__class__ is Atom else find(name)
+            instance = find(name)
             return None if instance is None else number(instance)
 
         def of_all(machine: Machine, name: Term, value: Term) -> Iterator[bool]:
-            for instance in list(self.memories):
+            for instance in read_all():
                 if machine.unify_all((name, instance.id), (value, number(instance))):
                     yield True
 

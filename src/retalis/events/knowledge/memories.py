@@ -3,7 +3,7 @@
 from typing import Any, Callable, Dict, Hashable, Iterable, Iterator, List, Optional, Sequence, Tuple
 
 from ...foundation import UsageError
-from ...prolog.builtins import instant_of
+from ...prolog.builtins import instant_of, tables_of
 from ...prolog.logic import Logic
 from ...prolog.machine import Frame, Machine, domain_error, permission_error, type_error
 from ...prolog.terms import (
@@ -61,6 +61,8 @@ class Memories:
         self._stamp = stamp
         self._problem = problem
         self.instances: Dict[Hashable, Instance] = {}
+        self._tables = tables_of(logic.machine)
+        self._evaluated = self._tables.active
         self._newest: Optional[Recorder] = None
         self._aside: Dict[Hashable, Instance] = {}
         self._updates = dispatcher.gate(UPDATED)
@@ -72,14 +74,30 @@ class Memories:
         return iter(list(self.instances.values()))
 
     def find(self, name: Term) -> Optional[Instance]:
-        """Return the instance of this name, or None."""
-        if name.__class__ is Atom:
+        """Return the instance of this name, or None; an incremental table that is evaluated depends on it."""
+        if name.__class__ is Atom and not self._evaluated:
             return self.instances.get(name)
-        name = deref(name)
         try:
-            return self.instances.get(freeze(name))
+            key = freeze(deref(name))
         except ValueError:
             return None
+        if self._evaluated:
+            self._tables.note(self, key)
+        return self.instances.get(key)
+
+    def read_all(self) -> List[Instance]:
+        """Return all instances; an incremental table that is evaluated depends on which there are, and on each."""
+        if self._evaluated:
+            for key in (None, *self.instances):
+                self._tables.note(self, key)
+        return list(self.instances.values())
+
+    def version(self, part: Hashable) -> object:
+        """Return a value that changes with the records of a memory, given its key; with None with which there are."""
+        if part is None:
+            return tuple(self.instances)
+        instance = self.instances.get(part)
+        return None if instance is None else instance.memory.version
 
     def clear(self) -> None:
         """Forget all records (the clock went back); the instances stay."""
@@ -231,9 +249,10 @@ class Memories:
 def define_read_access(logic: Logic, memories: Memories) -> None:
     """Define the deterministic predicates that read memories."""
     known, to_term = memories.instances.get, timestamps.to_term
+    active = tables_of(logic.machine).active
 
     def prev(name: Term, at: Any) -> Optional[FoundRecord]:
-        instance = known(name) if name.__class__ is Atom else memories.find(name)
+        instance = known(name) if name.__class__ is Atom and not active else memories.find(name)
         if instance is None:
             return None
         is_new = at.__class__ is Lazy and at.make is to_term and at.made is None  # as in `instant_of`
@@ -241,7 +260,7 @@ def define_read_access(logic: Logic, memories: Memories) -> None:
         return found if not instance.open or found is None else _fresh(found)
 
     def next_inf(name: Term, at: Any) -> Optional[FoundRecord]:
-        instance = known(name) if name.__class__ is Atom else memories.find(name)
+        instance = known(name) if name.__class__ is Atom and not active else memories.find(name)
         if instance is None:
             return None
         is_new = at.__class__ is Lazy and at.make is to_term and at.made is None  # as in `instant_of`

@@ -1,6 +1,7 @@
 """One memory instance: the newest N records of a kind of event, in order of their end times."""
 
 from bisect import bisect_left, bisect_right
+from itertools import count
 from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 
 from ...prolog.terms import Term
@@ -10,6 +11,8 @@ NEVER = 1 << 100
 
 WIDE = 10
 """By which factor a step between two records is wider than the others for it to be told of."""
+
+_EPOCHS = count()
 
 MemoryRecord = Tuple[Term, int, int]
 """What a memory keeps of an event: the record and the event's interval, start and end as instants."""
@@ -36,13 +39,26 @@ class Memory:
         on_wide: called with the two ends where a look-up falls between records that may be unusually far apart.
     """
 
-    __slots__ = ("size", "room", "late", "ends", "records", "indices", "on_wide", "changed", "_gone", "_next")
+    __slots__ = (
+        "size",
+        "room",
+        "late",
+        "ends",
+        "records",
+        "indices",
+        "on_wide",
+        "changed",
+        "_epoch",
+        "_gone",
+        "_next",
+    )
 
     def __init__(self, size: int):
         self.size = size
         self.room = size + size // 4 + 16
         self.late = 0
         self._gone = 0
+        self._epoch = next(_EPOCHS)
         self.changed = NEVER
         self._next: Optional[Tuple[int, List[int], List[MemoryRecord]]] = None
         """What it is becoming, where that takes several steps: an interrupt may come between them."""
@@ -53,6 +69,7 @@ class Memory:
 
     def clear(self) -> None:
         """Forget all records; the counts stay."""
+        self._epoch = next(_EPOCHS)
         self._become(self._gone + len(self.ends), [], [])
 
     def _become(self, gone: int, ends: List[int], records: List[MemoryRecord]) -> None:
@@ -73,6 +90,7 @@ class Memory:
 
     def restore(self, gone: int, late: int, ends: List[int], records: List[MemoryRecord]) -> None:
         """Have records as another memory had them."""
+        self._epoch = next(_EPOCHS)
         self.late = late
         self._become(gone, ends, records)
 
@@ -89,6 +107,11 @@ class Memory:
     def added(self) -> int:
         """How many records were ever taken."""
         return self._gone + len(self.ends)
+
+    @property
+    def version(self) -> Tuple[int, int]:
+        """Another value after each change of the records; no other memory has it."""
+        return self._epoch, self.added
 
     @property
     def latest(self) -> Optional[int]:

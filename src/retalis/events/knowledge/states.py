@@ -13,6 +13,8 @@ from ..language import StateForm
 from .recording import Warn
 from .timeouts import AlarmClock, Timeouts
 
+_VERSIONS = count()
+
 _MOST_OPENINGS = 100
 """Events with which a state might have begun that are remembered, where the first of them may be taken back."""
 
@@ -83,6 +85,7 @@ class DeclaredState:
         open: those that hold, by the keys of their terms, the oldest first.
         past: those that are over, the newest last.
         dropped: how many were dropped since too many were open.
+        version: another number after each change; no other declaration has it.
     """
 
     def __init__(self, form: StateForm, logic: Logic, dispatcher: Dispatcher, clock: AlarmClock, warn: Warn):
@@ -104,6 +107,7 @@ class DeclaredState:
         self._order = count()
         self.past: Deque[PastState] = deque(maxlen=form.past)
         self.dropped = 0
+        self.version = next(_VERSIONS)
         self._timeouts = Timeouts(clock, self._by_order, self._time_over)
         self.listeners: List[Listener] = []
 
@@ -140,9 +144,11 @@ class DeclaredState:
             self._add(OpenState(key, state, shared, next(self._order), [(end, token)]))
         elif token is not None and len(known.openings) < _MOST_OPENINGS:
             known.openings.append((end, token))
+            self.version = next(_VERSIONS)
         return after
 
     def _add(self, one: OpenState) -> None:
+        self.version = next(_VERSIONS)
         if len(self.open) >= self.form.open:
             self._drop(next(iter(self.open.values())))
         self.open[one.key] = one
@@ -159,6 +165,7 @@ class DeclaredState:
         self._warn(f"{self.name}: {text}", ("open", self.name))
 
     def _remove(self, one: OpenState) -> None:
+        self.version = next(_VERSIONS)
         del self.open[one.key]
         del self._by_order[one.order]
         group = self._by_shared[one.shared]
@@ -189,7 +196,7 @@ class DeclaredState:
         begin = one.begin
         if begin is not None and begin > end:
             return None
-        self._remove(one)
+        self._remove(one)  # a new version, also for what is over from here on
         if begin is None:
             return None
         made = None
@@ -252,6 +259,7 @@ class DeclaredState:
 
     def close(self, past: bool) -> None:
         """Forget what holds, and with ``past`` what is over."""
+        self.version = next(_VERSIONS)
         for found in (self.open, self._by_shared, self._by_order):
             found.clear()
         self._timeouts.clear()
@@ -276,6 +284,7 @@ class DeclaredState:
     def restore(self, kept: KeptState) -> None:
         """Have hold what another one knew."""
         held, past, self.dropped = kept
+        self.version = next(_VERSIONS)
         for key, term, shared, openings in held:
             self._add(OpenState(key, term, shared, next(self._order), list(openings)))
         self.past.extend([PastState(*one) for one in past])
