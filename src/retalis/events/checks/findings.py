@@ -13,6 +13,7 @@ from .numerals import numerals
 from .outputs import outputs, unpublished
 from .overview import Overview
 from .predicates import redefined, retracted, slipped_arrows, undefined
+from .stale_tables import stale_tables
 from .states import unknown_states
 from .style import labels, singletons
 from .timers import timers
@@ -56,6 +57,7 @@ CHECKS: Tuple[Check, ...] = (
     Check("undefined", undefined, whole=True),
     Check("redefined", redefined, whole=True),
     Check("retracted", retracted, whole=True),
+    Check("stale-tables", stale_tables, whole=True),
     Check("cycle", cycles),
     Check("never-meets", never_meet, whole=True),
     Check("window", windows),

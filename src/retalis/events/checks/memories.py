@@ -9,7 +9,7 @@ from .near import meant
 from .overview import Overview
 from .written import Inner
 
-_READS = frozenset(
+MEMORY_READS = frozenset(
     functor(name, arity)
     for name, arity in (
         ("prev", 5),
@@ -26,8 +26,8 @@ _READS = frozenset(
 )
 
 
-_LOOKS = frozenset(key for key in _READS if not key.name.startswith("memory_"))
-_CHAIN = functor("pose_chain", 3)
+_LOOKS = frozenset(key for key in MEMORY_READS if not key.name.startswith("memory_"))
+POSE_CHAIN = functor("pose_chain", 3)
 _BOTH = functor("$both", 2)
 
 
@@ -101,10 +101,10 @@ def _memories_in(inner: Inner) -> Iterator[Atom]:
     term: Any = inner.term
     if term.__class__ is not tuple:
         return
-    names: List[Term] = [term[1]] if term[0] in _READS else []
+    names: List[Term] = [term[1]] if term[0] in MEMORY_READS else []
     if term[0] in SYNCHRONIZED:
         names = [pair[0] for pair in map(list_items, list_items(term[3]) or ()) if pair]
-    elif term[0] is _CHAIN:
+    elif term[0] is POSE_CHAIN:
         names = list_parts(term[1])[0]
     for name in map(deref, names):
         if isinstance(name, Atom):

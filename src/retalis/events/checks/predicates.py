@@ -9,7 +9,7 @@ from .near import NearFunctors
 from .overview import Overview
 from .written import NECK, Inner, WrittenTerm, key_of
 
-_ADDS = frozenset(
+ADDS = frozenset(
     functor(name, arity)
     for name, arity in (
         *((name, 1) for name in ("assert", "asserta", "assertz", "db")),
@@ -17,9 +17,15 @@ _ADDS = frozenset(
     )
 )
 _DECLARES = frozenset(
-    functor(name, 1) for name in ("dynamic", "discontiguous", "multifile", "table", "use_foreign", "use_swi")
+    (
+        *[
+            functor(name, 1)
+            for name in ("dynamic", "discontiguous", "multifile", "table", "use_foreign", "use_swi")
+        ],
+        functor("dynamic", 2),
+    )
 )
-_RETRACTS = frozenset(functor(name, 1) for name in ("retract", "retractall"))
+RETRACTS = frozenset(functor(name, 1) for name in ("retract", "retractall"))
 _CUT = functor("!", 0)
 _ANYTHING = frozenset((functor("use_foreign", 1), functor("use_swi", 1)))
 _SWI = functor("use_swi", 2)
@@ -36,16 +42,17 @@ class _Defined:
         self.anything = False
         for inner in program.calls():
             term = inner.term
-            if term.__class__ is tuple and (term[0] in _ADDS or term[0] in _DECLARES):
+            if term.__class__ is tuple and (term[0] in ADDS or term[0] in _DECLARES):
                 self.anything = self.anything or term[0] in _ANYTHING
                 self._add(term[1])
             elif term.__class__ is tuple and term[0] is _SWI:
-                self._add(term[2])
+                self._add(term[2], renames=True)
 
     def __contains__(self, key: Functor) -> bool:
         return self.anything or key in self.keys or self._logic.defines(key)
 
-    def _add(self, term: Term) -> None:
+    def _add(self, term: Term, renames: bool = False) -> None:
+        """Note what a term names; ``as`` is followed by a new name where it ``renames``, else by options."""
         stack: List[Any] = [deref(term)]
         while stack:
             item = stack.pop()
@@ -56,8 +63,10 @@ class _Defined:
                 stack += [deref(item[1]), deref(item[2])]
             elif key is NECK:
                 stack.append(deref(item[1]))
-            elif key is _AS:  # a predicate of SWI-Prolog under another name
+            elif key is _AS and renames:
                 self.anything = True
+            elif key is _AS:
+                stack.append(deref(item[1]))
             elif key is SLASH:
                 name, arity = deref(item[1]), deref(item[2])
                 if isinstance(name, Atom) and isinstance(arity, int):
@@ -134,7 +143,7 @@ def retracted(program: Overview) -> Iterator[RuleError]:
     said: Set[Functor] = set()
     for inner in program.calls():
         term = inner.term
-        key = _of_clause(term[1]) if term.__class__ is tuple and term[0] in _RETRACTS else None
+        key = key_of_clause(term[1]) if term.__class__ is tuple and term[0] in RETRACTS else None
         if key is None or key in said or key in defined.keys or defined.anything:
             continue
         if program.logic.defines(key) and not _is_empty(program, key):
@@ -151,7 +160,8 @@ def _is_empty(program: Overview, key: Functor) -> bool:
     return predicate is None or (predicate.kind != "builtin" and not predicate.library and not len(predicate))
 
 
-def _of_clause(term: Any) -> Optional[Functor]:
+def key_of_clause(term: Any) -> Optional[Functor]:
+    """Return the functor of a clause's head."""
     term = deref(term)
     if term.__class__ is tuple and term[0] is NECK:
         term = deref(term[1])
