@@ -127,6 +127,18 @@ def test_only_the_nodes_know_ros():
     assert knowing == {"ros"}
 
 
+def test_one_module_compiles_and_none_builds_syntax_trees():
+    """CPython fails where two threads build syntax trees at once, and every connection of a node has a thread."""
+    compiling = {
+        module.name
+        for module in MODULES.values()
+        for node in module.nodes
+        if isinstance(node, ast.Name) and node.id in ("compile", "exec", "eval")
+    }
+    assert compiling == {"foundation.codegen"}
+    assert not [module.name for module in MODULES.values() for base, _ in module.imports if base == "ast"]
+
+
 @pytest.mark.parametrize("wing", WINGS)
 def test_a_wing_hands_nothing_on(wing):
     body = MODULES[wing].tree.body

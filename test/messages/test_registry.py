@@ -1,4 +1,7 @@
+import gc
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -147,12 +150,61 @@ def test_the_usual_places(tmp_path, monkeypatch):
 def test_generated_modules_are_read_and_not_run(tmp_path):
     folder = tmp_path / "pkg" / "msg"
     folder.mkdir(parents=True)
-    (folder / "_Type.py").write_text(f"raise SystemExit\nclass Type:\n  _full_text = {STAMPED!r}\n")
+    (folder / "_Type.py").write_text(f"raise SystemExit\nclass Type:\n  _full_text = \"\"\"{STAMPED}\"\"\"\n")
     (folder / "_Broken.py").write_text("class Type(:\n")
     registry = Definitions(Installed([], [str(tmp_path)], rosbags=False))
     assert registry.find("pkg/Type").fields[1].type == "pkg/Inner"
     assert "pkg/Broken" not in registry
     assert "pkg" not in sys.modules
+
+
+def generated(folder, name, literal):
+    """Write a module as genpy does."""
+    (folder / "pkg" / "msg").mkdir(parents=True, exist_ok=True)
+    fields = "".join(f"    if self.x{number} is None:\n      self.x{number} = [0, (1, 2)]\n" for number in range(200))
+    source = f'class {name}:\n  _full_text = """{literal}"""\n  def __init__(self):\n{fields}'
+    (folder / "pkg" / "msg" / f"_{name}.py").write_text(source, encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("literal", "text"),
+    [
+        ("int8 x\n", "int8 x\n"),
+        ('string A="b" ""c\n', 'string A="b" ""c\n'),
+        (r"# \"\"\" a \\ b \x41 \u00e9 \N{EURO SIGN}" + "\n", '# """ a \\ b A \xe9 \u20ac\n'),
+        (r"# \d \é" + "\n", "# \\d \\\xe9\n"),
+        ("int8 x \\\nint8 y\n", "int8 x int8 y\n"),
+        (r"# \U00110000", None),
+    ],
+)
+def test_literals_of_generated_modules_are_read_as_python_reads_them(tmp_path, literal, text):
+    generated(tmp_path, "Type", literal)
+    found = Installed([], [str(tmp_path)], rosbags=False).text("pkg/Type")
+    assert (found and found[0]) == text
+
+
+def test_generated_modules_are_read_in_several_threads(tmp_path):
+    """Two threads that are in `ast.parse` at once fail, most often when a collection runs Python code in between."""
+    generated(tmp_path, "Type", "int8 x\n")
+    installed = Installed([], [str(tmp_path)], rosbags=False)
+    threshold, interval = gc.get_threshold(), sys.getswitchinterval()
+
+    def switch(phase, info):
+        time.sleep(0)
+
+    def read(number):
+        return {installed.text("pkg/Type")[0] for _ in range(100)}
+
+    gc.callbacks.append(switch)
+    gc.set_threshold(10, 2, 2)
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(4) as threads:
+            assert list(threads.map(read, range(4))) == [{"int8 x\n"}] * 4
+    finally:
+        gc.callbacks.remove(switch)
+        gc.set_threshold(*threshold)
+        sys.setswitchinterval(interval)
 
 
 def test_types_that_rosbags_brings():

@@ -1,7 +1,8 @@
 """Looks up the texts of installed message types in the file system."""
 
-import ast
+import codecs
 import os
+import re
 import sys
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, Optional, Sequence, Tuple
@@ -12,6 +13,14 @@ _ROS = "/opt/ros"
 _SHARE = ("/usr/share", "/usr/local/share")
 _MODULES = ("/usr/lib/python3/dist-packages",)
 _DEPTH = 4
+
+_FULL_TEXT = re.compile(r'^[ \t]*_full_text = """((?:[^"\\]|\\.|"(?!""))*)"""', re.MULTILINE | re.DOTALL)
+"""The definition in a module that genpy has generated: always a literal in three double quotes."""
+
+_ESCAPE = re.compile(
+    r"""\\(?:\n|[\\'"abfnrtv]|[0-7]{1,3}|x[0-9a-fA-F]{2}|u[0-9a-fA-F]{4}|U[0-9a-fA-F]{8}|N\{[A-Za-z0-9 -]+\})"""
+)
+"""The escape sequences of Python's literals; a backslash before anything else stands for itself."""
 
 
 class Installed:
@@ -80,10 +89,11 @@ class Installed:
     def _source_packages(self) -> Dict[str, str]:
         """Return the packages that lie deeper in a folder of packages, as in a workspace's ``src``."""
         if self._sources is None:
-            self._sources = {}
+            sources: Dict[str, str] = {}
             for folder in self._packages:
                 if os.path.basename(folder.rstrip("/")) != "share":
-                    _find_packages(folder, _DEPTH, self._sources)
+                    _find_packages(folder, _DEPTH, sources)
+            self._sources = sources  # only now: another thread must not search in a part of them
         return self._sources
 
     def _module_text(self, package: str, kind: str) -> Optional[Tuple[str, str]]:
@@ -168,21 +178,22 @@ def _find_packages(folder: str, depth: int, found: Dict[str, str]) -> None:
 
 
 def _full_text(path: str) -> Optional[str]:
-    """Return the definition that a generated Python module holds as ``_full_text``, without running it."""
+    """Return the definition that a generated Python module holds as ``_full_text``, without running the module.
+
+    A scan and not `ast.parse`: CPython counts the depth of syntax trees per interpreter, so two threads that build
+    one at the same time make each other fail, and every connection has a thread.
+    """
     try:
-        tree = ast.parse(Path(path).read_text(encoding="utf-8"))
-    except (OSError, SyntaxError, UnicodeDecodeError):
+        source = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
         return None
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Assign) and any(
-            isinstance(target, ast.Name) and target.id == "_full_text" for target in node.targets
-        ):
-            try:
-                text = ast.literal_eval(node.value)
-            except ValueError:
-                return None
-            return text if isinstance(text, str) else None
-    return None
+    found = _FULL_TEXT.search(source)
+    if found is None:
+        return None
+    try:
+        return _ESCAPE.sub(lambda escape: codecs.decode(escape[0], "unicode_escape"), found[1])
+    except ValueError:  # an escape of a character that does not exist
+        return None
 
 
 def _rosbags_text(package: str, kind: str) -> Optional[Tuple[str, str]]:
