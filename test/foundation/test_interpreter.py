@@ -3,6 +3,7 @@
 import ast
 import gc
 import re
+import subprocess
 import sys
 import weakref
 from pathlib import Path
@@ -150,3 +151,24 @@ def test_code_finds_no_other_functions(source, seen):
     else:
         with pytest.raises(NameError, match="is not defined"):
             run()
+
+
+@pytest.mark.skipif(PYPY, reason="PyPy exits without a collection")
+def test_nothing_is_collected_once_a_process_is_about_to_exit():
+    source = """
+import gc
+from retalis.foundation import stop_collecting
+cycle = []
+cycle.append(cycle)
+del cycle
+stop_collecting()
+print(gc.collect(), gc.isenabled(), gc.get_count()[1:])
+"""
+    path = str(PACKAGE.parent)
+    printed = subprocess.run(
+        [sys.executable, "-c", f"import sys; sys.path.insert(0, {path!r}){source}"],
+        check=True,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert printed.stdout.split()[:2] == ["0", "False"]

@@ -150,7 +150,7 @@ def test_the_usual_places(tmp_path, monkeypatch):
 def test_generated_modules_are_read_and_not_run(tmp_path):
     folder = tmp_path / "pkg" / "msg"
     folder.mkdir(parents=True)
-    (folder / "_Type.py").write_text(f"raise SystemExit\nclass Type:\n  _full_text = \"\"\"{STAMPED}\"\"\"\n")
+    (folder / "_Type.py").write_text(f'raise SystemExit\nclass Type:\n  _full_text = """{STAMPED}"""\n')
     (folder / "_Broken.py").write_text("class Type(:\n")
     registry = Definitions(Installed([], [str(tmp_path)], rosbags=False))
     assert registry.find("pkg/Type").fields[1].type == "pkg/Inner"
@@ -161,7 +161,9 @@ def test_generated_modules_are_read_and_not_run(tmp_path):
 def generated(folder, name, literal):
     """Write a module as genpy does."""
     (folder / "pkg" / "msg").mkdir(parents=True, exist_ok=True)
-    fields = "".join(f"    if self.x{number} is None:\n      self.x{number} = [0, (1, 2)]\n" for number in range(200))
+    fields = "".join(
+        f"    if self.x{number} is None:\n      self.x{number} = [0, (1, 2)]\n" for number in range(200)
+    )
     source = f'class {name}:\n  _full_text = """{literal}"""\n  def __init__(self):\n{fields}'
     (folder / "pkg" / "msg" / f"_{name}.py").write_text(source, encoding="utf-8")
 

@@ -1,5 +1,7 @@
 """One signal ends a node, whatever it is doing; its exit status says whether it could be set up."""
 
+import os
+import resource
 import signal
 import subprocess
 import sys
@@ -99,6 +101,32 @@ def test_while_an_event_is_at_work_that_never_ends(devel, master, node, program)
     said(devel, "it has begun")
     assert ended(process, signal.SIGINT) == 0
     assert devel.state() == (set(), set())
+
+
+def test_recorded_events_do_not_delay_the_end(devel, master, node, program):
+    """Processor time, not time: that of the machine's other work does not count."""
+    rules = """
+b(N) <- a(N).
+c <- begin do (forall(between(1, 50000, N), event(a([[[N], [N]], [[N], [N]], [[N], [N]], [[N], [N]]]))), writeln('all came'), flush_output).
+"""
+    folder = program("compile_event_file('rules.txt')", rules=rules)
+    process = node("retalis_node", folder, "_explain:=true", "_max_seconds:=0")
+    devel.expect(lambda found, services: "/add_memory" in services)
+    command = ("rostopic", "pub", "-1", "/retalisInputEvents", "std_msgs/String", "data: 'event(begin)'")
+    devel.run(*command)
+    said(devel, "all came")
+    others = seconds_of_children()
+    before = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
+    ticks = sum(map(int, before[11:15]))  # its own, and of its children
+    assert ended(process, signal.SIGINT) == 0
+    spent = seconds_of_children() - others - ticks / os.sysconf("SC_CLK_TCK")
+    assert spent < 1.0
+
+
+def seconds_of_children():
+    """Return the processor time of all processes that were waited for."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def test_where_the_master_hangs(devel, master, node, program):

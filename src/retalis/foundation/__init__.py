@@ -34,6 +34,7 @@ from .interpreter import (
     releasing,
     remove_dead,
     seen_elsewhere,
+    stop_collecting,
     text_size,
 )
 from .rosnames import plain_fault, plain_type, topic_fault, type_fault
@@ -70,6 +71,7 @@ __all__ = [
     "seen_elsewhere",
     "shared_function",
     "shortened",
+    "stop_collecting",
     "SHOWN",
     "SyntaxFault",
     "TermTooLarge",

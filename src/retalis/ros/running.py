@@ -7,7 +7,7 @@ from typing import Callable
 import rospy
 
 from ..engine.runtime import collect_when_idle, limit_gc_pauses
-from ..foundation import RetalisError
+from ..foundation import RetalisError, stop_collecting
 from .backlog import widen_backlog
 from .interrupts import PAUSE, Interrupts
 from .log import forward_log
@@ -41,6 +41,7 @@ def run_node(name: str, build: Callable[[Parameters], object]) -> int:
         rospy.signal_shutdown("ended")
         while not rospy.is_shutdown():  # another thread is at it (``rosnode kill``)
             time.sleep(PAUSE)
+        stop_collecting()  # 100,000 recorded events would take seconds at each of the collections to come
     return status
 
 
