@@ -10,7 +10,7 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 from retalis.engine.runtime import Reports  # noqa: E402
 from retalis.foundation import RuleError  # noqa: E402
 from retalis.ros import handover  # noqa: E402
-from retalis.ros.handover import LOOKS, Handover  # noqa: E402
+from retalis.ros.handover import ENGINE, INTERFACE, LOOKS, Handover  # noqa: E402
 
 
 class Link:
@@ -53,7 +53,7 @@ def reports():
 
 @pytest.fixture
 def make(outlet, reports):
-    return lambda queue=100, runs=lambda: 0: Handover(outlet, queue, reports, runs)
+    return lambda queue=100, runs=lambda: 0: Handover(outlet, ENGINE, queue, reports, runs)
 
 
 def test_what_comes_before_node_retalis_is_held_for_it_in_order(outlet, make):
@@ -182,6 +182,49 @@ def test_latched_messages_of_who_has_gone_are_forgotten_but_not_newer_ones(outle
     assert set(it.latched()) == {"b"}
 
 
+def test_only_the_peer_gets_marks(outlet, make):
+    it = make()
+    it.send(b"a", 1, b"<mark a>")
+    engine, other = outlet.come(), outlet.come()
+    it.send(b"b", 1, b"<mark b>")
+    it.settle(engine, True)
+    it.settle(other, False)
+    it.send(b"c", 1, b"<mark c>")
+    assert engine.got == [b"<mark a>a<mark b>b", b"<mark c>c"]
+    assert other.got == [b"b", b"c"]
+
+
+def test_what_the_peer_does_not_need_is_held_for_nobody_but_who_is_not_identified(outlet, make):
+    it = make()
+    it.send(b"a", 1, for_peer=False)
+    other = outlet.come()
+    it.send(b"b", 1, for_peer=False)
+    it.settle(other, False)
+    it.send(b"c", 1, for_peer=False)
+    it.send(b"d", 1)
+    peer = outlet.come()
+    it.unknown()
+    it.settle(peer, True)
+    assert other.got == [b"b", b"c", b"d"]
+    assert peer.got == [b"bd"]
+
+
+def test_nothing_is_dropped_that_the_peer_does_not_need(outlet, make, reports):
+    it = make(queue=3)
+    for _ in range(10):
+        it.send(b"a", 1, for_peer=False)
+    assert (reports.warnings, outlet.counts.dropped) == (0, 0)
+
+
+def test_messages_name_the_peer(outlet, reports, caplog):
+    it = Handover(outlet, INTERFACE, 1, reports)
+    for _ in range(2):
+        it.send(b"a", 1)
+    assert [record.getMessage() for record in caplog.records] == [
+        "the ROS interface is not there: the oldest of the events that wait for it is dropped"
+    ]
+
+
 def test_what_is_held_of_a_former_run_is_not_handed_over(outlet, make):
     runs = [0]
     it = make(runs=lambda: runs[0])
@@ -225,7 +268,7 @@ def test_a_connection_that_has_ended_is_noticed_before_something_is_written_to_i
 
 
 def test_node_retalis_gets_first_what_it_has_to_know_of_all(outlet, reports):
-    it = Handover(outlet, 100, reports, lambda: 0, lambda: b"run ")
+    it = Handover(outlet, ENGINE, 100, reports, lambda: 0, lambda: b"run ")
     it.send(b"before", 1)
     node, other = outlet.come(), outlet.come()
     it.unknown()

@@ -107,7 +107,8 @@ def test_recorded_events_do_not_delay_the_end(devel, master, node, program):
     """Processor time, not time: that of the machine's other work does not count."""
     rules = """
 b(N) <- a(N).
-c <- begin do (forall(between(1, 50000, N), event(a([[[N], [N]], [[N], [N]], [[N], [N]], [[N], [N]]]))), writeln('all came'), flush_output).
+c <- begin do (forall(between(1, 50000, N), event(a([[[N], [N]], [[N], [N]], [[N], [N]], [[N], [N]]]))),
+               writeln('all came'), flush_output).
 """
     folder = program("compile_event_file('rules.txt')", rules=rules)
     process = node("retalis_node", folder, "_explain:=true", "_max_seconds:=0")

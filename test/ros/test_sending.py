@@ -16,7 +16,7 @@ from rospy.exceptions import TransportTerminated  # noqa: E402
 from retalis.engine.runtime import Reports  # noqa: E402
 from retalis.ros import handover, sending, texts  # noqa: E402
 from retalis.ros.sending import Outlet  # noqa: E402
-from retalis.ros.texts import TextPublisher, text_frame  # noqa: E402
+from retalis.ros.texts import OutputTexts, TextPublisher, text_frame  # noqa: E402
 
 BODY = b"b" * 20_000
 
@@ -326,3 +326,57 @@ def test_texts_go_out_together_in_order(outlet, link, monkeypatch):
         it.add("c")
         it.add("d")
     assert link.other.recv(100) == text_frame("c") + text_frame("d")
+
+
+def received(link, text):
+    """Return what comes until a text."""
+    data = b""
+    while not data.endswith(text_frame(text)):
+        part = link.other.recv(1000)
+        assert part
+        data += part
+    return data
+
+
+def test_outputs_go_to_the_interface_in_order(outlet, link, monkeypatch):
+    asked = []
+
+    def offering(service):
+        asked.append(service)
+        return {link.endpoint_id}
+
+    monkeypatch.setattr(handover, "offering", offering)
+    it = OutputTexts("/topic", 1000, Reports(), ["out", "foo bar"], [])
+    for topic, text in (("out", "a"), ("watched", "b"), ("/out", "c"), ("not a name", "d")):
+        it.send(topic, text.__str__)
+    assert received(link, "d") == b"".join(map(text_frame, "abcd"))
+    assert set(asked) == {"add_input_subscription"}
+
+
+def test_outputs_that_the_interface_publishes_wait_for_it_and_others_are_not_even_written(monkeypatch):
+    links, written, listeners = [], [], []
+
+    def publisher(topic, kind, listener, latch, queue_size):
+        listeners.append(listener)
+        return SimpleNamespace(name=topic, impl=SimpleNamespace(connections=links), listener=listener)
+
+    def write(text):
+        return lambda: written.append(text) or text
+
+    monkeypatch.setattr(rospy, "Publisher", publisher)
+    reports = Reports()
+    it = OutputTexts("/topic", 2, reports, ["out", "state"], ["state"])
+    for topic, text in (("state", "s"), ("watched", "w"), ("out", "a"), ("out", "b")):
+        it.send(topic, write(text))
+    assert (written, reports.warnings) == (["s", "a", "b"], 1)  # the queue holds two
+    for after in (b"sab", b"sc"):
+        link = Link()
+        monkeypatch.setattr(handover, "offering", lambda service, name=link.endpoint_id: {name})
+        links[:] = []
+        if after == b"sc":
+            it.send("out", write("c"))
+        links[:] = [link]
+        listeners[-1].peer_subscribe("/topic", None, None)
+        assert received(link, chr(after[-1])) == b"".join(text_frame(chr(one)) for one in after)
+        link.socket.close()
+        link.other.close()

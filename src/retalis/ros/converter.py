@@ -18,6 +18,7 @@ from .goaltopics import ToldTopics
 from .health import NodeHealth, program_health
 from .hints import StartHints
 from .interface import Interface, Publisher, Take, exhaust
+from .latchedinputs import LatchedConnection
 from .listing import Listing
 from .log import log_error
 from .names import INPUT, OUTPUT
@@ -105,7 +106,7 @@ class Converter:
         exhaust(sent)
         self._texts.flush()
 
-    def _latched_sender(self, decoder: Decoder, publisher: Publisher) -> Take:
+    def _latched_sender(self, decoder: Decoder, publisher: Publisher, connection: LatchedConnection) -> Take:
         """Return what sends the messages of a latched connection as text, and keeps the last one."""
         write, stamp, receipts = text_writer(decoder), decoder.stamp, self._receipts
         write_again = text_writer(decoder.plain or decoder)  # which has been looked at
@@ -121,7 +122,8 @@ class Converter:
                 same = stamped is not None or run == receipts.runs()
                 return event_text(write_again(data), instant if same else receipts.stamp())
 
-            self._texts.add_latched(event_text(text, instant), publisher, again, len(data))
+            message = connection.message(data)
+            self._texts.add_latched(event_text(text, instant), message, publisher, again, len(data))
 
         return take
 

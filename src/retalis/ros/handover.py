@@ -1,8 +1,16 @@
-"""Handing texts to node retalis: what comes before it is there is kept, and latched messages for the next one.
+"""Delivery of texts between the two nodes, with buffering for a node that joins late.
 
-Which receiver of the texts is node retalis the master knows: it is the node that offers the service ``add_memory`` of
-this namespace. Nothing in a connection says so, and a name would be wrong in the next launch file. The node offers it
-before it connects. Until it is known who a receiver is, it gets nothing, and then what it has missed.
+Both directions use it: the interface sends events to node ``retalis``, and node ``retalis`` sends outputs to the
+interface. ROS delivers a message only to subscribers that are connected already, so texts would be lost while the
+other node, the *peer*, starts or restarts. This module adds two guarantees:
+
+* texts that are sent while the peer is absent are buffered and delivered in order when it connects;
+* the newest message of each latched topic is delivered to every new instance of the peer.
+
+Other subscribers (``rostopic echo``, a logger) receive the plain stream. To tell them apart, the module asks the
+master which node offers the peer's service in this namespace: connections carry no such information, and node names
+differ between launch files. Each node offers its services before it connects. A subscriber that has not been
+identified receives nothing, and then what it has missed.
 """
 
 import socket
@@ -19,6 +27,7 @@ from typing import (
     Hashable,
     List,
     NamedTuple,
+    Optional,
     Set,
     Tuple,
 )
@@ -31,9 +40,6 @@ from ..engine.runtime import Reports
 from ..foundation import RetalisError
 from .sending import Outlet
 
-SERVICE = "add_memory"
-"""What node retalis offers, and nobody else in its namespace."""
-
 HELD_BYTES = 64 << 20
 """Bytes of texts that are held at most, and of the messages that are kept because they are latched."""
 
@@ -41,7 +47,7 @@ LATCHED = 1000
 """Latched messages that are kept at most: one for each topic and publisher."""
 
 LOOKS = 10
-"""How often a receiver is looked at that is not node retalis, while that is not there: it may be only starting."""
+"""How often a receiver is looked at that is not the peer, while that is not there: it may be only starting."""
 
 PAUSE = 1.0
 """Seconds between two such looks."""
@@ -51,10 +57,34 @@ Publishers = Callable[[], Set[Tuple[str, str]]]
 """Gives topic and publisher of all connections from which messages come."""
 
 
+class Peer(NamedTuple):
+    """A node that texts are meant for.
+
+    Attributes:
+        service: the service that this node, and no other in its namespace, offers.
+        title: its name in messages.
+    """
+
+    service: str
+    title: str
+
+
+ENGINE = Peer("add_memory", "node retalis")
+INTERFACE = Peer("add_input_subscription", "the ROS interface")
+
+
 class _Batch(NamedTuple):
-    """Texts that were made together, framed as on the wire."""
+    """Texts that were made together, framed as on the wire.
+
+    Attributes:
+        order: the number of the batch.
+        mark: what the peer alone gets before the texts.
+        frames: the texts.
+        number: how many texts these are.
+    """
 
     order: int
+    mark: bytes
     frames: bytes
     number: int
 
@@ -68,31 +98,37 @@ class _Latched(NamedTuple):
 
 
 class _Other(NamedTuple):
-    """A receiver that is not node retalis: the batches that came before it, and how often it was looked up."""
+    """A receiver that is not the peer: the batches that came before it, and how often it was looked up."""
 
     before: int
     looks: int
 
 
 class Handover:
-    """Sends texts to node retalis and to whoever else listens. All but `run` is called in turn, not at once.
+    """Sends texts to the peer and to all other subscribers. Not thread-safe: the caller holds a lock.
 
     Args:
         outlet: the topic.
-        queue: how many texts are held at most while node retalis is not there.
+        peer: the node that the texts are meant for.
+        queue: how many texts are held at most while the peer is absent.
         reports: takes a warning of each text that is dropped.
-        runs: tells how often time has gone back; what is held belongs to one run.
-        first: gives what node retalis gets first, framed as on the wire; nothing by default.
+        runs: returns how often time has gone back; texts that are held for a former run are discarded.
+        first: returns what the peer gets first, framed as on the wire; nothing by default.
+
+    Attributes:
+        peer: see above.
     """
 
     def __init__(
         self,
         outlet: Outlet,
+        peer: Peer,
         queue: int,
         reports: Reports,
-        runs: Callable[[], int],
+        runs: Callable[[], int] = int,
         first: Callable[[], bytes] = bytes,
     ):
+        self.peer = peer
         self._first = first
         self._outlet = outlet
         self._queue = queue
@@ -106,42 +142,54 @@ class Handover:
         self._new: Dict[Any, int] = {}
         """Receivers that are not known yet, each with the batches that came before it."""
         self._others: Dict[Any, _Other] = {}
-        """Receivers that are not node retalis."""
-        self._engines: List[Any] = []
+        """Receivers that are not the peer."""
+        self._peers: List[Any] = []
         self._held: Deque[_Batch] = deque()
         self._held_texts = self._held_bytes = 0
         self._handed = 0
-        """The last batch that node retalis has got."""
+        """The last batch that the peer has got."""
         self._latched: Dict[Hashable, _Latched] = {}
         self._latched_bytes = 0
 
-    def send(self, frames: bytes, number: int) -> None:
-        """Send texts, or hold them."""
+    def send(self, frames: bytes, number: int, mark: bytes = b"", for_peer: bool = True) -> None:
+        """Send texts, or hold them.
+
+        Args:
+            frames: the texts, framed as on the wire.
+            number: how many texts these are.
+            mark: what the peer alone gets before them, framed as well.
+            for_peer: whether the peer needs them, so that they are held while it is absent.
+        """
         links = self._outlet.links()
-        if links is not self._links or not self._engines or has_ended(self._engines[0]):
+        if links is not self._links or not self._peers or has_ended(self._peers[0]):
             self._look(links)
         self._order += 1
         self._outlet.counts.sent += number
-        if self._engines:
+        if self._peers:
             self._handed = self._order
-        if self._new or not self._engines:
-            self._hold(frames, number)
-            links = [*self._engines, *self._others]
+        if self._new or not self._peers:
+            # Who has not been identified gets them from what is held, whether the peer needs them or not.
+            if self._new or for_peer:
+                self._hold(_Batch(self._order, mark, frames, number))
+            links = [*self._peers, *self._others]
+        if mark:
+            self._outlet.write(self._peers, mark + frames, number)
+            links = [link for link in links if link not in self._peers]
         self._outlet.write(links, frames, number)
 
     def latch(self, key: Hashable, write: Callable[[], bytes], size: int) -> None:
-        """Keep the message that makes the next text for each node retalis that comes.
+        """Keep the message that makes the next text for each instance of the peer that connects later.
 
         Args:
             key: of which the newest is kept: topic and publisher.
-            write: gives the text again, framed as on the wire.
+            write: returns the text again, after its mark, framed as on the wire.
             size: the bytes that are kept.
         """
         self._forget(key)
         while self._latched and (len(self._latched) >= LATCHED or self._latched_bytes + size > HELD_BYTES):
             self._forget(next(iter(self._latched)))
             self._reports.warning(
-                "too many latched messages: the oldest one is not kept for a node retalis that is started later"
+                f"too many latched messages: {self.peer.title} does not get the oldest one if it is started again"
             )
         self._latched[key] = _Latched(self._order + 1, write, size)
         self._latched_bytes += size
@@ -157,35 +205,35 @@ class Handover:
                 self._forget(key)
 
     def unknown(self) -> List[Any]:
-        """Return the receivers of which it is not known whether they are node retalis."""
+        """Return the receivers of which it is not known whether they are the peer."""
         self._look(self._outlet.links())
-        if self._engines:
+        if self._peers:
             return list(self._new)
         return [*self._new, *(link for link, other in self._others.items() if other.looks < LOOKS)]
 
     def is_other(self, link: Any) -> bool:
-        """Tell whether a receiver is known not to be node retalis."""
+        """Tell whether a receiver is known not to be the peer."""
         return link in self._others
 
-    def settle(self, link: Any, is_engine: bool) -> None:
+    def settle(self, link: Any, is_peer: bool) -> None:
         """Take note of who a receiver is, and give it what it has missed."""
         known = self._others.pop(link, None)
         before = self._new.pop(link, self._order) if known is None else known.before
-        if is_engine:
+        if is_peer:
             missed = self._missed(min(before, self._handed))
-            self._engines.append(link)
+            self._peers.append(link)
             self._handed = self._order
         else:
             self._others[link] = _Other(before, 1 if known is None else known.looks + 1)
             missed = [one for one in self._held if one.order > before]
         if known is not None:  # it has got what came since
-            missed = [one for one in missed if is_engine and one.order <= before]
-        first = self._first() if is_engine else b""
-        if missed or first:
-            self._outlet.write(
-                [link], first + b"".join([one.frames for one in missed]), sum(one.number for one in missed)
-            )
-        if self._engines and not self._new:
+            missed = [one for one in missed if is_peer and one.order <= before]
+        frames = [self._first()] if is_peer else []
+        for one in missed:
+            frames += (one.mark, one.frames) if is_peer else (one.frames,)
+        if any(frames):
+            self._outlet.write([link], b"".join(frames), sum(one.number for one in missed))
+        if self._peers and not self._new:
             self._drop_held()
 
     def _missed(self, since: int) -> List[_Batch]:
@@ -194,7 +242,7 @@ class Handover:
         for key, (order, write, _) in self._latched.items():
             if order not in missed:
                 try:
-                    missed[order] = _Batch(order, write(), 1)
+                    missed[order] = _Batch(order, b"", write(), 1)
                 except RetalisError as error:
                     self._reports.error(error, key)
         return [missed[order] for order in sorted(missed)]
@@ -203,30 +251,30 @@ class Handover:
         """Note who has come, and forget who has gone."""
         self._links = links
         there = [link for link in links if not has_ended(link)]
-        self._engines = [link for link in self._engines if link in there]
+        self._peers = [link for link in self._peers if link in there]
         self._others = {link: looks for link, looks in self._others.items() if link in there}
         new, self._new = self._new, {}
         for link in there:
-            if link not in self._engines and link not in self._others:
+            if link not in self._peers and link not in self._others:
                 self._new[link] = new.get(link, self._order)
 
-    def _hold(self, frames: bytes, number: int) -> None:
+    def _hold(self, batch: _Batch) -> None:
         run = self._runs()
         if run != self._run:
             self._run = run
             self._drop_held()
-        self._held.append(_Batch(self._order, frames, number))
-        self._held_texts += number
-        self._held_bytes += len(frames)
+        self._held.append(batch)
+        self._held_texts += batch.number
+        self._held_bytes += len(batch.mark) + len(batch.frames)
         while self._held_texts > self._queue or self._held_bytes > HELD_BYTES:
             oldest = self._held.popleft()
             self._held_texts -= oldest.number
-            self._held_bytes -= len(oldest.frames)
+            self._held_bytes -= len(oldest.mark) + len(oldest.frames)
             if oldest.order > self._handed:
                 self._outlet.counts.dropped += oldest.number
                 for _ in range(oldest.number):
                     self._reports.warning(
-                        "node retalis is not there: the oldest of the events that wait for it is dropped"
+                        f"{self.peer.title} is not there: the oldest of the events that wait for it is dropped"
                     )
 
     def _drop_held(self) -> None:
@@ -250,13 +298,16 @@ class Introducer(rospy.SubscribeListener):  # type: ignore[misc]
         """Have a look at a receiver that has come."""
         self._come.set()
 
-    def begin(self, handover: Handover, turn: ContextManager[object], publishers: Publishers) -> None:
+    def begin(
+        self, handover: Handover, turn: ContextManager[object], publishers: Optional[Publishers] = None
+    ) -> None:
         """Look at each receiver from now on.
 
         Args:
             handover: is told.
             turn: the lock by which texts are sent in turn.
-            publishers: gives topic and publisher of all connections from which messages come.
+            publishers: returns topic and publisher of all connections from which messages come; latched messages of
+                others are not kept. By default all are.
         """
 
         def run() -> None:
@@ -270,19 +321,19 @@ class Introducer(rospy.SubscribeListener):  # type: ignore[misc]
         threading.Thread(target=run, daemon=True, name="introducing receivers").start()
 
 
-def _introduce(handover: Handover, turn: ContextManager[object], publishers: Publishers) -> bool:
+def _introduce(handover: Handover, turn: ContextManager[object], publishers: Optional[Publishers]) -> bool:
     """Look at the receivers that are not known; return whether all are now."""
     with turn:
         unknown, latched = handover.unknown(), handover.latched()
     if not unknown:
         return True
-    engines = offering(SERVICE)
-    there: Collection[Hashable] = publishers()
+    peers = offering(handover.peer.service)
+    there: Collection[Hashable] = latched if publishers is None else publishers()
     with turn:
         # What was latched by who is gone now, a node that subscribes its topics itself would not get either.
         handover.forget({key: order for key, order in latched.items() if key not in there})
         for link in set(unknown) & set(handover.unknown()):
-            handover.settle(link, getattr(link, "endpoint_id", None) in engines)
+            handover.settle(link, getattr(link, "endpoint_id", None) in peers)
         return not handover.unknown()
 
 

@@ -12,6 +12,7 @@ from ..events.program import TopicType, topic_type
 from ..foundation import Cache, MessageError, RetalisError, UsageError, beginning, printable
 from ..messages import Decoder, Definitions
 from .counting import InputCounts, InputStatus
+from .latchedinputs import LatchedConnection, LatchedInputs
 from .names import INPUT, OUTPUT, resolve
 from .publishing import OutputTopics
 from .raw import raw_bytes
@@ -27,7 +28,7 @@ HandOn = Callable[[Iterable[Any]], object]
 Publisher = Tuple[str, str]
 """A topic, and a node that publishes it."""
 
-LatchedTaker = Callable[[Decoder, Publisher], Take]
+LatchedTaker = Callable[[Decoder, Publisher, LatchedConnection], Take]
 """Gives what takes the messages of a latched connection."""
 
 MessageTaker = Callable[[Decoder], Take]
@@ -143,14 +144,18 @@ class Interface:
     def _learning(self, latched: LatchedTaker) -> LatchedTaker:
         """Return what does as `_learned` for latched connections."""
 
-        def taker(decoder: Decoder, publisher: Publisher) -> Take:
+        def taker(decoder: Decoder, publisher: Publisher, connection: LatchedConnection) -> Take:
             self.outputs.learned()
-            return latched(decoder, publisher)
+            return latched(decoder, publisher, connection)
 
         return taker
 
     def subscribe_texts(
-        self, topic: str, take: Callable[[str], object], runs: Optional[ClockRuns] = None
+        self,
+        topic: str,
+        take: Callable[[str], object],
+        runs: Optional[ClockRuns] = None,
+        latched: Optional[LatchedInputs] = None,
     ) -> ContextManager[object]:
         """Have the texts of one of the topics between the nodes taken; return the lock under which they are.
 
@@ -158,9 +163,10 @@ class Interface:
             topic: its name.
             take: takes a text.
             runs: holds the texts of a run that has not begun.
+            latched: recognizes the texts of latched messages that were taken already.
         """
         name = rospy.resolve_name(topic)
-        taker = text_taker(take, runs)
+        taker = text_taker(take, runs, latched)
         turn = threading.Lock()
         self._texts.append(
             InputTopic(self._definitions, name, "std_msgs/String", taker, self._queue, turn, self._reports)
@@ -325,20 +331,25 @@ class InputTopic:
                     if self._runs is not None:
                         self._runs.keep_early(publisher, take_them, messages[at:])
                         return
-                except MessageError as error:
-                    counts.dropped += 1
-                    text = f"a message on {self._name} is dropped: {error}"
-                    self._reports.error(RetalisError(text), ("in", self._name))
                 except Exception as error:  # one message must not end the connection
-                    counts.dropped += 1
-                    self._reports.error(error)
+                    self._drop(error)
                 else:
-                    yield found
+                    if found is not None:
+                        yield found
 
         def take_them(messages: List[bytes]) -> None:
             hand_on(taken(messages))
 
         return take_them
+
+    def _drop(self, error: Exception) -> None:
+        """Count and report a message that cannot be taken."""
+        self.counts.dropped += 1
+        if isinstance(error, MessageError):
+            text = f"a message on {self._name} is dropped: {error}"
+            self._reports.error(RetalisError(text), ("in", self._name))
+        else:
+            self._reports.error(error)
 
     def _connected(self, header: Dict[str, str]) -> _Link:
         """Note who takes the messages of a connection; its header is kept, so that its id stays its own."""
@@ -360,8 +371,15 @@ class InputTopic:
     def _taker_of(self, header: Dict[str, str], decoder: Decoder) -> Take:
         """Return what takes the messages of a connection."""
         if self._latched is not None and header.get("latching") == "1":
-            return self._latched(decoder, (self._name, header.get("callerid", "")))
+            publisher = (self._name, header.get("callerid", ""))
+            return self._latched(decoder, publisher, LatchedConnection(*publisher, self._address(header)))
         return self._taker(decoder)
+
+    def _address(self, header: Dict[str, str]) -> str:
+        """Return where the publisher at the other end of a connection answers other nodes; "" if unknown."""
+        topic = getattr(self._subscriber, "impl", None)
+        links = getattr(topic, "connections", None) or ()
+        return next((str(link.endpoint_id) for link in links if link.header is header), "")
 
     def _refuser(self, reason: str) -> TakeAll:
         """Return what drops messages, and reports and counts them."""

@@ -6,7 +6,6 @@ from functools import partial
 from typing import Any, Callable, Iterable, List, Optional, Tuple
 
 import rospy
-from std_msgs.msg import String
 
 from ..engine import Engine, never_comes, parts_of
 from ..engine.explaining import record_origins
@@ -25,7 +24,8 @@ from .diagnostics import Diagnostics
 from .goaltopics import GoalTopics, plain
 from .health import LATE, EngineHealth, Health, NodeHealth, program_health
 from .hints import StartHints
-from .interface import Interface, Take
+from .interface import Interface, Publisher, Take
+from .latchedinputs import LatchedConnection, LatchedInputs
 from .listing import Listing
 from .log import log_error
 from .names import INPUT, OUTPUT
@@ -34,10 +34,9 @@ from .questions import Questions
 from .reloading import ReloadService
 from .rostime import SimulatedTime, ros_now
 from .running import run_node
-from .sending import Outlet
 from .services import EngineServices, InterfaceServices
 from .textonly import TextOnly
-from .texts import text_frame
+from .texts import OutputTexts
 from .unread import UnreadTeller
 
 LONGEST_TURN = 10.0
@@ -149,7 +148,9 @@ class RetalisNode:
         input_topics.begin(asked.ask, topics, direct, plain)
         if not state.resumed:
             self._load()
-        self._texts = Outlet(OUTPUT, String, parameters.queue, self._reports)
+        runs = self._time.runs
+        self._latched = LatchedInputs(int if runs is None else lambda: runs.run)
+        self._texts = self._output_texts(topics)
         self._interface = Interface(
             self._reader,
             parameters.queue,
@@ -157,7 +158,8 @@ class RetalisNode:
             definitions,
             self.engine.post_each,
             skew=skew,
-            runs=self._time.runs,
+            latched=self._latched_reader,
+            runs=runs,
         )
         self._text_only = TextOnly((topic for topic, _ in topics.published), self._reports)
         self._look_through(topics)
@@ -178,7 +180,7 @@ class RetalisNode:
             self.engine, parameters.program, parameters.settings.write_folders, topics, self._reloaded
         )
         Listing(self._interface.inputs, self.engine.status)
-        texts = self._interface.subscribe_texts(INPUT, self.engine.post_text, self._time.runs)
+        texts = self._interface.subscribe_texts(INPUT, self.engine.post_text, runs, self._latched)
         self._time.begin([self._interface.turn, texts], skew.begin_run, lambda end: self._begin_run(clock))
         rospy.loginfo("%s: %s", parameters.program, self.engine.summary())
         StartHints(self._interface.inputs, self._named(input_topics.joined(topics)), clock=True)
@@ -218,7 +220,7 @@ class RetalisNode:
         ]
 
     def _outputs(self) -> List[OutputStatus]:
-        return [self._texts.status("std_msgs/String"), *self._interface.outputs.status()]
+        return [self._texts.status(), *self._interface.outputs.status()]
 
     def _reloaded(self, topics: Topics) -> None:
         self._errors.clear()
@@ -271,10 +273,26 @@ class RetalisNode:
         decode, stamp = decoder.decode, decoder.stamp
         return lambda data: (decode(data), stamp(data))
 
+    def _latched_reader(self, decoder: Decoder, publisher: Publisher, connection: LatchedConnection) -> Take:
+        """Return what makes an event of a latched message, unless the engine has it already."""
+        read, latched = self._reader(decoder), self._latched
+
+        def take(data: bytes) -> Any:
+            found = read(data)  # first: a message that comes too early, or is broken, is not taken
+            return None if latched.repeats(connection.message(data)) else found
+
+        return take
+
+    def _output_texts(self, topics: Topics) -> OutputTexts:
+        """Return what sends outputs as text; with the interface embedded, nobody else has to get them."""
+        if self._parameters.embedded:
+            topics = Topics()
+        published = [topic for topic, _ in topics.published]
+        return OutputTexts(OUTPUT, self._parameters.queue, self._reports, published, topics.latched)
+
     def _send_text(self, term: Term, topic: str, name: Term) -> None:
         self._text_only.look(topic)  # of a subscription that a rule has made
-        if self._texts.links():
-            self._texts.send(text_frame(to_text((OUTPUT_EVENT, term, atom(topic), name))))
+        self._texts.send(topic, lambda: to_text((OUTPUT_EVENT, term, atom(topic), name)))
 
 
 def main() -> int:

@@ -1,0 +1,125 @@
+#!/usr/bin/env python3
+"""Starts of both nodes beside latched inputs, and kills of the interface: no output is lost, no input comes twice.
+
+rostest retalis starts.test starts:=50 kills:=50
+"""
+
+import signal
+import subprocess
+import sys
+import unittest
+from pathlib import Path
+
+import roslib.packages
+import rospy
+import rostest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+sys.path.append(str(Path(__file__).resolve().parent))
+from harness import PATIENCE, Collector, service, wait_until  # noqa: E402
+
+from retalis import srv  # noqa: E402
+
+PROGRAM = Path(__file__).resolve().parent / "starts"
+NODES = {"retalis": "retalis_node", "retalis_ros_interface": "retalis_ros_converter.py"}
+ENGINE, INTERFACE = NODES
+LATCHED = {
+    "map_name": String("hall"),
+    "joints": JointState(),
+    "health": DiagnosticArray(),
+    "pose": PoseStamped(),
+}
+
+
+class Starts(unittest.TestCase):
+    starts = kills = 0
+
+    def setUp(self):
+        self.running = {}
+        self.addCleanup(self.end_all)
+        self.latched = []
+        for topic, message in LATCHED.items():
+            self.latched.append(rospy.Publisher(topic, message.__class__, queue_size=1, latch=True))
+            self.latched[-1].publish(message)
+        self.events = rospy.Publisher("retalisInputEvents", String, queue_size=100)
+        self.where = Collector("where", String)
+        self.texts = Collector("retalisOutputEvents", String)
+
+    def start(self, name):
+        command = [
+            roslib.packages.find_node("retalis", NODES[name])[0],
+            f"__name:={name}",
+            f"_program:={PROGRAM}",
+            "_direct:=false",
+        ]
+        self.running[name] = subprocess.Popen(command, start_new_session=True)
+
+    def end(self, number, *names):
+        """End nodes together."""
+        for name in names:
+            process = self.running[name]
+            self.assertIsNone(process.poll(), f"node {name} has died")
+            process.send_signal(number)
+        for name in names:
+            status = self.running.pop(name).wait(PATIENCE)
+            self.assertEqual(status, 0 if number == signal.SIGINT else -number, f"status of node {name}")
+
+    def end_all(self):
+        for process in self.running.values():
+            process.send_signal(signal.SIGINT)
+            process.wait(PATIENCE)
+        for publisher in (*self.latched, self.events):
+            publisher.unregister()
+        self.where.close()
+        self.texts.close()
+
+    def say(self, number):
+        """Have the engine publish a number; return how many names of maps it has got."""
+        self.events.publish(f"event(say({number}))")
+        begin = f"event(said({number},"
+        texts = self.texts.wait_for(lambda all_: any(one.data.startswith(begin) for one in all_), f"{number}")
+        return next(one.data[len(begin) :].partition(")")[0] for one in texts if one.data.startswith(begin))
+
+    def received(self):
+        """Return how many outputs the interface has received."""
+        inputs = service(f"{INTERFACE}/list", srv.List)(0).inputs
+        return next(one.messages for one in inputs if one.topic == "/retalisOutputEvents")
+
+    def come(self, number):
+        """Wait for outputs on the latched topic, and see that these are all."""
+        self.where.wait_for(lambda messages: len(messages) >= number, f"output {number}")
+        self.assertEqual(len(self.where.messages), number)
+
+    def test_outputs_of_a_start_are_published(self):
+        for number in range(self.starts):
+            with self.subTest(start=number):
+                for name in NODES:
+                    self.start(name)
+                self.come(number + 1)
+                self.end(signal.SIGINT, *NODES)
+
+    def test_outputs_wait_for_an_interface_that_was_killed(self):
+        for name in NODES:
+            self.start(name)
+        self.come(1)
+        wait_until(lambda: self.events.get_num_connections() > 0, "node retalis")
+        wait_until(lambda: ENGINE in "".join(self.texts.publishers()), "the outputs of node retalis")
+        for number in range(1, self.kills + 1):
+            with self.subTest(kill=number):
+                self.end(signal.SIGKILL, INTERFACE)
+                self.assertEqual(self.say(2 * number), "1")
+                self.start(INTERFACE)
+                self.assertEqual(self.say(2 * number + 1), "1")
+                self.come(number + 1)
+                wait_until(lambda: self.received() >= 3, "both outputs, and the latched one", pause=0.1)
+                self.assertEqual(self.received(), 3)
+        self.assertEqual(self.say(1), "1")
+
+
+if __name__ == "__main__":
+    rospy.init_node("starts")
+    Starts.starts, Starts.kills = (int(one) for one in sys.argv[1:3])
+    rostest.rosrun("retalis", "starts", Starts)
