@@ -55,6 +55,27 @@ ESCAPES = (
 BLANKS = (" ", "\t", "\n", " \n")
 
 CASES: Dict[str, Case] = {
+    r'^[ \t]*_full_text = """((?:[^"\\]|\\.|"(?!""))*)"""': Case(
+        "search",
+        "a literal that is not closed: there is one at most, as the next one closes it",
+        ('_full_text = """', ""),
+        ("a", '"', '" ', "\\", '\\"', " ", "\n", '_full_text = """', '\n_full_text = """a'),
+    ),
+    (
+        r"\\(?:\n|[\\'"
+        + r'"abfnrtv]|[0-7]{1,3}|x[0-9a-fA-F]{2}|u[0-9a-fA-F]{4}|U[0-9a-fA-F]{8}|N\{[A-Za-z0-9 -]+\})'
+    ): Case(
+        "search",
+        "a name that is not closed: it holds no backslash, with which the next one begins",
+        ("\\N{", "\\", ""),
+        ("A", "\\N{", "\\N{A", "\\", "\\x4", "\\u004", "0"),
+    ),
+    r"event\(retalis_latched\('([0-9a-f]{32})','([0-9a-f]{32})',([01])\)\)": Case(
+        "match",
+        "each character once",
+        ("event(retalis_latched('", "event(retalis_latched('" + 32 * "0" + "','"),
+        ("0", "','", "'", ")"),
+    ),
     r"(\0(?:,\0)*|'(?:[^\0'\"]*')*)": Case(
         "split",
         "each place once, and what stands between two quotes once more",
