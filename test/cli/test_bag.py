@@ -57,6 +57,40 @@ def test_more_topics_become_events(bag, tmp_path, capsys):
     assert status == 0
 
 
+@pytest.fixture
+def reads_tf(tmp_path):
+    """Return a program that leaves ``tf`` to the node, as ``direct:=auto`` has it."""
+    (tmp_path / "pub_sub.xml").write_text(
+        '<publish_subscribe><publish_to name="seen" msg_type="std_msgs/String"/></publish_subscribe>'
+    )
+    goal = "subscribe(tf__0__tfMessage(_), [], std_msgs__0__String('\"x\"'), seen, i)\n"
+    (tmp_path / "goalPredicates.txt").write_text(goal)
+    return str(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "options", [[], ["--direct=auto"], ["--direct", "true"], ["--direct", "[tf, tf/tfMessage]"]]
+)
+def test_topics_that_a_node_subscribes_by_itself_are_played_too(bag, reads_tf, capsys, options):
+    assert main(["bag", str(bag), "--program", reads_tf, *options]) == 0
+    shown = capsys.readouterr()
+    assert shown.err == ""
+    assert set(shown.out.splitlines()) == {"output(std_msgs__0__String('\"x\"'),seen)."}
+
+
+def test_no_topic_is_direct_on_request(bag, reads_tf, capsys):
+    assert main(["bag", str(bag), "--program", reads_tf, "--direct", "false"]) == 0
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert "no topic" in shown.err or "nothing makes" in shown.err
+
+
+def test_many_bags_have_the_same_direct_topics(bag, reads_tf, capsys):
+    for options, lines in ((["--direct", "false"], False), ([], True)):
+        assert main(["bag", str(bag), "--program", reads_tf, "--jobs", "1", *options]) == 0
+        assert bool(capsys.readouterr().out) == lines
+
+
 def test_a_topic_without_a_type_is_warned_of_once(bag, tmp_path, capsys):
     (tmp_path / "pub_sub.xml").write_text("<publish_subscribe></publish_subscribe>")
     (tmp_path / "goalPredicates.txt").write_text("subscribe(tf__0__tfMessage(_),[],seen,seen,i)\n")

@@ -9,12 +9,10 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
 from retalis.engine import Settings  # noqa: E402
 from retalis.engine.dashboard import DASHBOARD_PORT  # noqa: E402
-from retalis.events.program import Topics, TopicType  # noqa: E402
+from retalis.events.program import TopicType  # noqa: E402
 from retalis.foundation import UsageError  # noqa: E402
 from retalis.prolog.machine import Limits  # noqa: E402
-from retalis.ros.parameters import DIRECT, direct_topics, read_parameters  # noqa: E402
-
-TF, MARKERS = DIRECT
+from retalis.ros.parameters import read_parameters  # noqa: E402
 
 
 @pytest.fixture
@@ -147,17 +145,9 @@ def test_what_is_wrong_is_named(read, name, value):
         read(**{name: value})
 
 
-def test_auto_subscribes_what_the_file_does_not_name():
-    named = Topics(subscribed=(TopicType("/tf", "tf/tfMessage"),))
-    assert direct_topics("auto", Topics()) == DIRECT
-    assert direct_topics("auto", named) == (MARKERS,)
-    assert direct_topics(True, named) == DIRECT
-    assert direct_topics(False, Topics()) == ()
-
-
 @pytest.mark.parametrize("value", [["scan", "sensor_msgs/LaserScan"], [["scan", "sensor_msgs/LaserScan"]]])
 def test_a_list_of_topics_and_types(read, value):
-    assert direct_topics(read(direct=value).direct, Topics()) == (TopicType("scan", "sensor_msgs/LaserScan"),)
+    assert read(direct=value).direct == (TopicType("scan", "sensor_msgs/LaserScan"),)
 
 
 def test_an_unknown_parameter_is_warned_of(monkeypatch):

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Callable
 
-from .folders import add_folders
+from .folders import add_direct, add_folders
 from .limits import add_limits
 from .manybags import add_many, are_many, play_many
 from .numbers import from_zero
@@ -98,6 +98,7 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
         metavar="TOPIC=TYPE",
         help="a topic to turn into events, in addition to those in pub_sub.xml",
     )
+    add_direct(parser)
     add(
         "--max-skew",
         type=from_zero(float),

@@ -9,9 +9,9 @@ from typing import Callable, Dict
 from ..engine import Settings, check_program
 from ..engine.playback import open_bag
 from ..events.checks import ERROR, INFO, Finding
-from ..events.program import DIRECT
 from ..foundation import MessageError, counted, printable
 from ..messages import Definitions, Installed
+from .folders import add_direct
 from .limits import add_swi
 
 DESCRIPTION = """\
@@ -38,6 +38,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     )
     add("--format", choices=("text", "json"), default="text", help="lines for people, or one JSON object")
     add_swi(parser)
+    add_direct(parser)
     add("--strict", action="store_true", help="end with status 2 where there are warnings")
     add("--bag", type=Path, action="append", default=[], metavar="BAG", help="a bag that has message types")
     add(
@@ -56,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
     definitions = Definitions(Installed(further=[_package(path) for path in options.msg]))
     for path in options.bag:
         _learn(definitions, path)
-    found = check_program(options.folder, definitions, DIRECT, Settings(allow_swi=options.allow_swi))
+    found = check_program(options.folder, definitions, options.direct, Settings(allow_swi=options.allow_swi))
     errors = sum(one.severity == ERROR for one in found)
     infos = sum(one.severity == INFO for one in found)
     warnings = len(found) - errors - infos

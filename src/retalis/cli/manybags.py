@@ -32,6 +32,7 @@ _OPTIONS = (
     "start",
     "duration",
     "topic",
+    "direct",
     "max_skew",
     "max_gap",
     "events",

@@ -70,7 +70,9 @@ def playback_of(
     settings = limited(allow_folders(Settings(), options), options)
     settings = settings._replace(max_gap=options.max_gap or None)
     limit = options.max_skew or None
-    return Playback(options.program, report, _topics(options.topic), settings, limit, bag, state)
+    return Playback(
+        options.program, report, _topics(options.topic), settings, limit, bag, state, options.direct
+    )
 
 
 def share_of(playback: Playback, bags: BagSeries) -> Callable[[], float]:

@@ -6,12 +6,13 @@ from pathlib import Path
 from typing import Dict, Iterable, List, Optional, Tuple
 
 from ..events.checks import ERROR, WARNING, Finding, Overview, look_through, without_maker
-from ..events.program import TOPICS, Topics, TopicType, read_topics
+from ..events.program import AUTO, TOPICS, DirectTopics, Topics, TopicType, direct_topics, read_topics
 from ..foundation import Omission, Place, ProgramErrors, RetalisError, RuleError
 from ..messages import Definitions
 from ..prolog.terms import Term
 from .core import parts_of
 from .engine import Engine
+from .inputtopics import by_name
 from .runtime import Clock, Reports
 from .settings import Settings
 
@@ -46,7 +47,7 @@ class Problems(Reports):
 def check_program(
     folder: Path,
     definitions: Definitions,
-    direct: Iterable[TopicType] = (),
+    direct: DirectTopics = AUTO,
     settings: Optional[Settings] = None,
 ) -> List[Finding]:
     """Return all that is wrong with a program, or hardly meant, in the order of its files.
@@ -56,7 +57,7 @@ def check_program(
     Args:
         folder: the program's; or a file of rules alone, whose events others may make and take.
         definitions: the message types that are known.
-        direct: topics that become events besides those in ``pub_sub.xml``.
+        direct: the value of ``~direct``: topics that become events besides those in ``pub_sub.xml``.
         settings: of the engine.
     """
     problems = Problems()
@@ -69,14 +70,14 @@ def check_program(
     engine = Engine(Clock(time.time_ns), settings, problems, definitions)
     parts = parts_of(engine)
     parts.logic.output = parts.logic.error_output = lambda text: None
-    direct = tuple(direct)
-    parts.input_topics.begin(lambda wanted: None, topics, direct)
+    own = direct_topics(direct, topics, by_name)
+    parts.input_topics.begin(lambda wanted: None, topics, own)
     try:
         engine.load_program(folder)
     except RetalisError as error:
         problems.all_of(error)
     topics = parts.input_topics.joined(topics)
-    program = Overview(parts.rules, parts.knowledge, definitions, topics, direct, folder, observed=alone)
+    program = Overview(parts.rules, parts.knowledge, definitions, topics, own, folder, observed=alone)
     sound = not any(one.severity == ERROR for one in problems.found)
     said = {one.problem.place for one in problems.found if one.problem.place is not None}
     new = [one for one in look_through(program, sound) if one.problem.place not in said]

@@ -88,7 +88,10 @@ class InputTopics:
         self._subscribe = subscribe
         self._plain = plain
         self._taken = {plain(one.topic): one for one in self._asked}  # of a program that was begun elsewhere
-        for topic, kind in (*topics.subscribed, *direct):
+        for topic, kind in (
+            *direct,
+            *topics.subscribed,
+        ):  # a node subscribes the direct ones as they are here
             try:
                 self._taken.setdefault(plain(topic), AskedTopic(topic, kind, topics.event_of(topic, plain)))
             except UsageError:  # said by who subscribes it

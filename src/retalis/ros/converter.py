@@ -6,7 +6,7 @@ import rospy
 
 from ..engine.runtime import Reports, Skew
 from ..events.dispatch import NOT_READ
-from ..events.program import TOPICS, Topics, read_topics
+from ..events.program import TOPICS, Topics, direct_topics, read_topics
 from ..foundation import RetalisError, UsageError, beginning
 from ..messages import Decoder, Definitions, text_without, text_writer
 from ..prolog.syntax import EventReader, event_text, to_text
@@ -22,7 +22,7 @@ from .latchedinputs import LatchedConnection
 from .listing import Listing
 from .log import log_error
 from .names import INPUT, OUTPUT
-from .parameters import Parameters, direct_topics
+from .parameters import Parameters
 from .rostime import Receipts, SimulatedTime
 from .running import run_node
 from .services import InterfaceServices
@@ -69,7 +69,7 @@ class Converter:
         except RetalisError as error:
             errors = log_error(error)
             topics = Topics()
-        direct = direct_topics(parameters.direct, topics)
+        direct = direct_topics(parameters.direct, topics, rospy.resolve_name)
         self._interface.leave(direct)
         connect(self._interface, topics, direct)
         for topic, kind in direct:

@@ -10,7 +10,7 @@ import rospy
 from ..engine import Engine, never_comes, parts_of
 from ..engine.explaining import record_origins
 from ..engine.runtime import Alarm, Clock, ClockRuns, Reports, Skew
-from ..events.program import TOPICS, Topics, TopicType, read_topics
+from ..events.program import TOPICS, Topics, TopicType, direct_topics, read_topics
 from ..foundation import RetalisError
 from ..messages import Decoder, Definitions, Installed
 from ..prolog.syntax import to_text
@@ -29,7 +29,7 @@ from .latchedinputs import LatchedConnection, LatchedInputs
 from .listing import Listing
 from .log import log_error
 from .names import INPUT, OUTPUT
-from .parameters import WATCHDOG, Parameters, direct_topics
+from .parameters import WATCHDOG, Parameters
 from .questions import Questions
 from .reloading import ReloadService
 from .rostime import SimulatedTime, ros_now
@@ -142,7 +142,7 @@ class RetalisNode:
         if parameters.explain:
             record_origins(self.engine)
         topics = self._topics()
-        direct = direct_topics(parameters.direct, topics)
+        direct = direct_topics(parameters.direct, topics, rospy.resolve_name)
         asked = GoalTopics()
         input_topics = parts_of(self.engine).input_topics
         input_topics.begin(asked.ask, topics, direct, plain)
@@ -231,7 +231,7 @@ class RetalisNode:
         """Say what is probably not meant in the program that has been loaded."""
         self._text_only.told(self.engine.output_topics())
         definitions = Definitions(Installed(rosbags=False))  # which the node has no other need of
-        direct = direct_topics(self._parameters.direct, topics)
+        direct = direct_topics(self._parameters.direct, topics, rospy.resolve_name)
         for warning in self.engine.warnings(self._parameters.program, definitions, topics, direct):
             self._doubts.append(warning.brief())
             rospy.logwarn("%s", warning)

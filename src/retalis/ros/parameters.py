@@ -3,14 +3,14 @@
 import sys
 from difflib import get_close_matches
 from pathlib import Path
-from typing import List, NamedTuple, Optional, Tuple, Type, TypeVar, Union
+from typing import List, NamedTuple, Optional, Tuple, Type, TypeVar
 
 import rospkg
 import rospy
 
 from ..engine import Settings
 from ..engine.dashboard import DASHBOARD_PORT
-from ..events.program import DIRECT, Topics, TopicType, topic_type
+from ..events.program import AUTO, DirectTopics, read_direct
 from ..foundation import UsageError, beginning, printable
 from ..messages import BARE
 from ..prolog.machine import Limits
@@ -48,9 +48,6 @@ KNOWN = (
     "checkpoint",
 )
 
-
-DirectTopics = Union[bool, str, Tuple[TopicType, ...]]
-"""What ``~direct`` says: ``auto``, yes or no, or the topics."""
 
 Number = TypeVar("Number", int, float)
 
@@ -141,18 +138,6 @@ def _warn_of_unknown() -> None:
             rospy.logwarn("there is no parameter ~%s; %s", printable(beginning(name)), hint)
 
 
-def direct_topics(direct: DirectTopics, topics: Topics) -> Tuple[TopicType, ...]:
-    """Return the topics that node retalis subscribes by itself."""
-    if direct is False:
-        return ()
-    if direct is True:
-        return DIRECT
-    if direct == "auto":
-        named = {rospy.resolve_name(topic) for topic, _ in topics.subscribed}
-        return tuple(topic for topic in DIRECT if rospy.resolve_name(topic.topic) not in named)
-    return () if isinstance(direct, str) else tuple(direct)
-
-
 def _program(argv: List[str]) -> Path:
     folder = rospy.get_param("~program", "")
     if not isinstance(folder, str):
@@ -185,22 +170,8 @@ def _package() -> str:
 
 
 def _direct() -> DirectTopics:
-    value = rospy.get_param("~direct", "auto")
-    if isinstance(value, bool):
-        return value
-    if value == "auto":
-        return "auto"
-    wrong = UsageError(
-        "parameter ~direct: expected auto, true, false, or a list of topics and types "
-        f"[topic, package/Type, ...], found {value!r}"
-    )
-    if not isinstance(value, list):
-        raise wrong
-    flat = [item for entry in value for item in (entry if isinstance(entry, list) else [entry])]
-    if len(flat) % 2 or not all(isinstance(item, str) for item in flat):
-        raise wrong
     try:
-        return tuple(topic_type(topic, kind) for topic, kind in zip(flat[::2], flat[1::2]))
+        return read_direct(rospy.get_param("~direct", AUTO))
     except UsageError as error:
         raise UsageError(f"parameter ~direct: {error.message}") from None
 

@@ -118,6 +118,65 @@ def test_topics_that_are_not_named_are_left_alone_unless_asked_for(program, bag)
     assert len(run(folder, path, topics=[TopicType("other", "my_msgs/msg/Point")])[1]) == 1
 
 
+@pytest.fixture
+def tf_bag(bag, definitions):
+    definitions.add("tf/tfMessage", "float64[] transforms\n")
+    return bag(
+        (SECOND, "/tf", "tf/tfMessage", "tf__0__tfMessage([1.0])"),
+        (2 * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"),
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "number"),
+    [
+        ({}, 2),
+        ({"direct": "auto"}, 2),
+        ({"direct": True}, 2),
+        ({"direct": False}, 1),
+        ({"direct": (TopicType("tf", "tf/tfMessage"),)}, 2),
+        ({"direct": ()}, 1),
+    ],
+)
+def test_what_a_node_subscribes_by_itself_is_played_too(program, tf_bag, options, number):
+    _, events, problems = run(program("", "", IN), tf_bag, **options)
+    assert len(events) == number
+    assert problems == []  # a bag need not have ar_pose_marker, which nobody named
+
+
+def test_a_direct_topic_that_the_file_names_enters_once_under_its_event_name(program, tf_bag):
+    named = IN + '<subscribe_to name="/tf" msg_type="tf/tfMessage" event="moved"/>'
+    for direct in ("auto", True, False):
+        _, events, _ = run(program("", "", named), tf_bag, direct=direct)
+        assert [event for event, _, _ in events] == ["moved([1.0])", "my_msgs__0__Point(1.0)"]
+
+
+def test_a_listed_direct_topic_that_the_bag_has_not_got_is_named(program, tf_bag):
+    _, _, problems = run(program("", "", IN), tf_bag, direct=(TopicType("scan", "my_msgs/Point"),))
+    (problem,) = problems
+    assert "has no messages on scan" in problem
+
+
+def test_a_goal_cannot_subscribe_a_direct_topic_as_another_type(program, tf_bag):
+    goal = "subscribe_to(tf, 'my_msgs/Point')"
+    _, _, (problem, *_) = run(program("", goal, IN), tf_bag)
+    assert "subscribed already as tf/tfMessage" in problem
+    assert run(program("", goal, IN), tf_bag, direct=False)[2] != []
+
+
+def test_another_type_on_a_default_topic_is_only_warned_of(program, bag):
+    path = bag(
+        (SECOND, "/tf", "my_msgs/Point", "my_msgs__0__Point(1.0)"),
+        (2 * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"),
+    )
+    wrong = []
+    with BagReader(path) as reader:
+        list(Playback(program("", "", IN), wrong.append).run(reader))
+    assert wrong == []
+    _, _, problems = run(program("", "", IN), path)
+    assert "1 message dropped" in problems[0]
+
+
 def test_a_type_goes_by_the_name_that_the_program_gives_it(program, bag):
     path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
     _, events, problems = run(program("", "", IN.replace("my_msgs/Point", "other_msgs/Dot")), path)

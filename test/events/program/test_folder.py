@@ -3,7 +3,15 @@ from pathlib import Path
 import pytest
 
 from retalis.engine import Engine, Settings
-from retalis.events.program import TopicType, read_text, read_topics
+from retalis.events.program import (
+    Topics,
+    TopicType,
+    direct_topics,
+    read_direct,
+    read_text,
+    read_topics,
+)
+from retalis.events.program.folder import DIRECT
 from retalis.foundation import ProgramErrors, UsageError
 from retalis.prolog.machine import PrologError
 
@@ -194,3 +202,42 @@ def test_what_would_be_large_is_refused_with_a_short_error(tmp_path, text, messa
 def test_a_file_that_is_too_large_is_refused(tmp_path):
     (error,) = xml_errors(tmp_path, "<publish_subscribe>" + " " * (4 << 20) + "</publish_subscribe>")
     assert "has 4194343 characters: at most 4194304 are allowed" in error.message
+
+
+def test_auto_subscribes_what_the_file_does_not_name():
+    markers = DIRECT[1]
+    named = Topics(subscribed=(TopicType("/tf", "tf/tfMessage"),))
+    assert direct_topics("auto", Topics()) == DIRECT
+    assert direct_topics("auto", named, lambda topic: topic.lstrip("/")) == (markers,)
+    assert direct_topics(True, named) == DIRECT
+    assert direct_topics(False, Topics()) == ()
+    assert direct_topics((markers,), named) == (markers,)
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ("auto", "auto"),
+        (True, True),
+        ("true", True),
+        ("False", False),
+        (["scan", "my_msgs/Scan"], (TopicType("scan", "my_msgs/Scan"),)),
+        ([["scan", "my_msgs/Scan"]], (TopicType("scan", "my_msgs/Scan"),)),
+        (
+            "[scan, my_msgs/Scan, '/tf', tf/tfMessage]",
+            (TopicType("scan", "my_msgs/Scan"), TopicType("/tf", "tf/tfMessage")),
+        ),
+        ("[[scan, my_msgs/Scan], [tf, tf/tfMessage]]", (TopicType("scan", "my_msgs/Scan"), DIRECT[0])),
+        ("[]", ()),
+    ],
+)
+def test_direct_topics_are_a_word_or_a_list(value, expected):
+    assert read_direct(value) == expected
+
+
+@pytest.mark.parametrize(
+    "value", ["some", 1, None, ["scan"], "[scan]", "[scan, my_msgs/Scan", ["a b", "my_msgs/Scan"], [1, 2]]
+)
+def test_other_direct_topics_are_refused(value):
+    with pytest.raises(UsageError):
+        read_direct(value)

@@ -6,9 +6,21 @@ from heapq import merge
 from itertools import chain, count
 from operator import attrgetter
 from pathlib import Path
-from typing import Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple, Union
+from typing import (
+    Callable,
+    Dict,
+    FrozenSet,
+    Iterable,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Set,
+    Tuple,
+    Union,
+)
 
-from ...events.program import TOPICS, TopicType, read_topics
+from ...events.program import AUTO, TOPICS, DirectTopics, TopicType, direct_topics, read_topics
 from ...foundation import (
     MessageError,
     ProgramErrors,
@@ -78,6 +90,8 @@ class Playback:
             be taken; by default any number.
         bag: whose types the program may name slots of, besides those that are installed.
         state: of an engine with this program (`Engine.snapshot`), which goes on; by default it begins anew.
+        direct: the value of parameter ``~direct`` of the node: the topics that it subscribes by itself are played
+            too, by default ``tf`` and ``ar_pose_marker`` if the program does not name them.
 
     Raises:
         UsageError: where a file of the program cannot be read, or the state is none.
@@ -92,6 +106,7 @@ class Playback:
         max_skew: Optional[float] = None,
         bag: Optional[Bag] = None,
         state: Optional[bytes] = None,
+        direct: DirectTopics = AUTO,
     ):
         self._folder = folder = Path(program)
         self.clock = StreamClock(0)
@@ -111,15 +126,23 @@ class Playback:
         self._outputs: List[Output] = []
         self._told: Set[str] = set()
         named = read_topics(folder / TOPICS)
-        self._asked = [*named.subscribed, *(TopicType(one.topic, plain_type(one.type)) for one in topics)]
-        self._topics = named._replace(subscribed=tuple(self._asked))
+        topics = tuple(TopicType(one.topic, plain_type(one.type)) for one in topics)
+        self._topics = named._replace(subscribed=(*named.subscribed, *topics))
+        self._direct = direct_topics(direct, self._topics, by_name)
+        # Of a topic that several name, the last type counts: the direct ones stand above pub_sub.xml, as in a node.
+        self._asked = [*named.subscribed, *self._direct, *topics]
+        listed = isinstance(direct, tuple)
+        named_topics = {by_name(topic) for topic, _ in self._topics.subscribed}
+        self._by_default = frozenset(
+            () if listed else {by_name(topic) for topic, _ in self._direct} - named_topics
+        )
         self._types = {by_name(topic): kind for topic, kind in self._asked}
         self._published = {by_name(topic): kind for topic, kind in named.published}
         self._events = {by_name(topic): event for topic, event in named.events}
         self._joining: Set[str] = set()
         self._latched = {by_name(topic) for topic in named.latched}
         self.engine.on_output(self._collect)
-        parts_of(self.engine).input_topics.begin(self._subscribe, self._topics)
+        parts_of(self.engine).input_topics.begin(self._subscribe, self._topics, self._direct)
         if state is None:
             self._load()
 
@@ -144,8 +167,8 @@ class Playback:
         """
         outputs = self._outputs
         self._skew.forget()
-        self._learn_all(bag, [topic for topic, _ in self._asked])
-        for warning in self.engine.warnings(self._folder, self.definitions, self._topics):
+        self._learn_all(bag, [topic for topic, _ in self._asked], self._by_default)
+        for warning in self.engine.warnings(self._folder, self.definitions, self._topics, self._direct):
             log.warning("%s", warning)
         self._told.update(self.engine.output_topics())  # of those without a type it was said
         wanted = {topic.name for topic in bag.topics if by_name(topic.name) in self._types}
@@ -268,12 +291,20 @@ class Playback:
             except MessageError as error:
                 log.debug("%s", error)
 
-    def _learn_all(self, bag: Bag, asked: Iterable[str]) -> None:
-        """Note the decoders for the connections of topics; say what cannot become events, and what is not there."""
+    def _learn_all(self, bag: Bag, asked: Iterable[str], by_default: FrozenSet[str] = frozenset()) -> None:
+        """Store the decoders for the connections of topics; report what cannot become events, and what is missing.
+
+        Args:
+            bag: the messages.
+            asked: names of the topics.
+            by_default: those of them that nobody named: a bag need not have them, or may have another type.
+        """
         asked = list(asked)
         names = set(map(by_name, asked))
         there = {by_name(topic.name) for topic in bag.topics}
-        missing = [topic for topic in asked if by_name(topic) not in there]
+        missing = [
+            topic for topic in asked if by_name(topic) not in there and by_name(topic) not in by_default
+        ]
         if missing:
             log.warning(
                 "%s has no messages on %s; it has %s",
@@ -281,13 +312,18 @@ class Playback:
                 ", ".join(dict.fromkeys(missing)),
                 ", ".join(_shown(bag.topics)) or "none at all",
             )
-        dropped: Dict[str, int] = Counter()
+        dropped: Dict[Tuple[str, bool], int] = Counter()
         for topic in bag.topics:
             problem = self._learn(topic) if by_name(topic.name) in names else None
             if problem is not None:
-                dropped[f"topic {topic.name}: {problem}"] += topic.messages
-        for text, messages in dropped.items():
-            self._report(MessageError(f"{text}; {counted(messages, 'message')} dropped"))
+                text = f"topic {topic.name}: {problem}"
+                dropped[text, by_name(topic.name) in by_default] += topic.messages
+        for (text, unnamed), messages in dropped.items():
+            text = f"{text}; {counted(messages, 'message')} dropped"
+            if unnamed:
+                log.warning("%s", text)
+            else:
+                self._report(MessageError(text))
 
     def _learn(self, topic: Topic) -> Optional[MessageError]:
         """Note the decoder for a connection, under the type that the program gives the topic, or return why not."""

@@ -5,14 +5,17 @@ from .door import MEGABYTE
 from .files import Files
 from .folder import (
     ATTRIBUTES,
-    DIRECT,
+    AUTO,
     GOALS,
     RULES,
     TOPICS,
+    DirectTopics,
     TopicEvent,
     Topics,
     TopicType,
+    direct_topics,
     event_types,
+    read_direct,
     read_text,
     read_topics,
     topic_type,
@@ -22,7 +25,9 @@ from .loading import Loader
 
 __all__ = [
     "ATTRIBUTES",
-    "DIRECT",
+    "AUTO",
+    "direct_topics",
+    "DirectTopics",
     "event_types",
     "FileChecker",
     "errors_in",
@@ -34,6 +39,7 @@ __all__ = [
     "Loader",
     "MEGABYTE",
     "nowhere",
+    "read_direct",
     "read_goals",
     "read_text",
     "read_topics",

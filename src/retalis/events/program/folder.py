@@ -16,6 +16,7 @@ from ...foundation import (
     beginning,
     place_in,
     plain_type,
+    printable,
     topic_fault,
     type_fault,
     undecodable,
@@ -48,6 +49,15 @@ class TopicType(NamedTuple):
 
 DIRECT = (TopicType("tf", "tf/tfMessage"), TopicType("ar_pose_marker", "ar_pose/ARMarkers"))
 """The topics that node retalis subscribes by itself by default, as the original did."""
+
+
+AUTO = "auto"
+"""The value of ``~direct`` for those topics of `DIRECT` that ``pub_sub.xml`` does not name."""
+
+DirectTopics = Union[bool, str, Tuple[TopicType, ...]]
+"""The value of ``~direct``: `AUTO`, True, False, or the topics."""
+
+_DIRECT_WORDS: Dict[str, Union[bool, str]] = {"auto": AUTO, "true": True, "false": False}
 
 
 def topic_type(topic: str, kind: str) -> TopicType:
@@ -121,6 +131,51 @@ def read_topics(path: Union[str, Path]) -> Topics:
     """
     reader = _TopicReader(str(path), read_text(path))
     return reader.read()
+
+
+def read_direct(value: object) -> DirectTopics:
+    """Return which topics node retalis subscribes by itself, as parameter ``~direct`` or option ``--direct`` says.
+
+    Args:
+        value: ``auto``, true, false, or a list of topics and types, flat or in pairs; a text may say each of them.
+
+    Raises:
+        UsageError: if it says something else, or names a topic or a type that ROS does not allow.
+    """
+    said = value
+    if isinstance(said, str):
+        said = _DIRECT_WORDS.get(said.strip().lower(), said.strip())
+    if isinstance(said, str) and said.startswith("[") and said.endswith("]"):
+        # Names have neither brackets nor commas nor quotes, so a list of pairs reads as a flat one.
+        said = [item.strip(" []'\"") for item in said[1:-1].split(",") if item.strip(" []")]
+    if isinstance(said, bool) or said == AUTO:
+        return said
+    if isinstance(said, list):
+        flat = [item for entry in said for item in (entry if isinstance(entry, list) else [entry])]
+        if len(flat) % 2 == 0 and all(isinstance(item, str) for item in flat):
+            return tuple(topic_type(topic, kind) for topic, kind in zip(flat[::2], flat[1::2]))
+    raise UsageError(
+        "expected auto, true, false, or a list of topics and types [topic, package/Type, ...], "
+        f"found {printable(beginning(repr(value)))}"
+    )
+
+
+def direct_topics(
+    direct: DirectTopics, topics: Topics, plain: Callable[[str], str] = str
+) -> Tuple[TopicType, ...]:
+    """Return the topics that node retalis subscribes by itself, which enter the engine live and offline.
+
+    Args:
+        direct: the value of ``~direct``.
+        topics: those that the program names.
+        plain: gives the form of a name by which two are compared.
+    """
+    if direct is True:
+        return DIRECT
+    if direct == AUTO:
+        named = {plain(topic) for topic, _ in topics.subscribed}
+        return tuple(one for one in DIRECT if plain(one.topic) not in named)
+    return direct if isinstance(direct, tuple) else ()
 
 
 def event_types(folder: Path) -> Dict[str, str]:
