@@ -2,10 +2,11 @@
 
 import pytest
 
-from retalis.engine import Engine, check_program, never_comes
+from retalis.engine import Engine, check_program, never_comes, never_sent
 from retalis.events.program import Topics, topic_type
 from retalis.foundation import RetalisError
 from retalis.messages import Definitions
+from retalis.prolog.syntax import Operators, read_term
 
 TOPICS = Topics((topic_type("said", "std_msgs/String"),))
 
@@ -58,3 +59,24 @@ def test_a_program_that_is_not_there_is_one_error_with_its_name(tmp_path, defini
         assert found.problem.message == f"cannot read {missing}: there is no such file or folder"
         with pytest.raises(RetalisError, match="there is no such file or folder"):
             Engine().load_program(missing)
+
+
+@pytest.mark.parametrize(
+    ("subscription", "fault"),
+    [
+        ("subscribe(a(X), [], std_msgs__0__Int32(X), out, 1)", ""),
+        ("subscribe(a(X), [], X, out, 1)", ""),
+        (
+            "subscribe(a(X), [], _, out, 1)",
+            "topic out, std_msgs/Int32: expected std_msgs__0__Int32/1, got a/1",
+        ),
+        (
+            "subscribe(a, [], std_msgs__0__Int32(big), out, 1)",
+            "topic out, std_msgs/Int32, slot data: expected int32, got the atom big",
+        ),
+    ],
+)
+def test_outputs_that_can_never_be_messages_of_their_topic_are_told(subscription, fault):
+    goal = read_term(subscription, Operators.prolog()).term
+    assert never_sent(goal, "out", "std_msgs/Int32", Definitions()) == fault
+    assert never_sent(goal, "out", "far_msgs/Unknown", Definitions()) == ""

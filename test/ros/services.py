@@ -191,6 +191,37 @@ class Services(unittest.TestCase):
         self.assert_error(self.add_input("", "std_msgs/Float64"))
         self.assertEqual(self.delete_subscription("t", "n").result, "ok")
 
+    def test_a_format_that_never_fits_the_type_of_its_topic_is_an_error(self):
+        for form, reason in (
+            ("got(X)", "expected geometry_msgs__0__PoseStamped/2, got got/1"),
+            ("_", "expected geometry_msgs__0__PoseStamped/2, got p/1"),
+            ("geometry_msgs__0__PoseStamped(X, here)", "slot pose: expected geometry_msgs__0__Pose/2"),
+        ):
+            for topic in ("marker1", "/marker1"):
+                added = self.add_subscription("p(X)", "", form, topic, "never")
+                self.assert_error(added, f"format: topic {topic}, geometry_msgs/PoseStamped", reason)
+                self.assert_error(self.delete_subscription(topic, "never"), "there is no subscription never")
+        self.assertEqual(self.add_subscription("p(X)", "", "X", "marker1", "may").result, "ok")
+        self.assertEqual(self.delete_subscription("marker1", "may").result, "ok")
+
+    def test_a_misspelt_type_is_an_error_that_names_the_one_that_was_meant(self):
+        self.assert_error(
+            self.add_input("speed", "std_msgs/Flaot64"),
+            "there is no type 'std_msgs/Flaot64' here; did you mean std_msgs/Float64?",
+        )
+        self.assert_error(self.add_input("speed", "std_msg/Float64"), "did you mean std_msgs/Float64?")
+        self.assert_error(self.delete_input("speed"), "speed")
+        # a type that is like no other is learned from a publisher, and so is one that a publisher has brought
+        self.assertEqual(self.add_input("speed", "far_msgs/Unknown").result, "ok")
+        self.assertEqual(self.delete_input("speed").result, "ok")
+        members = {"_type": "std_msgs/Flaot64", "_md5sum": "0" * 32, "_full_text": "int32 x\n"}
+        publisher = rospy.Publisher(
+            "speed", type("Brought", (rospy.AnyMsg,), {**members, "__slots__": ["_buff"]}), queue_size=1
+        )
+        self.assertEqual(self.add_input("speed", "std_msgs/Flaot64").result, "ok")
+        self.assertEqual(self.delete_input("speed").result, "ok")
+        publisher.unregister()
+
     def test_a_goal_subscribes_a_topic_while_the_node_runs(self):
         asked = rospy.Publisher("asked", Float64, queue_size=10)
         query = service("retalis/query", srv.Query)

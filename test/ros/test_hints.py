@@ -6,22 +6,27 @@ from retalis.ros.counting import InputStatus
 from retalis.ros.hints import unpublished
 
 SCAN = InputStatus("/robot/scan", "sensor_msgs/LaserScan", 0, 0, 0, 0, None, None)
+OWN = {"/retalis", "/retalis_ros_interface"}
 
 
 @pytest.mark.parametrize(
-    ("published", "said"),
+    ("publishers", "said"),
     [
-        (["/rosout", "/robot/scn"], "; did you mean /robot/scn?"),
-        (["/rosout", "/tf"], ""),
-        ([], ""),
+        ({"/rosout": ["/lidar"], "/robot/scn": ["/lidar"]}, "; did you mean /robot/scn?"),
+        ({"/rosout": ["/lidar"], "/tf": ["/lidar"]}, ""),
+        ({"/robot/scn": ["/retalis"]}, ""),
+        ({"/robot/scn": ["/retalis_ros_interface"]}, ""),
+        ({"/robot/scn": ["/retalis_ros_interface", "/lidar"]}, "; did you mean /robot/scn?"),
+        ({"/robot/scan": [], "/robot/scans": ["/retalis"]}, ""),
+        ({}, ""),
     ],
 )
-def test_a_topic_that_nobody_publishes_is_said(published, said):
+def test_a_topic_that_nobody_publishes_is_said(publishers, said):
     expected = f"nobody publishes topic /robot/scan (sensor_msgs/LaserScan) 10 s after the start{said}"
-    assert list(unpublished([SCAN], published)) == [expected]
+    assert list(unpublished([SCAN], publishers, OWN)) == [expected]
 
 
 def test_topics_that_somebody_publishes_are_left_alone():
-    assert list(unpublished([SCAN], ["/robot/scan"])) == []
-    assert list(unpublished([SCAN._replace(publishers=1)], [])) == []
-    assert list(unpublished([SCAN._replace(messages=3)], [])) == []  # from one who has gone
+    assert list(unpublished([SCAN], {"/robot/scan": ["/lidar"]}, OWN)) == []
+    assert list(unpublished([SCAN._replace(publishers=1)], {}, OWN)) == []
+    assert list(unpublished([SCAN._replace(messages=3)], {}, OWN)) == []  # from one who has gone

@@ -2,7 +2,7 @@
 
 from .asking import ask, await_memories
 from .callbacks import OnEvent, OnOutput
-from .checking import check_program, never_comes
+from .checking import check_program, never_comes, never_sent
 from .checkpointing import Checkpoints, resume
 from .checkpoints import Checkpoint, CheckpointFile, ProgramFiles, put_aside
 from .core import parts_of
@@ -41,6 +41,7 @@ __all__ = [
     "OnEvent",
     "OnOutput",
     "never_comes",
+    "never_sent",
     "parts_of",
     "ProgramFiles",
     "put_aside",

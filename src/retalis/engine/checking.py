@@ -5,11 +5,11 @@ import time
 from pathlib import Path
 from typing import Dict, Iterable, List, Optional, Tuple
 
-from ..events.checks import ERROR, WARNING, Finding, Overview, look_through, without_maker
+from ..events.checks import ERROR, WARNING, Finding, Overview, look_through, output_fault, without_maker
 from ..events.program import AUTO, TOPICS, DirectTopics, Topics, TopicType, direct_topics, read_topics
-from ..foundation import Omission, Place, ProgramErrors, RetalisError, RuleError
+from ..foundation import MessageError, Omission, Place, ProgramErrors, RetalisError, RuleError
 from ..messages import Definitions
-from ..prolog.terms import Term
+from ..prolog.terms import CompoundTerm, Term
 from .core import parts_of
 from .engine import Engine
 from .inputtopics import by_name
@@ -95,6 +95,24 @@ def never_comes(
     topics = parts.input_topics.joined(topics)
     program = Overview(parts.rules, parts.knowledge, definitions, topics, tuple(direct))
     return without_maker(program, pattern)
+
+
+def never_sent(subscription: CompoundTerm, topic: str, kind: str, definitions: Definitions) -> str:
+    """Return why no output of a subscription can be a message of its topic's type.
+
+    Return "" if some may be, or the type is not known.
+
+    Args:
+        subscription: the goal ``subscribe/5``.
+        topic: is named in the answer.
+        kind: the type of the topic.
+        definitions: the message types that are known.
+    """
+    try:
+        definition = definitions.find(kind)
+    except MessageError:
+        return ""
+    return output_fault(definition, subscription, topic) or ""
 
 
 def _in_order(found: List[Finding]) -> List[Finding]:

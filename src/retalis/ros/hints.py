@@ -3,7 +3,7 @@
 import threading
 from difflib import get_close_matches
 from http.client import HTTPException
-from typing import Callable, Iterable, Iterator, List
+from typing import Callable, Collection, Dict, Iterable, Iterator, List, Mapping
 from xmlrpc.client import Error
 
 import rosgraph
@@ -18,21 +18,37 @@ PATIENCE = 10.0
 
 _ALIKE = 0.7
 
+_SERVICES = ("add_memory", "add_input_subscription")
+"""Services by which the two nodes of a program are found; they have one each."""
 
-def unpublished(inputs: Iterable[InputStatus], published: Iterable[str]) -> Iterator[str]:
-    """Yield what is to be said of subscribed topics that nobody publishes.
+_NO_MASTER = (OSError, Error, HTTPException, rosgraph.MasterException)
+
+
+def unpublished(
+    inputs: Iterable[InputStatus], publishers: Mapping[str, Collection[str]], own: Collection[str]
+) -> Iterator[str]:
+    """Yield a warning for each subscribed topic that nobody publishes.
 
     Args:
         inputs: what has come on each topic.
-        published: the topics that somebody publishes.
+        publishers: the nodes that publish each topic.
+        own: the nodes that run this program: a topic that nobody else publishes is no input that was meant.
     """
-    names = list(published)
+    foreign = [topic for topic, nodes in publishers.items() if any(node not in own for node in nodes)]
     for one in inputs:
-        if one.publishers or one.messages or one.topic in names:
+        if one.publishers or one.messages or publishers.get(one.topic):
             continue
-        near = get_close_matches(one.topic, names, 1, _ALIKE)
+        near = get_close_matches(one.topic, foreign, 1, _ALIKE)
         hint = f"; did you mean {near[0]}?" if near else ""
         yield f"nobody publishes topic {one.topic} ({one.type}) {PATIENCE:g} s after the start{hint}"
+
+
+def published_types() -> Dict[str, str]:
+    """Return the types of all topics that somebody publishes; none if the master does not answer."""
+    try:
+        return dict(rosgraph.Master(rospy.get_name()).getPublishedTopics(""))
+    except _NO_MASTER:  # which is said elsewhere
+        return {}
 
 
 class StartHints:
@@ -63,13 +79,10 @@ class StartHints:
         if not waiting:
             return
         try:
-            found = rosgraph.Master(rospy.get_name()).getPublishedTopics("")
-        except (
-            OSError,
-            Error,
-            HTTPException,
-            rosgraph.MasterException,
-        ):  # the master is not there: that is said elsewhere
+            published, _, services = rosgraph.Master(rospy.get_name()).getSystemState()
+        except _NO_MASTER:  # which is said elsewhere
             return
-        for text in unpublished(waiting, [topic for topic, _ in found]):
+        servers = {rospy.resolve_name(name) for name in _SERVICES}
+        own = {rospy.get_name(), *(node for name, nodes in services if name in servers for node in nodes)}
+        for text in unpublished(waiting, dict(published), own):
             rospy.logwarn("%s", printable(text))

@@ -3,18 +3,18 @@
 import threading
 import time
 from functools import partial
-from typing import Any, Callable, Iterable, List, Optional, Tuple
+from typing import Any, Callable, Iterable, List, Mapping, Optional, Tuple
 
 import rospy
 
-from ..engine import Engine, never_comes, parts_of
+from ..engine import Engine, never_comes, never_sent, parts_of
 from ..engine.explaining import record_origins
 from ..engine.runtime import Alarm, Clock, ClockRuns, Reports, Skew
 from ..events.program import TOPICS, Topics, TopicType, direct_topics, read_topics
-from ..foundation import RetalisError
+from ..foundation import RetalisError, UsageError
 from ..messages import Decoder, Definitions, Installed
 from ..prolog.syntax import to_text
-from ..prolog.terms import Term, atom
+from ..prolog.terms import CompoundTerm, Term, atom
 from .changes import RuleServices
 from .checkpoint import StateFile
 from .connecting import OUTPUT_EVENT, connect
@@ -28,7 +28,7 @@ from .interface import Interface, Publisher, Take
 from .latchedinputs import LatchedConnection, LatchedInputs
 from .listing import Listing
 from .log import log_error
-from .names import INPUT, OUTPUT
+from .names import INPUT, OUTPUT, resolve
 from .parameters import WATCHDOG, Parameters
 from .questions import Questions
 from .reloading import ReloadService
@@ -173,7 +173,13 @@ class RetalisNode:
         for topic, kind in direct:
             self._subscribe(topic, kind, topics.event_of(topic, rospy.resolve_name))
         asked.begin(self._interface if parameters.embedded else None)
-        EngineServices(self.engine, self._text_only, lambda pattern: self._doubt(pattern, topics, direct))
+        types = {rospy.resolve_name(topic): kind for topic, kind in topics.published}
+        EngineServices(
+            self.engine,
+            self._text_only,
+            lambda pattern: self._doubt(pattern, topics, direct),
+            lambda goal, topic: self._misfit(goal, topic, types, definitions),
+        )
         Questions(self.engine)
         RuleServices(self.engine)
         ReloadService(
@@ -247,6 +253,20 @@ class RetalisNode:
         """Return why events of a pattern will hardly come, "" where they may."""
         definitions = Definitions(Installed(rosbags=False))
         return never_comes(self.engine, pattern, definitions, topics, direct)
+
+    def _misfit(
+        self, goal: CompoundTerm, topic: str, types: Mapping[str, str], definitions: Definitions
+    ) -> str:
+        """Return why no output of a subscription can be a message of its topic's type, "" if some may be."""
+        try:
+            kind = types.get(resolve(topic))
+        except UsageError:  # a name for other nodes only
+            kind = None
+        if kind is None:
+            return ""
+        # Types that messages have brought are in the node's own definitions; `find` there would load rosbags' types.
+        known = definitions if definitions.known(kind) else Definitions(Installed(rosbags=False))
+        return never_sent(goal, topic, kind, known)
 
     def _load(self) -> None:
         try:

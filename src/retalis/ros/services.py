@@ -6,17 +6,36 @@ import rospy
 
 from ..engine import Engine
 from ..events.language import subscribed_event
+from ..events.program import topic_type
 from ..foundation import RetalisError, SyntaxFault, UsageError, beginning, printable
-from ..messages import Definitions, Installed
+from ..messages import Definitions
 from ..prolog.syntax import Operators, ReadFlags, read_term
-from ..prolog.terms import COMMA, TRUE, Atom, Term, Var, atom, conjuncts, deref, variables
+from ..prolog.terms import (
+    COMMA,
+    TRUE,
+    Atom,
+    CompoundTerm,
+    Term,
+    Var,
+    atom,
+    conjuncts,
+    deref,
+    functor,
+    make_list,
+    variables,
+)
+from .hints import published_types
 from .interface import Interface
+from .names import resolve
 from .textonly import TextOnly
 
 OK = "ok"
 
 LONGEST_ANSWER = 1000
 """Characters of what a service says is wrong."""
+
+
+_SUBSCRIBE = functor("subscribe", 5)
 
 
 def shown(text: str) -> str:
@@ -63,14 +82,23 @@ class EngineServices:
         engine: whose they are.
         text_only: is told of the topics that are subscribed.
         doubt: says why events of a pattern will hardly come, "" where they may.
+        misfit: says why no output of a subscription, a goal ``subscribe/5``, can be a message of the type of its
+            topic; "" if some may be.
     """
 
-    def __init__(self, engine: Engine, text_only: TextOnly, doubt: Callable[[Term], str]):
+    def __init__(
+        self,
+        engine: Engine,
+        text_only: TextOnly,
+        doubt: Callable[[Term], str],
+        misfit: Callable[[CompoundTerm, str], str],
+    ):
         from retalis import srv  # noqa: PLC0415 - generated: there only where the package was built
 
         self._engine = engine
         self._text_only = text_only
         self._doubt = doubt
+        self._misfit = misfit
         rospy.Service("add_output_subscription", srv.AddOutputSubscription, self._add_subscription)
         rospy.Service("delete_output_subscription", srv.DeleteOutputSubscription, self._delete_subscription)
         rospy.Service("add_memory", srv.AddMemory, self._add_memory)
@@ -84,6 +112,10 @@ class EngineServices:
                     f"a subscription {shown(request.id)} of topic {shown(request.topic)} already exists"
                 )
             fields = self._fields(request)
+            goal = (_SUBSCRIBE, fields.event, make_list(fields.conditions), fields.form, topic, key)
+            misfit = self._misfit(goal, request.topic.strip())
+            if misfit:
+                raise UsageError(f"format: {misfit}")
             self._engine.add_subscription(fields.event, fields.conditions, fields.form, topic, key)
             self._warn_of_free("subscribe", request.id, fields)
             taken = fields._replace(event=subscribed_event(fields.event))
@@ -196,20 +228,32 @@ class InterfaceServices:
         topic, kind = request.topic.strip(), request.message_type.strip()
 
         def work() -> None:
+            topic_type(topic, kind)  # names that ROS does not allow are refused before any is looked up
+            known = self._interface.outputs.knows(kind)
+            meant = "" if known else Definitions().misspelt(kind)
+            # A publisher brings the definition of its type, so that a type which is not installed is no mistake.
+            if meant and not _is_published(topic, kind):
+                raise UsageError(
+                    f"message_type: there is no type '{shown(kind)}' here; did you mean {meant}? If a publisher is "
+                    "to bring the type, start the publisher first"
+                )
             self._interface.subscribe(topic, kind)
-            if not self._interface.outputs.knows(kind):
-                meant = Definitions(Installed(rosbags=False)).misspelt(kind)
+            if not known:
                 rospy.logwarn(
-                    "topic %s is subscribed as %s, which is not known here: it is learned from a publisher%s",
+                    "topic %s is subscribed as %s, which is not known here: it is learned from a publisher",
                     shown(topic),
                     kind,
-                    f"; did you mean {meant}?" if meant else "",
                 )
 
         return answer(work)
 
     def _delete(self, request: Any) -> str:
         return answer(lambda: self._interface.unsubscribe(request.topic.strip()))
+
+
+def _is_published(topic: str, kind: str) -> bool:
+    """Return whether somebody publishes a topic as a type, as far as the master knows."""
+    return published_types().get(resolve(topic)) == kind
 
 
 def name(text: str, field: str) -> Term:

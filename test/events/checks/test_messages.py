@@ -149,3 +149,30 @@ def test_a_slot_that_is_named_in_parentheses_is_told_where_to_be_named(tmp_path)
         f"{tmp_path}/eventRules.txt:2:10: data of std_msgs/Bool is not named in parentheses"
     )
     assert "write fan{data: ...}" in named
+
+
+def output_warnings(definitions, folder, goal, rules=""):
+    """Return what is said of a subscription of topic ``out``, whose type is ``my_msgs/Warm``."""
+    engine = Engine()
+    engine.load(rules=rules, goals=goal)
+    topics = Topics(published=(topic_type("out", "my_msgs/Warm"),))
+    found = [str(one) for one in engine.warnings(folder, definitions, topics)]
+    return [one for one in found if "topic out, my_msgs/Warm" in one]
+
+
+@pytest.mark.parametrize(
+    "goal",
+    [
+        "subscribe(seen(H), [], H, out, s1)",
+        "subscribe(seen(H), [H = wrapped(Message)], Message, out, s1)",
+        "subscribe(seen(_, H) with throttle(1), [], H, out, s1)",
+    ],
+)
+def test_a_format_that_is_a_variable_of_the_event_may_hold_a_message(definitions, tmp_path, goal):
+    assert output_warnings(definitions, tmp_path, goal) == []
+
+
+@pytest.mark.parametrize("form", ["_", "Event", "seen(H)"])
+def test_an_event_that_is_no_message_is_said(definitions, tmp_path, form):
+    (found,) = output_warnings(definitions, tmp_path, f"subscribe(seen(H), [], {form}, out, s1)")
+    assert "expected my_msgs__0__Warm/2, got seen/1" in found

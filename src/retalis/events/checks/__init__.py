@@ -6,6 +6,7 @@ Each check looks at an `Overview` of the program, and yields what is wrong, each
 
 from .findings import ERROR, INFO, WARNING, Finding, look_through
 from .made import without_maker
+from .outputs import output_fault
 from .overview import Overview
 
 __all__ = [
@@ -13,6 +14,7 @@ __all__ = [
     "Finding",
     "INFO",
     "look_through",
+    "output_fault",
     "Overview",
     "WARNING",
     "without_maker",

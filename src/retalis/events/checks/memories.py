@@ -28,7 +28,6 @@ MEMORY_READS = frozenset(
 
 _LOOKS = frozenset(key for key in MEMORY_READS if not key.name.startswith("memory_"))
 POSE_CHAIN = functor("pose_chain", 3)
-_BOTH = functor("$both", 2)
 
 
 def unknown_memories(program: Overview) -> Iterator[RuleError]:
@@ -80,10 +79,7 @@ def _records(program: Overview) -> Dict[Optional[str], List[Term]]:
     found: Dict[Optional[str], List[Term]] = {}
     for kept in program.memories:
         name = deref(kept.term[4])
-        form = kept.form
-        if form.__class__ is Var and form not in variables((_BOTH, kept.pattern, kept.term[2])):
-            form = kept.pattern
-        found.setdefault(name.name if isinstance(name, Atom) else None, []).append(form)
+        found.setdefault(name.name if isinstance(name, Atom) else None, []).append(kept.made)
     return found
 
 

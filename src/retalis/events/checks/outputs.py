@@ -4,8 +4,8 @@ from typing import Iterator, Optional, Set, Tuple
 
 from ...foundation import RuleError, beginning
 from ...messages import Definition, fault_of
-from ...prolog.terms import deref
-from ..program import TOPICS
+from ...prolog.terms import CompoundTerm, deref
+from ..program import TOPICS, nowhere
 from .near import meant
 from .overview import Kept, Overview, is_open
 
@@ -16,9 +16,9 @@ def outputs(program: Overview) -> Iterator[RuleError]:
     for kept, topic in _named(program):
         kind = published.get(plain(topic))
         definition = None if kind is None else program.definition(kind)
-        wrong = None if definition is None else _wrong(definition, kept, topic)
+        wrong = None if definition is None else output_fault(definition, kept.term, topic)
         if wrong is not None:
-            yield RuleError(f"{kept.who}{wrong}", kept.spot(kept.term, 1 if is_open(kept.form) else 3))
+            yield RuleError(f"{kept.who}{wrong}", kept.spot(kept.term, 1 if kept.stands_for_event else 3))
 
 
 def unpublished(program: Overview) -> Iterator[RuleError]:
@@ -55,7 +55,15 @@ def plain(topic: str) -> str:
     return topic.lstrip("/")
 
 
-def _wrong(definition: Definition, kept: Kept, topic: str) -> Optional[str]:
-    """Return what is wrong with the message that a subscription sends, whatever the values of its variables are."""
-    form = kept.pattern if is_open(kept.form) else kept.form
-    return None if is_open(form) else fault_of(definition, deref(form), topic)
+def output_fault(definition: Definition, subscription: CompoundTerm, topic: str) -> Optional[str]:
+    """Return why the term that a subscription sends is no message of a type, whatever the values of its variables.
+
+    Return None if it may be one.
+
+    Args:
+        definition: the type.
+        subscription: the goal ``subscribe/5``.
+        topic: is named in the answer.
+    """
+    sent = deref(Kept(subscription, "", nowhere).made)
+    return None if is_open(sent) else fault_of(definition, sent, topic)

@@ -8,7 +8,7 @@ from ...messages import Definition, Definitions, type_name
 from ...prolog.logic import Logic
 from ...prolog.syntax import ReadTerm
 from ...prolog.terms import CompoundTerm, Term, Var, deref, functor, term_key
-from ..knowledge import Knowledge
+from ..knowledge import Knowledge, is_whole
 from ..language import (
     SPELLINGS,
     Occurs,
@@ -57,8 +57,18 @@ class Kept(NamedTuple):
 
     @property
     def form(self) -> Term:
-        """What it makes of them."""
+        """The term that it makes of them, as written."""
         return deref(self.term[3])
+
+    @property
+    def stands_for_event(self) -> bool:
+        """Whether the form is a variable of its own, as ``_``: then the event itself is recorded or sent."""
+        return is_whole(self.pattern, deref(self.term[2]), self.form)
+
+    @property
+    def made(self) -> Term:
+        """The term that it makes of an event: the form, or the event itself."""
+        return self.pattern if self.stands_for_event else self.form
 
 
 class DeclaredAt(NamedTuple):

@@ -7,6 +7,7 @@ puts them together.
 from .knowledge import DELETE_MEMORY, MEMORIZE, OF_MEMORIES, OWN_EVENTS, SUBSCRIBE, Knowledge
 from .memory import NEVER
 from .recorder import Instance
+from .recording import is_whole
 from .states import DeclaredState
 from .subscriptions import Key as SubscriptionKey
 from .subscriptions import Subscription
@@ -16,6 +17,7 @@ __all__ = [
     "DeclaredState",
     "DELETE_MEMORY",
     "Instance",
+    "is_whole",
     "Knowledge",
     "MEMORIZE",
     "NEVER",
