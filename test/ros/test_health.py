@@ -12,6 +12,7 @@ from retalis.ros.health import (
     Changes,
     EngineHealth,
     InputHealth,
+    InputRole,
     Level,
     NodeHealth,
     memory_health,
@@ -52,6 +53,25 @@ def test_a_topic_is_stale_by_its_usual_interval(interval, quiet, level):
         health.of(number * interval, TOPIC._replace(messages=number, age=0.0))
     last = TOPIC._replace(messages=19, age=float(quiet))
     assert health.of(19 * interval + quiet, last).level is level
+
+
+@pytest.mark.parametrize(
+    ("role", "silent", "unpublished", "lost"),
+    [
+        (InputRole.NEEDED, Level.STALE, Level.WARN, Level.ERROR),
+        (InputRole.LINK, Level.OK, Level.WARN, Level.ERROR),
+        (InputRole.OPTIONAL, Level.OK, Level.OK, Level.ERROR),
+        (InputRole.UNREAD, Level.OK, Level.OK, Level.OK),
+    ],
+)
+def test_the_level_of_a_topic_depends_on_the_use_that_the_program_has_for_it(role, silent, unpublished, lost):
+    health = InputHealth(Changes(), lambda topic: role)
+    for number in range(1, 20):
+        health.of(number * 0.1, TOPIC._replace(messages=number, age=0.0))
+    seen = TOPIC._replace(messages=19, age=30.0)
+    assert health.of(32.0, seen).level is silent
+    assert health.of(33.0, seen._replace(publishers=0)).level is unpublished
+    assert health.of(34.0, seen._replace(refused=1)).level is lost
 
 
 def test_a_latched_topic_does_not_become_stale():

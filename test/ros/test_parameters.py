@@ -34,6 +34,11 @@ def test_defaults_keep_the_originals_behaviour(read):
     assert found.settings.max_depth == Settings().max_depth
 
 
+def test_the_hardware_id_is_a_text(read):
+    assert read().hardware_id == read(hardware_id="").hardware_id == "retalis"
+    assert read(hardware_id="robot7").hardware_id == "robot7"
+
+
 def test_limits_have_defaults_and_0_is_none(read):
     found = read().settings
     assert found.limits == Limits(10.0, None, 500)
@@ -136,6 +141,7 @@ def test_goals_open_files_of_the_program_only_by_default(read):
         ("folders", [1]),
         ("write_folders", {"a": "/data"}),
         ("write_folders", "/data"),
+        ("hardware_id", 7),
         ("max_file_megabytes", 0),
         ("max_file_megabytes", "x"),
     ],

@@ -15,7 +15,7 @@ from .connecting import OUTPUT_EVENT, connect
 from .counting import OutputStatus
 from .diagnostics import Diagnostics
 from .goaltopics import ToldTopics
-from .health import NodeHealth, program_health
+from .health import InputRole, NodeHealth, program_health
 from .hints import StartHints
 from .interface import Interface, Publisher, Take, exhaust
 from .latchedinputs import LatchedConnection
@@ -76,13 +76,14 @@ class Converter:
             self._interface.learn(topic, kind)
         self._told = ToldTopics(self._interface, reports)
         InterfaceServices(self._interface)
-        Listing(self._interface.inputs)
+        Listing(self._interface.inputs, reports=reports)
         self._interface.subscribe_texts(OUTPUT, self._receive)
         loaded = program_health(errors, [])
         StartHints(self._interface.inputs, [topic for topic, _ in topics.subscribed])
         self._diagnostics = Diagnostics(
             parameters.diagnostics,
-            NodeHealth(self._interface.inputs, self._outputs, lambda: [loaded]),
+            NodeHealth(self._interface.inputs, self._outputs, lambda: [loaded], _input_role),
+            parameters.hardware_id,
         )
 
     def _outputs(self) -> List[OutputStatus]:
@@ -137,6 +138,11 @@ class Converter:
             return
         topic = deref(event[2])
         self._interface.outputs.publish(deref(event[1]), getattr(topic, "name", None) or to_text(topic))
+
+
+def _input_role(topic: str) -> InputRole:
+    """Return the use that the program has for a topic."""
+    return InputRole.LINK if topic == rospy.resolve_name(OUTPUT) else InputRole.NEEDED
 
 
 def main() -> int:

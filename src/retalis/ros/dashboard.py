@@ -10,11 +10,14 @@ from ..events.program import TopicEvent, TopicType
 from ..foundation import UsageError
 from ..prolog.terms import SECOND
 from .counting import InputStatus
-from .diagnostics import HARDWARE, TOPIC
+from .diagnostics import TOPIC
 from .names import INPUT, OUTPUT
 
 _MARK = ": input "
 """What stands between the names of node and topic in what a node tells of a topic on ``/diagnostics``."""
+
+_TOLD = {"type", "publishers", "messages", "lag (s)"}
+"""Values by which a status of a subscribed topic is known, whatever the hardware id of the node."""
 
 MOST_TOLD = 200
 """Topics of other nodes that are remembered."""
@@ -82,10 +85,11 @@ class NodeDashboard:
         space = own.rpartition("/")[0]
         for status in message.status:
             node, mark, topic = status.name.partition(_MARK)
-            if mark and status.hardware_id == HARDWARE and node != own and node.rpartition("/")[0] == space:
-                values = {value.key: value.value for value in status.values}
-                if topic in self._told or len(self._told) < MOST_TOLD:
-                    self._told[topic] = _told_look(topic, values)
+            values = {value.key: value.value for value in status.values}
+            if not mark or not values.keys() >= _TOLD or node == own or node.rpartition("/")[0] != space:
+                continue  # of another program, or no topic
+            if topic in self._told or len(self._told) < MOST_TOLD:
+                self._told[topic] = _told_look(topic, values)
 
 
 def _look(one: InputStatus) -> TopicLook:

@@ -11,7 +11,7 @@ from .health import Health, NodeHealth
 TOPIC = "/diagnostics"
 
 HARDWARE = "retalis"
-"""What ``diagnostic_aggregator`` may group by."""
+"""The hardware id if parameter ``~hardware_id`` gives no other; ``diagnostic_aggregator`` may group by it."""
 
 
 class Diagnostics:
@@ -20,10 +20,12 @@ class Diagnostics:
     Args:
         period: seconds from one message to the next; None for none at all.
         health: is looked at.
+        hardware_id: of each status.
     """
 
-    def __init__(self, period: Optional[float], health: NodeHealth):
+    def __init__(self, period: Optional[float], health: NodeHealth, hardware_id: str = HARDWARE):
         self._health = health
+        self._hardware_id = hardware_id
         self._ended = threading.Event()
         if period is None:
             return
@@ -56,7 +58,7 @@ class Diagnostics:
                 level=int(one.level),
                 name=f"{node}: {one.name}",
                 message=_line(one.message),
-                hardware_id=HARDWARE,
+                hardware_id=self._hardware_id,
                 values=[self._msg.KeyValue(key=_line(key), value=_line(value)) for key, value in one.values],
             )
             for one in found

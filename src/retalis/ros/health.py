@@ -1,7 +1,7 @@
 """How a node is: what `Diagnostics` tells, each with a level that says whether somebody has to look."""
 
 import time
-from enum import IntEnum
+from enum import Enum, IntEnum
 from typing import Callable, Collection, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from ..engine import RuleStatus, Status
@@ -32,6 +32,22 @@ LONG = 10.0
 
 SCARCE = 0.05
 """Part of the machine's memory that is left when that is worth a warning."""
+
+
+class InputRole(Enum):
+    """The use that a program has for a subscribed topic.
+
+    Attributes:
+        NEEDED: a topic that somebody has named: without a publisher, or if it becomes silent, somebody has to look.
+        LINK: the events between the two nodes: it needs a publisher, but not events all the time.
+        OPTIONAL: a topic to which others may publish, or not.
+        UNREAD: a topic that the node subscribes by default, and whose messages the program does not read.
+    """
+
+    NEEDED = 0
+    LINK = 1
+    OPTIONAL = 2
+    UNREAD = 3
 
 
 class Level(IntEnum):
@@ -103,10 +119,16 @@ class Changes:
 
 
 class InputHealth:
-    """Judges a subscribed topic."""
+    """Judges a subscribed topic.
 
-    def __init__(self, changes: Changes):
+    Args:
+        changes: the rates of its numbers.
+        role: gives the use that the program has for a topic at this time.
+    """
+
+    def __init__(self, changes: Changes, role: Callable[[str], InputRole] = lambda topic: InputRole.NEEDED):
         self._changes = changes
+        self._role = role
         self._intervals: Dict[str, Tuple[int, float]] = {}
 
     def of(self, now: float, one: InputStatus) -> Health:
@@ -131,12 +153,18 @@ class InputHealth:
         self._intervals = {topic: known for topic, known in self._intervals.items() if topic in topics}
 
     def _judge(self, now: float, one: InputStatus, lost: Change, rate: float) -> Tuple[Level, str]:
-        interval = self._interval(now, one)
+        interval, role = self._interval(now, one), self._role(one.topic)
+        if role is InputRole.UNREAD:
+            publisher = "" if one.publishers else "no publisher; "
+            return Level.OK, f"{publisher}the program reads no message of it"
         if lost.is_recent(now):
             return Level.ERROR, "messages are dropped or refused"
         if not one.publishers:
+            if role is InputRole.OPTIONAL:
+                return Level.OK, "no publisher, and none is needed"
             return Level.WARN, "no publisher"
-        if one.age is not None and interval is not None and one.age > max(QUIET, USUAL * interval):
+        silent = one.age is not None and interval is not None and one.age > max(QUIET, USUAL * interval)
+        if silent and role is InputRole.NEEDED:
             return Level.STALE, f"no message for {one.age:.0f} s"
         return Level.OK, "no message yet" if one.age is None else f"{rate:.1f} messages/s"
 
@@ -325,6 +353,7 @@ class NodeHealth:
         inputs: gives what has come on its subscribed topics.
         outputs: gives what has gone out.
         further: gives how the rest is.
+        role: gives the use that the program has for a subscribed topic at this time.
     """
 
     def __init__(
@@ -332,12 +361,13 @@ class NodeHealth:
         inputs: Callable[[], Sequence[InputStatus]],
         outputs: Callable[[], Sequence[OutputStatus]],
         further: Callable[[], List[Health]],
+        role: Callable[[str], InputRole] = lambda topic: InputRole.NEEDED,
     ):
         self._inputs = inputs
         self._outputs = outputs
         self._further = further
         self._changes = Changes()
-        self._of_inputs = InputHealth(self._changes)
+        self._of_inputs = InputHealth(self._changes, role)
 
     def look(self) -> List[Health]:
         """Return how everything is."""

@@ -5,8 +5,10 @@ from typing import Any, Callable, Optional, Sequence
 import rospy
 
 from ..engine import MemoryStatus, RuleStatus, Status, SubscriptionStatus, WaitingStatus
+from ..engine.runtime import Reports
 from ..prolog.terms import SECOND
 from .counting import InputStatus
+from .log import log_counts
 from .services import OK
 
 MOST = 100
@@ -30,17 +32,20 @@ class Listing:
     Args:
         inputs: gives what has come on its subscribed topics.
         status: gives the status of its engine with at most so many of each kind; None where it has no engine.
+        reports: the problems of a node that has no engine.
     """
 
     def __init__(
         self,
         inputs: Callable[[], Sequence[InputStatus]],
         status: Optional[Callable[[int], Status]] = None,
+        reports: Optional[Reports] = None,
     ):
         from retalis import msg, srv  # noqa: PLC0415 - generated: there only where the package was built
 
         self._inputs = inputs
         self._status = status
+        self._reports = reports
         self._msg = msg
         self._response = srv.ListResponse
         rospy.Service("~list", srv.List, self._list)
@@ -53,8 +58,12 @@ class Listing:
         response.more_inputs = max(0, len(inputs) - most)
         if self._status is None:
             response.now = rospy.get_rostime()
+            if self._reports is not None:
+                response.errors, response.warnings = self._reports.errors, self._reports.warnings
         else:
             self._fill(response, self._status(most))
+        response.errors += log_counts.errors
+        response.warnings += log_counts.warnings
         return response
 
     def _fill(self, response: Any, status: Status) -> None:

@@ -1,15 +1,50 @@
-"""What the package logs, handed on to ROS."""
+"""The node's log: records of the package sent to ROS, and counts of warnings and errors."""
 
 import logging
+import threading
 from typing import List
 
 import rospy
 
+from ..engine.runtime import COUNTED
 from ..foundation import ProgramErrors, RetalisError
+
+
+class LogCounts(logging.Handler):
+    """Counts warnings and errors in the node's log, except those that `Reports` counts itself.
+
+    Attributes:
+        errors: the number of errors.
+        warnings: the number of warnings.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.errors = self.warnings = 0
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Count a record."""
+        if getattr(_sending, "counted", False):
+            return
+        if record.levelno >= logging.ERROR:
+            self.errors += 1
+        else:
+            self.warnings += 1
+
+
+_sending = threading.local()
+"""Whether the record that this thread sends to ROS has been counted."""
 
 
 class _RosHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
+        _sending.counted = getattr(record, COUNTED, False)
+        try:
+            self._send(record)
+        finally:
+            _sending.counted = False
+
+    def _send(self, record: logging.LogRecord) -> None:
         text = self.format(record)
         if record.levelno >= logging.ERROR:
             rospy.logerr("%s", text)
@@ -19,8 +54,16 @@ class _RosHandler(logging.Handler):
             rospy.loginfo("%s", text)
 
 
+log_counts = LogCounts()
+"""The counts of this node."""
+
+
 def forward_log(logger: logging.Logger) -> None:
-    """Send what a logger gets to rospy's log functions, so that it is seen on the screen and on ``/rosout``."""
+    """Send what a logger gets to rospy's log functions, so that it is seen on the screen and on ``/rosout``.
+
+    All that these log from now on is counted in `log_counts`.
+    """
+    logging.getLogger("rosout").addHandler(log_counts)
     logger.addHandler(_RosHandler())
     logger.setLevel(logging.INFO)
     logger.propagate = False

@@ -12,7 +12,7 @@ from ..engine.explaining import record_origins
 from ..engine.runtime import Alarm, Clock, ClockRuns, Reports, Skew
 from ..events.program import TOPICS, Topics, TopicType, direct_topics, read_topics
 from ..foundation import RetalisError, UsageError
-from ..messages import Decoder, Definitions, Installed
+from ..messages import Decoder, Definitions, Installed, functor_name
 from ..prolog.syntax import to_text
 from ..prolog.terms import CompoundTerm, Term, atom
 from .changes import RuleServices
@@ -22,12 +22,12 @@ from .counting import OutputStatus
 from .dashboard import NodeDashboard
 from .diagnostics import Diagnostics
 from .goaltopics import GoalTopics, plain
-from .health import LATE, EngineHealth, Health, NodeHealth, program_health
+from .health import LATE, EngineHealth, Health, InputRole, NodeHealth, program_health
 from .hints import StartHints
 from .interface import Interface, Publisher, Take
 from .latchedinputs import LatchedConnection, LatchedInputs
 from .listing import Listing
-from .log import log_error
+from .log import log_counts, log_error
 from .names import INPUT, OUTPUT, resolve
 from .parameters import WATCHDOG, Parameters
 from .questions import Questions
@@ -191,7 +191,14 @@ class RetalisNode:
         rospy.loginfo("%s: %s", parameters.program, self.engine.summary())
         StartHints(self._interface.inputs, self._named(input_topics.joined(topics)), clock=True)
         self._diagnostics = Diagnostics(
-            parameters.diagnostics, NodeHealth(self._interface.inputs, self._outputs, self._engine_health())
+            parameters.diagnostics,
+            NodeHealth(
+                self._interface.inputs,
+                self._outputs,
+                self._engine_health(),
+                self._input_roles(topics, direct),
+            ),
+            parameters.hardware_id,
         )
         self._dashboard = NodeDashboard(
             parameters.dashboard,
@@ -220,10 +227,39 @@ class RetalisNode:
     def _engine_health(self) -> Callable[[], List[Health]]:
         settings = self._parameters.settings
         engine = EngineHealth(settings.watchdog or WATCHDOG, settings.limits.seconds or LATE)
-        return lambda: [
-            *engine.of(time.monotonic(), self.engine.status()),
-            program_health(list(self._errors), list(self._doubts)),
-        ]
+
+        def health() -> List[Health]:
+            status = self.engine.status()
+            status = status._replace(
+                errors=status.errors + log_counts.errors, warnings=status.warnings + log_counts.warnings
+            )
+            return [
+                *engine.of(time.monotonic(), status),
+                program_health(list(self._errors), list(self._doubts)),
+            ]
+
+        return health
+
+    def _input_roles(self, topics: Topics, direct: Iterable[TopicType]) -> Callable[[str], InputRole]:
+        """Return what gives the use that the program has for a topic, as its rules are when it is called."""
+        embedded, takes = self._parameters.embedded, parts_of(self.engine).dispatcher.takes_name
+        resolve_name = rospy.resolve_name
+        named = set(map(resolve_name, self._named(topics)))
+        # Topics that the node subscribes by default, with the names of their events.
+        default = {
+            resolve_name(topic): topics.event_of(topic, resolve_name) or functor_name(kind)
+            for topic, kind in direct
+            if resolve_name(topic) not in named
+        }
+        texts = resolve_name(INPUT)
+
+        def role(topic: str) -> InputRole:
+            if topic == texts:
+                return InputRole.OPTIONAL if embedded else InputRole.LINK
+            event = default.get(topic)
+            return InputRole.NEEDED if event is None or takes(event) else InputRole.UNREAD
+
+        return role
 
     def _outputs(self) -> List[OutputStatus]:
         return [self._texts.status(), *self._interface.outputs.status()]

@@ -14,6 +14,7 @@ from ..events.program import AUTO, DirectTopics, read_direct
 from ..foundation import UsageError, beginning, printable
 from ..messages import BARE
 from ..prolog.machine import Limits
+from .diagnostics import HARDWARE
 
 LIMITS = Limits(seconds=10.0, megabytes=500)
 """What an event, a service or a query may use with all that it starts, by default."""
@@ -42,6 +43,7 @@ KNOWN = (
     "max_gap",
     "watchdog",
     "diagnostics",
+    "hardware_id",
     "dashboard",
     "dashboard_queries",
     "explain",
@@ -65,6 +67,7 @@ class Parameters(NamedTuple):
         explain: whether to record what events come from.
         max_skew: how many seconds a stamp may be away from what its topic and frame had so far; None for any number.
         diagnostics: seconds from one message on ``/diagnostics`` to the next; None for none.
+        hardware_id: of the node's statuses on ``/diagnostics``.
         dashboard: the port of the page that shows the engine; None for no page.
         dashboard_queries: whether those who have the page may ask.
         checkpoint: the file in which the engine's state is kept while it runs; None for none.
@@ -79,6 +82,7 @@ class Parameters(NamedTuple):
     explain: bool = False
     max_skew: Optional[float] = None
     diagnostics: Optional[float] = 1.0
+    hardware_id: str = HARDWARE
     dashboard: Optional[int] = None
     dashboard_queries: bool = False
     checkpoint: Optional[Path] = None
@@ -124,6 +128,7 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
     return parameters._replace(
         max_skew=_limit("~max_skew", float, None), diagnostics=_limit("~diagnostics", float, 1.0)
     )._replace(
+        hardware_id=_text("~hardware_id", HARDWARE),
         dashboard=_port("~dashboard"),
         dashboard_queries=_flag("~dashboard_queries"),
         checkpoint=_file("~checkpoint"),
@@ -190,6 +195,14 @@ def _file(name: str) -> Optional[Path]:
     if not isinstance(value, str) or "\0" in value:
         raise UsageError(f"parameter {name}: expected the path of a file, found {value!r}")
     return Path(value).expanduser().absolute() if value else None
+
+
+def _text(name: str, default: str) -> str:
+    """Return the text that a parameter gives; ``default`` if it is empty."""
+    value = rospy.get_param(name, default)
+    if not isinstance(value, str):
+        raise UsageError(f"parameter {name}: expected a text, found {value!r}")
+    return value or default
 
 
 def _flag(name: str) -> bool:

@@ -3,7 +3,7 @@
 from .clock import Alarm, Clock, StreamClock
 from .collector import collect_when_idle, count_records_of, limit_gc_pauses, restore_gc
 from .recovery import EngineRecovery
-from .reports import Reports
+from .reports import COUNTED, Reports
 from .runner import Runner
 from .runs import ClockRuns
 from .skew import Early, Refused, Skew
@@ -13,6 +13,7 @@ __all__ = [
     "Alarm",
     "at_work",
     "Clock",
+    "COUNTED",
     "Early",
     "EngineRecovery",
     "limit_gc_pauses",

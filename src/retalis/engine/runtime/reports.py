@@ -8,6 +8,9 @@ from ...foundation import LONGEST, SHOWN, RetalisError, beginning, printable
 
 log = logging.getLogger("retalis")
 
+COUNTED = "counted"
+"""Attribute of log records whose problems `Reports` has counted."""
+
 _KINDS = 1000
 
 
@@ -79,9 +82,9 @@ class Reports:
         for kind in list(self._kinds.values()):
             if kind.times > kind.told:
                 kind.told = kind.times
-                log.log(kind.level, "%d times in all: %s", kind.times, kind.first)
+                log.log(kind.level, "%d times in all: %s", kind.times, kind.first, extra={COUNTED: True})
         if self._others:
-            log.warning("%d more problems were not shown", self._others)
+            log.warning("%d more problems were not shown", self._others, extra={COUNTED: True})
             self._others = 0
 
     def _log(self, level: int, key: object, text: str, texts: int = 1, once: bool = False) -> None:
@@ -100,7 +103,8 @@ class Reports:
         elif times & (times - 1) or once or self.once:
             return
         kind.told = times
-        log.log(level, "%s", text if is_new else f"{text}\n({times} times so far)")
+        shown = text if is_new else f"{text}\n({times} times so far)"
+        log.log(level, "%s", shown, extra={COUNTED: True})
 
 
 class _RecurringProblem:

@@ -125,6 +125,10 @@ class Audience:
             gate = gates[positions] = Gate(positions, self._plans.get(functor))
         return gate
 
+    def takes_name(self, name: str) -> bool:
+        """Return whether a pattern names events with this name; patterns for all events do not count."""
+        return any(functor is not None and functor.name == name for functor in list(self._listeners))
+
     def one_listens(self, functor: Functor) -> bool:
         """Tell whether just one listens to events of this functor, where there is any."""
         return len(self._listeners[functor]) == 1 and None not in self._listeners
