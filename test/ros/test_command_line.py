@@ -1,6 +1,7 @@
 """The command line on a node that runs."""
 
 import json
+import re
 import signal
 import subprocess
 
@@ -46,8 +47,10 @@ def test_goals_are_asked(node):
     listed = json.loads(said(node, "list", "--json"))
     assert [memory["id"] for memory in listed["memories"]][:2] == ["odom_base", "base_torso"]
     assert listed["memories"][0]["oldest"] is None and listed["inputs"][0]["age"] is None
-    shown = said(node, "status")
-    assert shown.startswith("node  ") and "\nmemories\n  id " in shown
+    shown = said(node, "status", "--once", "--every", "0.1").split("\n")
+    assert shown[0].startswith("/retalis  idle  0.0 events/s  0.0 firings/s") and "memories" in shown
+    assert max(map(len, shown)) <= 80
+    assert not any(re.search(r"\d{9}", line) for line in shown)  # no seconds since the epoch
 
 
 def test_numbers_that_cannot_be_are_told_in_a_line(node):
@@ -64,8 +67,38 @@ def test_the_interface_is_listed_too(node):
     node.expect(lambda found, services: "/retalis_ros_interface/list" in services)
     listed = json.loads(said(node, "list", "--json", "--node", "/retalis_ros_interface"))
     assert "/retalisOutputEvents" in [topic["topic"] for topic in listed["inputs"]]
+    for command in ("list", "status"):
+        told = said(node, command, "--node", "other", wrong=True)
+        assert (
+            told == "retalis: there is no node /other; those that run are /retalis, /retalis_ros_interface\n"
+        )
+    shown = said(node, "status", "--node", "retalis_ros_interface", "--every", "0.1")
+    assert "events/s" not in shown and "/retalisOutputEvents" in shown
     told = said(node, "query", "true", "--node", "/retalis_ros_interface", wrong=True)
     assert "has no service ~query: it is a ROS interface, or of an older version" in told
+
+
+def test_the_namespace_chooses_the_node(devel):
+    devel.start_master()
+    for space in ("robot1", "robot2", "robot2/arm"):
+        devel.start("env", f"ROS_NAMESPACE={space}", "rosrun", "retalis", "retalis_node")
+    names = {"/robot1/retalis", "/robot2/retalis", "/robot2/arm/retalis"}
+    devel.expect(lambda found, services: {f"{name}/delete_rule" for name in names} <= services)
+    all_names = "/robot1/retalis, /robot2/arm/retalis, /robot2/retalis"
+    expected = {
+        "": f"which node? those that run are {all_names}; choose one by --node",
+        "robot2": "which node? those that run are /robot2/arm/retalis, /robot2/retalis; choose one by --node",
+        "robot3": f"no node retalis runs in namespace /robot3 (ROS_NAMESPACE); those that run are {all_names}",
+    }
+    for space, error in expected.items():
+        devel.env["ROS_NAMESPACE"] = space
+        assert said(devel, "query", "true", wrong=True) == f"retalis: {error}\n"
+    devel.env["ROS_NAMESPACE"] = "robot1"
+    assert json.loads(said(devel, "list", "--json"))["node"] == "/robot1/retalis"
+    assert said(devel, "query", "X = 1") == "X = 1\n"
+    devel.env["ROS_NAMESPACE"] = "/robot2"
+    assert json.loads(said(devel, "list", "--json", "--node", "retalis"))["node"] == "/robot2/retalis"
+    assert json.loads(said(devel, "list", "--json", "--node", "/robot1/retalis"))["node"] == "/robot1/retalis"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

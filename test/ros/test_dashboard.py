@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import socket
 import urllib.request
 
@@ -89,11 +90,15 @@ def test_the_page_is_served_on_the_loopback_address_and_shows_what_comes(space, 
     assert names == {"/tf", "/ar_pose_marker", "/face_recognition/feedback"}
 
 
-def test_a_port_that_is_taken_is_a_warning(devel):
+def test_where_a_port_is_taken_the_page_has_the_next_free_one_and_the_log_names_it(devel):
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen(1)
         port = other.getsockname()[1]
         launch(devel, f"dashboard:={port}")
-        devel.expect(lambda found, services: f"cannot have port {port}" in devel.printed())
-        assert "the node goes on without it" in devel.printed()
+        said = re.compile(rf"port {port} is taken: the dashboard is at http://127\.0\.0\.1:(\d+)/")
+        devel.expect(lambda found, services: said.search(devel.printed()))
+        taken = int(said.search(devel.printed())[1])
+        assert port < taken
+        with opened(taken) as answer:
+            assert answer.read()

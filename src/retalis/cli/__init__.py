@@ -12,7 +12,7 @@ from . import bag, check, completion, console, demo, events, graph, live, msg, p
 from .printing import join_times
 from .prompt import LEAVE, Lines, Terminal, read_clause
 from .report import NobodyReads, leave
-from .tables import page, report
+from .tables import report, status_page
 from .version import ShowVersion
 
 COMMANDS = (bag, check, console, demo, events, graph, live, msg, plot, completion)
@@ -21,9 +21,9 @@ __all__ = [
     "LEAVE",
     "Lines",
     "main",
-    "page",
     "read_clause",
     "report",
+    "status_page",
     "Terminal",
 ]
 

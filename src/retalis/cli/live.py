@@ -9,7 +9,7 @@ from .numbers import any_number, from_zero
 
 AddCommand = Callable[..., argparse.ArgumentParser]
 
-DESCRIPTION = "The node is the only one that runs, or that of --node."
+DESCRIPTION = "The node is that of --node, or the only one that runs in the namespace of ROS_NAMESPACE."
 
 STATUS = "The exit status is 0 with a solution, 1 without one or with an error."
 
@@ -21,8 +21,18 @@ def add_parser(add_command: AddCommand) -> None:
     explain.add_argument("event", metavar="EVENT", help="as far as it is known, as in fever(bob,_)")
     _command(add_command, "list", "list the rules, memories, subscriptions and queries of a node")
     status = _command(add_command, "status", "show what a node is doing, again and again")
-    status.add_argument("--every", type=any_number, default=1.0, metavar="SECONDS", help="how often (1)")
-    status.add_argument("--once", action="store_true", help="show it once; so it is where nobody looks on")
+    status.add_argument(
+        "--every",
+        type=any_number,
+        default=1.0,
+        metavar="SECONDS",
+        help="seconds from one look to the next, over which rates are taken (1)",
+    )
+    status.add_argument(
+        "--once",
+        action="store_true",
+        help="show it once, after --every seconds; so it is if the output is no terminal",
+    )
     _add_watch(add_command)
     _command(add_command, "reload", "have a node read its program again, all or nothing")
 

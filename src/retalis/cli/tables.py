@@ -1,13 +1,19 @@
 """Records as text in columns, for terminals."""
 
 from textwrap import wrap
-from typing import Any, Dict, List, Mapping, Sequence
+from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 WIDEST = 60
 """Characters of a column."""
 
+_NARROWEST = 8
+"""Characters to which a column may be shortened."""
 
-def report(found: Mapping[str, Any]) -> List[str]:
+PlainRecord = Mapping[str, Any]
+"""A record of a node, as a dictionary."""
+
+
+def report(found: PlainRecord) -> List[str]:
     """Return the lines of a record: single values, then a table for each list of records.
 
     >>> for line in report({"events": 3, "memories": [{"id": "odom", "size": 10}]}):
@@ -26,22 +32,235 @@ def report(found: Mapping[str, Any]) -> List[str]:
     return lines
 
 
-def page(found: Mapping[str, Any], columns: int, height: int) -> List[str]:
-    """Return as much of a report as a terminal shows: single values that say something, then tables.
+def status_page(
+    before: PlainRecord, found: PlainRecord, seconds: float, columns: int, has_engine: bool = True
+) -> List[str]:
+    """Return the status of a node as lines that fit a terminal: rates and ages, without values that say nothing.
 
-    >>> page({"node": "/a", "work": "", "errors": 0, "events": 3, "memories": [{"id": "odom"}]}, 80, 5)
-    ['node /a  events 3', '', 'memories', '  id']
+    >>> before = {"node": "/a", "now": 10.0, "taken": 3, "fired": 0, "inputs": []}
+    >>> row = {"topic": "/tf", "type": "tf/tfMessage", "messages": 4, "publishers": 1, "age": 0.5}
+    >>> for line in status_page(before, {**before, "taken": 5, "inputs": [row]}, 2.0, 80):
+    ...     print(line)
+    /a  idle  1.0 events/s  0.0 firings/s
+    <BLANKLINE>
+    inputs
+      topic  type          messages/s  last  lag  publishers
+      /tf    tf/tfMessage  -           0.5s  -    1
+
+    Args:
+        before: the answer of service ``~list`` some time ago, as a dictionary; instants are seconds, or None.
+        found: the answer now.
+        seconds: the time between the two.
+        columns: characters of a line.
+        has_engine: whether the node is more than a ROS interface.
     """
-    plain = [f"{name} {_shown(value)}" for name, value in found.items() if value and not _is_table(value)]
-    tables = report({name: value for name, value in found.items() if _is_table(value)})
-    lines = [  # names and values are kept together by blanks that do not break
-        line.replace("\xa0", " ")
-        for line in wrap("  ".join(one.replace(" ", "\xa0") for one in plain), columns)
-    ]
-    return [line[:columns] for line in [*lines, *tables]][: height - 1]
+    look = _StatusTime(found.get("now"), seconds)
+    head = [str(found["node"])]
+    if has_engine:
+        rates = (f"{_rate(before, found, name, look)} {shown}/s" for name, shown in _RATES.items())
+        head += [_work(found), *rates]
+    head += [f"{name} {found[name]}" for name in _COUNTS if found.get(name)]
+    more = [name for name in found if name.startswith("more_") and found[name]]
+    head += [f"{found[name]} more {name[len('more_') :]}" for name in more]
+    # Blanks that do not break keep each part in one line, until it has been wrapped.
+    lines = wrap("  ".join(one.replace(" ", "\xa0") for one in head), columns)
+    lines = [line.replace("\xa0", " ") for line in lines]
+    for name, form in _TABLES.items():
+        if found.get(name):
+            rows = _rows(form, before.get(name, ()), found[name], look, columns - 2)
+            lines += ["", name, *(f"  {line}" for line in _aligned(rows))]
+    return [line[:columns] for line in lines]
 
 
-def table(rows: Sequence[Mapping[str, Any]]) -> List[str]:
+class _StatusTime(NamedTuple):
+    """The time of a status by the clock of the node, None before it has begun, and the seconds since the last one."""
+
+    now: Optional[float]
+    seconds: float
+
+
+class _Column(NamedTuple):
+    """A column of a status.
+
+    Attributes:
+        name: its head.
+        of: makes a cell of a record, the same record some time ago (None if it is new), and the look.
+        elastic: whether long cells may be shortened to make the table fit.
+        rare: whether the column is left out if all its cells are zero or empty.
+    """
+
+    name: str
+    of: Callable[[PlainRecord, Optional[PlainRecord], _StatusTime], str]
+    elastic: bool = False
+    rare: bool = False
+
+
+class _TableForm(NamedTuple):
+    """The columns of a table, and the names of the values by which a record is known again."""
+
+    keys: Tuple[str, ...]
+    columns: Tuple[_Column, ...]
+
+
+def _key(row: PlainRecord, form: _TableForm) -> Tuple[Any, ...]:
+    return tuple(row.get(name) for name in form.keys)
+
+
+def _work(found: PlainRecord) -> str:
+    if not found.get("work"):
+        return "idle"
+    place = f" at {found['work_place']}" if found.get("work_place") else ""
+    goal = f": {found['work_goal']}" if found.get("work_goal") else ""
+    return f"busy for {_span(found.get('work_time'))} with {found['work']}{goal}{place}"
+
+
+def _rate(before: Optional[PlainRecord], row: PlainRecord, name: str, look: _StatusTime) -> str:
+    """Return how fast a counter grows; one of a node that was started anew counts anew."""
+    if before is None or look.seconds <= 0:
+        return "-"
+    return f"{max(0, row[name] - before[name]) / look.seconds:.1f}"
+
+
+def _span(seconds: Optional[float]) -> str:
+    """Return a time span in at most seven characters."""
+    if seconds is None:
+        return "-"
+    sign, seconds = "-" * (seconds < 0), abs(seconds)
+    if seconds < 9.95:
+        return f"{sign}{seconds:.1f}s"
+    whole = round(seconds)
+    if whole < 60:
+        return f"{sign}{whole}s"
+    if whole < 3600:
+        return f"{sign}{whole // 60}m{whole % 60:02d}s"
+    if whole < 86_400:
+        return f"{sign}{whole // 3600}h{whole % 3600 // 60:02d}m"
+    return f"{sign}{whole // 86_400}d{whole % 86_400 // 3600:02d}h"
+
+
+def _age(instant: Optional[float], look: _StatusTime) -> str:
+    return "-" if instant is None or look.now is None else _span(look.now - instant)
+
+
+def _lag(seconds: Optional[float]) -> str:
+    if not seconds:  # messages without stamps
+        return "-"
+    return f"{seconds * 1000:.0f}ms" if abs(seconds) < 1 else _span(seconds)
+
+
+def _plain(name: str, head: str = "", elastic: bool = False, rare: bool = False) -> _Column:
+    return _Column(head or name, lambda row, before, look: _shown(row.get(name, 0)), elastic, rare)
+
+
+def _growth(name: str, head: str) -> _Column:
+    return _Column(head, lambda row, before, look: _rate(before, row, name, look))
+
+
+def _since(name: str, head: str) -> _Column:
+    return _Column(head, lambda row, before, look: _age(row.get(name), look))
+
+
+def _awaited(row: PlainRecord, before: Optional[PlainRecord], look: _StatusTime) -> str:
+    memories = [f"{one['id']} {_span(one.get('behind'))} behind" for one in row.get("memories", ())]
+    return ", ".join(memories) + (f", {row['left_out']} more" if row.get("left_out") else "")
+
+
+_RATES = {"taken": "events", "fired": "firings"}
+_COUNTS = ("queued", "dropped", "errors", "warnings", "alarms")
+_NOTHING = ("", "-", "0")
+
+_TABLES = {
+    "rules": _TableForm(
+        ("label", "place", "text"),
+        (
+            _Column("rule", lambda row, before, look: _shown(row["label"] or row["text"]), elastic=True),
+            _growth("fired", "firings/s"),
+            _since("last_fired", "last"),
+            _plain("waiting", rare=True),
+            _plain("errors", rare=True),
+            _plain("dropped", rare=True),
+        ),
+    ),
+    "memories": _TableForm(
+        ("id",),
+        (
+            _plain("id", elastic=True),
+            _plain("event", elastic=True),
+            _Column("records", lambda row, before, look: f"{row['records']} of {row['size']}"),
+            _growth("added", "added/s"),
+            _since("newest", "newest"),
+            _since("oldest", "oldest"),
+        ),
+    ),
+    "subscriptions": _TableForm(
+        ("topic", "id"),
+        (
+            _plain("topic", elastic=True),
+            _plain("id", elastic=True),
+            _plain("event", elastic=True),
+            _growth("sent", "sent/s"),
+            _plain("late", rare=True),
+            _plain("dropped", rare=True),
+        ),
+    ),
+    "waiting": _TableForm(
+        ("event", "since"),
+        (
+            _plain("event", elastic=True),
+            _since("since", "since"),
+            _Column("waits for", _awaited, elastic=True),
+        ),
+    ),
+    "inputs": _TableForm(
+        ("topic",),
+        (
+            _plain("topic", elastic=True),
+            _plain("type", elastic=True),
+            _growth("messages", "messages/s"),
+            _Column("last", lambda row, before, look: _span(row.get("age"))),
+            _Column("lag", lambda row, before, look: _lag(row.get("lag"))),
+            _plain("publishers"),
+            _Column(
+                "lost",
+                lambda row, before, look: str(row.get("dropped", 0) + row.get("refused", 0)),
+                rare=True,
+            ),
+        ),
+    ),
+}
+
+
+def _rows(
+    form: _TableForm,
+    before: Sequence[PlainRecord],
+    records: Sequence[PlainRecord],
+    look: _StatusTime,
+    width: int,
+) -> List[List[str]]:
+    """Return the head and the rows of a table that fits a width, without rare columns that say nothing."""
+    known = {_key(row, form): row for row in before}
+    shown: List[_Column] = []
+    cells: List[List[str]] = []
+    for column in form.columns:
+        found = [column.of(row, known.get(_key(row, form)), look) for row in records]
+        if not column.rare or any(cell not in _NOTHING for cell in found):
+            shown.append(column)
+            cells.append([column.name, *found])
+    widths = [max(map(len, column)) for column in cells]
+    elastic = [at for at, column in enumerate(shown) if column.elastic]
+    over = sum(widths) + 2 * (len(widths) - 1) - width
+    while (
+        over > 0
+    ):  # shorten the widest column, character by character, so that all keep as much as there is room for
+        widest = max(elastic, key=lambda at: widths[at])
+        if widths[widest] <= _NARROWEST:
+            break
+        widths[widest] -= 1
+        over -= 1
+    return [[_cut(cell, widths[at]) for at, cell in enumerate(row)] for row in zip(*cells)]
+
+
+def table(rows: Sequence[PlainRecord]) -> List[str]:
     """Return the lines of a table: the names of its columns, then its rows."""
     names: Dict[str, None] = {}
     for row in rows:
@@ -65,11 +284,14 @@ def _shown(value: Any) -> str:
         text = f"{value:.6f}".rstrip("0").rstrip(".")
     else:
         text = str(value)
-    text = " ".join(text.split())
-    if len(text) <= WIDEST:
+    return _cut(" ".join(text.split()), WIDEST)
+
+
+def _cut(text: str, width: int) -> str:
+    """Return a text in so many characters: its beginning, or of a path the end, which tells it from others."""
+    if len(text) <= width:
         return text
-    is_path = text.startswith("/")  # whose end tells it from others
-    return "..." + text[3 - WIDEST :] if is_path else text[: WIDEST - 3] + "..."
+    return "..." + text[3 - width :] if text.startswith("/") else text[: width - 3] + "..."
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> List[str]:

@@ -11,7 +11,10 @@ from ..foundation import UsageError
 from .listing import NEVER
 
 MARK = "/add_memory"
-"""How a service's name ends that all of our nodes have, old and new."""
+"""How a service's name ends that all of our nodes with an engine have, old and new."""
+
+INTERFACE_MARK = "/add_input_subscription"
+"""How a service's name ends that all nodes with a ROS interface have."""
 
 PATIENCE = 5.0
 """Seconds in which the master has to answer."""
@@ -43,29 +46,37 @@ def _by_name(found: List[Tuple[str, List[str]]]) -> Dict[str, Set[str]]:
     return {name: set(nodes) for name, nodes in found}
 
 
-def nodes_of(services: Dict[str, Set[str]]) -> List[str]:
-    """Return the nodes of ours that run."""
-    return sorted({node for name, nodes in services.items() if name.endswith(MARK) for node in nodes})
+def nodes_of(services: Dict[str, Set[str]], interfaces: bool = False) -> List[str]:
+    """Return the nodes of ours that run and have an engine, or also those that are only a ROS interface."""
+    marks = (MARK, INTERFACE_MARK) if interfaces else (MARK,)
+    return sorted({node for name, nodes in services.items() if name.endswith(marks) for node in nodes})
 
 
 class LiveNode:
     """A node ``retalis`` that runs.
 
     Args:
-        wanted: its name; by default the only one that runs.
+        wanted: its name, relative to the namespace of environment variable ``ROS_NAMESPACE``; by default the only
+            one that runs in that namespace.
+        interfaces: whether a node that is only a ROS interface may be named, too.
 
     Attributes:
         name: its name.
+        has_engine: whether it is more than a ROS interface.
         published: the topics that it publishes.
 
     Raises:
         UsageError: where there is no master, no such node, or more than one.
     """
 
-    def __init__(self, wanted: Optional[str] = None):
+    def __init__(self, wanted: Optional[str] = None, interfaces: bool = False):
         topics, self._services = master_state()
         found = nodes_of(self._services)
-        self.name = _chosen(found, wanted, self._services)
+        if wanted is None:
+            self.name = _only(found)
+        else:
+            self.name = _named(wanted, nodes_of(self._services, interfaces), self._services)
+        self.has_engine = self.name in found
         self.published = sorted(topic for topic, nodes in topics.items() if self.name in nodes)
 
     def call(self, service: str, kind: Any, **fields: Any) -> Any:
@@ -100,15 +111,27 @@ class LiveNode:
             raise UsageError(f"service {name} does not answer: {error}") from error
 
 
-def _chosen(found: List[str], wanted: Optional[str], services: Container[str]) -> str:
-    if wanted is not None:
-        name = str(rosgraph.names.resolve_name(wanted, "/retalis_command_line"))
-        if name not in found and f"{name}/list" not in services:  # which the ROS interface has too
-            raise UsageError(f"there is no node {name}; {_there(found)}")
-        return name
-    if len(found) != 1:
-        raise UsageError(f"which node? {_there(found)}; choose one by --node" if found else _there(found))
-    return found[0]
+def _named(wanted: str, found: List[str], services: Container[str]) -> str:
+    """Return the full name of a node that a user has named."""
+    name = str(
+        rosgraph.names.resolve_name(wanted, f"{rosgraph.names.get_ros_namespace()}retalis_command_line")
+    )
+    if name not in found and f"{name}/list" not in services:  # which the ROS interface has too
+        raise UsageError(f"there is no node {name}; {_there(found)}")
+    return name
+
+
+def _only(found: List[str]) -> str:
+    """Return the only node that runs in the namespace of ``ROS_NAMESPACE``."""
+    space = rosgraph.names.get_ros_namespace()
+    inside = [name for name in found if name.startswith(space)]
+    if len(inside) == 1:
+        return inside[0]
+    if inside:
+        raise UsageError(f"which node? {_there(inside)}; choose one by --node")
+    if found:
+        raise UsageError(f"no node retalis runs in namespace {space[:-1]} (ROS_NAMESPACE); {_there(found)}")
+    raise UsageError(_there(found))
 
 
 def _there(found: List[str]) -> str:

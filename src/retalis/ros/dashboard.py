@@ -19,12 +19,17 @@ _MARK = ": input "
 _TOLD = {"type", "publishers", "messages", "lag (s)"}
 """Values by which a status of a subscribed topic is known, whatever the hardware id of the node."""
 
+PORTS = 100
+"""Ports that are tried, from the one that is asked for on."""
+
 MOST_TOLD = 200
 """Topics of other nodes that are remembered."""
 
 
 class NodeDashboard:
     """Serves the page as long as the node runs; where that cannot be, a warning says why, and the node goes on.
+
+    If the port is taken, the page has the next one that is free, and the log names it.
 
     Args:
         port: where, on the loopback address; None for no page.
@@ -33,6 +38,9 @@ class NodeDashboard:
         inputs: gives what has come on the topics that the node subscribes itself.
         named: the topics that the program names, whoever subscribes them.
         events: tells what the events of some of them are called.
+
+    Attributes:
+        url: the address of the page, "" if there is none.
     """
 
     def __init__(
@@ -48,17 +56,22 @@ class NodeDashboard:
         self._named = [TopicLook(rospy.resolve_name(one.topic), one.type) for one in named]
         self._events = events
         self._told: Dict[str, TopicLook] = {}
+        self.url = ""
         if port is None:
             return
         source = DashboardSource(engine, rospy.get_name(), self.topics, queries)
         try:
-            page = Dashboard(source, port)
+            page = Dashboard(source, port, tries=PORTS)
         except UsageError as error:
             rospy.logwarn("%s; the node goes on without it", error)
             return
         self._listen()
         rospy.on_shutdown(page.close)
-        rospy.loginfo("the dashboard is at %s", page.url)
+        self.url = page.url
+        if page.port != port:
+            rospy.logwarn("port %d is taken: the dashboard is at %s", port, page.url)
+        else:
+            rospy.loginfo("the dashboard is at %s", page.url)
 
     def topics(self) -> List[TopicLook]:
         """Return all topics that become events, with what is known of each."""

@@ -7,7 +7,7 @@ import shutil
 import signal
 import sys
 from queue import Queue
-from time import monotonic
+from time import monotonic, sleep
 from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 
 import genpy
@@ -16,7 +16,7 @@ from std_msgs.msg import String
 
 from retalis import srv
 
-from ..cli import page, report
+from ..cli import report, status_page
 from ..foundation import RetalisError, UsageError, printable
 from ..prolog.syntax import Operators, read_term, write_term, writeq
 from ..prolog.terms import deref
@@ -119,7 +119,7 @@ def _listed(node: LiveNode) -> Dict[str, Any]:
 
 
 def _list(options: argparse.Namespace) -> int:
-    found = _listed(LiveNode(options.node))
+    found = _listed(LiveNode(options.node, interfaces=True))
     print(json.dumps(found) if options.json else "\n".join(map(printable, report(found))))
     return 0
 
@@ -127,10 +127,16 @@ def _list(options: argparse.Namespace) -> int:
 def _status(options: argparse.Namespace) -> int:
     if not 0 < options.every <= _SELDOM:
         raise UsageError(f"--every: expected a number above 0, up to {_SELDOM}, found {options.every:g}")
-    node = LiveNode(options.node)
-    looks_on = sys.stdout.isatty() and not options.json
-    if options.once or not (looks_on or options.json):
+    node = LiveNode(options.node, interfaces=True)
+    once = options.once or not (sys.stdout.isatty() or options.json)
+    if once and options.json:
         return _list(options)
+    if once:
+        before, looked = _listed(node), monotonic()
+        sleep(options.every)
+        found = _listed(node)
+        _print_all(_page(node, before, found, monotonic() - looked))
+        return 0
     rospy.init_node("retalis_status", anonymous=True, disable_signals=True, disable_rosout=True)
     before, looked, told = _listed(node), monotonic(), ""
     while True:
@@ -143,17 +149,20 @@ def _status(options: argparse.Namespace) -> int:
             told = str(error)
             continue
         told = ""
-        before, looked, found = found, now, _rate(before, found, now - looked)
         if options.json:
-            print(json.dumps(found), flush=True)
+            print(json.dumps(_rate(before, found, now - looked)), flush=True)
         else:
-            print(_CLEAR + "\n".join(_page(found)), end="", flush=True)
+            height = shutil.get_terminal_size().lines
+            lines = list(_page(node, before, found, now - looked))[: height - 1]
+            print(_CLEAR + "\n".join(lines), end="", flush=True)
+        before, looked = found, now
 
 
-def _page(found: Dict[str, Any]) -> List[str]:
-    """Return as many lines, as long, as the terminal shows."""
-    columns, height = shutil.get_terminal_size()
-    return [printable(line)[:columns] for line in page(found, columns, height)]
+def _page(node: LiveNode, before: Dict[str, Any], found: Dict[str, Any], seconds: float) -> Iterator[str]:
+    """Yield the status of a node in lines that are no longer than those of the terminal."""
+    columns = shutil.get_terminal_size().columns
+    for line in status_page(before, found, seconds, columns, node.has_engine):
+        yield printable(line)[:columns]
 
 
 def _rate(before: Dict[str, Any], found: Dict[str, Any], seconds: float) -> Dict[str, Any]:

@@ -3,6 +3,7 @@
 import asyncio
 import socket
 import threading
+from errno import EADDRINUSE
 from typing import Any, List
 
 from ...foundation import UsageError
@@ -14,6 +15,9 @@ ADDRESS = "127.0.0.1"
 
 DASHBOARD_PORT = 8088
 """The port where none is given."""
+
+_PORTS = 1 << 16
+"""Number of ports that there are."""
 
 BACKLOG = 16
 """Connections that may wait to be taken."""
@@ -27,16 +31,19 @@ class Dashboard:
     Args:
         source: what is shown.
         port: where; 0 for any that is free.
+        tries: ports that are tried, from this one on.
         period: seconds from one look to the next.
 
     Attributes:
         port: where it is.
 
     Raises:
-        UsageError: where the port is taken, or tornado is not installed.
+        UsageError: where the ports are taken, or tornado is not installed.
     """
 
-    def __init__(self, source: DashboardSource, port: int = DASHBOARD_PORT, period: float = PERIOD):
+    def __init__(
+        self, source: DashboardSource, port: int = DASHBOARD_PORT, period: float = PERIOD, tries: int = 1
+    ):
         try:
             from .handlers import server  # noqa: PLC0415 - tornado is needed for this alone
         except ImportError as error:
@@ -44,7 +51,7 @@ class Dashboard:
         self._server = server
         self._source = source
         self._period = period
-        self._sockets = _listen(port)
+        self._sockets = _listen(port, tries)
         self.port: int = self._sockets[0].getsockname()[1]
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._run, daemon=True, name="dashboard")
@@ -89,20 +96,33 @@ async def _settle() -> None:
     await asyncio.gather(*others, return_exceptions=True)
 
 
-def _listen(port: int) -> List[Any]:
-    """Return the socket on which requests come.
+def _listen(port: int, tries: int) -> List[Any]:
+    """Return the socket on which requests come: on a port, or the next ones if it is taken.
 
     Raises:
-        UsageError: where there is none to be had.
+        UsageError: if there is none to be had.
     """
+    ports = range(port, max(port + 1, min(port + tries, _PORTS)))
+    for wanted in ports:
+        try:
+            return [_bound(wanted)]
+        except (OSError, OverflowError) as error:
+            if getattr(error, "errno", None) != EADDRINUSE or wanted == ports[-1]:
+                tried = str(port) if wanted == port else f"{port} to {wanted}"
+                reason = getattr(error, "strerror", None) or error
+                raise UsageError(f"the dashboard cannot have port {tried} of {ADDRESS}: {reason}") from None
+    raise AssertionError("at least one port is tried")
+
+
+def _bound(port: int) -> socket.socket:
+    """Return a socket that listens on a port."""
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.bind((ADDRESS, port))
         listening.listen(BACKLOG)
         listening.setblocking(False)
-    except (OSError, OverflowError) as error:
+    except BaseException:
         listening.close()
-        reason = getattr(error, "strerror", None) or error
-        raise UsageError(f"the dashboard cannot have port {port} of {ADDRESS}: {reason}") from None
-    return [listening]
+        raise
+    return listening
