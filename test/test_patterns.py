@@ -131,6 +131,33 @@ CASES: Dict[str, Case] = {
     "\0([(,\\[|] *)\0": Case(
         "search", "the blanks behind a comma once more", ("", "\0,"), (" ", "\0", "\0,", "\0, ")
     ),
+    # foundation/rosnames.py
+    r"([^/]+)/(?:msg|action)/([^/]+)": Case(
+        "fullmatch", "each part once", ("", "a/", "a/msg/"), ("a", "/", "a/msg/", "/msg", "msg")
+    ),
+    # messages/text.py
+    "[\0-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]": Case(
+        "search", "one look at each character", ("",), ("a", "\n", "ü")
+    ),
+    # messages/ros2.py
+    r"\s*(?P<type>[\w/]+)(?P<bound><=[0-9]+)?(?P<array>\[(?:<=)?[0-9]*\])?\s+"
+    r"(?P<name>\w+)(?P<rest>(?:[\s=#].*)?)$": Case(
+        "match",
+        "each part once more: none of them begins with what may end the one before",
+        ("", "a<=", "a[", "a[<=", "a ", "a a", "a a=", "int32<=1[1] x "),
+        ("a", "1", " ", "a ", "/", "=", "#", "<=", "["),
+    ),
+    r"""\s*(?:"((?:[^"\\]|\\.)*)"|'((?:[^'\\]|\\.)*)')\s*(?:#.*)?$""": Case(
+        "match",
+        "a quote that is never closed: all once more",
+        ("", '"', "'", '"a"'),
+        ("a", "\\", '\\"', " ", "#", "'"),
+    ),
+    r"\\(.)": Case("search", "two characters", ("",), ("\\", "a", "\\\n")),
+    # engine/playback/ros2bags.py
+    r"^(?:={20,}|IDL:.*)$": Case(
+        "search", "a line once more", ("", "=" * 20, "IDL:"), ("=", "a", "IDL:", "=\n", "IDL:\n")
+    ),
     # prolog/syntax/atoms.py
     r"[^\W\d_]\w*\Z|[-+*/\\^<>=~:.?@#&$]+\Z|\[\]\Z|\{\}\Z|[!;]\Z": Case(
         "match",

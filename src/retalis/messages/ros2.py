@@ -142,7 +142,7 @@ class _Ros2DefinitionReader:
         self.texts = texts
         self.lines: List[str] = ["uint32 seq"] if name == HEADER else []
         self.wide: List[str] = []
-        self.nested: List[str] = []
+        self.slot_types: List[str] = []
         self.by_kind: Dict[str, List[str]] = {}
         for other in texts:
             self.by_kind.setdefault(other.rpartition("/")[2], []).append(other)
@@ -161,7 +161,7 @@ class _Ros2DefinitionReader:
             if problem:
                 place = place_at(self.name, text, offset + len(line) - len(line.lstrip()))
                 raise MessageError(problem, place)
-        return _Ros2Section("".join(f"{line}\n" for line in self.lines), self.wide, self.nested)
+        return _Ros2Section("".join(f"{line}\n" for line in self.lines), self.wide, self.slot_types)
 
     def _line(self, found: "re.Match[str]") -> str:
         """Take a slot or a constant; return what is wrong with it, or an empty text."""
@@ -198,7 +198,7 @@ class _Ros2DefinitionReader:
         kind = _TYPES.get(kind, kind)
         if kind not in PRIMITIVES and kind not in TIMES and kind != "string":
             kind = self._full_name(kind)
-            self.nested.append(kind)
+            self.slot_types.append(kind)
         length = (found["array"] or "").replace("<=", "]")  # a bounded array is one of variable length
         self.lines.append(f"{kind}{length.partition(']')[0] + ']' if length else ''} {name}")
 
