@@ -40,8 +40,9 @@ class Space:
             ROS_HOSTNAME="localhost",
             ROS_LOG_DIR=str(logs),
         )
-        for name in ("PYTHONPATH", "CMAKE_PREFIX_PATH", "ROS_PACKAGE_PATH"):
-            self.env.pop(name, None)
+        for name in list(self.env):  # of the shell: PYTHONUNBUFFERED hides what a user does not get to see
+            if name.startswith("PYTHON") or name in ("CMAKE_PREFIX_PATH", "ROS_PACKAGE_PATH"):
+                del self.env[name]
         self.script = script
         self.logs = logs
         self.started = []

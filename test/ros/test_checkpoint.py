@@ -25,7 +25,6 @@ def program(tmp_path):
 @pytest.fixture
 def node(devel, program, tmp_path):
     """Return a function that starts the node and waits for it."""
-    devel.env["PYTHONUNBUFFERED"] = "1"
     devel.start_master()
 
     def start():

@@ -35,7 +35,6 @@ def program(tmp_path):
 @pytest.fixture
 def node(devel):
     """Return a function that starts a node."""
-    devel.env["PYTHONUNBUFFERED"] = "1"
     return lambda name, *arguments: devel.start("rosrun", "retalis", name, *arguments)
 
 

@@ -33,7 +33,6 @@ def program(tmp_path):
 
 
 def start(space, program, *words):
-    space.env["PYTHONUNBUFFERED"] = "1"
     space.start_master()
     return space.start("rosrun", "retalis", "retalis_node", f"_program:={program}", "_direct:=false", *words)
 

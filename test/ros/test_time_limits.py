@@ -20,7 +20,6 @@ def start(devel, tmp_path):
     (tmp_path / "pub_sub.xml").write_text("<publish_subscribe/>")
     (tmp_path / "rules.txt").write_text(RULES)
     (tmp_path / "goalPredicates.txt").write_text(STARTS)
-    devel.env["PYTHONUNBUFFERED"] = "1"
     devel.start_master()
 
     def start(*parameters):

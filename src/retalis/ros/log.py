@@ -1,6 +1,8 @@
 """The node's log: records of the package sent to ROS, and counts of warnings and errors."""
 
+import io
 import logging
+import sys
 import threading
 from typing import List
 
@@ -56,6 +58,16 @@ class _RosHandler(logging.Handler):
 
 log_counts = LogCounts()
 """The counts of this node."""
+
+
+def write_out_each_line() -> None:
+    """Write out each line of stdout as soon as it is complete.
+
+    rospy prints messages of level INFO there and does not flush. In a file or a pipe, which is what roslaunch gives
+    its nodes unless a terminal is asked for, they would wait for 8 KiB, or for the end of the node.
+    """
+    if isinstance(sys.stdout, io.TextIOWrapper):  # None where the node was started with stdout closed
+        sys.stdout.reconfigure(line_buffering=True)
 
 
 def forward_log(logger: logging.Logger) -> None:

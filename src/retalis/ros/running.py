@@ -10,7 +10,7 @@ from ..engine.runtime import collect_when_idle, limit_gc_pauses
 from ..foundation import RetalisError, stop_collecting
 from .backlog import widen_backlog
 from .interrupts import PAUSE, Interrupts
-from .log import forward_log
+from .log import forward_log, write_out_each_line
 from .master import MasterWatch, wait_for_master
 from .parameters import Parameters, read_parameters
 
@@ -46,6 +46,7 @@ def run_node(name: str, build: Callable[[Parameters], object]) -> int:
 
 
 def _live(name: str, build: Callable[[Parameters], object], interrupts: Interrupts) -> int:
+    write_out_each_line()
     wait_for_master()
     rospy.init_node(name, disable_signals=True)
     widen_backlog()
