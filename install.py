@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence
 
 from install_apt import KEY_FILE, SOURCE_FILE, fetch_key, for_file, key_place, key_problem, ros_lines
-from install_shell import Problem, Shell
+from install_shell import Problem, Shell, minimal, search_path
 
 HERE = Path(__file__).resolve().parent
 PYTHON = "/usr/bin/python3"  # the one interpreter that sees the distribution's ROS modules
@@ -292,6 +292,40 @@ def lint(installation: Installation) -> int:
     return failed
 
 
+DURATION = (
+    "All tests take about 25 minutes on two cores that have nothing else to do; "
+    "./install.py test -m 'not slow' --ignore test/ros takes 2."
+)
+SHARE = ("-n", "2", "--dist", "loadfile")
+"""Two processes that take a file of tests at a time: those on ROS wait for most of their time."""
+
+_ONE_PROCESS = {
+    "--pdb",
+    "--trace",
+    "-s",
+    "--capture=no",
+    "--co",
+    "--collect-only",
+    "-h",
+    "--help",
+    "--version",
+}
+
+
+def shared(options: Sequence[str]) -> Sequence[str]:
+    """Return the options by which pytest shares the tests between processes, given the user's options.
+
+    None if these say how, name single files, whose tests begin sooner in one process, or need one.
+    """
+    for before, option in zip(["", *options], options):
+        if option in _ONE_PROCESS or option.startswith(("-n", "--numprocesses", "--dist")):
+            return ()
+        is_file = option.endswith(".py") or "::" in option
+        if is_file and not option.startswith("-") and before not in ("--ignore", "--deselect"):
+            return ()
+    return SHARE
+
+
 BUILT = ("build", "devel", "install", ".catkin_workspace", "src/CMakeLists.txt")
 """What catkin_make puts into a workspace for all of its packages."""
 
@@ -349,7 +383,9 @@ def remove(path: Path) -> None:
 def main(argv: Sequence[str]) -> int:
     """Do what the command line says and return the exit status."""
     options = arguments(argv)
-    os.environ["PATH"] = "/usr/bin" + os.pathsep + os.environ.get("PATH", "")
+    environment = minimal(os.environ) if options.command in ("test", "lint") else dict(os.environ)
+    os.environ.clear()
+    os.environ.update(environment, PATH=search_path(environment.get("PATH", "")))
     if options.command == "demo" and {"-h", "--help"} & set(options.rest):
         return subprocess.call([sys.executable, DEMO, "--help"])
     setup = options.workspace / "devel" / "setup.bash"
@@ -368,7 +404,13 @@ def main(argv: Sequence[str]) -> int:
     platform = choose_platform(parse_os_release(Path("/etc/os-release").read_text()))
     if options.with_swi:
         platform = platform._replace(packages=[*platform.packages, SWI])
-    installation = Installation(platform, options.workspace, shell, not options.no_system)
+    return carry_out(options, Installation(platform, options.workspace, shell, not options.no_system))
+
+
+def carry_out(options: argparse.Namespace, installation: Installation) -> int:
+    """Install what a command needs, build, and run it; return its exit status."""
+    if options.command == "test" and not options.rest:
+        print(DURATION, flush=True)
     develop = ["requirements-dev.txt"] if options.command in ("test", "lint") else []
     installation.system_packages()
     installation.python_packages(["requirements.txt", *develop])
@@ -377,9 +419,10 @@ def main(argv: Sequence[str]) -> int:
         return installation.run([PYTHON, DEMO, *options.rest], cwd=None)
     if options.command == "test":
         os.environ["RETALIS_WORKSPACE"] = str(options.workspace)
-        return installation.run([PYTHON, "-m", "pytest", *options.rest])
+        return installation.run([PYTHON, "-m", "pytest", *shared(options.rest), *options.rest])
     if options.command == "lint":
         return lint(installation)
+    setup = options.workspace / "devel" / "setup.bash"
     print(f"retalis is built. To use it:  source {setup}")
     return 0
 

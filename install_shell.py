@@ -1,18 +1,54 @@
-"""How `install.py` runs commands: quietly with a log for each, or before the user's eyes. Needs Python 3.8 only."""
+"""Commands of `install.py`: the environment they get, and their output in a log or on the terminal.
 
+As a program, run a command with nothing of the environment but what `minimal` keeps:
+``python3 install_shell.py COMMAND ARGUMENT...``. Needs Python 3.8 only.
+"""
+
+import os
 import shlex
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import IO, Callable, Optional, Sequence
+from typing import IO, Callable, Dict, Mapping, Optional, Sequence
 
 TAIL = 15  # lines of a log shown when a step fails
+
+_KEPT = """
+    HOME USER LOGNAME PATH LANG LANGUAGE LC_ALL LC_CTYPE LC_MESSAGES TERM TMPDIR XDG_CACHE_HOME CI DEBIAN_FRONTEND
+    HTTP_PROXY HTTPS_PROXY FTP_PROXY ALL_PROXY NO_PROXY http_proxy https_proxy ftp_proxy all_proxy no_proxy
+    SSL_CERT_FILE SSL_CERT_DIR REQUESTS_CA_BUNDLE CURL_CA_BUNDLE PIP_CERT PIP_CONFIG_FILE
+    """
+KEPT = frozenset(_KEPT.split())
+"""Variables that the tests are run with: places, language, and how to get at the network. pip reads the rest from its
+configuration files."""
+
+OWN = "RETALIS_"
+"""Prefix of the variables of this package, which are kept too."""
+
+SYSTEM_FOLDERS = ("/usr/bin", "/bin", "/usr/sbin", "/sbin")
+"""Where programs are. `su` and `env -i` leave the last two out, without which root cannot install a package."""
 
 
 class Problem(Exception):
     """Something that ends the run; its text is one line for the user."""
+
+
+def minimal(environ: Mapping[str, str]) -> Dict[str, str]:
+    """Return the part of an environment that the result of a test may depend on.
+
+    A shell has more: PYTHONUNBUFFERED and its like, another ROS that was sourced, options of pip. With those, tests
+    pass that fail where they are not set, or the other way round.
+    """
+    return {name: value for name, value in environ.items() if name in KEPT or name.startswith(OWN)}
+
+
+def search_path(path: str) -> str:
+    """Return a PATH that begins with the distribution's programs and has all of its folders."""
+    given = [folder for folder in path.split(os.pathsep) if folder]  # an empty one is the current folder
+    behind = [folder for folder in SYSTEM_FOLDERS if folder not in given]
+    return os.pathsep.join(dict.fromkeys(["/usr/bin", *given, *behind]))
 
 
 def tail(text: str, count: int = TAIL) -> str:
@@ -113,3 +149,7 @@ class Shell:
             except subprocess.TimeoutExpired:
                 stop(process)
             raise
+
+
+if __name__ == "__main__":
+    os.execvpe(sys.argv[1], sys.argv[1:], minimal(os.environ))

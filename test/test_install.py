@@ -285,6 +285,49 @@ def test_options_may_stand_before_the_command_and_behind_it(install, command, pl
     assert vars(install.arguments(["--dry-run", command, *place])) == vars(before)
 
 
+@pytest.fixture
+def ran(install, monkeypatch, tmp_path):
+    """Return a function that runs install.py up to the command of the tests; it returns that and the environment."""
+    monkeypatch.setattr(
+        install.os, "environ", dict(os.environ, PYTHONUNBUFFERED="1", RETALIS_SCENARIOS="here")
+    )
+    monkeypatch.setattr(install, "Shell", lambda logs, dry: Recorder(logs))
+    for step in ("system_packages", "python_packages"):
+        monkeypatch.setattr(install.Installation, step, lambda *_: None)
+
+    def run(*argv):
+        assert install.main(["--workspace", str(tmp_path / "ws"), *argv]) == 0
+        return install.os.environ
+
+    return run
+
+
+def test_the_tests_run_without_what_the_shell_has(ran, tmp_path):
+    environment = ran("test")
+    assert "PYTHONUNBUFFERED" not in environment
+    assert environment["RETALIS_SCENARIOS"] == "here"
+    assert environment["RETALIS_WORKSPACE"] == str(tmp_path / "ws")
+
+
+def test_all_the_tests_say_first_how_long_they_take(ran, capsys):
+    ran("test")
+    assert capsys.readouterr().out.startswith("All tests take about 25 minutes on two cores")
+    ran("test", "test/test_api.py")
+    assert "minutes" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("options", [[], ["test/ros"], ["-m", "not slow", "--ignore", "test/test_api.py"]])
+def test_both_cores_run_tests(install, options):
+    assert install.shared(options) == ("-n", "2", "--dist", "loadfile")
+
+
+@pytest.mark.parametrize(
+    "options", [["-n", "4"], ["-n0"], ["--pdb"], ["test/test_api.py"], ["test/test_api.py::test_x"], ["--co"]]
+)
+def test_a_single_file_and_what_the_user_says_are_left_to_pytest(install, options):
+    assert install.shared(options) == ()
+
+
 def test_swi_prolog_is_installed_for_who_asks_for_it(install, monkeypatch, tmp_path):
     asked = []
 

@@ -95,3 +95,43 @@ def test_interrupt_ends_the_command(shell, tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         shell.Shell(tmp_path).show([sys.executable, "-c", "import time; time.sleep(60)"])
     assert len(ended) == 1 and ended[0].returncode is not None
+
+
+SHELL = {
+    "HOME": "/home/me",
+    "PATH": "/opt/bin:/usr/bin",
+    "LC_ALL": "C.UTF-8",
+    "https_proxy": "http://proxy.invalid:3128",
+    "HTTPS_PROXY": "http://proxy.invalid:3128",
+    "SSL_CERT_FILE": "/etc/ssl/own.crt",
+    "PIP_CERT": "/etc/ssl/own.crt",
+    "RETALIS_TEST_SWI": "1",
+    "CI": "true",
+}
+LEAKS = {
+    "PYTHONUNBUFFERED": "1",
+    "PYTHONDONTWRITEBYTECODE": "1",
+    "PYTHONPATH": "/opt/ros/noetic/lib/python3/dist-packages",
+    "PIP_INDEX_URL": "http://index.invalid",
+    "ROS_MASTER_URI": "http://robot.invalid:11311",
+    "ROS_PACKAGE_PATH": "/opt/ros/noetic/share",
+    "CMAKE_PREFIX_PATH": "/opt/ros/noetic",
+    "COLUMNS": "40",
+}
+
+
+def test_the_environment_of_tests_is_what_their_results_may_depend_on(shell):
+    assert shell.minimal({**SHELL, **LEAKS}) == SHELL
+
+
+def test_as_a_program_it_runs_a_command_with_that_environment():
+    program = [sys.executable, str(HERE / "install_shell.py"), sys.executable, "-c"]
+    script = "import os, sys; print(sys.argv[1:], sorted(os.environ.keys() & set(sys.argv[2].split())))"
+    names = " ".join([*SHELL, *LEAKS])
+    output = subprocess.check_output([*program, script, "a b", names], env={**SHELL, **LEAKS}, text=True)
+    assert output == f"{['a b', names]} {sorted(SHELL)}\n"
+
+
+def test_the_search_path_begins_with_the_distribution_and_has_what_root_needs(shell):
+    assert shell.search_path("/opt/bin:/usr/bin:/bin") == "/usr/bin:/opt/bin:/bin:/usr/sbin:/sbin"
+    assert shell.search_path("") == "/usr/bin:/bin:/usr/sbin:/sbin"
