@@ -1,4 +1,4 @@
-"""SWI-Prolog for these tests: where it is not installed, they say so and are left out."""
+"""SWI-Prolog for these tests. Without RETALIS_TEST_SWI=1 they are skipped; with it they fail if it is missing."""
 
 import os
 
@@ -8,6 +8,9 @@ from retalis import Engine, Limits, Settings
 from retalis.engine import parts_of
 from retalis.foundation import UsageError
 from retalis.prolog.swi.binding import find_library
+
+ASKED = "RETALIS_TEST_SWI"
+"""Variable that asks for these tests."""
 
 KB = """\
 :- module(kb, [inc/2, upto/2, echo/2, forever/0, stubborn/0, retrying/0, sleeps/0, bad/1, hard/1, piles/0,
@@ -55,10 +58,12 @@ pokes_later(X) :- retalis(near(a, X)), poke, X == c.
 
 @pytest.fixture(scope="session")
 def swi():
-    """Skip the test where there is no SWI-Prolog."""
+    """Return the library of SWI-Prolog; fail if these tests were asked for and there is none."""
     try:
         return find_library()
     except UsageError as error:
+        if os.environ.get(ASKED):
+            pytest.fail(f"{ASKED} is set: {error}")
         pytest.skip(str(error))
 
 
@@ -90,9 +95,9 @@ def engine(program):
 
 def pytest_collection_modifyitems(items):
     """Leave these tests to a process of their own: SWI-Prolog stays in it, with its signals, until it ends."""
-    if os.environ.get("RETALIS_TEST_SWI"):
+    if os.environ.get(ASKED):
         return
-    alone = pytest.mark.skip(reason="in a process of their own: RETALIS_TEST_SWI=1 pytest test/prolog/swi")
+    alone = pytest.mark.skip(reason=f"in a process of their own: {ASKED}=1 pytest test/prolog/swi")
     for item in items:
         if "prolog/swi/" in item.nodeid:
             item.add_marker(alone)

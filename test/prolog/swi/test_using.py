@@ -83,6 +83,22 @@ def test_who_does_not_use_it_loads_none_of_it():
     assert done.stdout == "False\n"
 
 
+@NOT_ON_PYPY
+@pytest.mark.slow
+def test_these_tests_fail_where_they_are_asked_for_and_it_is_missing():
+    script = (
+        "import sys, pytest; from retalis.prolog.swi import binding; binding.NAMES = binding.PLACES = (); "
+        f"sys.exit(pytest.main([{os.path.dirname(__file__)!r} + '/test_values.py']))"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "RETALIS_TEST_SWI": "1"}
+    ran = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT, env=environment
+    )
+    assert ran.returncode == 1
+    assert "RETALIS_TEST_SWI is set: use_swi needs SWI-Prolog" in ran.stdout
+    assert "skipped" not in ran.stdout
+
+
 def test_predicates_are_named(swi, folder):
     (folder / "plain.pl").write_text("near(a, b).\nnear(b, c).\nnext_to(X, Y) :- near(X, Y).\n")
     engine = Engine(settings=ALLOWED)
