@@ -1,12 +1,41 @@
-#!/usr/bin/env python3
-"""Bring Debian 12 or Ubuntu 20.04 to where retalis runs, and run its example or its tests.
+#!/bin/sh
+""":"
+# A shell runs these lines up to exec; to Python they are a string. A minimal Debian has no Python to begin with.
+if ! python=$(command -v /usr/bin/python3 || command -v python3); then
+  fail() { echo "install.py: $1" >&2; exit 1; }
+  command -v apt-get > /dev/null || fail "python3 is missing: install Python 3.8 or later, then run this again"
+  PATH=$PATH:/usr/sbin:/sbin
+  for option in "$@"; do
+    case $option in
+      --dry-run) echo "would run: apt-get install python3, and again: $0 $*"; exit 0 ;;
+      --no-system) fail "system packages are missing: python3" ;;
+    esac
+  done
+  root=
+  if [ "$(id -u)" != 0 ]; then
+    command -v sudo > /dev/null || fail "python3 is missing: installing it needs root or sudo"
+    root=sudo
+  fi
+  echo "This system package will be installed with apt-get: python3"
+  $root env DEBIAN_FRONTEND=noninteractive dpkg --configure -a > /dev/null
+  $root apt-get update -qq || true
+  $root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends python3 > /dev/null ||
+    fail "python3 cannot be installed: check the network, the proxy and the sources of apt, then run this again"
+  export RETALIS_INSTALLED=python3
+  python=/usr/bin/python3
+fi
+exec "$python" "$0" "$@"
+"""  # noqa: D415
 
-Needs Python 3.8 and nothing else. Each step looks first at what is there: it can be run again at any time.
+__doc__ = """Bring Debian 12 or Ubuntu 20.04 to where retalis runs, and run its example or its tests.
+
+Each step looks first at what is there: it can be run again at any time.
 """
 
 import argparse
 import hashlib
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -14,7 +43,16 @@ import sys
 from pathlib import Path
 from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence
 
-from install_apt import KEY_FILE, SOURCE_FILE, fetch_key, for_file, key_place, key_problem, ros_lines
+from install_apt import (
+    KEY_FILE,
+    SOURCE_FILE,
+    fetch_key,
+    for_file,
+    key_place,
+    key_problem,
+    network_problem,
+    ros_lines,
+)
 from install_shell import Problem, Shell, minimal, search_path
 
 HERE = Path(__file__).resolve().parent
@@ -40,6 +78,9 @@ class Platform(NamedTuple):
     setup: Optional[str] = None
     source: Optional[str] = None
 
+
+OWN_PYTHON = "RETALIS_INSTALLED"
+"""Variable in which the lines for the shell, above, pass on the package that they have installed."""
 
 CERTIFICATES = "/etc/ssl/certs/ca-certificates.crt"
 
@@ -73,9 +114,13 @@ PLATFORMS = {("debian", "12"): DEBIAN_12, ("ubuntu", "20.04"): UBUNTU_20_04}
 
 
 def default_workspace(source: Path, environ: Mapping[str, str]) -> Path:
-    """Return the cache folder's place for a copy of the sources: each copy has its own workspace."""
+    """Return the cache folder's place for a copy of the sources: each copy has its own workspace.
+
+    Its name has only letters, digits and `_.-`: scripts of ROS, such as rosrun, split paths at spaces.
+    """
     cache = Path(environ.get("XDG_CACHE_HOME") or Path(environ.get("HOME", "/tmp")) / ".cache")
-    return cache / "retalis" / f"{source.name}-{digest(str(source))[:8]}"
+    name = re.sub(r"[^A-Za-z0-9_.-]+", "_", source.name)
+    return cache / "retalis" / f"{name}-{digest(str(source))[:8]}"
 
 
 def parse_os_release(text: str) -> Dict[str, str]:
@@ -101,10 +146,22 @@ def choose_platform(release: Dict[str, str]) -> Platform:
     return PLATFORMS[key]
 
 
+def installed_packages(names: Iterable[str]) -> str:
+    """Return dpkg-query's lines of package and status for packages."""
+    query = ["dpkg-query", "-W", "-f=${Package} ${Status}\\n", *names]
+    return subprocess.run(query, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True).stdout
+
+
 def missing_packages(wanted: Iterable[str], report: str) -> List[str]:
     """Return what is wanted and not installed, given dpkg-query's lines of package and status."""
     installed = {line.split()[0] for line in report.splitlines() if line.endswith("install ok installed")}
     return [name for name in wanted if name not in installed]
+
+
+def dpkg_was_interrupted() -> bool:
+    """Tell whether dpkg has something left to configure, with which apt installs nothing."""
+    audit = subprocess.run(["dpkg", "--audit"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    return bool(audit.stdout.strip()) or any(Path("/var/lib/dpkg/updates").glob("[0-9]*"))
 
 
 def as_root(command: Sequence[str], uid: int) -> List[str]:
@@ -130,9 +187,9 @@ class Installation:
 
     def system_packages(self) -> None:
         """Install the system packages that are missing, after saying which."""
-        query = ["dpkg-query", "-W", "-f=${Package} ${Status}\\n", *self.platform.packages]
-        report = subprocess.run(query, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-        missing = missing_packages(self.platform.packages, report.stdout)
+        missing = missing_packages(self.platform.packages, installed_packages(self.platform.packages))
+        if OWN_PYTHON in os.environ:
+            self._record([os.environ.pop(OWN_PYTHON)])
         if not missing:
             return
         if not self.system:
@@ -141,23 +198,53 @@ class Installation:
         uid = os.getuid()
         if uid and not self.shell.dry and self.shell.show(["sudo", "-v"]):
             raise Problem("installing system packages needs root or sudo")
-        apt = as_root(["env", "DEBIAN_FRONTEND=noninteractive", "apt-get"], uid)
+        noninteractive = as_root(["env", "DEBIAN_FRONTEND=noninteractive"], uid)
+        if dpkg_was_interrupted():
+            finish = [*noninteractive, "dpkg", "--configure", "-a"]
+            self.shell.step("Finishing an installation that was interrupted", "dpkg", finish)
+        apt = [*noninteractive, "apt-get"]
         install = [*apt, "install", "-y", "--no-install-recommends"]
         update = [*apt, "update"]
         if self.platform.source and not Path(self.platform.setup or "").exists() and not ros_lines():
             if not Path(CERTIFICATES).exists():  # without them no key can be had
                 self.shell.step("Reading the package lists", "apt-update", update)
-                self.shell.step("Installing certificates", "apt-certificates", [*install, "ca-certificates"])
+                self._fetching("Installing certificates", "apt-certificates", [*install, "ca-certificates"])
             self._add_source(self.platform.source, uid)
         self._update(update, uid)
-        self.shell.step(f"Installing {len(missing)} system packages", "apt-install", [*install, *missing])
+        self._record(missing)
+        self._fetching(f"Installing {len(missing)} system packages", "apt-install", [*install, *missing])
+
+    def _fetching(self, title: str, name: str, command: Sequence[str]) -> None:
+        """Run apt; if it fails since nothing can be fetched, say so.
+
+        `apt-get update` itself ends with 0 then, and the packages are unknown.
+        """
+        try:
+            self.shell.step(title, name, command)
+        except Problem as problem:
+            log, lists = (self.shell.logs / f"{each}.log" for each in (name, "apt-update"))
+            texts = [each.read_text(errors="replace") if each.exists() else "" for each in (log, lists)]
+            reason = network_problem(*texts)
+            if reason is None:
+                raise
+            raise Problem(
+                f"no packages can be fetched: {reason}: check the network, the proxy and the sources of apt; "
+                f"all of the output is in {log}"
+            ) from problem
+
+    def _record(self, packages: Sequence[str]) -> None:
+        """Note system packages before they are installed, for `uninstall` to name them."""
+        if not self.shell.dry:
+            self.workspace.mkdir(parents=True, exist_ok=True)
+            with (self.workspace / RECORD).open("a") as record:
+                record.writelines(name + "\n" for name in packages)
 
     def _update(self, update: Sequence[str], uid: int) -> None:
         """Read the package lists; where the key of ROS's packages has expired, get the present one and read again."""
         log = self.shell.logs / "apt-update.log"
         failed = None
         try:
-            self.shell.step("Reading the package lists", "apt-update", update)
+            self._fetching("Reading the package lists", "apt-update", update)
         except Problem as problem:
             failed = problem
         wrong = key_problem(log.read_text(errors="replace")) if log.exists() else None
@@ -273,6 +360,12 @@ def arguments(argv: Sequence[str]) -> argparse.Namespace:
     options.workspace = (options.workspace or default_workspace(HERE, os.environ)).expanduser().resolve()
     if options.workspace == HERE or HERE in options.workspace.parents:
         parser.error("the workspace must be outside the package: ROS searches a package's whole folder")
+    unfit = re.search(r"[^\w/.,+@%=~-]", str(options.workspace))
+    if unfit:
+        parser.error(
+            f"the workspace '{options.workspace}' has '{unfit.group()}' in its path, which scripts of ROS cannot "
+            "read: give a --workspace whose path has letters, digits and _.- only"
+        )
     return options
 
 
@@ -326,6 +419,9 @@ def shared(options: Sequence[str]) -> Sequence[str]:
     return SHARE
 
 
+RECORD = "installed-packages"
+"""File of a workspace with the system packages that were installed for it, one in a line."""
+
 BUILT = ("build", "devel", "install", ".catkin_workspace", "src/CMakeLists.txt")
 """What catkin_make puts into a workspace for all of its packages."""
 
@@ -344,7 +440,14 @@ def uninstall(workspace: Path, dry: bool) -> None:
         raise Problem(f"{link} does not lead to this copy of retalis: {workspace} was not built from it")
     others = sorted({one.name for one in link.parent.glob("*")} - {"retalis", "CMakeLists.txt"})
     logs = [one for one in (workspace / "log").glob("*") if one.is_file()]
-    made = [link, workspace / "venv", *logs, *([] if others else [workspace / name for name in BUILT])]
+    packages = recorded(workspace)
+    made = [
+        link,
+        workspace / "venv",
+        workspace / RECORD,
+        *logs,
+        *([] if others else [workspace / name for name in BUILT]),
+    ]
     for path in filter(os.path.lexists, made):
         print(f"{'would remove' if dry else 'Removing'} {path}", flush=True)
         if not dry:
@@ -361,15 +464,26 @@ def uninstall(workspace: Path, dry: bool) -> None:
         print(
             f"{workspace} is left: it holds {', '.join(sorted(one.name for one in workspace.iterdir()))} too"
         )
-    tell_what_is_left()
+    tell_what_is_left(packages)
 
 
-def tell_what_is_left() -> None:
+def recorded(workspace: Path) -> List[str]:
+    """Return the system packages that were installed for a workspace and still are."""
+    record = workspace / RECORD
+    names = list(dict.fromkeys(record.read_text().split())) if record.exists() else []
+    missing = missing_packages(names, installed_packages(names))
+    return [name for name in names if name not in missing]
+
+
+def tell_what_is_left(packages: Sequence[str]) -> None:
     """Name what was installed outside of the workspace, or may have been."""
-    print("System packages are left, since others may need them, and so is this clone.")
+    if packages:
+        print("These system packages were installed and are left, since other programs may need them:")
+        print("  " + " ".join(packages))
     for path in (SOURCE_FILE, KEY_FILE):
         if Path(path).exists():
-            print(f"So is {path}, for apt.")
+            print(f"{path} is left, for apt.")
+    print(f"This clone is left: {HERE}")
 
 
 def remove(path: Path) -> None:

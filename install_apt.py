@@ -48,6 +48,24 @@ def key_problem(log: str) -> Optional[str]:
     return None
 
 
+_UNREACHABLE = re.compile(
+    r"(?:Temporary failure resolving|Could not resolve|Could not connect|Unable to connect|Cannot initiate"
+    r"|Connection (?:failed|timed out|refused)|Network is unreachable|Failed to fetch)[^\n]*"
+)
+_UNKNOWN = re.compile(r"Unable to locate package|has no installation candidate")
+
+
+def network_problem(log: str, lists: str = "") -> Optional[str]:
+    """Return why apt could fetch nothing, or None if it failed for another reason.
+
+    Args:
+        log: Output of the command that failed.
+        lists: Output of the update before it, which ends with 0 without a network too, and makes packages unknown.
+    """
+    found = _UNREACHABLE.search(log) or (_UNKNOWN.search(log) and _UNREACHABLE.search(lists))
+    return found.group().strip() if found else None
+
+
 def fetch_key() -> bytes:
     """Return the key of ROS's packages, in ASCII armour.
 

@@ -1,6 +1,8 @@
 import importlib
 import io
 import os
+import re
+import shutil
 import subprocess
 from pathlib import Path
 from types import SimpleNamespace
@@ -240,6 +242,151 @@ def test_an_update_that_fails_otherwise_ends_the_run(install, noetic, monkeypatc
         noetic.system_packages()
 
 
+UNREACHABLE = """Err:1 http://deb.debian.org/debian bookworm InRelease
+  Temporary failure resolving 'deb.debian.org'
+W: Failed to fetch http://deb.debian.org/debian/dists/bookworm/InRelease  Temporary failure resolving 'deb.debian.org'
+"""
+
+
+@pytest.mark.parametrize(
+    "update, log",
+    [
+        (UNREACHABLE, "E: Unable to locate package ros-noetic-catkin\n"),
+        (UNREACHABLE, "E: Package 'catkin' has no installation candidate\n"),
+        ("", "Err:1 http://deb\n  Temporary failure resolving 'deb.debian.org'\n"),
+    ],
+)
+def test_without_a_network_the_network_is_named(install, noetic, monkeypatch, update, log):
+    monkeypatch.setattr(install, "ros_lines", lambda: ["deb http://packages.ros.org/ros/ubuntu focal main"])
+    noetic.shell.logs.mkdir()
+
+    def step(title, name, command, cwd=None):
+        (noetic.shell.logs / f"{name}.log").write_text(update if name == "apt-update" else log)
+        if name == "apt-install":
+            raise install.Problem("apt-install failed")
+
+    noetic.shell.step = step
+    expected = r"no packages can be fetched: Temporary failure resolving 'deb.debian.org': check the network"
+    with pytest.raises(install.Problem, match=expected):
+        noetic.system_packages()
+
+
+def test_a_failure_that_is_not_of_the_network_stays_what_it_is(apt):
+    assert apt.network_problem("E: You don't have enough free space\n", UNREACHABLE) is None
+
+
+@pytest.mark.parametrize("audit", ["The following packages are only half configured:\n catkin\n", ""])
+def test_an_installation_that_was_interrupted_is_finished_first(install, noetic, monkeypatch, audit):
+    def run(command, **options):
+        return subprocess.CompletedProcess(command, 0, stdout=audit if "--audit" in command else "")
+
+    monkeypatch.setattr(install, "ros_lines", lambda: ["deb http://packages.ros.org/ros/ubuntu focal main"])
+    monkeypatch.setattr(install.subprocess, "run", run)
+    noetic.system_packages()
+    lines = [" ".join(command) for command in noetic.shell.commands]
+    finish = "sudo env DEBIAN_FRONTEND=noninteractive dpkg --configure -a"
+    assert lines[: 2 if audit else 1] == ["sudo -v", finish][: 2 if audit else 1]
+    assert lines.count(finish) == bool(audit)
+
+
+@pytest.fixture
+def bare(tmp_path):
+    """Return a function that runs install.py with sh where there are only the given commands, and no Python.
+
+    Commands note how they were called in a file; apt-get installs a Python that does so too.
+    """
+    python, notes, folder = tmp_path / "python3", tmp_path / "notes", tmp_path / "bin"
+    program = tmp_path / "install.py"
+    program.write_text((HERE / "install.py").read_text().replace("/usr/bin/python3", str(python)))
+    note = f"""#!/bin/sh
+name=${{0##*/}}
+for word in "$name" "$@"; do printf '%s|' "$word" >> {notes}; done
+echo >> {notes}
+"""
+    bodies = {
+        "id": "#!/bin/sh\necho 0\n",
+        "user": "#!/bin/sh\necho 1000\n",
+        "env": '#!/bin/sh\nshift\nexec "$@"\n',
+        "dpkg": note,
+        "sudo": note + 'exec "$@"\n',
+        "apt-get": f"{note}case $1 in install) cp {folder}/python.txt {python} && chmod +x {python} ;; esac\n",
+        "broken": f"{note}case $1 in install) exit 100 ;; esac\n",
+    }
+
+    def run(commands, *arguments):
+        folder.mkdir()
+        (folder / "python.txt").write_text(note)
+        for name in commands.split():
+            command, _, body = name.partition("=")
+            (folder / command).write_text(bodies[body or command])
+            (folder / command).chmod(0o755)
+        for name in ("cp", "chmod"):
+            (folder / name).symlink_to(shutil.which(name))
+        shell = shutil.which("sh")
+        ran = subprocess.run(
+            [shell, str(program), *arguments], env={"PATH": str(folder)}, capture_output=True, text=True
+        )
+        return ran.returncode, ran.stderr, notes.read_text().splitlines() if notes.exists() else []
+
+    return run
+
+
+def test_python_is_installed_where_it_is_missing(bare, tmp_path):
+    status, errors, notes = bare("id env dpkg apt-get", "test", "-k", "a or  b", "")
+    assert (status, errors) == (0, "")
+    assert notes == [
+        "dpkg|--configure|-a|",
+        "apt-get|update|-qq|",
+        "apt-get|install|-y|-qq|--no-install-recommends|python3|",
+        f"python3|{tmp_path}/install.py|test|-k|a or  b||",
+    ]
+
+
+def test_python_is_installed_with_sudo_by_users(bare):
+    status, _, notes = bare("id=user env dpkg apt-get sudo", "demo")
+    assert status == 0
+    assert notes[0] == "sudo|env|DEBIAN_FRONTEND=noninteractive|dpkg|--configure|-a|"
+    assert notes[-1].endswith("|demo|")
+
+
+@pytest.mark.parametrize(
+    "commands, arguments, message",
+    [
+        ("id=user env dpkg apt-get", [], "python3 is missing: installing it needs root or sudo"),
+        ("id env", [], "python3 is missing: install Python 3.8 or later, then run this again"),
+        ("id env dpkg apt-get", ["--no-system", "demo"], "system packages are missing: python3"),
+        (
+            "id env dpkg apt-get=broken",
+            [],
+            "python3 cannot be installed: check the network, the proxy and the sources of apt, then run this again",
+        ),
+    ],
+)
+def test_where_python_cannot_be_installed_one_line_says_why(bare, commands, arguments, message):
+    status, errors, notes = bare(commands, *arguments)
+    assert (status, errors) == (1, f"install.py: {message}\n")
+    assert not any(line.startswith("python3") for line in notes)
+
+
+def test_a_dry_run_does_not_install_python(bare):
+    assert bare("id env dpkg apt-get", "test", "--dry-run") == (0, "", [])
+
+
+def test_sh_and_python_read_the_same_file():
+    for program in ("sh", "/usr/bin/env python3"):
+        command = [*program.split(), str(HERE / "install.py"), "--workspace", "/tmp/a b"]
+        ran = subprocess.run(command, stderr=subprocess.PIPE, text=True)
+        assert ran.returncode == 2
+        assert "the workspace '/tmp/a b' has ' ' in its path" in ran.stderr
+
+
+@pytest.mark.parametrize("name", ["mein Büro", "a;b$(c)", "(x)"])
+def test_names_of_workspaces_have_no_special_characters(install, name):
+    workspace = install.default_workspace(Path("/home/me") / name, {"HOME": "/home/me"})
+    assert re.fullmatch(r"[\w.-]+", workspace.name, re.ASCII)
+    assert workspace != install.default_workspace(Path("/home/me/mein_B_ro"), {"HOME": "/home/me"})
+
+
 def test_what_is_no_key_is_refused(apt):
     with pytest.raises(apt.Problem, match="is not a key"):
         apt.without_armour(b"<html>")
@@ -378,10 +525,28 @@ def test_uninstall_removes_what_was_made_and_says_what_is_left(install, workspac
     assert f"would remove {workspace}/devel\n" in capsys.readouterr().out
     assert sorted(workspace.rglob("*")) == before
     assert install.main(["uninstall", "--workspace", str(workspace)]) == 0
-    assert "System packages are left" in capsys.readouterr().out
+    assert capsys.readouterr().out.endswith(f"This clone is left: {install.HERE}\n")
     assert not workspace.parent.exists() and workspace.parent.parent.exists() and install.HERE.exists()
     with pytest.raises(install.Problem, match="nothing is installed in"):
         install.main(["uninstall", "--workspace", str(workspace)])
+
+
+def test_uninstall_names_the_packages_that_it_leaves(install, workspace, capsys, monkeypatch):
+    (workspace / install.RECORD).write_text("python3\ncatkin\ngone\ncatkin\n")
+    status = "catkin install ok installed\npython3 install ok installed\ngone deinstall ok config-files\n"
+    monkeypatch.setattr(install, "installed_packages", lambda names: status)
+    install.main(["uninstall", "--workspace", str(workspace)])
+    assert "and are left, since other programs may need them:\n  python3 catkin\n" in capsys.readouterr().out
+    assert not workspace.exists()
+
+
+def test_packages_that_are_installed_are_recorded(install, noetic, monkeypatch):
+    monkeypatch.setattr(install, "ros_lines", lambda: ["deb http://packages.ros.org/ros/ubuntu focal main"])
+    monkeypatch.setenv("RETALIS_INSTALLED", "python3")
+    noetic.system_packages()
+    recorded = (noetic.workspace / install.RECORD).read_text().split()
+    assert recorded == ["python3", *noetic.platform.packages]
+    assert "RETALIS_INSTALLED" not in os.environ
 
 
 def test_uninstall_leaves_what_is_of_others(install, workspace, capsys):
