@@ -42,6 +42,7 @@ import subprocess
 import sys
 from pathlib import Path
 from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence
+from xml.etree import ElementTree
 
 from install_apt import (
     KEY_FILE,
@@ -97,6 +98,37 @@ _NOETIC = """
     catkin diagnostic-msgs geometry-msgs message-generation message-runtime rosbag rosbash roslaunch rosmaster
     rosmsg rosnode rosout rosparam rospy rosservice rostest rostopic std-msgs std-srvs tf tf2-msgs tf2-py
     """
+
+DEPENDENCIES = {
+    "catkin": "catkin",
+    "diagnostic_msgs": "python3-diagnostic-msgs",
+    "genpy": "python3-genpy",
+    "geometry_msgs": "python3-geometry-msgs",
+    "message_generation": "ros-message-generation",
+    "message_runtime": "ros-message-runtime",
+    "python3-hypothesis": "pip",
+    "python3-lark-parser": "python3-lark",
+    "python3-numpy": "python3-numpy",
+    "python3-pytest": "pip",
+    "python3-rosbags-pip": "pip",
+    "python3-rospkg": "python3-rospkg",
+    "python3-setuptools": "python3-setuptools",
+    "python3-tornado": "python3-tornado",
+    "rosbag": "python3-rosbag",
+    "rosbash": "rosbash",
+    "rosgraph": "python3-rosgraph",
+    "rosgraph_msgs": "python3-rosgraph-msgs",
+    "roslaunch": "python3-roslaunch",
+    "roslib": "python3-roslib",
+    "rospy": "python3-rospy",
+    "rostest": "python3-rostest",
+    "std_msgs": "python3-std-msgs",
+    "tf": "python3-tf",
+    "tf2_msgs": "python3-tf2-msgs",
+    "tf2_py": "python3-tf2",
+}
+"""The keys of rosdep that package.xml may name, with the package of Debian 12 that each stands for; pip: one of the
+requirements. rosdep's own data is not there without a network, and catkin_lint then takes any name."""
 
 SWI = "swi-prolog-nox"
 """The package of SWI-Prolog, for those who ask for it: without what draws windows."""
@@ -382,7 +414,27 @@ def lint(installation: Installation) -> int:
     for check in checks:
         print("$ " + " ".join(["python3", *check[1:]]), flush=True)
         failed += bool(installation.run(check))
-    return failed
+    problems = dependency_problems((HERE / "package.xml").read_text())
+    if installation.platform is DEBIAN_12:
+        packages = [name for name in DEPENDENCIES.values() if name != "pip"]
+        missing = missing_packages(packages, installed_packages(packages))
+        problems += [f"DEPENDENCIES in install.py: '{name}' is not installed" for name in missing]
+    for problem in problems:
+        print(problem)
+    return failed + bool(problems)
+
+
+def dependency_problems(manifest: str) -> List[str]:
+    """Return what is wrong with the dependencies of a package.xml, one message each."""
+    tags = ("depend", "build_depend", "build_export_depend", "buildtool_depend", "buildtool_export_depend")
+    tags += ("exec_depend", "run_depend", "test_depend", "doc_depend")
+    root = ElementTree.fromstring(manifest)
+    named = [(tag, (element.text or "").strip()) for tag in tags for element in root.iter(tag)]
+    return [
+        f"package.xml: unknown {tag} '{name}': expected a key of rosdep that DEPENDENCIES in install.py lists"
+        for tag, name in named
+        if name not in DEPENDENCIES
+    ]
 
 
 DURATION = (

@@ -423,6 +423,33 @@ def test_lint_checks_types_on_every_python(install, noetic, monkeypatch, version
     assert types[types.index("mypy") + 1 :] == options
 
 
+def test_each_dependency_of_the_manifest_is_known(install):
+    manifest = (HERE / "package.xml").read_text()
+    assert install.dependency_problems(manifest) == []
+    assert set(re.findall(r"<\w*depend>([^<]+)<", manifest)) == set(install.DEPENDENCIES)
+
+
+@pytest.mark.parametrize("tag", ["exec_depend", "test_depend", "depend"])
+def test_lint_fails_on_an_unknown_dependency(install, noetic, monkeypatch, tmp_path, capsys, tag):
+    manifest = (HERE / "package.xml").read_text()
+    wrong = manifest.replace("</package>", f"<{tag}>rosppy</{tag}></package>")
+    (tmp_path / "package.xml").write_text(wrong)
+    monkeypatch.setattr(install, "HERE", tmp_path)
+    assert install.lint(noetic) == 1
+    assert f"package.xml: unknown {tag} 'rosppy': expected a key of rosdep" in capsys.readouterr().out
+
+
+def test_lint_fails_where_the_package_of_a_dependency_is_not_installed(
+    install, monkeypatch, tmp_path, capsys
+):
+    packages = {*install.DEPENDENCIES.values()} - {"python3-tf2"}
+    status = "".join(f"{name} install ok installed\n" for name in packages)
+    monkeypatch.setattr(install, "installed_packages", lambda names: status)
+    installation = install.Installation(install.DEBIAN_12, tmp_path, Recorder(tmp_path / "log"))
+    assert install.lint(installation) == 1
+    assert "DEPENDENCIES in install.py: 'python3-tf2' is not installed\n" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("command", ["demo", "test", "lint", "uninstall"])
 @pytest.mark.parametrize("place", [["--workspace", "/some/where"], ["--workspace=/some/where"]])
 def test_options_may_stand_before_the_command_and_behind_it(install, command, place):
