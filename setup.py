@@ -1,6 +1,7 @@
 """Tell catkin, or pip, what to install; name, version and authors stand in package.xml."""
 
 import os
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -37,18 +38,64 @@ def shared() -> list:
     ]
 
 
+CLASSIFIERS = [
+    "Development Status :: 5 - Production/Stable",
+    "Environment :: Console",
+    "Intended Audience :: Developers",
+    "Intended Audience :: Science/Research",
+    "License :: OSI Approved :: GNU General Public License v3 or later (GPLv3+)",
+    "Operating System :: POSIX :: Linux",
+    "Programming Language :: Prolog",
+    "Programming Language :: Python :: 3",
+    "Programming Language :: Python :: 3.8",
+    "Programming Language :: Python :: 3.11",
+    "Programming Language :: Python :: 3.12",
+    "Programming Language :: Python :: 3.13",
+    "Topic :: Scientific/Engineering :: Artificial Intelligence",
+    "Topic :: Software Development :: Interpreters",
+    "Typing :: Typed",
+]
+
+KEYWORDS = [
+    "ROS",
+    "robotics",
+    "complex event processing",
+    "CEP",
+    "stream reasoning",
+    "Prolog",
+    "rules",
+    "events",
+]
+
+_IMAGE = re.compile(r"!\[([^\]]*)\]\([^)]*\)")
+_LINK = re.compile(r"\[([^\]]*)\]\((?!https?://|#)[^)]*\)")
+
+
+def long_description() -> str:
+    """Return the README without its links to files, which lead nowhere on the page of a package index.
+
+    Of an image its text stays, of a link what it is written on.
+    """
+    text = Path("README.md").read_text(encoding="utf-8")
+    return _LINK.sub(r"\1", _IMAGE.sub(r"*(Image: \1)*", text))
+
+
 def described() -> dict:
     """Return what pip wants to know."""
     manifest = ElementTree.parse("package.xml").getroot()
+    urls = {str(url.get("type")).capitalize(): str(url.text) for url in manifest.findall("url")}
     return {
         "name": manifest.findtext("name"),
         "version": manifest.findtext("version"),
         "author": manifest.findtext("author"),
         "maintainer": manifest.findtext("maintainer"),
         "url": manifest.findtext("url"),
+        "project_urls": urls,
         "license": manifest.findtext("license"),
+        "classifiers": CLASSIFIERS,
+        "keywords": KEYWORDS,
         "description": " ".join(str(manifest.findtext("description")).split()),
-        "long_description": Path("README.md").read_text(encoding="utf-8"),
+        "long_description": long_description(),
         "long_description_content_type": "text/markdown",
         "python_requires": ">=3.8",
         "install_requires": Path("requirements.txt").read_text(encoding="utf-8").split(),

@@ -1,6 +1,7 @@
 """What is built for pip: a source archive, a wheel made of it, and an installation that needs no checkout."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -117,6 +118,13 @@ def test_the_wheel_has_the_package_and_the_example(built):
     assert (told.get_payload() or told["Description"]).lstrip().startswith("# retalis")
     assert set(told.get_all("Provides-Extra")) == {"dashboard", "dask", "parquet", "plot", "s3"}
     assert told["Requires-Python"] == ">=3.8"
+    assert told["Project-URL"] == "Website, http://wiki.ros.org/retalis"
+    assert {"ROS", "Prolog"} <= set(told["Keywords"].split(","))
+    assert "Programming Language :: Python :: 3.8" in told.get_all("Classifier")
+    assert "Typing :: Typed" in told.get_all("Classifier")
+    page = told.get_payload() or told["Description"]
+    assert re.findall(r"\]\((?!https?://)[^)]*\)", page) == []  # there are no files beside it
+    assert "*(Image: A map: the robot's way" in page and "docs/robot.md is such a program" in page
 
 
 def test_an_installation_is_a_command_with_the_example_and_completion(installed, tmp_path):
