@@ -38,6 +38,7 @@ import os
 import re
 import shlex
 import shutil
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -79,6 +80,9 @@ class Platform(NamedTuple):
     setup: Optional[str] = None
     source: Optional[str] = None
 
+
+HOSTS = "/etc/hosts"
+LOCAL_HOST = "127.0.0.1 localhost"
 
 OWN_PYTHON = "RETALIS_INSTALLED"
 """Variable in which the lines for the shell, above, pass on the package that they have installed."""
@@ -196,6 +200,14 @@ def dpkg_was_interrupted() -> bool:
     return bool(audit.stdout.strip()) or any(Path("/var/lib/dpkg/updates").glob("[0-9]*"))
 
 
+def knows_local_host() -> bool:
+    """Tell whether the name localhost has an address."""
+    try:
+        return bool(socket.gethostbyname("localhost"))
+    except OSError:
+        return False
+
+
 def as_root(command: Sequence[str], uid: int) -> List[str]:
     """Put sudo before a command where it is needed."""
     return list(command) if uid == 0 else ["sudo", *command]
@@ -302,6 +314,17 @@ class Installation:
         source = self.shell.logs / Path(place).name
         source.write_bytes(text)
         self.shell.step(place, "apt-source", as_root(["install", "-m", "644", str(source), place], uid))
+
+    def local_host(self) -> None:
+        """Have the name localhost known, by which ROS's nodes call each other: a minimal root has no /etc/hosts."""
+        if knows_local_host():
+            return
+        if not self.system:
+            raise Problem(f"the name localhost is unknown: add the line '{LOCAL_HOST}' to {HOSTS}")
+        print(f"The name localhost is unknown: the line '{LOCAL_HOST}' will be added to {HOSTS}", flush=True)
+        add = ["sh", "-c", 'echo "$0" >> "$1"', LOCAL_HOST, HOSTS]
+        self.shell.step(HOSTS, "hosts", as_root(add, os.getuid()))
+        self._record([HOSTS])
 
     def python_packages(self, requirements: Sequence[str]) -> None:
         """Install what the distribution lacks into a venv of the workspace."""
@@ -492,7 +515,7 @@ def uninstall(workspace: Path, dry: bool) -> None:
         raise Problem(f"{link} does not lead to this copy of retalis: {workspace} was not built from it")
     others = sorted({one.name for one in link.parent.glob("*")} - {"retalis", "CMakeLists.txt"})
     logs = [one for one in (workspace / "log").glob("*") if one.is_file()]
-    packages = recorded(workspace)
+    record = recorded(workspace)
     made = [
         link,
         workspace / "venv",
@@ -516,25 +539,28 @@ def uninstall(workspace: Path, dry: bool) -> None:
         print(
             f"{workspace} is left: it holds {', '.join(sorted(one.name for one in workspace.iterdir()))} too"
         )
-    tell_what_is_left(packages)
+    tell_what_is_left(record)
 
 
 def recorded(workspace: Path) -> List[str]:
-    """Return the system packages that were installed for a workspace and still are."""
+    """Return the system packages that were installed for a workspace and still are, and files that were changed."""
     record = workspace / RECORD
     names = list(dict.fromkeys(record.read_text().split())) if record.exists() else []
     missing = missing_packages(names, installed_packages(names))
-    return [name for name in names if name not in missing]
+    return [name for name in names if name == HOSTS or name not in missing]
 
 
-def tell_what_is_left(packages: Sequence[str]) -> None:
+def tell_what_is_left(record: Sequence[str]) -> None:
     """Name what was installed outside of the workspace, or may have been."""
+    packages = [name for name in record if name != HOSTS]
     if packages:
         print("These system packages were installed and are left, since other programs may need them:")
         print("  " + " ".join(packages))
     for path in (SOURCE_FILE, KEY_FILE):
         if Path(path).exists():
             print(f"{path} is left, for apt.")
+    if HOSTS in record:
+        print(f"The line '{LOCAL_HOST}' is left in {HOSTS}.")
     print(f"This clone is left: {HERE}")
 
 
@@ -579,6 +605,7 @@ def carry_out(options: argparse.Namespace, installation: Installation) -> int:
         print(DURATION, flush=True)
     develop = ["requirements-dev.txt"] if options.command in ("test", "lint") else []
     installation.system_packages()
+    installation.local_host()
     installation.python_packages(["requirements.txt", *develop])
     installation.build(install=options.install or options.command == "test")
     if options.command == "demo":

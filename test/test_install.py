@@ -567,6 +567,29 @@ def test_uninstall_names_the_packages_that_it_leaves(install, workspace, capsys,
     assert not workspace.exists()
 
 
+def no_address(name):
+    raise OSError("Name or service not known")
+
+
+def test_localhost_is_made_known(install, noetic, workspace, monkeypatch, capsys):
+    monkeypatch.setattr(install.socket, "gethostbyname", no_address)
+    noetic.local_host()
+    (command,) = noetic.shell.commands
+    assert command[:3] == ["sudo", "sh", "-c"] and command[4:] == ["127.0.0.1 localhost", "/etc/hosts"]
+    shutil.copy(noetic.workspace / install.RECORD, workspace)
+    install.main(["uninstall", "--workspace", str(workspace)])
+    assert "The line '127.0.0.1 localhost' is left in /etc/hosts.\n" in capsys.readouterr().out
+    noetic.system = False
+    with pytest.raises(install.Problem, match="the name localhost is unknown: add the line"):
+        noetic.local_host()
+
+
+def test_a_localhost_that_is_known_is_left_alone(install, noetic, monkeypatch):
+    monkeypatch.setattr(install.socket, "gethostbyname", lambda name: "127.0.0.1")
+    noetic.local_host()
+    assert noetic.shell.commands == []
+
+
 def test_packages_that_are_installed_are_recorded(install, noetic, monkeypatch):
     monkeypatch.setattr(install, "ros_lines", lambda: ["deb http://packages.ros.org/ros/ubuntu focal main"])
     monkeypatch.setenv("RETALIS_INSTALLED", "python3")
