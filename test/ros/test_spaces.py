@@ -34,6 +34,12 @@ def test_everything_in_the_sources_is_there(space):
     assert wanted <= set(space.run("/usr/bin/python3", "-c", code).split())
 
 
+def test_a_shell_that_has_sourced_it_goes_to_its_folder(space):
+    script = 'source "$0" && roscd retalis && pwd'
+    folder = Path(space.run("bash", "-c", script, str(space.script)).strip())
+    assert (folder / "package.xml").is_file() and space.script.parents[1] in folder.parents
+
+
 def test_launch_file_starts_both_nodes_and_six_services(space):
     space.start_master()
     space.start("roslaunch", "-p", str(space.port), "retalis", "retalis.launch")
