@@ -461,7 +461,7 @@ def dependency_problems(manifest: str) -> List[str]:
 
 
 DURATION = (
-    "All tests take about 25 minutes on two cores that have nothing else to do; "
+    "All tests take up to 25 minutes on two cores that have nothing else to do; "
     "./install.py test -m 'not slow' --ignore test/ros takes 2."
 )
 SHARE = ("-n", "2", "--dist", "loadfile")

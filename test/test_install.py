@@ -485,7 +485,7 @@ def test_the_tests_run_without_what_the_shell_has(ran, tmp_path):
 
 def test_all_the_tests_say_first_how_long_they_take(ran, capsys):
     ran("test")
-    assert capsys.readouterr().out.startswith("All tests take about 25 minutes on two cores")
+    assert capsys.readouterr().out.startswith("All tests take up to 25 minutes on two cores")
     ran("test", "test/test_api.py")
     assert "minutes" not in capsys.readouterr().out
 
