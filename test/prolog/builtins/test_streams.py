@@ -361,3 +361,38 @@ def test_lines_of_a_long_text_are_counted_once():
         stream.at = at
         assert stream.line == at // 6 + 1
     assert Text.looked <= 6000
+
+
+@pytest.mark.parametrize(
+    ("goal", "caught", "written"),
+    [
+        ("writeln(user, x)", "", "x\n"),
+        ("(writeln(user_output, x), write(y))", "y", "x\n"),
+        ('(write(a), nl(user), put_char(user, b), format(user, "~w", [c]), tab(user, 1))', "a", "\nbc "),
+        ("(with_output_to(string(_), (write(user, x), write(y))), write(z))", "z", "x"),
+        ("(current_output(S), with_output_to(string(_), (write(S, x), write(y))))", "x", ""),
+        ("(current_output(S), write(S, x), S \\== user_output)", "x", ""),
+        ("(current_output(S), set_output(S), write(x), line_position(S, 1))", "x", ""),
+        ("(current_output(S), tell(out), write(b), set_output(S), write(c))", "c", ""),
+        ("(tell(out), write(b), write(user, u))", "", "u"),
+        ("(current_output(S), stream_property(S, mode(M)), write(M), close(S))", "append", ""),
+    ],
+)
+def test_user_output_while_output_is_caught(goal, caught, written):
+    """Output to the user by name is not captured, as in SWI-Prolog; a capture has a stream of its own."""
+    logic, folder = prolog(), Folder(out="")
+    logic.files = folder
+    texts = []
+    logic.output = texts.append
+    assert first(logic, f"with_output_to(string(Text), {goal}), Caught = Text, \\+ Text = 1") is not None
+    assert answers(logic, f"with_output_to(atom(Text), {goal})")[0]["Text"] == f"{write_term(atom(caught))}"
+    assert "".join(texts) == 2 * written
+    assert answers(logic, "write(after)") == [{}] and texts[-1] == "after"
+
+
+def test_caught_output_is_no_stream_afterwards():
+    logic = prolog()
+    assert answers(logic, "with_output_to(string(_), current_output(S)), catch(nl(S), error(E, _), true)")[0][
+        "E"
+    ].startswith("existence_error(stream,")
+    assert first(logic, "with_output_to(string(T), format('~w~t~4|~w', [a, b]))") == '"a   b"'

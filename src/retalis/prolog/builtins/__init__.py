@@ -38,26 +38,26 @@ from . import (  # noqa: F401  (imported for what they register)
 from .arguments import callable_of, integer
 from .datimes import instant_of
 from .dcg import translate_rule
-from .portraying import OutputCapture
 from .poses import Pose, compose, interpolate, pose, pose_of, shown_pose
 from .program import StreamFiles
 from .recorded import records_of
 from .registry import ENTRIES, control
 from .singlesided import SINGLE_SIDED, is_behind, translate_single_sided
 from .state import default_flags
+from .streams import end_captures
 from .tabled import declare_as
 from .tabling import tables_of
 
 __all__ = [
     "callable_of",
     "compose",
-    "OutputCapture",
     "control",
     "declare_as",
     "is_behind",
     "SINGLE_SIDED",
     "translate_single_sided",
     "default_flags",
+    "end_captures",
     "ENTRIES",
     "instant_of",
     "integer",

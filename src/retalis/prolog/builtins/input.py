@@ -20,7 +20,7 @@ from .registry import deterministic
 from .streams import InputStream, OutputStream, streams_of, syntax_error_in
 from .text import LARGEST_CODE
 
-_END, _OUTPUT = atom("end_of_file"), atom("user_output")
+_END = atom("end_of_file")
 
 
 # Files
@@ -191,8 +191,7 @@ def current_output(machine: Machine, stream: Term) -> bool:
     """Give the stream that is written."""
     _require_stream(machine, stream)
     streams = streams_of(machine)
-    found = _OUTPUT if streams.output is None else streams.term_of(streams.output)
-    return unify(stream, found, machine.trail)
+    return unify(stream, streams.current_output(), machine.trail)
 
 
 @deterministic("flush_output/1")

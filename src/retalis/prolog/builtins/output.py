@@ -18,10 +18,10 @@ from ..terms import CONS, NIL, Atom, CompoundTerm, Term, Values, Var, deref, lis
 from .arguments import integer, is_iso, option_values
 from .cutting import cut_off
 from .formatting import Formatter
-from .portraying import OutputCapture, portray_of, printed
-from .program import Machine, MachineProgram
+from .portraying import portray_of, printed
+from .program import Machine
 from .registry import control, deterministic
-from .streams import is_stream_term, streams_of
+from .streams import OutputCapture, is_stream_term, streams_of
 from .text import LARGEST_CODE, fill_sink, is_sink, make_text, whole_text
 
 _WIDEST = 10_000_000
@@ -339,16 +339,14 @@ def with_output_to(machine: Machine, args: Values, after: Frame) -> Optional[Fra
         raise existence_error("stream", sink) if sink.__class__ is Atom else type_error("output", sink)
     logic = machine.logic
     height = len(machine.choices)
-    machine.choices.append((_CAUGHT, logic, logic.output, logic.column, len(machine.trail)))
-    capture = logic.output = OutputCapture(logic)
-    captured = capture.texts
-    logic.column = 0
-    return logic.control.call(args[1], (_RELEASE, machine, height, sink, captured, after))
+    capture = OutputCapture(logic)
+    machine.choices.append((_CAUGHT, capture, len(machine.trail)))
+    return logic.control.call(args[1], (_RELEASE, machine, height, sink, capture.texts, after))
 
 
 def _give_back(entry: Frame) -> None:
-    logic: MachineProgram = entry[1]
-    logic.output, logic.column = entry[2], entry[3]
+    capture: OutputCapture = entry[1]
+    capture.end()
 
 
 def _release(frame: Frame) -> Optional[Frame]:

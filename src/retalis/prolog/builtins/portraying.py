@@ -1,44 +1,24 @@
 """What a goal writes, caught; and ``portray/1``, by which a program says how terms of its own are printed."""
 
-from typing import Callable, List, Optional, Tuple
+from typing import Callable, Optional, Tuple
 
 from ..compiler import NOT
 from ..syntax import write_term
 from ..terms import Term, functor
-from .program import Machine, MachineProgram
-from .text import long_text
+from .program import Machine
+from .streams import OutputCapture
 
 _PORTRAY = functor("portray", 1)
-
-
-class OutputCapture:
-    """Output that is kept.
-
-    Attributes:
-        texts: what was written.
-        before: where output went before, and where that stood in its line.
-    """
-
-    def __init__(self, logic: MachineProgram):
-        self.texts: List[str] = []
-        self.before = logic.output, logic.column
-        self._size = 0
-
-    def __call__(self, text: str) -> None:
-        """Keep a text."""
-        self._size += len(text)
-        long_text(self._size)
-        self.texts.append(text)
 
 
 def caught(machine: Machine, goal: Term) -> Tuple[bool, str]:
     """Return whether a goal succeeds, and what it writes."""
     logic = machine.logic
-    capture = logic.output = OutputCapture(logic)
+    capture = OutputCapture(logic)
     try:
         succeeded = logic.once(goal)
     finally:
-        logic.output, logic.column = capture.before
+        capture.end()
     return succeeded, "".join(capture.texts)
 
 

@@ -8,7 +8,7 @@ from .arguments import integer
 from .output import write_to
 from .program import Machine
 from .registry import deterministic
-from .streams import OutputStream, streams_of
+from .streams import OutputCapture, OutputStream, streams_of
 from .text import LARGEST_CODE
 
 
@@ -33,7 +33,7 @@ def put_code_to(machine: Machine, stream: Term, code: Term) -> bool:
     return True
 
 
-def _put_byte(stream: Union[OutputStream, str, None], named: Term, byte: Term) -> bool:
+def _put_byte(stream: Union[OutputStream, OutputCapture, str, None], named: Term, byte: Term) -> bool:
     byte = deref(byte)
     if byte.__class__ is Var:
         raise instantiation_error()

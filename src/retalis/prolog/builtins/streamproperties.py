@@ -6,7 +6,7 @@ from ..machine import PrologError, domain_error, instantiation_error, permission
 from ..terms import CompoundTerm, Term, Var, atom, deref, functor, unify
 from .program import Machine, Solutions
 from .registry import deterministic, nondeterministic
-from .streams import InputStream, OpenStream, ProgramStreams, is_stream_term, streams_of
+from .streams import InputStream, OpenStream, OutputCapture, ProgramStreams, is_stream_term, streams_of
 
 _POSITION = functor("$stream_position", 4)
 _STANDARD = ("user_input", "user_output", "user_error")
@@ -73,17 +73,18 @@ def _require_property(wanted: Term) -> None:
 
 
 def _properties(streams: ProgramStreams, stream: Union[OpenStream, str]) -> Iterator[Term]:
-    name = stream if isinstance(stream, str) else stream.name
     if stream == "user_input":
         stream = streams.user
     is_input = isinstance(stream, InputStream)
     mode = "append" if isinstance(stream, str) else stream.mode
     yield atom("input" if is_input else "output")
     yield _of("mode", mode)
-    if isinstance(stream, str) or stream is streams.user:
-        yield _of("alias", name)
-    else:
-        yield _of("file_name", name)
+    if isinstance(stream, str):
+        yield _of("alias", stream)
+    elif stream is streams.user:
+        yield _of("alias", stream.name)
+    elif not isinstance(stream, OutputCapture):
+        yield _of("file_name", stream.name)
         for alias, number in list(streams.aliases.items()):
             if streams.opened.get(number) is stream:
                 yield _of("alias", alias)

@@ -4,7 +4,7 @@ A file that is read is read whole, as far as files may be large; one that is wri
 of it. So no file stays open, whatever becomes of the goal, and nothing that was written to the end of a line is lost.
 """
 
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple, Union
+from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple, Union
 
 from ...foundation import SyntaxFault
 from ..machine import (
@@ -19,6 +19,7 @@ from ..machine import (
 from ..syntax import Operators, Program, ReadFlags, ReadTerm, read_program
 from ..terms import Atom, Term, Var, atom, deref, functor
 from .program import Machine, MachineProgram, StreamFiles
+from .text import long_text
 
 MOST = 64
 """ProgramStreams that may be open at once."""
@@ -188,14 +189,88 @@ class OutputStream:
             self._add(text)
 
 
-OpenStream = Union[InputStream, OutputStream]
+class _Outer:
+    """The output that a stream or a capture replaces, and its column."""
+
+    __slots__ = ("output", "column")
+
+    def __init__(self, output: Callable[[str], None], column: int):
+        self.output = output
+        self.column = column
+
+    def write(self, text: str) -> None:
+        """Write to it while it is replaced."""
+        self.column = column_after(self.column, text)
+        self.output(text)
 
 
-class _Outer(NamedTuple):
-    """Where the program writes when it writes to no stream, and where that stands in its line."""
+def column_after(column: int, text: str) -> int:
+    """Return the column behind a text that is written at a column."""
+    newline = text.rfind("\n")
+    return column + len(text) if newline < 0 else len(text) - newline - 1
 
-    output: Callable[[str], None]
-    column: int
+
+class OutputCapture:
+    """The output of a goal, kept as text.
+
+    It replaces the current output of the program until `end` is called. Captures and streams that are set as current
+    output nest: a capture remembers which stream was set before, so that each `end` gives back what it has replaced.
+
+    Attributes:
+        texts: the parts of the text.
+        before: the output that it replaces.
+        replaced: the output that the stream had replaced which was the current output before; None without one.
+        itself: the term of its stream.
+    """
+
+    mode = "append"
+    kind = "text"
+    name = asked = ""
+
+    def __init__(self, logic: MachineProgram):
+        self.texts: List[str] = []
+        self.before = _Outer(logic.output, logic.column)
+        self._logic = logic
+        self._streams = _streams(logic)
+        self.itself: Term = self._streams.new_term()
+        self._size = 0
+        self._stream, self.replaced = self._streams.replace_current(None, None)
+        logic.output, logic.column = self, 0
+
+    @property
+    def column(self) -> int:
+        """How many characters of its last line have been written."""
+        return column_after(0, "".join(self.texts))
+
+    def __call__(self, text: str) -> None:
+        """Keep a text."""
+        self._size += len(text)
+        long_text(self._size)
+        self.texts.append(text)
+
+    @property
+    def outermost(self) -> _Outer:
+        """The output outside of all captures and streams: the user's."""
+        outer = self.replaced or self.before
+        return outer.output.outermost if isinstance(outer.output, OutputCapture) else outer
+
+    def end(self) -> None:
+        """Give the output back that was replaced."""
+        logic = self._logic
+        logic.output, logic.column = self.before.output, self.before.column
+        self._streams.replace_current(self._stream, self.replaced)
+
+
+def end_captures(logic: MachineProgram) -> None:
+    """End all captures, and write to no stream any more: no goal runs."""
+    while True:
+        _streams(logic).set_output("user_output")
+        if not isinstance(logic.output, OutputCapture):
+            return
+        logic.output.end()
+
+
+OpenStream = Union[InputStream, OutputStream, OutputCapture]
 
 
 class ProgramStreams:
@@ -242,12 +317,16 @@ class ProgramStreams:
         else:
             path = files.to_write(name, mode == "append")
             stream = OutputStream(path, mode, lambda text: files.add(path, text, encoding))
-        self._number += 1
+        stream.itself, stream.kind = self.new_term(), kind
         self.opened[self._number] = stream
-        stream.itself, stream.kind = (_STREAM, self._number), kind
         if alias is not None:
             self.aliases[alias] = self._number
         return stream.itself
+
+    def new_term(self) -> Term:
+        """Return the term of one more stream."""
+        self._number += 1
+        return (_STREAM, self._number)
 
     def term_of(self, stream: OpenStream) -> Term:
         """Return the term of a stream."""
@@ -268,6 +347,9 @@ class ProgramStreams:
             if number is None and term.name in (*_USER, "user", "current_output"):
                 return term.name
         elif isinstance(term, tuple) and term[0] is _STREAM:
+            for capture in self._captures():
+                if capture.itself == term:
+                    return capture
             at = deref(term[1])
             number = at if isinstance(at, int) else None
         else:
@@ -298,7 +380,7 @@ class ProgramStreams:
             raise permission_error("input", "stream", deref(term))
         return found
 
-    def to_write(self, term: Term) -> Union[OutputStream, str]:
+    def to_write(self, term: Term) -> Union[OutputStream, OutputCapture, str]:
         """Return a stream that is written, by its name where it is always there.
 
         Raises:
@@ -314,26 +396,55 @@ class ProgramStreams:
         found, logic = self.to_write(term), self._logic
         if found == "user_error":
             logic.error_output(text)
-        elif (
-            found == "current_output"
-            or found is self.output
-            or self._outer is None
-            and isinstance(found, str)
-        ):
+        elif found == "current_output" or found is self.output or found is logic.output:
             logic.write(text)
         elif isinstance(found, OutputStream):
-            newline = text.rfind("\n")
-            found.column = found.column + len(text) if newline < 0 else len(text) - newline - 1
+            found.column = column_after(found.column, text)
             found.write(text)
-        elif self._outer is not None:
-            self._outer.output(text)
+        elif isinstance(found, OutputCapture):
+            found(text)
+        else:
+            outer = self._user_output()
+            if outer is None:
+                logic.write(text)
+            else:
+                outer.write(text)
 
-    def set_output(self, stream: Union[OutputStream, str]) -> None:
+    def _user_output(self) -> Optional[_Outer]:
+        """Return the output of ``user_output`` where a stream or a capture replaces it."""
+        output: Any = self._logic.output if self._outer is None else self._outer.output
+        return output.outermost if isinstance(output, OutputCapture) else self._outer
+
+    def _captures(self) -> Iterator[OutputCapture]:
+        """Yield the captures under way, the innermost first."""
+        output: Any = self._logic.output if self._outer is None else self._outer.output
+        while isinstance(output, OutputCapture):
+            yield output
+            output = (output.replaced or output.before).output
+
+    def current_output(self) -> Term:
+        """Return the term of the stream that is written."""
+        capture = self._logic.output
+        if isinstance(capture, OutputCapture):
+            return capture.itself
+        return atom("user_output") if self.output is None else self.output.itself
+
+    def replace_current(
+        self, stream: Optional[OutputStream], outer: Optional[_Outer]
+    ) -> Tuple[Optional[OutputStream], Optional[_Outer]]:
+        """Set the stream that is the current output, and what that replaces; return both from before."""
+        before = self.output, self._outer
+        self.output, self._outer = stream, outer
+        return before
+
+    def set_output(self, stream: Union[OutputStream, OutputCapture, str]) -> None:
         """Have what the program writes go to a stream."""
         logic = self._logic
+        if stream is logic.output:
+            return
         if self.output is not None and self._outer is not None:
             self.output.column = logic.column
-            logic.output, logic.column = self._outer
+            logic.output, logic.column = self._outer.output, self._outer.column
             self.output = self._outer = None
         if isinstance(stream, OutputStream):
             self._outer = _Outer(logic.output, logic.column)
@@ -342,6 +453,8 @@ class ProgramStreams:
 
     def close(self, stream: OpenStream) -> None:
         """Close a stream; the current ones are those of before then."""
+        if isinstance(stream, OutputCapture):
+            return
         if stream is self.input:
             self.input = self.user
         if stream is self.output:
@@ -379,10 +492,13 @@ def is_stream_term(term: Term) -> bool:
 
 def streams_of(machine: Machine) -> ProgramStreams:
     """Return the streams of the program that a machine runs."""
-    state = machine.logic.state
-    found: Optional[ProgramStreams] = state.get("streams")
+    return _streams(machine.logic)
+
+
+def _streams(logic: MachineProgram) -> ProgramStreams:
+    found: Optional[ProgramStreams] = logic.state.get("streams")
     if found is None:
-        found = state["streams"] = ProgramStreams(machine.logic)
+        found = logic.state["streams"] = ProgramStreams(logic)
     return found
 
 

@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple, Optional
 
-from ..builtins import OutputCapture
+from ..builtins import end_captures
 from ..machine import BudgetState, Guard, Machine
 from ..terms import undo
 
@@ -35,8 +35,7 @@ def go_back(machine: Machine, state: Optional[MachineState]) -> None:
 
 def mend(logic: Any) -> None:
     """Put right what may have been left half done among what outlives a goal; nothing runs."""
-    while isinstance(logic.output, OutputCapture):
-        logic.output, logic.column = logic.output.before
+    end_captures(logic)
     logic.new_goals = None
     logic.database.modules.mend()
     vars(logic.control).pop("solve", None)  # a tracer's
