@@ -2,6 +2,7 @@
 
 from typing import List, Optional
 
+from ..arithmetic import Number
 from ..machine import domain_error, instantiation_error, type_error
 from ..terms import FALSE, NIL, SLASH, TRUE, Atom, Functor, Term, Var, deref, functor, list_parts
 from .program import Machine
@@ -20,6 +21,16 @@ def integer(term: Term) -> int:
     if term.__class__ is Var:
         raise instantiation_error()
     raise type_error("integer", term)
+
+
+def number(term: Term) -> Number:
+    """Return an argument that has to be a number; no expression is evaluated."""
+    term = deref(term)
+    if term.__class__ is int or term.__class__ is float:
+        return term
+    if term.__class__ is Var:
+        raise instantiation_error()
+    raise type_error("number", term)
 
 
 def natural(term: Term) -> int:

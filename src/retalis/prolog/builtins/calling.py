@@ -9,7 +9,7 @@ from ..compiler import CALL, NOT
 from ..database import add_arguments, check_body
 from ..machine import Budget, Code, Frame, Guard, LimitPassed, PrologError, domain_error, type_error
 from ..terms import COLON, CONS, NIL, TRUE, String, Values, Var, atom, deref, functor, term_key, unify
-from .arguments import callable_of, integer, items
+from .arguments import callable_of, integer, items, number
 from .dcg import translate_body
 from .program import Machine
 from .registry import control, deterministic
@@ -82,7 +82,7 @@ def phrase(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
 @control("call_with_time_limit/2")
 def call_with_time_limit(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Run a goal once, for some seconds at most; then ``time_limit_exceeded`` is thrown."""
-    seconds = evaluate(args[0])
+    seconds = number(args[0])
     if seconds <= 0:
         raise PrologError(_TIME_LIMIT)
     height = len(machine.choices)

@@ -318,10 +318,12 @@ def _numbered(machine: Machine, index: Term, base: int, given: Term, item: Term)
             if at > MOST:
                 raise TermTooLarge
     known = at
-    while tail.__class__ is Var:
+    while tail.__class__ is Var and tail is not index:  # no list is a number
         if machine.unify_all((tail, _behind(at - known, item)), (index, at)):
             yield None
         at += 1
+        if at - known > MOST:
+            raise TermTooLarge
 
 
 def _behind(count: int, item: Term) -> Term:

@@ -258,9 +258,11 @@ def _witness(key: Functor, sign: int) -> Finish:
     def finish(found: List[Any]) -> Optional[Term]:
         best: Optional[Tuple[Number, Term]] = None
         for _, item, witness in found:
-            number = evaluate(item)
-            if best is None or (number - best[0]) * sign > 0:
-                best = number, witness
+            item = deref(item)
+            if item.__class__ is not int and item.__class__ is not float:
+                raise type_error("number", item)
+            if best is None or (item > best[0] if sign > 0 else item < best[0]):
+                best = item, witness
         return None if best is None else (key, *best)
 
     return finish

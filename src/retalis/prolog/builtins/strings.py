@@ -231,7 +231,7 @@ def _of_code(term: Term) -> Optional[str]:
             raise domain_error("character", term)
         return chr(term)
     text = constant_text(term)
-    if text is None or len(text) != 1 or term.__class__ is not Atom:
+    if text is None or len(text) != 1:
         raise type_error("character", term)
     return text
 
@@ -244,6 +244,8 @@ def _char_type(as_code: bool) -> Callable[[Machine, Term, Term], Outcome]:
         kind = deref(kind)
         _check_type(kind)
         given = _of_code(char)
+        if given is None and kind.__class__ is Var:
+            raise instantiation_error()
         if given is None or kind.__class__ is Var:
             return enumerate_(machine, char, kind, given)
         found = next(_types(given, kind, wrap), None)

@@ -12,7 +12,7 @@ from typing import Callable, Dict, List, Match, Tuple
 from ..arithmetic import Number
 from ..machine import LAST, domain_error, instantiation_error, type_error
 from ..terms import Atom, CompoundTerm, Term, Var, atom, deref, functor, make_list, unify
-from .arguments import integer
+from .arguments import integer, number
 from .output import write_to
 from .program import Machine, Solutions
 from .registry import deterministic, nondeterministic
@@ -21,15 +21,6 @@ from .text import fill_sink, is_sink, text_of
 _DATE9, _DATE3 = functor("date", 9), functor("date", 3)
 _UTC, _NONE = atom("UTC"), atom("-")
 _EPOCH = datetime(1970, 1, 1)
-
-
-def _number(term: Term) -> Number:
-    term = deref(term)
-    if term.__class__ is Var:
-        raise instantiation_error()
-    if not isinstance(term, (int, float)):
-        raise type_error("number", term)
-    return term
 
 
 def _of_stamp(stamp: float) -> Tuple[datetime, float]:
@@ -45,7 +36,7 @@ def _of_stamp(stamp: float) -> Tuple[datetime, float]:
 def _of_date(term: CompoundTerm) -> Tuple[datetime, float]:
     """Return date and time (UTC) that a date term names."""
     parts = [deref(part) for part in term[1:]]
-    values: List[Number] = [0 if part.__class__ is Var else _number(part) for part in parts[:6]]
+    values: List[Number] = [0 if part.__class__ is Var else number(part) for part in parts[:6]]
     zone = parts[6] if len(parts) == 9 else 0
     offset = zone if zone.__class__ is int else 0
     given_year, given_month, day, hour, minute, second = (values + [0, 0, 0])[:6]
@@ -65,7 +56,7 @@ def _moment(term: Term) -> Tuple[datetime, float]:
         return _of_date(term)
     if term.__class__ not in (Var, int, float):
         raise type_error("time", term)
-    return _of_stamp(_number(term))
+    return _of_stamp(number(term))
 
 
 def _stamp(moment: datetime, second: float) -> float:
@@ -82,7 +73,7 @@ def get_time(machine: Machine, stamp: Term) -> bool:
 @deterministic("stamp_date_time/3")
 def stamp_date_time(machine: Machine, stamp: Term, result: Term, zone: Term) -> bool:
     """Give the date of a stamp; local time is UTC."""
-    moment, second = _of_stamp(_number(stamp))
+    moment, second = _of_stamp(number(stamp))
     zone = deref(zone)
     offset = 0
     name, dst = _UTC, _NONE

@@ -114,8 +114,15 @@ nth_del_(N, [H|T], E, [H|R]) :-
     M is N - 1,
     nth_del_(M, T, E, R).
 
+% The index may be in the lists: as an item it is a number then, as the end of a list no number fits it.
+
 nth_gen_([E|R], E, R, B, B).
 nth_gen_([H|T], E, [H|R], B, I) :-
+    (   var(I)
+    ->  true
+    ;   integer(I),
+        I > B
+    ),
     B1 is B + 1,
     nth_gen_(T, E, R, B1, I).
 

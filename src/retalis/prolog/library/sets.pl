@@ -61,22 +61,32 @@ group_values_([K1-V|Pairs], K, [V|Vs], Rest) :-
     group_values_(Pairs, K, Vs, Rest).
 group_values_(Rest, _, [], Rest).
 
-max_member(Goal, Max, [First|Items]) :-
-    foldl(greater_member_(Goal), Items, First, Max).
+% Of items that are equal by the goal, which is to be as @=</2, the first one is found.
 
-greater_member_(Goal, Item, Max0, Max) :-
-    (   call(Goal, Max0, Item)
-    ->  Max = Item
-    ;   Max = Max0
+max_member(Goal, Max, List) :-
+    best_member_(List, max_member, greater_member_(Goal), Goal, Max).
+
+best_member_(List, Name, Step, Goal, Best) :-
+    (   is_list(List)
+    ->  List = [First|Items],
+        foldl(Step, Items, First, Best)
+    ;   Call =.. [Name, user:Goal, Best, List],
+        '$no_rule'(lists, Call)
     ).
 
-min_member(Goal, Min, [First|Items]) :-
-    foldl(lesser_member_(Goal), Items, First, Min).
+greater_member_(Goal, Item, Max0, Max) :-
+    (   call(Goal, Item, Max0)
+    ->  Max = Max0
+    ;   Max = Item
+    ).
+
+min_member(Goal, Min, List) :-
+    best_member_(List, min_member, lesser_member_(Goal), Goal, Min).
 
 lesser_member_(Goal, Item, Min0, Min) :-
-    (   call(Goal, Item, Min0)
-    ->  Min = Item
-    ;   Min = Min0
+    (   call(Goal, Min0, Item)
+    ->  Min = Min0
+    ;   Min = Item
     ).
 
 selectchk(X, Xs, Y, Ys) :-

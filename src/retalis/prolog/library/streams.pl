@@ -93,6 +93,8 @@ message_to_string(Message, String) :-
     ).
 
 divmod(Dividend, Divisor, Quotient, Remainder) :-
+    must_be(integer, Dividend),
+    must_be(integer, Divisor),
     Quotient is Dividend div Divisor,
     Remainder is Dividend mod Divisor.
 

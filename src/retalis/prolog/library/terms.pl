@@ -251,23 +251,32 @@ semicolon_list(Disjunction, List) :-
     body_list_(;, Disjunction, List).
 
 body_list_(Name, Body, List) :-
-    (   is_list(List), List = [First|Rest]
-    ->  body_of_(Rest, First, Name, Body)
-    ;   nonvar(Body),
-        body_items_(Body, Name, List, [])
-    ).
+    phrase(body_items_(Body, Name), List).
 
-body_of_([], Body, _, Body).
-body_of_([Next|Rest], First, Name, Body) :-
-    Body =.. [Name, First, Body1],
-    body_of_(Rest, Next, Name, Body1).
+% An unknown body takes all items of a known list, and ever more of an unknown one.
 
 body_items_(Body, Name, List, Rest) :-
-    (   nonvar(Body),
-        Body =.. [Name, Left, Right]
+    (   var(Body)
+    ->  List = [Item|Items],
+        body_of_(Items, Item, Name, Body, Rest)
+    ;   Body =.. [Name, Left, Right]
     ->  body_items_(Left, Name, List, List1),
         body_items_(Right, Name, List1, Rest)
     ;   List = [Body|Rest]
+    ).
+
+body_of_(Items, Item, Name, Body, Rest) :-
+    (   var(Items)
+    ->  (   Body = Item,
+            Rest = Items
+        ;   Body =.. [Name, Item, Body1],
+            body_items_(Body1, Name, Items, Rest)
+        )
+    ;   Items = [_|_]
+    ->  body_items_(Body1, Name, Items, Rest),
+        Body =.. [Name, Item, Body1]
+    ;   Body = Item,
+        Rest = Items
     ).
 
 mkconj(One, Other, Conjunction) :-

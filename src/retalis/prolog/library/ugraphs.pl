@@ -5,10 +5,10 @@
 % defines: transitive_closure/2 ugraph_union/3 connect_ugraph/3
 
 vertices_edges_to_ugraph(Vertices, Edges, Graph) :-
-    ugraph_ends_(Edges, Ends),
+    sort(Edges, Sorted),
+    ugraph_ends_(Sorted, Ends),
     append(Vertices, Ends, All),
     sort(All, Set),
-    sort(Edges, Sorted),
     ugraph_group_(Set, Sorted, Graph).
 
 ugraph_ends_([], []).
@@ -30,10 +30,14 @@ ugraph_from_(Edges, _, [], Edges).
 vertices(Graph, Vertices) :-
     pairs_keys(Graph, Vertices).
 
+% An open list is no graph: what goes through all vertices fails for it.
+
 edges(Graph, Edges) :-
+    is_list(Graph),
     findall(From-To, (member(From-Neighbours, Graph), member(To, Neighbours)), Edges).
 
 neighbours(Vertex, Graph, Neighbours) :-
+    is_list(Graph),
     member(V-Found, Graph),
     V == Vertex, !,
     Neighbours = Found.
@@ -100,11 +104,13 @@ ugraph_union_(>, V, One, W, Other, [W|Union]) :-
     ugraph_union([V|One], Other, Union).
 
 transpose_ugraph(Graph, Transposed) :-
+    is_list(Graph),
     pairs_keys(Graph, Vertices),
     findall(To-From, (member(From-Neighbours, Graph), member(To, Neighbours)), Edges),
     vertices_edges_to_ugraph(Vertices, Edges, Transposed).
 
 complement(Graph, Complement) :-
+    is_list(Graph),
     pairs_keys(Graph, Vertices),
     ugraph_others_(Graph, Vertices, Complement).
 
@@ -115,6 +121,8 @@ ugraph_others_([V-Neighbours|Graph], Vertices, [V-Others|Complement]) :-
     ugraph_others_(Graph, Vertices, Complement).
 
 compose(One, Other, Composed) :-
+    is_list(One),
+    is_list(Other),
     pairs_keys(One, Vs),
     pairs_keys(Other, Ws),
     ord_union(Vs, Ws, Vertices),
@@ -146,8 +154,17 @@ ugraph_all_([V|Vs], Second, [To|Lists]) :-
 % A vertex is reachable from itself, and in a closure only by a way of edges.
 
 reachable(Vertex, Graph, Reachable) :-
+    is_list(Graph),
     list_to_assoc(Graph, Neighbours),
-    ugraph_reach_([Vertex], Neighbours, [Vertex], Reachable).
+    ugraph_reach_([Vertex], Neighbours, [Vertex], Reachable),
+    ugraph_known_(Reachable, Neighbours).
+
+% What the graph does not have is reachable from nowhere, and reaches nothing.
+
+ugraph_known_([], _).
+ugraph_known_([V|Vs], Neighbours) :-
+    get_assoc(V, Neighbours, _),
+    ugraph_known_(Vs, Neighbours).
 
 ugraph_reach_([], _, Found, Found).
 ugraph_reach_([V|Vs], Neighbours, Found, Reachable) :-
@@ -158,6 +175,7 @@ ugraph_reach_([V|Vs], Neighbours, Found, Reachable) :-
     ugraph_reach_(Next, Neighbours, Found1, Reachable).
 
 transitive_closure(Graph, Closure) :-
+    is_list(Graph),
     list_to_assoc(Graph, Neighbours),
     ugraph_close_(Graph, Neighbours, Closure).
 
@@ -169,6 +187,7 @@ ugraph_close_([V-To|Graph], Neighbours, [V-All|Closure]) :-
 % A vertex that no edge ends at comes first; of several the first in the graph.
 
 top_sort(Graph, Sorted) :-
+    is_list(Graph),
     findall(To, (member(_-Neighbours, Graph), member(To, Neighbours)), Ends),
     msort(Ends, Ordered),
     clumped_keys_(Ordered, Counts),
