@@ -7,6 +7,7 @@ from typing import IO, Dict, List, Optional
 from ..engine.explaining import Explanation, ExplanationLine
 from ..engine.playback import recorded as text
 from ..events.knowledge import OF_MEMORIES
+from ..prolog.syntax import add_full_stop
 from ..prolog.terms import Term, atom, functor, timestamps
 
 EVENT = functor("event", 2)
@@ -78,7 +79,7 @@ class Printer:
             self.line({"query": text(goal), "solutions": [text(solution) for solution in found]})
             return
         for solution in found:
-            print(f"{text(solution)}.", flush=True)
+            print(add_full_stop(text(solution)), flush=True)
 
     def explanation(self, asked: Term, answer: Explanation) -> None:
         """Print why an event happened, or what was missing."""

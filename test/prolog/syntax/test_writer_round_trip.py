@@ -3,8 +3,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sample_terms import names, shape, terms
 
-from retalis.prolog.syntax import Operators, ReadFlags, read_term, to_text, write_term
-from retalis.prolog.terms import Functor, atom
+from retalis.prolog.logic import Logic
+from retalis.prolog.syntax import (
+    EVENT_OPERATORS,
+    Operators,
+    ReadFlags,
+    read_program,
+    read_term,
+    to_text,
+    write_term,
+)
+from retalis.prolog.terms import Functor, atom, functor
 
 EVENT = ReadFlags(event_text=True)
 
@@ -53,3 +62,110 @@ def test_event_text_reads_back(term):
 def _as_atom(item):
     is_string = not isinstance(item, Functor) and item[0] == "String"
     return ("Atom", atom(f'"{item[1].text}"')) if is_string else item
+
+
+SYMBOLS = (
+    *(
+        "@",
+        "-",
+        "*",
+        ":-",
+        "-->",
+        "\\+",
+        "->",
+        ";",
+        "|",
+        "?-",
+        "=",
+        "!",
+        "[]",
+        "{}",
+        ",",
+        "is",
+        "a",
+        ".",
+        "+",
+    ),
+    *("\\", ":", "$", "#", "dynamic", "table"),
+)
+RULES = frozenset(
+    s for one in EVENT_OPERATORS for s in one.spellings if one.name in ("<-", "do", "iff", "rule:")
+)
+"""Operators of rules: what stands beside them reads as a pattern, where `*` is another term than in Prolog."""
+
+
+def _applied(children):
+    prefix = st.sampled_from([":-", "?-", "\\+", "-", "@", "dynamic", "{}", "a", ":", "$", "+"])
+    infix = st.sampled_from([":-", "-->", ",", ";", "->", "*->", "|", "=", "@", "-", "is", ":", "=>"])
+    return st.one_of(
+        st.tuples(prefix.map(lambda name: functor(name, 1)), children),
+        st.tuples(infix.map(lambda name: functor(name, 2)), children, children),
+    )
+
+
+clauses = st.recursive(st.one_of(terms, st.sampled_from(SYMBOLS).map(atom)), _applied, max_leaves=8)
+
+
+def _says_other(item):
+    """Tell whether a functor is written for something else: a variable, or a rule."""
+    return item.__class__ is Functor and (item.name == "$VAR" or item.name in RULES)
+
+
+def check_written(logic, term):
+    """Check that what the writing predicates write reads back as the same term."""
+    for name in ("portray_clause", "writeq", "print", "write_canonical"):
+        written = []
+        logic.output = written.append
+        assert logic.once((functor(name, 1), term))
+        text = "".join(written) + ("" if name == "portray_clause" else " .")
+        (read,) = read_program(text, logic.operators, name)
+        assert not isinstance(read, Exception) and shape(read.term) == shape(term), text
+
+
+@pytest.mark.slow
+@settings(max_examples=400, deadline=None)
+@given(clauses.filter(lambda term: not any(map(_says_other, shape(term)))), operator_tables())
+def test_written_clauses_read_back(term, operators):
+    logic = Logic()
+    logic.operators.become(operators)
+    check_written(logic, term)
+
+
+FORMS = (
+    *(
+        "{0}",
+        "f({0})",
+        "[{0}]",
+        "[a|{0}]",
+        "- {0}",
+        "{0} = {0}",
+        "({0}, {0})",
+        "{{{0}}}",
+        "{0} --> b",
+        "a --> {0}",
+    ),
+    *(
+        ":- {0}",
+        "a :- {0}",
+        "{0} :- a",
+        "{0} :- {0}",
+        "a :- b, {0}",
+        "a :- \\+ {0}",
+        "a :- ({0} -> {0} ; {0})",
+    ),
+)
+
+
+@pytest.mark.parametrize("name", SYMBOLS)
+def test_operators_as_atoms_read_back(name):
+    """Alone, as argument, operand, item, head and goal."""
+    logic = Logic()
+    text = f"({write_term(atom(name))})" if name != "," else "','"
+    for form in FORMS:
+        check_written(logic, read_term(form.format(text), logic.operators).term)
+
+
+def test_redefined_operators_are_not_laid_out():
+    logic = Logic()
+    assert logic.once(read_term("op(500, xfy, :-)", logic.operators).term)
+    check_written(logic, read_term("':-'(:(a:b), \\+ a)", logic.operators).term)

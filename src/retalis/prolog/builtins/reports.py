@@ -1,12 +1,27 @@
 """Messages, assertions, and the listing of clauses."""
 
-from typing import Any, Callable, Dict, Iterable, Iterator, List, Optional
+from functools import lru_cache
+from typing import Any, Callable, Dict, Iterable, Iterator, List, Optional, Tuple
 
 from ..compiler import ARROW, NOT, SEMICOLON, SOFT_ARROW
 from ..database import Clause, Predicate
 from ..machine import ERROR, LAST, describe, indicator
-from ..syntax import Operators, by_name, write_term
-from ..terms import COMMA, SLASH, TRUE, Atom, String, Term, Var, atom, copy, deref, functor, list_items
+from ..syntax import Operator, Operators, add_full_stop, by_name, write_term
+from ..terms import (
+    COMMA,
+    SLASH,
+    TRUE,
+    Atom,
+    Functor,
+    String,
+    Term,
+    Var,
+    atom,
+    copy,
+    deref,
+    functor,
+    list_items,
+)
 from .arguments import atom_of, indicator_of
 from .output import formatted, letter_names, write_to
 from .program import Machine, Solutions
@@ -85,8 +100,11 @@ def clause_text(machine: Machine, term: Term) -> str:
     operators = machine.logic.operators
     portray = by_name(term, operators, **_LINE, variable_names=names)
     layout = _BodyLayout(operators, names, portray)
-    if term.__class__ is tuple and term[0] is _NECK and deref(term[2]) is not TRUE:
-        layout.put(f"{layout.text(term[1], 1199)} :-\n    ")
+    if any(operators.find(key.name) != usual for key, usual in _laid_out_operators()):
+        # The layout is that of the usual priorities; with others the text would read as another term.
+        layout.put(layout.text(term, 1199))
+    elif term.__class__ is tuple and term[0] is _NECK and deref(term[2]) is not TRUE:
+        layout.put(f"{layout.head(term[1])} :-\n    ")
         layout.body(term[2], 1, 1199)
     elif term.__class__ is tuple and term[0] is _NECK:
         layout.put(layout.text(term[1], 1199))
@@ -94,8 +112,16 @@ def clause_text(machine: Machine, term: Term) -> str:
         layout.put(":- ")
         layout.body(term[1], 1, 1199)
     else:
-        layout.put(layout.text(term, 1199))
-    return layout.done() + ".\n"
+        layout.put(layout.text(term, 1200 if term.__class__ is Atom else 1199))
+    return add_full_stop(layout.done()) + "\n"
+
+
+@lru_cache(maxsize=1)
+def _laid_out_operators() -> List[Tuple[Functor, List[Operator]]]:
+    """Return the operators that clauses are laid out by, with their usual definitions."""
+    usual = Operators.prolog()
+    keys = (_NECK, COMMA, SEMICOLON, ARROW, SOFT_ARROW, NOT)
+    return [(key, usual.find(key.name)) for key in keys]
 
 
 class _BodyLayout:
@@ -120,8 +146,17 @@ class _BodyLayout:
         """Return what was written."""
         return "".join(self._out)
 
+    def head(self, head: Term) -> str:
+        """Return the head of a rule; a prefix operator is put in brackets: the neck would be read as its argument."""
+        head = deref(head)
+        is_prefix = head.__class__ is Atom and head.name in self._operators.prefix
+        return f"({self.text(head, 1200)})" if is_prefix else self.text(head, 1199)
+
     def text(self, term: Term, priority: int) -> str:
-        """Return a term on one line."""
+        """Return a term on one line; an operator of a higher priority is put in brackets, as SWI-Prolog does."""
+        term = deref(term)
+        if term.__class__ is Atom and any(one.priority > priority for one in self._operators.find(term.name)):
+            return f"({write_term(term, self._operators, **_LINE)})"
         return write_term(
             term,
             self._operators,

@@ -27,14 +27,15 @@ from .eventoperators import EVENT_OPERATOR, EVENT_OPERATORS, EventOperator, Oper
 from .eventreader import EventReader
 from .eventtext import event_text, to_text
 from .numerals import integer
-from .operators import DECLARE_EVENT, Operators
+from .operators import DECLARE_EVENT, Operator, Operators
 from .reader import OF_FILES, Program, ReadTerm, read_program, read_term
 from .shownslots import by_name
 from .slots import Meant, MessageSlot, NamedForm
 from .tokens import ReadFlags
-from .writer import write_term, writeq
+from .writer import add_full_stop, write_term, writeq
 
 __all__ = [
+    "add_full_stop",
     "by_name",
     "DECLARE_EVENT",
     "EVENT_OPERATOR",
@@ -44,6 +45,7 @@ __all__ = [
     "EventReader",
     "integer",
     "OF_FILES",
+    "Operator",
     "OperatorKind",
     "Meant",
     "MessageSlot",

@@ -322,6 +322,14 @@ def writeq(term: Term, operators: Optional[Operators] = None) -> str:
     return _TermWriter(operators or _usual(), _QUOTED).write(term)
 
 
+def add_full_stop(text: str) -> str:
+    """Return the text of a term with the full stop that ends a clause.
+
+    A blank parts it from a symbol character, which would make one token with it: ``:- @ .``
+    """
+    return f"{text} ." if text[-1:] in _SYMBOLS else f"{text}."
+
+
 _QUOTED = WriteOptions(numbervars=True)
 _tables: List[Operators] = []
 
