@@ -54,6 +54,18 @@ CASES = {
     "findall": ("bench_findall({n})", 400, 5000),
     "split": ("bench_split({n})", 200000, 1500000),
     "count": ("bench_count({n})", 1000000, 10000000),
+    "findall_numbers": ("bench_findall_numbers({n})", 20, 80),
+    "findall_pairs": ("bench_findall_pairs({n})", 10, 40),
+    "findall_member": ("bench_findall_member({n})", 10, 40),
+    "sort_numbers": ("bench_sort_numbers({n})", 10, 20),
+    "sort_atoms": ("bench_sort_atoms({n})", 5, 10),
+    "sort_pairs": ("bench_sort_pairs({n})", 6, 10),
+    "sort_mixed": ("bench_sort_mixed({n})", 6, 10),
+    "keysort": ("bench_keysort({n})", 5, 20),
+    "predsort": ("bench_predsort({n})", 4, 20),
+    "list_to_assoc": ("bench_list_to_assoc({n})", 8, 10),
+    "put_assoc": ("bench_put_assoc({n})", 8, 20),
+    "get_assoc": ("bench_get_assoc({n})", 20, 50),
 }
 
 

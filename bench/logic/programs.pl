@@ -219,3 +219,49 @@ tabled(X, Y, Z, A) :-
     tabled(A1, A2, A3, A).
 
 bench_tabled(N) :- repeat_goal(N, (abolish_all_tables, tabled(18, 12, 6, _))).
+
+% Lists of 100,000: findall, sorting, association lists. The numbers are the same in every run.
+
+mixed(0, _, []) :- !.
+mixed(N, S, [S|T]) :- S1 is (S * 1103515245 + 12345) mod 2147483648, M is N - 1, mixed(M, S1, T).
+
+mixed_atoms(N, As) :- mixed(N, 42, Ns), findall(A, (member(X, Ns), atom_concat(key_, X, A)), As).
+
+mixed_pairs(N, Ps) :- mixed(N, 42, Ns), findall(X-v(X), member(X, Ns), Ps).
+
+mixed_terms(N, Ts) :-
+    mixed(N, 42, Ns),
+    findall(T, (member(X, Ns), K is X mod 5, mixed_term(K, X, T)), Ts).
+
+mixed_term(0, X, X).
+mixed_term(1, X, F) :- F is X / 7.0.
+mixed_term(2, X, A) :- atom_concat(key_, X, A).
+mixed_term(3, X, p(Y, X)) :- Y is X mod 100.
+mixed_term(4, X, "text"-X).
+
+bench_findall_numbers(N) :- repeat_goal(N, findall(X, between(1, 100000, X), _)).
+
+bench_findall_pairs(N) :- mixed_pairs(100000, Ps), repeat_goal(N, findall(V-K, member(K-V, Ps), _)).
+
+bench_findall_member(N) :- mixed_pairs(100000, Ps), repeat_goal(N, findall(P, member(P, Ps), _)).
+
+bench_sort_numbers(N) :- mixed(100000, 42, L), repeat_goal(N, sort(L, _)).
+bench_sort_atoms(N) :- mixed_atoms(100000, L), repeat_goal(N, msort(L, _)).
+bench_sort_pairs(N) :- mixed_pairs(100000, L), repeat_goal(N, msort(L, _)).
+bench_sort_mixed(N) :- mixed_terms(100000, L), repeat_goal(N, msort(L, _)).
+bench_keysort(N) :- mixed_pairs(100000, L), repeat_goal(N, keysort(L, _)).
+bench_predsort(N) :- mixed(10000, 42, L), repeat_goal(N, predsort(compare, L, _)).
+
+bench_list_to_assoc(N) :- mixed_pairs(100000, L), repeat_goal(N, list_to_assoc(L, _)).
+
+bench_put_assoc(N) :- mixed_pairs(10000, L), repeat_goal(N, (empty_assoc(A), put_all(L, A, _))).
+
+put_all([], A, A).
+put_all([K-V|T], A0, A) :- put_assoc(K, A0, V, A1), put_all(T, A1, A).
+
+bench_get_assoc(N) :-
+    mixed_pairs(10000, L), pairs_keys(L, Ks), list_to_assoc(L, A),
+    repeat_goal(N, get_all(Ks, A)).
+
+get_all([], _).
+get_all([K|Ks], A) :- get_assoc(K, A, _), get_all(Ks, A).

@@ -1,6 +1,7 @@
 """Built-in predicates by theme; importing this package registers all of them."""
 
 from . import (  # noqa: F401  (imported for what they register)
+    assoc,
     atoms,
     calling,
     chance,

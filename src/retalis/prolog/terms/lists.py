@@ -50,8 +50,27 @@ def list_parts(term: Term) -> Tuple[List[Term], Term]:
                 term = deref(term)
         look()
         if done == LATE_ROUND:
-            refuse_cycles(term)
+            _refuse_endless(term)
     raise TermTooLarge
+
+
+def _refuse_endless(term: Term) -> None:
+    """Raise an error where the tail of a list is a part of itself; its items are not looked at.
+
+    The cell that the walk compares with is set anew after 1, 2, 4, ... steps: once it is in the cycle, the walk comes
+    back to it (Brent's algorithm).
+    """
+    marked, steps, turn = term, 0, 1
+    while term.__class__ is tuple and term[0] is CONS:
+        term = term[2]
+        if term.__class__ is not tuple:
+            term = deref(term)
+        if term is marked:
+            raise TermTooLarge
+        steps += 1
+        if steps == turn:
+            marked, turn = term, 2 * turn
+            look()
 
 
 def conjuncts(term: Term) -> Iterator[Term]:

@@ -1,0 +1,149 @@
+"""Association lists: AVL trees of terms ``t(Key, Value, Balance, Left, Right)``, empty: ``t``.
+
+``Balance`` names the deeper side: ``<`` the left one, ``>`` the right one, ``-`` none. Look-up and insertion go down
+the tree by the standard order of the keys, and insertion rebuilds the nodes on its way; the other predicates are in
+the library (library/assoc.pl).
+"""
+
+from typing import Any, List, Optional, Tuple
+
+from ..machine import instantiation_error, no_matching_rule, type_error
+from ..terms import MINUS, CompoundTerm, Term, Var, atom, compare, deref, functor, unify
+from .arguments import items
+from .program import Machine
+from .registry import deterministic
+from .sets import bounded
+
+_NODE, _EMPTY = functor("t", 5), atom("t")
+_LEFT, _EVEN, _RIGHT = atom("<"), atom("-"), atom(">")
+_INSERT = functor("insert", 5)
+_AFTER_DOUBLE_ROTATION = {_EVEN: (_EVEN, _EVEN), _LEFT: (_EVEN, _RIGHT), _RIGHT: (_LEFT, _EVEN)}
+"""Balances of the left and the right node after a double rotation, by the balance of the node that goes up."""
+
+
+def _order(key: Any, other: Any) -> int:
+    """Compare two keys; integers, which most keys are, without a call of `compare`."""
+    if key.__class__ is int and other.__class__ is int:
+        return (key > other) - (key < other)
+    return compare(key, other)
+
+
+@deterministic("get_assoc/3", locked=False)
+def get_assoc(machine: Machine, key: Term, tree: Term, value: Term) -> bool:
+    """Look a key up."""
+    key = deref(key)
+    node: Any = deref(tree)
+    if node.__class__ is Var:
+        raise instantiation_error()
+    if node is not _EMPTY and (node.__class__ is not tuple or node[0] is not _NODE):
+        raise type_error("btree", node)
+    for _ in bounded():
+        if node.__class__ is not tuple or node[0] is not _NODE:
+            return False
+        order = _order(key, node[1])
+        if not order:
+            return unify(value, node[2], machine.trail)
+        node = node[4] if order < 0 else node[5]
+        if node.__class__ is not tuple:
+            node = deref(node)
+    return False
+
+
+@deterministic("put_assoc/4", locked=False)
+def put_assoc(machine: Machine, key: Term, tree: Term, value: Term, result: Term) -> bool:
+    """Insert a key or replace its value."""
+    key = deref(key)
+    path: List[Tuple[CompoundTerm, int]] = []
+    node: Any = deref(tree)
+    grown = False
+    for _ in bounded():
+        if node is _EMPTY:
+            node, grown = (_NODE, key, value, _EVEN, _EMPTY, _EMPTY), True
+            break
+        if node.__class__ is not tuple or node[0] is not _NODE:
+            raise no_matching_rule("assoc", (_INSERT, node, key, value, Var(), Var()))
+        order = _order(key, node[1])
+        if not order:
+            node = (_NODE, key, value, *node[3:])
+            break
+        path.append((node, order))
+        node = deref(node[4] if order < 0 else node[5])
+    for parent, order in reversed(path):
+        if grown:
+            made = _deepened(parent, node, order)
+            if made is None:
+                return False
+            node, grown = made
+        else:
+            sides = (node, parent[5]) if order < 0 else (parent[4], node)
+            node = (*parent[:4], *sides)
+    return unify(result, node, machine.trail)
+
+
+def _deepened(parent: CompoundTerm, side: CompoundTerm, order: int) -> Optional[Tuple[CompoundTerm, bool]]:
+    """Return a node one of whose sides has become deeper by one, and whether the node has.
+
+    The side is the left one where ``order`` is negative. None where the balance is none.
+    """
+    _, key, value, balance, left, right = parent
+    left, right = (side, right) if order < 0 else (left, side)
+    deeper, other = (_LEFT, _RIGHT) if order < 0 else (_RIGHT, _LEFT)
+    balance = deref(balance)
+    if balance is _EVEN:
+        return (_NODE, key, value, deeper, left, right), True
+    if balance is other:
+        return (_NODE, key, value, _EVEN, left, right), False
+    return (_rotated(key, value, left, right, order), False) if balance is deeper else None
+
+
+def _rotated(key: Term, value: Term, left: Any, right: Any, order: int) -> CompoundTerm:
+    """Return a node one of whose sides has become too deep, balanced: the left side where ``order`` is negative."""
+    _, child_key, child_value, balance, inner_left, inner_right = left if order < 0 else right
+    if balance is (_LEFT if order < 0 else _RIGHT):  # a single rotation: the child goes up
+        if order < 0:
+            return (
+                *(_NODE, child_key, child_value, _EVEN, inner_left),
+                (_NODE, key, value, _EVEN, inner_right, right),
+            )
+        return (
+            *(_NODE, child_key, child_value, _EVEN),
+            *((_NODE, key, value, _EVEN, left, inner_left), inner_right),
+        )
+    # A double rotation: the child's inner side goes up.
+    top: Any = deref(inner_right if order < 0 else inner_left)
+    _, top_key, top_value, balance, top_left, top_right = top
+    left_balance, right_balance = _AFTER_DOUBLE_ROTATION[balance]
+    if order < 0:
+        lower = (_NODE, child_key, child_value, left_balance, inner_left, top_left)
+        upper = (_NODE, key, value, right_balance, top_right, right)
+    else:
+        lower = (_NODE, key, value, left_balance, left, top_left)
+        upper = (_NODE, child_key, child_value, right_balance, top_right, inner_right)
+    return (_NODE, top_key, top_value, _EVEN, lower, upper)
+
+
+@deterministic("$pairs_to_assoc/2")
+def pairs_to_assoc(machine: Machine, pairs: Term, result: Term) -> bool:
+    """Make a balanced tree of pairs; fail unless their keys increase."""
+    found: List[Any] = [deref(pair) for pair in items(pairs)]
+    keys: List[Any] = []
+    for pair in found:
+        if pair.__class__ is not tuple or pair[0] is not MINUS:
+            return False
+        key = deref(pair[1])
+        if keys and _order(keys[-1], key) >= 0:
+            return False
+        keys.append(key)
+    values = [pair[2] for pair in found]
+    return unify(result, _balanced(keys, values, 0, len(keys))[0], machine.trail)
+
+
+def _balanced(keys: List[Term], values: List[Term], start: int, end: int) -> Tuple[Term, int]:
+    """Return a tree of some of the pairs and its depth; its left side is as large as the right one, or one larger."""
+    if start == end:
+        return _EMPTY, 0
+    middle = start + (end - start) // 2
+    left, depth = _balanced(keys, values, start, middle)
+    right, right_depth = _balanced(keys, values, middle + 1, end)
+    balance = _EVEN if depth == right_depth else _LEFT
+    return (_NODE, keys[middle], values[middle], balance, left, right), depth + 1
