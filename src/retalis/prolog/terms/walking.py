@@ -207,6 +207,12 @@ def _small_copy(term: CompoundTerm, depth: int = _SHALLOW) -> Optional[CompoundT
     """
     if len(term) > _SMALL or not depth:
         return None
+    for item in term:
+        kind = item.__class__
+        if kind is Var or kind is tuple:
+            break
+    else:
+        return term  # constants only
     items: List[Any] = []
     changed = False
     for item in term:
