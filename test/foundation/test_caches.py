@@ -27,6 +27,7 @@ HELD = {
     ("ros/interface.py", "self._links"): (1000, 16 << 20),
     ("engine/runtime/skew.py", "times"): (5000, 4 << 20),  # for each topic
     ("ros/textonly.py", "self._seen"): (1000, 1 << 20),
+    ("ros/texts.py", "self._names"): (1000, 1 << 20),
     ("events/rules/inputs.py", "self._seconds"): (64, 64 << 10),
     ("events/dispatch/audience.py", "self._plans"): (10_000, 16 << 20),
     ("prolog/syntax/eventreader.py", "self._builders"): (512, 8_192_000),
