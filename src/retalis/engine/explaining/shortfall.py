@@ -47,12 +47,12 @@ from ...events.language import (
     window_term,
 )
 from ...events.matches import NetworkOptions
-from ...events.network import Rule, Streaming, stream_of_shape
+from ...events.network import Asking, Rule, Streaming, stream_of_shape
 from ...events.streams import StreamItem, StreamOutput
 from ...foundation import RetalisError, RuleError, codegen, look
 from ...prolog.logic import Logic
 from ...prolog.syntax import EventOperator, OperatorKind, Operators, by_name, write_term
-from ...prolog.terms import Term, Trail, Var, copy, deref, functor, timestamps, undo, unify, variables
+from ...prolog.terms import NIL, Term, Trail, Var, copy, deref, functor, timestamps, undo, unify, variables
 
 MAX_CANDIDATES = 200
 """Matches of a part that are examined; the newest ones."""
@@ -63,7 +63,6 @@ MAX_SHOWN_VALUE = 60
 """Characters of a variable's value that are shown."""
 
 _VALUES = functor("values", 0)
-_IS = functor("is", 2)
 _EQUAL = functor("=", 2)
 _OR, *_ = names_of_kind(OperatorKind.ALTERNATIVES)
 _STAR, *_ = names_of_kind(OperatorKind.RUN)
@@ -274,7 +273,10 @@ class Shortfall:
 
     def _aggregate(self, pattern: Aggregate) -> Part:
         first, collected = self.of(pattern.first), self.of(pattern.collected)
-        collector = Collector(pattern.kind, lambda values: values[0], self._number)
+        value = NIL if pattern.value is None else pattern.value
+        names = variables(value)
+        evaluate = Asking(self._rule).evaluating(pattern.kind, value, names)
+        collector = Collector(pattern.kind, lambda values: values[-1], evaluate)
         found: List[Candidate] = []
         results: List[str] = []
 
@@ -291,9 +293,9 @@ class Shortfall:
             if collector.initial is not None:
                 add(one, one.end, collector.initial)
             for _, two, values in self._later(first._replace(found=[one]), collected):
-                value = () if pattern.value is None else (self._under(values, pattern.value),)
+                measured = tuple([self._under(values, term) for term in (*names, value)])
                 try:
-                    state = collector.add(state, value or (None,))  # type: ignore[arg-type]
+                    state = collector.add(state, measured)
                 except RuleError as error:
                     problem = f", {error.message}"
                     continue
@@ -460,21 +462,6 @@ class Shortfall:
         found = copy(self._vars) if unifies else None
         undo(trail, 0)
         return found
-
-    def _number(self, term: Term) -> Optional[Term]:
-        """Return the value of an arithmetic expression.
-
-        Raises:
-            RuleError: if it has none.
-        """
-        value = Var()
-        try:
-            with closing(self._logic.solutions((_IS, value, term))) as solutions:
-                for _ in solutions:
-                    return deref(value)
-        except RetalisError as error:
-            raise RuleError(error.message) from error
-        return None
 
     def _solved(self, goal: Term, one: Candidate) -> Optional[Term]:
         """Return the values with those of the first solution of a goal, or None."""
