@@ -22,7 +22,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "src")]
 from arguments import positive  # noqa: E402
 
 from retalis import Engine, Limits, Settings  # noqa: E402
-from retalis.engine.runtime import limit_gc_pauses  # noqa: E402
+from retalis.engine.runtime import StreamClock, limit_gc_pauses  # noqa: E402
 
 CALLS, SOLUTIONS = 2_000, 20_000
 
@@ -139,7 +139,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "swi_bench.pl").write_text(KB)
-        engine = Engine(settings=Settings(allow_swi=True, limits=limits))
+        engine = Engine(StreamClock(0), Settings(allow_swi=True, limits=limits))
         engine.load_rules(RULES, "rules.txt", folder)
         goals(engine, options.runs)
         reachability(engine, folder, options.runs)

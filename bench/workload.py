@@ -7,6 +7,7 @@ from typing import Callable, Iterator, List, NamedTuple, Tuple
 from renamed import make_renamed, renamed_program
 
 from retalis.engine import Engine
+from retalis.engine.runtime import StreamClock
 from retalis.messages import Definitions
 from retalis.prolog.syntax import Operators, read_term
 from retalis.prolog.terms import Term, atom, functor, make_list
@@ -124,7 +125,7 @@ SUBSCRIPTIONS = "\n".join(
 
 def nao_engine(other_names: bool = False) -> Engine:
     """Return an engine with the NAO's rules, its memories and its subscriptions, unrestricted."""
-    engine = Engine()
+    engine = Engine(StreamClock(0))
     engine.load(goals="set_etalis_flag(event_consumption_policy, unrestricted)")
     rules = (APPLICATION / "eventRules.txt").read_text(encoding="utf-8")
     goals = f"{MEMORIES}\n{SUBSCRIPTIONS}"

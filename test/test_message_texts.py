@@ -5,7 +5,7 @@ import struct
 
 import pytest
 
-from retalis import Engine
+from retalis import Engine, StreamClock
 from retalis.cli import main
 from retalis.engine.dashboard.recent import RecentEvents
 from retalis.engine.playback import BagReader, BagWriter
@@ -56,7 +56,7 @@ def from_shown_text(engine, data):
 @pytest.mark.parametrize("feed", [from_message, from_lazy_message, from_text, from_shown_text])
 @pytest.mark.parametrize("text", ["Jürgen", LONG], ids=["short", "long"])
 def test_a_rule_that_names_a_text_fires_and_sends_it_byte_for_byte(feed, text):
-    engine = Engine()
+    engine = Engine(StreamClock(0))
     engine.load(rules=RULES, goals=GOALS)
     published = []
     encode = DEFINITIONS.encoder(NOTE).encode
@@ -74,7 +74,7 @@ def test_strings_and_byte_arrays_of_the_same_bytes_differ():
 
 
 def test_such_texts_are_in_snapshots_and_on_the_dashboard():
-    engine = Engine()
+    engine = Engine(StreamClock(0))
     engine.load(rules=RULES, goals=GOALS)
     recent = RecentEvents(engine)
     recent.watch(True)

@@ -7,6 +7,7 @@ import pytest
 
 from retalis import foreign
 from retalis.engine import Engine, Settings
+from retalis.engine.runtime import StreamClock
 from retalis.prolog.machine import Limits
 
 
@@ -45,7 +46,7 @@ def test_rules_count_how_often_they_fired(text, events, wanted, mode):
 
 
 def test_posted_messages_count_as_taken_in_every_way():
-    engine = Engine()
+    engine = Engine(StreamClock(0))
     engine.load(rules="null do use(X) <- b(X). use(_).")
     for _ in range(3):
         engine.post(engine.query("X = b(1)")[0]["X"])

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retalis.engine import Engine, Settings, parts_of
+from retalis.engine.runtime import StreamClock
 from retalis.events.dispatch import Dispatcher, Stage
 from retalis.prolog.machine import Limits
 from retalis.prolog.terms import Var, atom, functor, make_list
@@ -25,7 +26,7 @@ class Counting:
     """An engine that tells how many events were handed to its dispatcher."""
 
     def __init__(self, rules, goals="", settings=None):
-        self.engine = Engine(settings=settings)
+        self.engine = Engine(StreamClock(0), settings)
         self.engine.load(rules=rules, goals=goals)
         self.outputs = []
         self.engine.on_output(lambda term, topic, name: self.outputs.append(self.engine.show(term)))
