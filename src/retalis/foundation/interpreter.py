@@ -172,6 +172,9 @@ class YoungCollector:
             self._usual = gc.get_threshold()
             gc.callbacks.append(self._collected)
         self._begin_anew()
+        # CPython delays a full collection until the survivors since the last one are a quarter of what that one left.
+        # After a collection of nothing, this condition always holds.
+        gc.collect()
 
     def stop(self) -> None:
         """Collect as CPython does by default; everything is unfrozen."""
