@@ -9,17 +9,21 @@ from retalis.engine import Engine, parts_of
 from retalis.events.matches import Absence
 
 
-def test_keys_under_which_nothing_waits_any_more_are_forgotten():
-    program = Program("d(X) <- (a(X) seq b(X)) cnot c(X) within 5.")
-    for number in range(3000):
-        program.feed(f"c({number})@{number}")
+def _absences(program):
     (rule,) = parts_of(program.engine).rules.rules
-    (absence,) = (
+    return [
         absence
         for node, _, _ in rule.nodes
         for absence in getattr(node, "absences", ())
         if isinstance(absence, Absence)
-    )
+    ]
+
+
+def test_keys_under_which_nothing_waits_any_more_are_forgotten():
+    program = Program("d(X) <- (a(X) seq b(X)) cnot c(X) within 5.")
+    for number in range(3000):
+        program.feed(f"c({number})@{number}")
+    (absence,) = _absences(program)
     assert len(absence.buffer.newest) < 10
     assert len(absence.borders) < 1100
     assert program.feed("a(1)@3000 a(2)@3000 c(1)@3001 b(1)@3002 b(2)@3002") == "d(2)@3000-3002"
@@ -215,6 +219,35 @@ def test_what_is_ruled_out_and_what_rules_out_does_not_gather(rule, make):
         program.engine.event(make(at), at)
         if at % 1000 == 0:
             assert parts_of(program.engine).rules.waiting < 10_000
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        "o <- (walk seq door) cnot temp.",
+        "o <- ((walk seq door) cnot temp) within 5.",
+        "o(X) <- (walk(X) seq door(X)) cnot temp.",
+    ],
+)
+@pytest.mark.parametrize("first", [0, 9])
+def test_the_index_of_absent_events_does_not_keep_those_that_have_left(rule, first):
+    program = Program(rule)
+    walk = "walk(1)" if "(X)" in rule else "walk"
+    for at in range(20_000):
+        program.engine.event(walk if first and at % first == 0 else "temp", at)
+    (absence,) = _absences(program)
+    (border,) = absence.borders.values()
+    assert len(border.matches) < (1100 if "within" in rule else 12_000)
+
+
+@pytest.mark.usefixtures("_eager_sweeps")
+@pytest.mark.parametrize("value", ["_", "f(_)"])
+def test_an_absent_event_stays_for_a_first_side_with_variables_that_it_rules_out(value):
+    program = Program("o(X, Y) <- (a(X, Y) seq b) cnot c(X, Y).", policy="unrestricted")
+    program.feed(f"a(1,{value})@1 c(1,f(1))@2 a(2,{value})@3")
+    for at in range(4, 40):
+        program.feed(f"c(3,{at})@{at}")
+    assert program.feed("b@50").startswith("o(2,")
 
 
 def test_the_newest_that_are_ruled_out_wait_for_a_second_side_that_overlaps_or_is_late():

@@ -28,14 +28,16 @@ class _Border:
     """The matches of one key of which each is in the way of something that no other is in the way of.
 
     They rise in start and in end together, so the first that starts after an instant ends first of all that do.
+    Matches that have left the buffer are removed when the number of entries has doubled.
     """
 
-    __slots__ = ("starts", "ends", "matches")
+    __slots__ = ("starts", "ends", "matches", "compact_at")
 
     def __init__(self) -> None:
         self.starts: List[int] = []
         self.ends: List[int] = []
         self.matches: List[Match] = []
+        self.compact_at = _SPARE
 
     def takes(self, match: Match) -> bool:
         """Add a match and remove what it makes superfluous; returns False where it is superfluous itself."""
@@ -57,6 +59,15 @@ class _Border:
         for other in superfluous:
             other.leave()
         return True
+
+    def compact(self) -> None:
+        """Remove the matches that have left the buffer if there are many entries."""
+        if len(self.matches) <= self.compact_at:
+            return
+        self.matches = [match for match in self.matches if match.buffer is not None]
+        self.starts = [match.start for match in self.matches]
+        self.ends = [match.end for match in self.matches]
+        self.compact_at = 2 * len(self.matches) + _SPARE
 
     def between(self, after: int, before: int) -> Optional[Match]:
         """Return a match that lies between two instants, or None."""
@@ -147,7 +158,9 @@ class Absence:
                 return False
             older.leave()
             return True
-        return self._border(key).takes(match)
+        border = self._border(key)
+        border.compact()  # before the match is added, which is in no buffer yet
+        return border.takes(match)
 
     def _border(self, key: Hashable) -> _Border:
         border = self.borders.get(key)
@@ -232,10 +245,10 @@ class Absence:
 class RuledOutSweep:
     """Drops first sides that are ruled out, and the negated matches that ruled them out, when there are many.
 
-    A negated match R rules out each waiting first side P that ended before it, for all second sides that start after
-    R ended. Second sides whose times come in order and do not overlap R all do. For others, which overlap R or come
-    late, the newest `MAX_RULED_OUT` such P and as many R stay. An R never goes before the P that it rules out, so
-    that no sequence matches that it prevents.
+    A negated match R rules out each first side P that ended before R started, for all second sides that start after R
+    ended. If events come in order and no second side overlaps an R, that is all of them. For others, the newest
+    `MAX_RULED_OUT` such P and as many R stay. An R leaves together with the waiting P that it rules out, so that no
+    sequence matches that it prevents; only a P that arrives later, but ended before R started, misses it.
 
     A pass over all that waits is made in slices: it never takes long at once.
 
@@ -251,11 +264,13 @@ class RuledOutSweep:
         self._key = key_function(tuple(positions))
         self._ruled_out: Deque[Match] = deque()
         self._negated: Deque[Match] = deque()
+        self._first_open_end = MOST
 
     def begin(self) -> None:
         """Begin a pass."""
         self._ruled_out.clear()
         self._negated.clear()
+        self._first_open_end = MOST
 
     def visit(self, match: Match) -> None:
         """Take the next match of the rule, in the order of arrival."""
@@ -270,7 +285,9 @@ class RuledOutSweep:
     def _is_ruled_out(self, match: Match) -> bool:
         try:
             return self.absence.rules_out(self._key(match.values), match.end)
-        except ValueError:  # it has open values
+        except ValueError:
+            # Only unification tells which negated matches rule out one with open values. It stays, and so do they.
+            self._first_open_end = min(self._first_open_end, match.end)
             return False
 
     def drop_negated(self, most: int) -> bool:
@@ -279,7 +296,7 @@ class RuledOutSweep:
         going: List[Match] = []
         while len(negated) > MAX_RULED_OUT and len(going) < most:
             match = negated.popleft()
-            if match.buffer is not None:
+            if match.buffer is not None and match.start <= self._first_open_end:
                 going.append(match)
         latest: Dict[Hashable, int] = {}
         for match in going:
