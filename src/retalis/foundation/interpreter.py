@@ -183,21 +183,19 @@ class YoungCollector:
             gc.set_threshold(*self._usual)
             gc.unfreeze()
 
-    def collect_all(self) -> None:
-        """Collect everything now: it takes about 100 ns for each live object."""
-        gc.unfreeze()
-        gc.collect()
-        self._begin_anew()
-
     def collect_if_due(self) -> bool:
         """Collect everything if garbage may have gathered since the last time; for moments without work.
+
+        It takes about 100 ns for each live object.
 
         Returns:
             Whether it did.
         """
         due = self._active and self._has_grown(1.25, self.SPARE_BLOCKS_IDLE)
         if due:
-            self.collect_all()
+            gc.unfreeze()
+            gc.collect()
+            self._begin_anew()
         return due
 
     def _begin_anew(self) -> None:
