@@ -88,10 +88,8 @@ class InputTopics:
         self._subscribe = subscribe
         self._plain = plain
         self._taken = {plain(one.topic): one for one in self._asked}  # of a program that was begun elsewhere
-        for topic, kind in (
-            *direct,
-            *topics.subscribed,
-        ):  # a node subscribes the direct ones as they are here
+        # The direct ones come first: a node subscribes them as they are here.
+        for topic, kind in (*direct, *topics.subscribed):
             try:
                 self._taken.setdefault(plain(topic), AskedTopic(topic, kind, topics.event_of(topic, plain)))
             except UsageError:  # said by who subscribes it

@@ -128,3 +128,10 @@ def test_a_long_value_is_shortened():
     lines = explained("o <- v(V) where V == 0.", [(f"v('{'x' * 500}')", 1)], "o")
     assert len(lines[0]) < 150
     assert lines[0].endswith(" ... at 1")
+
+
+def test_a_window_that_is_run_again_over_a_part_of_the_events_says_so():
+    rule = "w(N) <- aggregate(count, in(_), N, last(1000)) where N > 900."
+    for count, said in ((199, False), (300, True)):
+        lines = explained(rule, [(f"in({at})", at) for at in range(count)], "w(_)")
+        assert any("the newest 200 events only" in line for line in lines) is said, lines

@@ -3,7 +3,8 @@
 Each part of a pattern is evaluated over the recorded events as if no event were ever used up. The result is a tree of
 parts with one of three states: the part matched, it did not match, or it was never tested because a part below it did
 not match. The lowest parts that did not match are what was missing. Windows and other operators on streams are run
-again with a new operator, so that their results are those that the rule computed.
+again with a new operator over the newest matches, at most `MAX_CANDIDATES`. A result that a window computed of older
+ones, too, differs from that of the rule; the text of the part says so.
 """
 
 from contextlib import closing
@@ -357,6 +358,8 @@ class Shortfall:
     def _windowed(self, pattern: Windowed) -> Part:
         part = self.of(pattern.collected)
         text = f"aggregate over {self._show(window_term(pattern.window))}"
+        if len(part.found) >= MAX_CANDIDATES:
+            text += f" (run again over the newest {MAX_CANDIDATES} events only)"
         node = self._rule.stream_node(pattern)
         if not part.found or node is None:
             return Part(f"{text}: nothing was measured", [], [part], None, bool(part.found))
@@ -544,10 +547,9 @@ def own_names(names: Mapping[Var, str]) -> Dict[Var, str]:
 def _unwanted(negated: Part) -> Part:
     """Return the part of a pattern that must not match."""
     reason = negated
+    # A condition that was not tested explains nothing: the event below it is missing.
     while not reason.tested and reason.parts:
-        reason = reason.parts[
-            0
-        ]  # a condition that was not tested says nothing: the event below it is missing
+        reason = reason.parts[0]
     return Part(f"must not happen: {reason.text}", negated.found or [_NOWHERE], [])
 
 
