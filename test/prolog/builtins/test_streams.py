@@ -390,6 +390,23 @@ def test_user_output_while_output_is_caught(goal, caught, written):
     assert answers(logic, "write(after)") == [{}] and texts[-1] == "after"
 
 
+@pytest.mark.parametrize(
+    ("goal", "text"),
+    [
+        ("(with_output_to(string(_), write(S, abc)), format('~t~w~6|', [x]))", "abc  x"),
+        ("(with_output_to(string(_), (write(q), write(S, cd), line_position(S, P))), write(P))", "cd2"),
+        ("(tell(out), write(q), write(S, ab), line_position(S, P), told, write(P))", "ab2"),
+        ("(with_output_to(string(_), (tell(out), write(S, ab), told)), format('~t~w~4|', [x]))", "ab x"),
+        ("(write(ab), line_position(user_output, P), write(P))", "ab0"),
+    ],
+)
+def test_the_column_of_a_capture_while_something_else_is_written(goal, text):
+    logic = prolog()
+    logic.files = Folder(out="")
+    answer = first(logic, f"with_output_to(string(Text), (current_output(S), {goal}))")
+    assert answer["Text"] == f'"{text}"'
+
+
 def test_caught_output_is_no_stream_afterwards():
     logic = prolog()
     assert answers(logic, "with_output_to(string(_), current_output(S)), catch(nl(S), error(E, _), true)")[0][

@@ -140,10 +140,8 @@ def line_position(machine: Machine, stream: Term, column: Term) -> bool:
     found = streams.find(stream)
     if found == "user_input" or isinstance(found, InputStream):
         at = streams.to_read(stream).position[2]
-    elif isinstance(found, str) or found is streams.output:
-        at = machine.logic.column
     else:
-        at = found.column
+        at = streams.column(found)
     return unify(column, at, machine.trail)
 
 

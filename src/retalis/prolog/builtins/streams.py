@@ -237,22 +237,11 @@ class OutputCapture:
         self._stream, self.replaced = self._streams.replace_current(None, None)
         logic.output, logic.column = self, 0
 
-    @property
-    def column(self) -> int:
-        """How many characters of its last line have been written."""
-        return column_after(0, "".join(self.texts))
-
     def __call__(self, text: str) -> None:
         """Keep a text."""
         self._size += len(text)
         long_text(self._size)
         self.texts.append(text)
-
-    @property
-    def outermost(self) -> _Outer:
-        """The output outside of all captures and streams: the user's."""
-        outer = self.replaced or self.before
-        return outer.output.outermost if isinstance(outer.output, OutputCapture) else outer
 
     def end(self) -> None:
         """Give the output back that was replaced."""
@@ -401,26 +390,46 @@ class ProgramStreams:
         elif isinstance(found, OutputStream):
             found.column = column_after(found.column, text)
             found.write(text)
-        elif isinstance(found, OutputCapture):
-            found(text)
         else:
-            outer = self._user_output()
+            outer = self._outer_of(found)
             if outer is None:
                 logic.write(text)
             else:
                 outer.write(text)
 
-    def _user_output(self) -> Optional[_Outer]:
-        """Return the output of ``user_output`` where a stream or a capture replaces it."""
-        output: Any = self._logic.output if self._outer is None else self._outer.output
-        return output.outermost if isinstance(output, OutputCapture) else self._outer
+    def column(self, stream: Union[OutputStream, OutputCapture, str]) -> int:
+        """Return how many characters of the last line of an output have been written."""
+        logic = self._logic
+        if stream == "current_output" or stream is self.output or stream is logic.output:
+            return logic.column
+        if isinstance(stream, OutputStream):
+            return stream.column
+        outer = self._outer_of(stream)
+        return logic.column if outer is None else outer.column
+
+    def _outer_of(self, stream: Union[OutputCapture, str]) -> Optional[_Outer]:
+        """Return a capture, or with a name the output of the user, where something replaces it; None otherwise."""
+        outers = list(self._outers())
+        if isinstance(stream, OutputCapture):
+            return next((outer for outer in outers if outer.output is stream), None)
+        return outers[-1] if outers else None
+
+    def _outers(self) -> Iterator[_Outer]:
+        """Yield the outputs that streams and captures replace, the innermost first; the last one is the user's."""
+        output = self._logic.output
+        if self._outer is not None:
+            yield self._outer
+            output = self._outer.output
+        while isinstance(output, OutputCapture):
+            outer = output.replaced or output.before
+            yield outer
+            output = outer.output
 
     def _captures(self) -> Iterator[OutputCapture]:
         """Yield the captures under way, the innermost first."""
-        output: Any = self._logic.output if self._outer is None else self._outer.output
-        while isinstance(output, OutputCapture):
-            yield output
-            output = (output.replaced or output.before).output
+        for output in (self._logic.output, *(outer.output for outer in self._outers())):
+            if isinstance(output, OutputCapture):
+                yield output
 
     def current_output(self) -> Term:
         """Return the term of the stream that is written."""
