@@ -200,6 +200,16 @@ def test_an_absence_between_two_parts_is_meant_as_it_is_written(rule):
     assert warnings_of(rule) == []
 
 
+@pytest.mark.parametrize("name", ["a" * 100, "a" * 3000])
+@pytest.mark.parametrize(
+    "pattern", ["(NAME seq f seq f) cnot d", "(f seq f seq NAME) cnot d", "(f seq f seq f) cnot NAME"]
+)
+def test_long_parts_are_not_repeated_in_the_warning(pattern, name):
+    ((_, _, message),) = warnings_of(f"o <- {pattern.replace('NAME', name)}.")
+    assert message.endswith("; write a cnot for each gap that it must not lie in")
+    assert len(message) < 500
+
+
 def gaps_of(events, times):
     """Return the intervals of all sequences of f without a d between the first and the last."""
     instants = [at for at, name in enumerate(events) if name == "f"]

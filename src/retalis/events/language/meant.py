@@ -3,6 +3,7 @@
 from difflib import SequenceMatcher, get_close_matches
 from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, Tuple
 
+from ...foundation import beginning
 from ...prolog.syntax import EVENT_OPERATOR, OperatorKind, write_term
 from ...prolog.terms import CONS, Atom, CompoundTerm, Term, Var, deref, functor, list_items, variables
 from .operators import ARROWS, FORMS, NO_EVENTS, RUNS, SPELLINGS, WRITTEN, names_of_kind
@@ -168,7 +169,7 @@ def _alike(head: Any) -> Optional[str]:
 _MAX_SHOWN_PARTS = 6
 """Parts of a sequence up to which the pattern that covers all of its gaps is written out."""
 _MAX_SHOWN_CHARACTERS = 60
-"""Characters of a part, and of an absent pattern, up to which they are shown as they are written."""
+"""Characters of a part, and of an absent pattern, up to which that pattern is written out."""
 
 
 def gap_doubt(term: CompoundTerm, spot: Callable[..., Any], names: Mapping[Var, str]) -> Optional[str]:
@@ -195,9 +196,11 @@ def gap_doubt(term: CompoundTerm, spot: Callable[..., Any], names: Mapping[Var, 
         return None
     texts = [_text(part, names) for part in parts[:_MAX_SHOWN_PARTS]]
     absent = _text(term[2], names)
-    gap = f"the gap before the last part of the sequence, {_text(parts[-1], names)}"
-    message = f"{operator} covers only {gap}: {absent} in an earlier gap does not prevent a match"
-    if _depends_on_later_parts(deref(term[2]), parts) or len(absent) > _MAX_SHOWN_CHARACTERS:
+    last = _text(parts[-1], names)
+    gap = f"the gap before the last part of the sequence, {beginning(last)}"
+    message = f"{operator} covers only {gap}: {beginning(absent)} in an earlier gap does not prevent a match"
+    is_long = any(len(text) > _MAX_SHOWN_CHARACTERS for text in (*texts, last, absent))
+    if is_long or _depends_on_later_parts(deref(term[2]), parts):
         return f"{message}; write a {operator} for each gap that it must not lie in"
     covered = f"({texts[0]} seq {texts[1]}) {operator} {absent}"
     for text in texts[2:]:
