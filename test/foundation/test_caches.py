@@ -12,6 +12,7 @@ DECORATED = {
     ("messages/arrays.py", "array_maker"): "one entry for each of the 13 number types",
     ("engine/explaining/shortfall.py", "_spans"): "one entry for each operator",
     ("events/matches/reach.py", "reach_of"): "1000 entries of an operator's name and two numbers",
+    ("prolog/builtins/reports.py", "_laid_out_operators"): "one entry",
     ("prolog/logic/library.py", "library_index"): "one entry",
     ("prolog/swi/binding.py", "find_library"): "one entry",
     ("prolog/swi/starting.py", "_started"): "one entry",

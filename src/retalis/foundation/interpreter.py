@@ -177,7 +177,7 @@ class YoungCollector:
         gc.collect()
 
     def stop(self) -> None:
-        """Collect as CPython does by default; everything is unfrozen."""
+        """Restore the thresholds from before `start`, and unfreeze everything."""
         if self._active:
             gc.callbacks.remove(self._collected)
             gc.set_threshold(*self._usual)

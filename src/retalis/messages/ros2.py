@@ -220,7 +220,7 @@ _WideSlots = FrozenSet[Tuple[str, str]]
 """Slots that are wide strings: names of type and slot."""
 
 _CODES = {1: "B", 2: "H", 4: "I", 8: "Q"}
-"""How numbers are copied, by their size: as integers, which keeps every bit of a float."""
+"""Formats by which numbers are copied, by size: integers, which keep every bit of a float."""
 
 _SHORT = 8
 """Numbers of an array up to which it is copied with the slots around it."""

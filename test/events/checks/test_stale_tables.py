@@ -71,7 +71,7 @@ OPAQUE = "; where it is meant so, :- table t/1 as opaque"
         (
             ":- dynamic q/1.\n:- table t/1 as incremental.\nt(X) :- other(X).\nother(X) :- q(X).\n"
             "note(P) :- assertz(q(P)).\n",
-            "incremental table t/1 reads q/1, which the program changes, and is not told of the changes: "
+            "incremental table t/1 reads q/1, which the program changes, and does not notice changes: "
             "write :- dynamic q/1 as incremental",
         ),
         (

@@ -15,10 +15,10 @@ from .bags import BagError, PathLike, Record, Topic, reason
 log = logging.getLogger("retalis")
 
 COMPRESSED = ".zstd"
-"""What ``ros2 bag record --compression-mode file`` adds to the name of a file."""
+"""The ending that ``ros2 bag record --compression-mode file`` adds to the name of a file."""
 
 SUFFIXES = (".db3", ".mcap", f".db3{COMPRESSED}", f".mcap{COMPRESSED}")
-"""What the files of a ROS 2 bag are called."""
+"""Endings of the files of a ROS 2 bag."""
 
 MAX_UNPACKED_BYTES = 256 << 30
 """Bytes that a compressed file may have unpacked; it may also take half of the free disk space at most."""

@@ -25,7 +25,7 @@ _collector = YoungCollector(_records)
 
 
 def count_records_of(engine: RecordHolder) -> None:
-    """Have the records of an engine explain the growth of the heap, as long as the engine lives."""
+    """Count the records of an engine as growth of the heap that is no garbage, as long as the engine lives."""
     _holders.add(engine)
 
 

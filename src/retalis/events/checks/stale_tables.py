@@ -1,6 +1,6 @@
-"""Tables that keep their answers although the memories, states or clauses change that these were made of.
+"""Tables that keep answers although the memories, states or clauses that they read change.
 
-What a predicate reads is followed through the calls in the clauses of the program, from the predicates that read to
+Reads are followed through the calls in the clauses of the program, from the predicates that read to
 those that call them: once for tables that are not incremental, and once more for incremental ones, which learn
 nothing of a dynamic predicate that is not declared so. Each step is taken once: the time is linear in the program's
 size.
@@ -23,7 +23,7 @@ _ABOLISH = functor("abolish_all_tables", 0)
 
 
 class _Dependency(NamedTuple):
-    """What a predicate reads: how a warning calls it, and the dynamic predicate that it is."""
+    """Something that a predicate reads: its name in a warning, and its functor if it is a dynamic predicate."""
 
     shown: str
     dynamic: Optional[Functor] = None
@@ -62,7 +62,7 @@ def stale_tables(program: Overview) -> Iterator[RuleError]:
     for key in incremental:
         if key in found:
             yield RuleError(
-                f"incremental table {key} reads {found[key].shown}, and is not told of the changes: "
+                f"incremental table {key} reads {found[key].shown}, and does not notice changes: "
                 f"write :- dynamic {found[key].dynamic} as incremental",
                 tables[key].place,
             )

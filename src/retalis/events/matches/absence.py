@@ -1,7 +1,7 @@
-"""What must not have happened: negated matches, kept so that one look tells whether one is in the way.
+"""Absence: the matches of a negated pattern, indexed so that one look-up finds one between two instants.
 
-Of a sequence without a window, neither first sides that a negated match has ruled out nor negated matches may gather
-without end: a `RuledOutSweep` drops the oldest of them.
+In a sequence without a window, first sides that a negated match has ruled out, and the negated matches, would
+accumulate without bound: a `RuledOutSweep` drops the oldest of them.
 """
 
 from bisect import bisect_left, bisect_right

@@ -15,7 +15,7 @@ from .measures import WindowMeasure
 from .steps import SCANNING, Marks, StepPlan, ends, passes
 
 MAX_WAYS_PER_START = 100
-"""How many ways are followed of the matches that begin with one item: those that are preferred."""
+"""Largest number of ways that are followed from one start; the preferred ones stay."""
 
 _Refusing = Callable[[StreamItem], None]
 """Refuses an item whose value a measure cannot take."""
