@@ -53,7 +53,7 @@ def stepped():
     """Return a window of steps in which matches wait for one that is preferred."""
     optional = WindowStep(0, 1, False, True, at_instant(15), at_instant(19))
     plan = StepPlan([WindowStep(1, 1, False, False, (), ()), optional], [])
-    return SteppedWindow(listing, [None], plan, lambda: None)
+    return SteppedWindow(listing, [None], plan)
 
 
 OPERATORS = {

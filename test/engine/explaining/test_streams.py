@@ -135,3 +135,19 @@ def test_a_window_that_is_run_again_over_a_part_of_the_events_says_so():
     for count, said in ((199, False), (300, True)):
         lines = explained(rule, [(f"in({at})", at) for at in range(count)], "w(_)")
         assert any("the newest 200 events only" in line for line in lines) is said, lines
+
+
+def test_an_explanation_does_not_count_as_work_of_the_rule():
+    engine = Engine()
+    record_origins(engine)
+    steps = (
+        "a(1, many) where T >= 0, b(1, many) where T >= 0, c where T =:= first(b, T), later(d) where T = 500"
+    )
+    engine.load(rules=f"o(L) <- aggregate(list(T), e(T), L, steps([{steps}])).")
+    for number in range(1, 151):
+        engine.event(f"e({number})", number)
+    before = engine.status()
+    assert before.rules[0].dropped
+    explain(engine, "o(_)")
+    assert engine.status().rules[0].dropped == before.rules[0].dropped
+    assert engine.status().warnings == before.warnings

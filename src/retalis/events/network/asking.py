@@ -6,7 +6,7 @@ from ...foundation import RuleError
 from ...prolog.database import CompiledGoal
 from ...prolog.machine import PrologError, keep_back
 from ...prolog.terms import Atom, Term, Values, Var, functor, positions, variables
-from ..streams import ADDING, MAX_WAYS_PER_START, is_number, is_number_expression, unfit
+from ..streams import ADDING, is_number, is_number_expression, unfit
 from .owners import RuleOwner
 
 _IS = functor("is", 2)
@@ -76,11 +76,6 @@ class Asking:
                 raise RuleError(f"{called}: {error.message}") from error
 
         return holds
-
-    def crowded(self) -> None:
-        """Count a way to take steps that is not followed, as there are too many."""
-        self._rule.dropped += 1
-        self._rule.network.dropped(self._rule, MAX_WAYS_PER_START)
 
     def folded(self, names: Tuple[Atom, Atom, Atom]) -> Folding:
         """Return what calls the predicates of a program's own aggregate; None where one of them fails.

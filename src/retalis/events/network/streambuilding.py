@@ -135,7 +135,7 @@ def measuring(
     if form.kind == "steps":
         plan = planned(form, len(taken), asking.holding)
         return Making(
-            lambda mode: SteppedWindow(measures, part.scopes, plan, asking.crowded),
+            lambda mode: SteppedWindow(measures, part.scopes, plan),
             item,
             result,
             False,

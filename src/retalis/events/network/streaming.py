@@ -21,7 +21,15 @@ from ..matches import (
     emit_each,
     taken_back,
 )
-from ..streams import QuickForm, StreamItem, StreamOperator, StreamOutput, WindowGroup, quick_sliding
+from ..streams import (
+    MAX_WAYS_PER_START,
+    QuickForm,
+    StreamItem,
+    StreamOperator,
+    StreamOutput,
+    WindowGroup,
+    quick_sliding,
+)
 from .nodes import NetworkNode
 from .owners import Buffer, RuleOwner
 from .postponing import Postponing
@@ -227,6 +235,7 @@ class Streaming(NetworkNode):
         def take(match: Optional[Match], values: Values, start: int, end: int) -> List[StreamOutput]:
             now = network.time() if clocked else 0
             stream = self.stream
+            crowded = stream.crowded
             if self.replay is not None:
                 self.replay.begin_step(stream)
             try:
@@ -240,6 +249,10 @@ class Streaming(NetworkNode):
             if stream.late != self.late:
                 self.late = stream.late
                 network.came_late(self.rule, self.making.past)
+            # Only what an event itself leaves out is reported: a replay or an explanation runs the same items again.
+            for _ in range(stream.crowded - crowded):
+                self.rule.dropped += 1
+                network.dropped(self.rule, MAX_WAYS_PER_START)
             while len(stream) > network.cap:  # an item can add several partial matches to a window of steps
                 outputs = [*outputs, *self._drop()]
             if stream.next is not None:

@@ -70,12 +70,14 @@ class StreamOperator(Protocol):
     Attributes:
         next: the instant at which `ring` has something to give on; None where only items do.
         late: how many items came too late to be taken.
+        crowded: number of alternatives that were not followed, because one start had too many.
         tracked: whether outputs name the items that they are made of, a hundred at most, else the newest only.
         allowed: gives the newest end that moves the time of the stream on; of later ones only the items are taken.
     """
 
     next: Optional[int]
     late: int
+    crowded: int
     tracked: bool
     allowed: Callable[[], int]
 

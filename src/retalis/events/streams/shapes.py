@@ -13,7 +13,7 @@ class StreamShape:
 
     def __init__(self) -> None:
         self.next: Optional[int] = None
-        self.late = 0
+        self.late = self.crowded = 0
         self.tracked = False
         self.allowed: Callable[[], int] = lambda: 1 << 64
         self.clock = self._until = -(1 << 63)

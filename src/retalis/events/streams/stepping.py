@@ -153,7 +153,6 @@ class SteppedWindow:
         make: makes the measures of a match.
         scopes: for each of them the step that it looks at, or None for all.
         plan: the steps.
-        crowded: is called where one start has more ways than are followed.
     """
 
     def __init__(
@@ -161,12 +160,11 @@ class SteppedWindow:
         make: Callable[[], Sequence[WindowMeasure]],
         scopes: Sequence[Optional[int]],
         plan: StepPlan,
-        crowded: Callable[[], None],
     ):
         self.make = make
         self.scopes = scopes
         self.plan = plan
-        self._crowded = crowded
+        self.crowded = 0
         self._checks: List[_Refusing] = []
         self._checks_of: List[List[_Refusing]] = [[] for _ in plan.steps]
         for measure, scope in zip(make(), scopes):
@@ -300,7 +298,7 @@ class SteppedWindow:
         if way.start != onward.start:
             onward.start, onward.alternatives = way.start, 0
         if onward.alternatives >= MAX_WAYS_PER_START:
-            self._crowded()
+            self.crowded += 1
             return False
         onward.alternatives += 1
         onward.seen[key] = way.count

@@ -33,7 +33,7 @@ class Window:
         self.allowed: Callable[[], int] = lambda: 1 << 64
         self.clock = self._until = -(1 << 63)
         self.next: Optional[int] = None
-        self.late = 0
+        self.late = self.crowded = 0
         self.number = 0
         self._order = 0
 
