@@ -4,6 +4,7 @@ import json
 import re
 import signal
 import subprocess
+from xmlrpc.client import ServerProxy
 
 import pytest
 
@@ -140,6 +141,25 @@ def test_a_status_and_what_is_watched_go_on_with_a_new_master(node):
     finally:
         status.kill()
         watch.kill()
+
+
+@pytest.mark.parametrize("command", [["watch"], ["status", "--json", "--every", "0.1"]])
+def test_messages_of_rospy_are_not_in_the_output(node, command):
+    running = subprocess.Popen(
+        node.command(*LIVE, *command), env=node.env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        name = f"/retalis_{command[0]}"
+        node.expect(lambda found, services: any(one.startswith(name) for one in found))
+        running_as = next(one for one in node.state()[0] if one.startswith(name))
+        address = ServerProxy(node.env["ROS_MASTER_URI"]).lookupNode("/test", running_as)[2]
+        ServerProxy(address).shutdown("/test", "for a test")  # rospy prints this request
+        running.send_signal(signal.SIGINT)
+        output, messages = running.communicate(timeout=60)
+    finally:
+        running.kill()
+    assert "shutdown request: for a test\n" in messages
+    assert all(json.loads(line)["node"] == "/retalis" for line in output.splitlines())
 
 
 def test_outputs_and_events_are_watched(node):

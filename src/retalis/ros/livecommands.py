@@ -6,9 +6,10 @@ import os
 import shutil
 import signal
 import sys
+from contextlib import contextmanager, redirect_stdout
 from queue import Queue
 from time import monotonic, sleep
-from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
+from typing import IO, Any, Callable, Dict, Iterator, List, Optional, Tuple
 
 import genpy
 import rospy
@@ -137,7 +138,13 @@ def _status(options: argparse.Namespace) -> int:
         found = _listed(node)
         _print_all(_page(node, before, found, monotonic() - looked))
         return 0
-    rospy.init_node("retalis_status", anonymous=True, disable_signals=True, disable_rosout=True)
+    with _ros_node("retalis_status") as output:
+        _show_status(node, options, output)
+    return 0
+
+
+def _show_status(node: LiveNode, options: argparse.Namespace, output: IO[str]) -> None:
+    """Show the status of a node until the command is interrupted."""
     before, looked, told = _listed(node), monotonic(), ""
     while True:
         rospy.rostime.wallsleep(options.every)
@@ -150,12 +157,25 @@ def _status(options: argparse.Namespace) -> int:
             continue
         told = ""
         if options.json:
-            print(json.dumps(_rate(before, found, now - looked)), flush=True)
+            print(json.dumps(_rate(before, found, now - looked)), file=output, flush=True)
         else:
             height = shutil.get_terminal_size().lines
             lines = list(_page(node, before, found, now - looked))[: height - 1]
-            print(_CLEAR + "\n".join(lines), end="", flush=True)
+            print(_CLEAR + "\n".join(lines), end="", file=output, flush=True)
         before, looked = found, now
+
+
+@contextmanager
+def _ros_node(name: str) -> Iterator[IO[str]]:
+    """Make this process a ROS node; yield the stream for the output of the command.
+
+    rospy prints messages of its own to stdout, from several threads: that it cannot register, or that somebody asks
+    the node to end. Programs read the output of the command, so these messages go to stderr.
+    """
+    output = sys.stdout
+    with redirect_stdout(sys.stderr):
+        rospy.init_node(name, anonymous=True, disable_signals=True, disable_rosout=True)
+        yield output
 
 
 def _page(node: LiveNode, before: Dict[str, Any], found: Dict[str, Any], seconds: float) -> Iterator[str]:
@@ -173,7 +193,13 @@ def _rate(before: Dict[str, Any], found: Dict[str, Any], seconds: float) -> Dict
 
 def _watch(options: argparse.Namespace) -> int:
     node = LiveNode(options.node)
-    rospy.init_node("retalis_watch", anonymous=True, disable_signals=True, disable_rosout=True)
+    with _ros_node("retalis_watch") as output:
+        _watch_node(node, options, output)
+    return 0
+
+
+def _watch_node(node: LiveNode, options: argparse.Namespace, output: IO[str]) -> None:
+    """Print what a node sends, with a subscription for each event that is asked for."""
     MasterWatch().start()
     came: Queue[Tuple[str, str]] = Queue(maxsize=10_000)
     outputs = next((topic for topic in node.published if topic.endswith(f"/{OUTPUT}")), None)
@@ -193,11 +219,10 @@ def _watch(options: argparse.Namespace) -> int:
             fields = {"event": pattern, "conditions": "", "format": "_", "topic": topic, "id": str(number)}
             checked(node.call_shared("add_output_subscription", srv.AddOutputSubscription, **fields))
             added.append(str(number))
-        _print_what_comes(came, topic, options)
+        _print_what_comes(came, topic, options, output)
     finally:
         for name in added:
             node.call_shared("delete_output_subscription", srv.DeleteOutputSubscription, topic=topic, id=name)
-    return 0
 
 
 def _leave(number: int, frame: Any) -> None:
@@ -205,7 +230,7 @@ def _leave(number: int, frame: Any) -> None:
     raise SystemExit(128 + number)
 
 
-def _print_what_comes(came: Any, own: str, options: argparse.Namespace) -> None:
+def _print_what_comes(came: Any, own: str, options: argparse.Namespace, output: IO[str]) -> None:
     shown = 0
     while not options.count or shown < options.count:
         kind, text = came.get()
@@ -218,9 +243,9 @@ def _print_what_comes(came: Any, own: str, options: argparse.Namespace) -> None:
                 continue
         shown += 1
         if options.json:
-            print(json.dumps({"kind": kind, "topic": topic, "term": text}), flush=True)
+            print(json.dumps({"kind": kind, "topic": topic, "term": text}), file=output, flush=True)
         else:
-            print(f"{kind if topic is None else topic}: {printable(text)}", flush=True)
+            print(f"{kind if topic is None else topic}: {printable(text)}", file=output, flush=True)
 
 
 def _taken_apart(text: str) -> Tuple[str, str, str]:
