@@ -249,9 +249,8 @@ def _rows(
     widths = [max(map(len, column)) for column in cells]
     elastic = [at for at, column in enumerate(shown) if column.elastic]
     over = sum(widths) + 2 * (len(widths) - 1) - width
-    while (
-        over > 0
-    ):  # shorten the widest column, character by character, so that all keep as much as there is room for
+    # The widest column is shortened character by character, so that all columns keep as much as there is room for.
+    while over > 0:
         widest = max(elastic, key=lambda at: widths[at])
         if widths[widest] <= _NARROWEST:
             break
