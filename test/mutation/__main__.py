@@ -21,6 +21,7 @@ from collections import Counter
 from pathlib import Path
 
 from coverage import CoverageData
+from pytest import ExitCode
 
 from .mutants import mutants
 
@@ -169,10 +170,10 @@ class _Copy:
         ]
         selection = [] if self._slow else ["-m", "not slow"]
         start = time.monotonic()
-        passed, output = self._run(
+        status, output = self._run(
             [*arguments, *selection, "--ignore", "test/ros", "--ignore", "test/mutation"], None
         )
-        if not passed:
+        if status != ExitCode.OK:
             raise SystemExit(f"the tests fail without a mutant:\n{output[-5000:]}")
         print(f"{time.monotonic() - start:.0f} s for all tests", flush=True)
         data = CoverageData(str(self._root / ".coverage"))
@@ -180,7 +181,8 @@ class _Copy:
         for path in paths:
             contexts = data.contexts_by_lineno(str(self._root / path))
             self._tests[path] = {
-                line: sorted({name.split("|")[0] for name in names if name})
+                # A context is "test|phase"; the parameters in a test's name may contain "|", too.
+                line: sorted({name.rpartition("|")[0] for name in names if name})
                 for line, names in contexts.items()
             }
 
@@ -192,19 +194,27 @@ class _Copy:
         # Python tells a changed source by its size and its time in seconds, neither of which a mutant need change.
         for compiled in (module.parent / "__pycache__").glob(module.stem + ".*"):
             compiled.unlink()
-        module.write_text(mutant.apply(source), encoding="utf-8")
-        try:
-            for first in range(0, len(tests), MAX_TESTS_AT_ONCE):
-                some = tests[first : first + MAX_TESTS_AT_ONCE]
-                try:
-                    passed, _ = self._run(["-x", "-n", "0", *some], TIMEOUT_SECONDS)
-                except subprocess.TimeoutExpired:
-                    return "timeout"
-                if not passed:
-                    return "noticed"
-        finally:
-            module.write_text(source, encoding="utf-8")
+        for first in range(0, len(tests), MAX_TESTS_AT_ONCE):
+            some = tests[first : first + MAX_TESTS_AT_ONCE]
+            module.write_text(mutant.apply(source), encoding="utf-8")
+            try:
+                status, _ = self._run(["-x", "-n", "0", *some], TIMEOUT_SECONDS)
+            except subprocess.TimeoutExpired:
+                return "timeout"
+            finally:
+                module.write_text(source, encoding="utf-8")
+            if status == ExitCode.USAGE_ERROR:
+                # Pytest found a test or conftest.py to be missing or broken: is it so because of the mutant?
+                self._require_tests(some)
+            if status != ExitCode.OK:
+                return "noticed"
         return "survived"
+
+    def _require_tests(self, tests) -> None:
+        """Exit unless pytest finds tests without a mutant; otherwise each mutant would count as noticed."""
+        status, output = self._run(["--collect-only", "-n", "0", *tests], TIMEOUT_SECONDS)
+        if status != ExitCode.OK:
+            raise SystemExit(f"recorded tests are not found:\n{output[-5000:]}")
 
     def _tests_of(self, path, line):
         """Return the tests that execute a line, those of its package first."""
@@ -216,7 +226,7 @@ class _Copy:
         return sorted(executed, key=lambda name: (not name.startswith(package), name))
 
     def _run(self, arguments, timeout):
-        """Run pytest; return whether no test failed, and the output."""
+        """Run pytest; return its exit status and the output."""
         command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--no-header", *arguments]
         environment = {**os.environ, "PYTHONPATH": "", "PYTHONDONTWRITEBYTECODE": "1" if timeout else ""}
         process = subprocess.Popen(
@@ -233,7 +243,7 @@ class _Copy:
             os.killpg(process.pid, 9)
             process.communicate()
             raise
-        return process.returncode == 0, output.decode(errors="replace")
+        return process.returncode, output.decode(errors="replace")
 
 
 if __name__ == "__main__":
