@@ -62,6 +62,21 @@ def test_revision(rules, stream, wanted):
     assert revised(rules, stream) == wanted
 
 
+@pytest.mark.parametrize("goal", ["memorize(c, [{}], _, m, 5)", "subscribe(c, [{}], _, out, s)"])
+def test_what_a_memory_or_subscription_makes_of_an_event_of_a_rule_with_a_goal_stays(goal):
+    """The rule's goal is over by then."""
+    program = Program("c do new_event(m,[5,5]) <- a.", ["revision_flag"])
+    program.engine.load(goals=goal.format("new_event(x,[6,6])"))
+    program.feed("a@1")
+    assert program.feed("rev(a)@2") == "rev(m)@2-2 rev(c)@2-2"
+
+
+@pytest.mark.parametrize("flags", [(), ("revision_flag",)])
+def test_what_a_first_side_leads_to_before_it_waits_is_no_partner_of_it(flags):
+    rules = "null_event do new_event(y,[9,9]) <- x. c <- (x cnot z) seq y."
+    assert fired(rules, "x@2 y@12", flags=flags) == "y@9-9 null_event@2-2 c@2-12"
+
+
 def test_rev_is_an_event_like_others_without_the_flag():
     assert fired("c <- a. d <- rev(a).", "a@1 rev(a)@2") == "c@1-1 d@2-2"
 

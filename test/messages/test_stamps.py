@@ -146,6 +146,14 @@ def test_what_is_written_again_is_not_looked_at_again(known):
     assert len(looked) == 1
 
 
+@pytest.mark.parametrize("child", ["", "b"])
+@pytest.mark.parametrize("frame", ["", "a"])
+def test_frames_without_a_name_are_shown(known, frame, child):
+    assert read(known, "t/Frames", f"t__0__Frames([{transform(5, 0, frame, child)}])") == [
+        (f"{frame} > {child}", 5)
+    ]
+
+
 KNOWN = Definitions()
 for _name, _text in TYPES.items():
     KNOWN.add(_name, _text)

@@ -65,13 +65,13 @@ def test_past_its_seconds_an_entry_is_ended_and_gets_the_same_time_to_clean_up(t
     watched.look(0.0)
     watched.look(9.9)
     assert not watched.budget.closed
-    watched.look(10.1)
+    watched.look(10.0)
     with pytest.raises(LimitError, match="seconds") as caught:
         watched.budget.admit()
     assert not caught.value.final
     watched.look(15.0)
     watched.budget.admit()
-    watched.look(20.1)
+    watched.look(20.0)
     with pytest.raises(LimitError, match="seconds") as caught:
         watched.budget.admit()
     assert caught.value.final

@@ -151,3 +151,11 @@ def test_what_is_found_by_goes_with_the_lists_of_the_memory():
     assert gone > 3
     memory.clear()
     assert memory.indices == {}
+
+
+def test_finding_records_by_an_argument_costs_as_much_as_there_are_records():
+    engine = Watched(goals="memorize(v(_), [], _, m, 5000)")
+    for time in range(5000):
+        memory_of(engine).add((functor("v", 1)(time), time, time))
+    parts_of(engine).logic.limits = Limits(inferences=10_000)
+    assert engine.query("newest_matching(m, v(7), _, _)") != []

@@ -5,6 +5,7 @@ import random
 import pytest
 
 from retalis.events.matches import Expiries
+from retalis.events.matches.expiry import ByStart
 
 
 class Waiting:
@@ -44,3 +45,20 @@ def test_what_has_left_is_dropped(step):
     assert len(expiries) < 2000
     expiries.expire(20_000)
     assert len(expiries) == 0
+
+
+def test_matches_go_after_their_span_whatever_the_order_of_their_starts():
+    source = random.Random(1)
+    waiting = ByStart(10)
+    matches = []
+    for order in range(300):
+        span = source.choice((10, 10, 25))
+        matches.append((order + source.randint(-20, 0), span, Waiting(order)))
+        start, _, match = matches[-1]
+        match.start = start
+        waiting.add(span, match, waiting=300)
+        waiting.expire(order)
+        # A match that comes out of order may be late already; it goes at the next look.
+        assert [match.buffer is None for _, _, match in matches] == [
+            start + span < order for start, span, _ in matches
+        ]

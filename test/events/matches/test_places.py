@@ -125,3 +125,15 @@ def test_among_many_of_a_key_the_one_of_the_same_name_is_replaced(buffer, number
     buffer.identify(None)
     wait(buffer, 0, 0, 5)
     assert len(buffer.all()) == number + 1
+
+
+@pytest.mark.parametrize("newest", [False, True])
+def test_a_partner_that_goes_while_the_one_before_it_is_looked_at_is_passed_over(buffer, newest):
+    matches = [wait(buffer, 0, at, 50) for at in range(4)]
+    expected = [3, 1, 0] if newest else [0, 2, 3]
+    found = []
+    for match in buffer.partners(0, 50, 60, newest):
+        found.append(match.start)
+        if len(found) == 1:
+            matches[2 if newest else 1].leave()
+    assert found == expected

@@ -195,3 +195,11 @@ def test_flags_are_checked(goal):
 def test_rule_sharing_changes_nothing():
     rules = "p <- a seq b. p <- z. q <- a seq b seq d."
     assert fired(rules, "z@0 a@1 b@2 d@3", flags=["rule_sharing"]) == fired(rules, "z@0 a@1 b@2 d@3")
+
+
+def test_a_late_first_side_leaves_the_second_sides_to_others():
+    rule, flags = "c(X) <- a forall_seq b(X).", ["out_of_order"]
+    assert (
+        fired(rule, "b(1)@5 b(2)@6 a@2 a@3", "unrestricted", flags) == "c(1)@2-5 c(2)@2-6 c(1)@3-5 c(2)@3-6"
+    )
+    assert fired(rule, "b(1)@5 b(2)@6 a@2 a@3", "chronological", flags) == "c(1)@2-5 c(2)@3-6"

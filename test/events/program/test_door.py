@@ -121,3 +121,39 @@ def test_no_file_stays_open(door, tmp_path):
     with pytest.raises(PrologError):
         door.append(str(tmp_path / "write" / "b.txt"), "x" * 40)
     assert os.listdir("/proc/self/fd") == before
+
+
+@pytest.mark.parametrize("empty", [True, False])
+def test_a_file_is_begun_empty_or_as_it_is(door, tmp_path, empty):
+    path = str(tmp_path / "write" / "a.txt")
+    before = door.read(path, path)
+    door.begin(path, path, empty)
+    assert door.read(path, path) == ("" if empty else before)
+    path = str(tmp_path / "write" / "new.txt")
+    door.begin(path, path, empty)
+    assert door.read(path, path) == ""
+
+
+def test_what_is_not_there_is_neither_file_nor_folder(door, tmp_path):
+    for name in ("read", "read/a.txt", "read/none", "read/a.txt/none"):
+        path = str(tmp_path / name)
+        assert door.is_file(path, path) == (name == "read/a.txt")
+        assert door.is_folder(path, path) == (name == "read")
+
+
+@pytest.mark.parametrize("limited", [True, False])
+def test_what_is_opened_is_checked_where_it_is(door, tmp_path, monkeypatch, limited):
+    """A folder on the way may become a link to elsewhere after the name has been checked."""
+    if not limited:
+        door.allow(None, None)
+    path, other = str(tmp_path / "read" / "a.txt"), str(tmp_path / "other" / "a.txt")
+    os_open = os.open
+    monkeypatch.setattr(
+        "retalis.events.program.door.os.open",
+        lambda opened, *rest, **more: os_open(other if opened == path else opened, *rest, **more),
+    )
+    if limited:
+        with pytest.raises(PrologError, match="No permission to open source_sink `a'"):
+            door.read(path, "a")
+    else:
+        assert door.read(path, "a") == "one\ntwo\nthree\n"

@@ -5,6 +5,7 @@ from events.running import Program, show
 
 from retalis.engine import Engine, Settings, parts_of
 from retalis.engine.runtime import StreamClock
+from retalis.events.program.files import Files
 from retalis.foundation import ProgramErrors
 from retalis.prolog.machine import PrologError
 
@@ -294,3 +295,10 @@ def test_a_file_that_is_not_there_is_an_existence_error_with_its_name(goal, tmp_
     assert engine.show(found["Name"]) == name
     with pytest.raises(PrologError, match=f"cannot read {tmp_path}/no.txt: No such file or directory"):
         engine.call(goal.format(name))
+
+
+def test_only_what_is_loaded_again_may_not_leave_out_more():
+    files = Files()
+    with files.loading_again({"one.pl": 2}):
+        assert (files.may_omit("one.pl"), files.may_omit("two.pl")) == (2, 0)
+    assert (files.may_omit("one.pl"), files.may_omit("two.pl")) == (None, None)

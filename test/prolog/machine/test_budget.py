@@ -1,0 +1,99 @@
+"""Budgets: what is left of the limits, entries inside of others, and ceilings of calls."""
+
+import threading
+
+import pytest
+
+from retalis.prolog.machine import Budget, Left, LimitError, LimitPassed, Limits
+from retalis.prolog.machine import budget as _budget
+from retalis.prolog.terms import atom
+
+
+class Turn:
+    """A turn in which one entry is at work."""
+
+    def __init__(self):
+        self.thread, self.entry, self.following = threading.get_ident(), ("outer",), []
+
+    def follow(self, work):
+        """Note what is to be done after the entry."""
+        self.following.append(work)
+
+
+@pytest.fixture
+def budget():
+    return Budget()
+
+
+def test_nothing_is_left_to_look_at_without_limits(budget):
+    assert budget.left() is None
+
+
+def test_what_is_left_of_inferences(budget):
+    budget.allow(Limits(inferences=1000))
+    assert budget.left() == Left(None, 1000, None)
+    budget.look(400)
+    assert budget.left() == Left(None, 600, None)
+
+
+def test_what_is_left_up_to_the_nearest_ceiling_of_a_call(budget):
+    budget.look(5000)
+    for most in (300, 200):
+        budget.warn_past(budget.cap(most), LimitPassed("inference", atom("ball")))
+    assert budget.left() == Left(None, 200, None)
+    budget.look(150)
+    assert budget.left() == Left(None, 50, None)
+    with pytest.raises(LimitPassed):
+        budget.look(51)
+
+
+def test_what_is_left_up_to_the_nearest_alarm(budget):
+    for instant in (1e12, 1e11):
+        budget.warn_at(instant, LimitPassed("time", atom("ball")))
+    assert budget.left() == Left(1e11, None, None)
+
+
+def test_no_two_ceilings_are_the_same(budget):
+    ceilings = []
+    for _ in range(3):
+        ceilings.append(budget.cap(10))
+        budget.warn_past(ceilings[-1], LimitPassed("inference", atom("ball")))
+    assert ceilings == [10, 11, 12]
+
+
+def test_memory_may_grow_by_just_its_limit(budget, monkeypatch):
+    used, now = [50 << 20], [1.0]
+    monkeypatch.setattr(_budget, "resident_bytes", lambda: used[0])
+    monkeypatch.setattr(_budget, "monotonic", lambda: now[0])
+    budget.allow(Limits(megabytes=2))
+    for used[0] in (50 << 20, 52 << 20):
+        now[0] += 1.0
+        budget.look(1)
+    now[0] += 1.0
+    used[0] += 1
+    with pytest.raises(LimitError, match="memory"):
+        budget.look(1)
+
+
+@pytest.fixture
+def turn():
+    made = Turn()
+    yield made
+    made.thread = None  # what comes after is no work of this entry
+
+
+def test_an_entry_inside_of_another_has_limits_of_its_own(budget, turn):
+    budget.count_for(turn)
+    budget.allow(Limits(inferences=1000))
+    budget.goal = outer = object()
+    budget.look(900)
+
+    def inner():
+        assert turn.entry == ("inner",) and budget.goal is None
+        budget.goal = object()
+        budget.look(900)
+        return budget.left()
+
+    assert budget.apart(("inner",), inner) == Left(None, 100, None)
+    assert turn.entry == ("outer",) and budget.goal is outer
+    assert budget.left() == Left(None, 100, None)
