@@ -168,23 +168,24 @@ def test_deleting_an_unknown_memory_warns_and_succeeds(caplog):
 
 
 @pytest.mark.parametrize(
-    "goal",
+    ("goal", "error"),
     [
-        "memorize(v(X), [], _, m, 3)",
-        "memorize(v(X), nothing, _, n, 3)",
-        "memorize(v(X), [1], _, n, 3)",
-        "memorize(3, [], _, n, 3)",
-        "memorize(v(X), [], 3, n, 3)",
-        "memorize(v(X), [], _, n, many)",
-        "memorize(v(X), [], _, n, -1)",
-        "memorize(v(X), [], _, N, 3)",
-        "memorize(v(X), [Y], _, n, 3)",
+        ("memorize(v(X), [], _, m, 3)", "permission_error(create,memory,m)"),
+        ("memorize(v(X), nothing, _, n, 3)", "type_error(list,nothing)"),
+        ("memorize(v(X), [1], _, n, 3)", "type_error(callable,1)"),
+        ("memorize(3, [], _, n, 3)", "type_error(callable,3)"),
+        ("memorize(v(X), [], 3, n, 3)", "type_error(callable,3)"),
+        ("memorize(v(X), [], _, n, many)", "type_error(integer,many)"),
+        ("memorize(v(X), [], _, n, -1)", "domain_error(not_less_than_zero,-1)"),
+        ("memorize(v(X), [], _, N, 3)", "instantiation_error"),
+        ("memorize(v(X), [Y], _, n, 3)", "instantiation_error"),
     ],
 )
-def test_what_is_no_memory_is_an_error_and_nothing_is_half_made(goal):
+def test_what_is_no_memory_is_an_error_and_nothing_is_half_made(goal, error):
     engine = Watched(goals="memorize(v(X), [], _, m, 3)")
-    with pytest.raises(PrologError):
+    with pytest.raises(PrologError) as caught:
         engine.call(goal)
+    assert engine.show(caught.value.term[1]) == error
     assert [deref(answer["Id"]).name for answer in engine.query("memory_size(Id, _)")] == ["m"]
 
 

@@ -95,3 +95,16 @@ def test_clear_forgets_records():
     assert len(memory) == 0
     assert memory.latest is None
     assert memory.at_or_before(99) is None
+
+
+def test_steps_that_are_wider_than_the_others_are_told_of():
+    memory = Memory(100)
+    told = []
+    memory.on_wide = lambda start, end: told.append((start, end))
+    for end in [*range(1000, 2000, 100), 4000, 4100]:
+        memory.add((end, end, end))
+    for look_up in (memory.around, memory.at_or_after):
+        del told[:]
+        for instant in (1150, 1850, 3000, 4050):
+            look_up(instant)
+        assert told == [(1900, 4000)]

@@ -29,6 +29,16 @@ def test_keys_under_which_nothing_waits_any_more_are_forgotten():
     assert program.feed("a(1)@3000 a(2)@3000 c(1)@3001 b(1)@3002 b(2)@3002") == "d(2)@3000-3002"
 
 
+def test_what_an_interrupt_leaves_half_done_is_made_anew():
+    program = Program("d(X) <- (a(X) seq b(X)) cnot c(X).")
+    assert program.feed("a(1)@1 c(1)@2 c(1)@3 c(1)@4") == ""
+    absence = _absences(program)[0]
+    for border in absence.borders.values():
+        del border.ends[:], border.starts[1:]
+    absence.buffer.mend()
+    assert program.feed("b(1)@5 a(1)@6 b(1)@7") == "d(1)@6-7"
+
+
 def test_an_absence_inside_a_negated_pattern_may_look_at_what_is_outside():
     rule = "s(Y) <- (p(Y) seq b) cnot (x fnot q(Y))."
     assert fired(rule, "p(1)@1 b@5") == "s(1)@1-5"

@@ -3,9 +3,11 @@
 from types import SimpleNamespace
 
 import pytest
+from events.running import Program, show
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from retalis.engine import parts_of
 from retalis.engine.runtime import StreamClock
 from retalis.events.rules.deadlines import Deadlines
 
@@ -172,3 +174,15 @@ def test_each_rings_at_the_earliest_instant_that_it_asked_for(wishes):
             due = {(instant, one % 2, one) for one, instant in waiting.items() if instant <= now}
             waiting = {one: instant for one, instant in waiting.items() if instant > now}
             assert bench.reach(now)[0] == [(instant, one) for instant, _, one in sorted(due)]
+
+
+def test_a_rule_that_was_taken_out_is_not_woken_any_more():
+    program = Program("l : o(N) <- aggregate(count, in(_), N, every(2)).", clock=StreamClock())
+    rules = parts_of(program.engine).rules
+    (rule,) = rules.rules
+    program.feed("in(1)@1")
+    assert rule.active
+    assert program.engine.call("del_event_rule(l)")
+    assert not rule.active and not rules.rules
+    program.feed("other@9")
+    assert show(program.seen) == "other@9-9"

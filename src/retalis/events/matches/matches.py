@@ -342,8 +342,7 @@ def unify_sides(
     result = None
     if all(unify(lefts[one], rights[other], trail) for one, other in shared):
         result = (_with(left, lefts), _with(right, rights))
-    undo(trail, 0)
-    return result
+    return result  # only variables of the copies are bound, so nothing has to be undone
 
 
 def agreed(left: Values, right: Values) -> Optional[Values]:

@@ -121,7 +121,6 @@ class Rule:
         self.mode = mode
         self.skipping = skipping = skipping_by(self, mode)
         self.window = window
-        self.allowed = _NEVER
         self._garbage = garbage
         self.timed = garbage is not None
         for node, span, limits in self.nodes:
