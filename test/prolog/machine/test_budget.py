@@ -75,6 +75,22 @@ def test_memory_may_grow_by_just_its_limit(budget, monkeypatch):
         budget.look(1)
 
 
+def test_past_its_seconds_an_entry_gets_as_many_again_once(budget, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(_budget, "monotonic", lambda: now[0])
+    budget.allow(Limits(seconds=10.0))
+    budget.look(1)
+    for final in (False, True):
+        now[0] += 10.5
+        with pytest.raises(LimitError, match="seconds") as caught:
+            budget.look(1)
+        assert caught.value.final == final
+        if not final:
+            budget.look(1)  # begins the time of the handler
+            now[0] += 9.5
+            budget.look(1)
+
+
 @pytest.fixture
 def turn():
     made = Turn()
