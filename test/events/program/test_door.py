@@ -157,3 +157,13 @@ def test_what_is_opened_is_checked_where_it_is(door, tmp_path, monkeypatch, limi
             door.read(path, "a")
     else:
         assert door.read(path, "a") == "one\ntwo\nthree\n"
+
+
+def test_a_text_is_no_list_of_folders(door):
+    for folders in (("read", None), (None, b"write")):
+        with pytest.raises(UsageError, match="expected a list of folders, found "):
+            door.allow(*folders)
+
+
+def test_a_file_has_up_to_100_megabytes():
+    assert Door().most == 100_000_000

@@ -91,6 +91,19 @@ def test_past_its_seconds_an_entry_gets_as_many_again_once(budget, monkeypatch):
             budget.look(1)
 
 
+def test_an_error_that_is_kept_back_in_a_later_entry_refuses_goals_of_that_one_only(budget):
+    budget.allow(Limits(inferences=10))
+    with pytest.raises(LimitError) as caught:
+        budget.look(11)
+    budget.start_anew()
+    saved = budget.enter()
+    budget.close(caught.value)
+    with pytest.raises(LimitError):
+        budget.admit()
+    budget.leave(saved)
+    budget.admit()
+
+
 @pytest.fixture
 def turn():
     made = Turn()
