@@ -90,7 +90,10 @@ def test_these_tests_fail_where_they_are_asked_for_and_it_is_missing():
         "import sys, pytest; from retalis.prolog.swi import binding; binding.NAMES = binding.PLACES = (); "
         f"sys.exit(pytest.main([{os.path.dirname(__file__)!r} + '/test_values.py']))"
     )
-    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "RETALIS_TEST_SWI": "1"}
+    path = os.pathsep.join(
+        [str(ROOT / "src"), *sys.path]
+    )  # pytest may be in an environment that only PYTHONPATH names
+    environment = {**os.environ, "PYTHONPATH": path, "RETALIS_TEST_SWI": "1"}
     ran = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT, env=environment
     )
