@@ -7,7 +7,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from .campaign import Campaign
+from .campaign import Campaign, known_reason
 from .kinds import NAMES
 
 
@@ -33,10 +33,15 @@ def show(campaign, save=None):
     """Print what a campaign has found; save the inputs."""
     print(
         f"{campaign.kind}: {campaign.done} inputs, {campaign.taken} steps taken, {campaign.refused} refused, "
-        f"slowest {campaign.slowest:.2f} s, at most {campaign.peak} MB, {len(campaign.counted)} findings",
+        f"slowest {campaign.slowest:.2f} s, at most {campaign.peak} MB, {len(campaign.counted)} findings, "
+        f"{len(campaign.known)} known",
         flush=True,
     )
     for number, line in enumerate(campaign.findings.values(), 1):
+        why = known_reason(line)
+        if why:
+            print(f"  known: {line['what']} at {line['where']} ({line['times']} times): {why}")
+            continue
         print(f"  {line['what']} at {line['where']} ({line['times']} times): {line['detail']}")
         print(f"    --replay {line['kind']}:{line['seed']}:{line['since']}-{line['number']}")
         if "input" in line:
@@ -68,7 +73,7 @@ def main(argv):
     if options.replay:
         campaign = replayed(options.replay)
         show(campaign)
-        return min(len(campaign.findings), 100)
+        return min(len(campaign.counted), 100)
     found = 0
     for kind in options.kind or NAMES:
         campaign = Campaign(kind, options.seed)

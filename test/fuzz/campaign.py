@@ -11,6 +11,8 @@ import threading
 import time
 from pathlib import Path
 
+from .known import reason
+
 HERE = Path(__file__).resolve().parent
 STILL = 10.0
 """Seconds of CPU time on one input after which its process is ended: no handler could end the work."""
@@ -104,7 +106,7 @@ class Campaign:
     def _confirm(self):
         """Leave out what took long or much only once: another process may have held up the machine."""
         for line in list(self.findings.values()):
-            if line["what"] in ("time", "growth"):
+            if line["what"] in ("time", "growth") and not known_reason(line):
                 again = Campaign(self.kind, self.seed)
                 again.replay(line["since"], line["number"])
                 if not any(one["what"] == line["what"] for one in again.findings.values()):
@@ -113,7 +115,17 @@ class Campaign:
     @property
     def counted(self):
         """The findings that count."""
-        return [line for line in self.findings.values() if line["what"] != "once"]
+        return [line for line in self.findings.values() if line["what"] != "once" and not known_reason(line)]
+
+    @property
+    def known(self):
+        """The findings whose repair is planned."""
+        return [line for line in self.findings.values() if known_reason(line)]
+
+
+def known_reason(line):
+    """Return why a finding is known, or an empty text."""
+    return reason(line["kind"], line["what"], line["where"])
 
 
 class _Process:
@@ -167,7 +179,7 @@ class _Process:
             raise RuntimeError(f"a process of kind {self._campaign.kind} did not start: {errors}")
         what = self._killed or f"died ({status})"
         places = [line.strip() for line in errors.splitlines() if "retalis/" in line]
-        where = places[0].split("retalis/")[-1] if places else "somewhere"
+        where = self._subject() or (places[0].split("retalis/")[-1] if places else "somewhere")
         self._campaign.found(
             {
                 "key": f"{what} {where}",
@@ -185,6 +197,9 @@ class _Process:
 
     def _at(self):
         return struct.unpack("<qq", self._progress.read_bytes()[:16])
+
+    def _subject(self):
+        return self._progress.read_bytes()[16:].rstrip(b"\0").decode(errors="replace")
 
     def _guard(self):
         """End a process that stays at one input."""

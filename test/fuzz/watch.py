@@ -31,6 +31,7 @@ PARSERS = ("ast",)
 HARMLESS = frozenset(
     (
         "builtins.id",
+        "array.__new__",
         "object.__getattr__",
         "sys._getframe",
         "gc.get_objects",
@@ -78,11 +79,15 @@ class Watch:
         scratch: the folder that inputs may read from.
         reads: whether files anywhere may be read (programs that are loaded may name any).
         marked: whether inputs have a mark that must not come up in a source (`mark`).
+        seconds: CPU time that one input may take.
+        growth: bytes by which the resident memory may grow while one input is worked on.
     """
 
-    def __init__(self, scratch, reads=False):
+    def __init__(self, scratch, reads=False, seconds=SECONDS, growth=GROWTH):
         self._scratch = str(scratch)
         self._reads = reads
+        self._seconds = seconds
+        self._growth = growth
         self._armed = False
         self._start = 0.0
         self._before = self._peak = 0
@@ -126,10 +131,10 @@ class Watch:
             raise Finding(*late.args)
         if raised is not None:
             raise raised
-        if taken > SECONDS:
+        if taken > self._seconds:
             raise Finding("time", f"{taken:.1f} s", "in one step")
         peak = _peak()
-        if peak > self._peak and peak - self._before > GROWTH:
+        if peak > self._peak and peak - self._before > self._growth:
             raise Finding("growth", f"{(peak - self._before) >> 20} MB", "in one step")
 
     def resident(self):
@@ -141,11 +146,11 @@ class Watch:
             return
         taken = time.process_time() - self._start
         grown = self.resident() - self._before
-        if taken > SECONDS:
+        if taken > self._seconds:
             self._armed = False
             self.slowest = max(self.slowest, taken)
             raise Late("time", f"{taken:.1f} s", place(frame))
-        if grown > GROWTH:
+        if grown > self._growth:
             self._armed = False
             raise Late("growth", f"{grown >> 20} MB", place(frame))
 

@@ -51,7 +51,7 @@ class Worker:
         self.name = name
         self.seed = seed
         self.kind = kind_of(name)(Path(scratch))
-        self.watch = Watch(scratch, self.kind.reads)
+        self.watch = Watch(scratch, self.kind.reads, self.kind.seconds, self.kind.growth)
         self.tell = tell
         self.progress = progress
         self.chance = random.Random()
@@ -111,7 +111,8 @@ class Worker:
     def work(self, number, data):
         """Work on an input, and tell what it did that it must not."""
         if self.progress is not None:
-            os.pwrite(self.progress, struct.pack("<qq", number, self.since), 0)
+            subject = self.kind.subject(data).encode()
+            os.pwrite(self.progress, struct.pack("<qq80s", number, self.since, subject), 0)
         problem = self.problem(data)
         if problem is not None:
             self.found(number, data, problem)
@@ -135,13 +136,17 @@ class Worker:
 
     def found(self, number, data, problem):
         """Tell a finding, shortened where that is simple."""
-        key = f"{problem.what} {problem.where} {problem.detail.split(':')[0][:40]}"
+        where, detail = problem.where, problem.detail
+        subject = self.kind.subject(data) if problem.what in ("time", "growth") else ""
+        if subject:  # one finding for each subject, wherever the watch interrupted the work
+            where, detail = subject, f"{detail} at {where}"
+        key = f"{problem.what} {where} {'' if subject else detail.split(':')[0][:40]}"
         times = self.told[key] = self.told.get(key, 0) + 1
         line = {
             "key": key,
             "what": problem.what,
-            "detail": problem.detail,
-            "where": problem.where,
+            "detail": detail,
+            "where": where,
             "kind": self.name,
             "seed": self.seed,
             "number": number,

@@ -13,6 +13,11 @@ NAMES = (
     "xml",
     "bags",
     "names",
+    "joins",
+    "limits",
+    "states",
+    "ros2",
+    "tables",
 )
 
 

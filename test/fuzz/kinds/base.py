@@ -9,7 +9,7 @@ from retalis.foundation import RetalisError
 from retalis.prolog.machine import Limits
 
 from ..mutate import to_text
-from ..watch import Finding
+from ..watch import GROWTH, SECONDS, Finding
 
 try:  # names of types are looked for in it, and no input may import anything
     from rosbags.typesys import Stores, get_typestore
@@ -36,6 +36,8 @@ class Kind:
     Attributes:
         block: how many inputs are worked on before `begin` makes everything anew.
         reads: whether inputs may have files anywhere read.
+        seconds: CPU time that an input may take.
+        growth: bytes by which the resident memory may grow while an input is worked on.
         warm: whether the corpus may be worked on before the watch begins.
         taken, refused: how many steps ended well, and how many with a documented error.
     """
@@ -43,6 +45,8 @@ class Kind:
     block = 50
     reads = False
     warm = True
+    seconds = SECONDS
+    growth = GROWTH
 
     def __init__(self, scratch):
         self.scratch = scratch
@@ -70,6 +74,10 @@ class Kind:
 
     def marked(self, data):
         """Return the part of an input that must not come up in a source, or nothing."""
+        return ""
+
+    def subject(self, data):
+        """Return the name under which findings of an input are collected, or nothing for the place in the package."""
         return ""
 
     def attempt(self, work, *arguments):

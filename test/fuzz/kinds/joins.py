@@ -1,0 +1,133 @@
+"""Rules that join, measure and repeat, with many partners under all policies, and events that make them work."""
+
+from time import process_time
+
+from retalis.engine import Settings
+from retalis.prolog.machine import Limits
+
+from ..mutate import changed_text, to_bytes, to_text
+from ..watch import Finding
+from .base import LOGGED, Kind, silent_engine
+
+MARK = "\n%%\n"
+"""Separates the program of an input from its events: lines of a time and an event."""
+
+MAX_EVENTS = 25
+MAX_EVENT_SECONDS = 1.0
+"""CPU time that one event may take, 20 times its limit."""
+
+SETTINGS = Settings(
+    limits=Limits(seconds=0.05, inferences=10_000, megabytes=30), max_depth=20, queue=100, folders=()
+)
+
+POLICIES = ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")
+JOINS = ("seq", "seq", "and", "and", "or", "par", "cnot", "fnot", "during", "meets", "starts", "finishes", "equals")
+AFTER_MATCH = ("skip_past_last", "skip_to_next", "skip_to_first", "skip_to_last", "no_skip")
+MEASURES = ("count", "sum({0})", "min({0})", "max({0})", "avg({0})", "list(f({0},Y))", "[first({0}), last({0})]")
+WINDOWS = ("last(3)", "last(3, events)", "every(2)", "every(3, events)", "running", "last(4, every(2))")
+STEPS = (
+    "steps([up where {0} > 0, dn(2) where {0} < 0])",
+    "steps([up(1, many) where {0} > prev({0}), later(dn) where {0} < 0])",
+    "steps([x(0, many, until({0} > 2)) where {0} > 0, later(y(1, 2, reluctant)) where {0} < 2])",
+    "steps([up(0, 1, reluctant), dn(1, 2) where {0} =:= 1])",
+)
+FLAGS = (
+    "set_etalis_flag(out_of_order, on)",
+    "set_etalis_flag(revision_flag, on)",
+    "set_etalis_flag(etalis_justification, on)",
+    "set_etalis_flag(garbage_control, off)",
+)
+VALUES = ("0", "1", "1", "2", "-1", "2.5", "x", "_", "f(Z, Z)", "nan", "[1, 2]", "'\"t\"'")
+
+
+class Inputs(Kind):
+    block = 8
+    seconds = 5.0  # of all events together
+    reads = True  # a program that is loaded may name any file
+
+    def setup(self):
+        self.large = "[" + ",".join(f"p({at},[{at}.5,a])" for at in range(300)) + "]"
+
+    def begin(self):
+        self.engine = silent_engine(SETTINGS)
+
+    def make(self, chance):
+        if self.texts and chance.random() < 0.1:
+            return to_bytes(changed_text(chance, chance.choice(self.texts), self.texts, VALUES + JOINS))
+        policy = chance.choice(POLICIES)
+        lines = [f":- set_etalis_flag(event_consumption_policy, {policy})."]
+        lines += [f":- {flag}." for flag in FLAGS if chance.random() < 0.15]
+        lines += [self.rule(chance) for _ in range(chance.choice((1, 1, 2, 3)))]
+        return to_bytes("\n".join(lines) + MARK + "\n".join(self.events(chance)))
+
+    def rule(self, chance):
+        """Return a rule; some heads are events of other rules, or of the rule itself."""
+        head = chance.choice(("h(X)", "h(X, Y)", "h(X, Y)", "a(X)", "b(f(X))"))
+        properties = []
+        if chance.random() < 0.2:
+            properties.append(f"property(policy, {chance.choice(POLICIES)})")
+        if chance.random() < 0.2:
+            properties.append(f"property(after_match, {chance.choice(AFTER_MATCH)})")
+        if chance.random() < 0.2:
+            properties.append("property(event_rule_window, 5)")
+        label = f"l{chance.randrange(99)}([{', '.join(properties)}]) : " if properties else ""
+        pattern = self.pattern(chance, chance.choice((1, 2, 2, 3)))
+        return f"{label}{head} <- {pattern}."
+
+    def pattern(self, chance, depth):
+        if not depth:
+            return f"{chance.choice('aabc')}({chance.choice('XXYYZ_')})"
+        what = chance.random()
+        if what < 0.6:
+            left, right = (self.pattern(chance, depth - 1 - chance.randrange(depth)) for _ in range(2))
+            return f"({left} {chance.choice(JOINS)} {right})"
+        inner = self.pattern(chance, depth - 1)
+        if what < 0.68:
+            return f"({inner} within {chance.choice((1, 3, 60))})"
+        if what < 0.76:
+            return f"({inner} where {chance.choice(('X = Y', 'X > 0', 'number(X)', chr(92) + '+ X = 1'))})"
+        if what < 0.82:
+            return f"({inner} {chance.choice(('star_times', 'ntimes 2', 'ntimes 5'))})"
+        if what < 0.92:
+            window = chance.choice((*WINDOWS, *STEPS)).format("X")
+            measure = chance.choice(MEASURES).format("X")
+            return f"aggregate({measure}, {chance.choice(('a(X)', 'a(X, Y)', 'b(X)', inner))}, S, {window})"
+        stream = ("({0} seq absent(b(X), 2))", "({0} with throttle(2, X))", "({0} with change(X))")
+        return chance.choice(stream).format(inner)
+
+    def events(self, chance):
+        """Return lines of events: values repeat, so that many are partners of each other."""
+        now = 1.0
+        few = chance.random() < 0.5  # the same event again and again: all pairs join
+        lines, sent = [], []
+        for _ in range(chance.randint(5, MAX_EVENTS)):
+            now += chance.choice((0, 0, 0.5, 1, 1, 10))
+            what = chance.random()
+            if sent and what < 0.08:
+                lines.append(f"{now} rev({chance.choice(sent)})")
+                continue
+            value = "1" if few else self.large if what > 0.97 else chance.choice(VALUES)
+            more = f", {chance.choice(VALUES)}" if chance.random() < 0.1 else ""
+            event = f"{chance.choice('aabc')}({value}{more})"
+            sent.append(event)
+            late = now - chance.choice((0.5, 3, 100)) if chance.random() < 0.1 else now
+            lines.append(f"{max(0.0, late)} {event}")
+        return lines
+
+    def run(self, data):
+        program, _, events = to_text(data).partition(MARK)
+        # Rules of inputs before stay until the block ends, so that one event meets rules of several programs.
+        self.attempt(self.engine.load, program)
+        for line in events.splitlines()[:MAX_EVENTS]:
+            time, _, event = line.partition(" ")
+            try:
+                instant = float(time)
+            except ValueError:
+                continue
+            before = process_time()
+            self.attempt(self.engine.event, event, instant)
+            taken = process_time() - before
+            if taken > MAX_EVENT_SECONDS:
+                raise Finding("time", f"{taken:.1f} s for {event[:80]}", "one event")
+        self.attempt(self.engine.query, "memory_size(_, _)")
+        LOGGED.check()

@@ -1,0 +1,96 @@
+"""Definitions of ROS 2 mutated, and messages in CDR for those that are accepted."""
+
+import struct
+
+from retalis.messages import Definitions, ros2_type, text_writer
+from retalis.prolog.syntax import to_text as text_of
+
+from ..mutate import changed_text, soup, to_bytes, to_text
+from ..watch import Finding
+from .base import Kind
+
+TYPES = ("int32", "string", "wstring", "string<=10", "wstring<=4", "byte", "char", "float64", "bool", "uint8", "octet")
+TYPES += ("pkg/msg/Type", "pkg/Type", "Type", "builtin_interfaces/Time", "builtin_interfaces/msg/Duration", "Header")
+TYPES += ("std_msgs/msg/Header", "int64", "long", "pkg/msg/msg/Type", "pkg/srv/Type", "no/msg/Such", "no_such")
+ARRAYS = ("", "", "", "[]", "[3]", "[<=3]", "[0]", "[<=0]", "[<=99999999999]", "[100000000]", "[9]", "[<=", "[-1]", "[<3]")
+RESTS = ("", "", "", " 5", " -0x5", ' "a#b"', " 'it''s'", " [1, 2, 3]", ' ["a", "b"]', " true", " nan", "=5", " = 0x10")
+RESTS += ('="a = b # c"', "='\\'x'", "=", " # comment", '="unclosed', " 1e999", "=1e999", " é", ' "é∀"')
+NAMES = ("x", "y", "z", "X", "Y", "data", "class", "seq", "stamp", "x_", "_x", "1x", "é", "import", "MAX_VALUE")
+SEPARATOR = "=" * 80 + "\nMSG: "
+PIECES = (*TYPES, *ARRAYS, *RESTS, *NAMES, " ", "\n", "#", "<=", f"\n{SEPARATOR}pkg/msg/Type\n", "\r", "\x85", "MSG: ")
+MSG_NAMES = ("pkg/msg/Kind", "pkg/Kind", "std_msgs/msg/Header", "pkg/msg/Type", "pkg/action/Kind", "Kind", "pkg/msg/é", "msg/msg/msg")
+FOUND = {"pkg/Type": "int32 found\nstring<=3 name", "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id"}
+CDR = (b"\0\1\0\0", b"\0\0\0\0")
+
+
+class Inputs(Kind):
+    """The first line of an input is the type's name; the definition decides which bytes are tried."""
+
+    block = 100
+
+    def setup(self):
+        for encoding in ("utf-16-le", "utf-16-be", "utf-32-le", "utf-32-be"):  # imports the codecs
+            "".encode(encoding)
+
+    def begin(self):
+        self.known = Definitions()
+
+    def make(self, chance):
+        what = chance.random()
+        if what < 0.1:
+            return to_bytes(f"{chance.choice(MSG_NAMES)}\n" + soup(chance, PIECES, 15))
+        if what < 0.4 and self.texts:
+            return to_bytes(changed_text(chance, chance.choice(self.texts), self.texts, PIECES))
+        text = self.definition(chance)
+        for _ in range(chance.choice((0, 0, 1, 2))):
+            name = chance.choice(("pkg/msg/Type", "pkg/Type", "std_msgs/msg/Header", "pkg/msg/Kind", "Type"))
+            text += f"{SEPARATOR}{name}\n{self.definition(chance)}"
+        if chance.random() < 0.3:
+            text = changed_text(chance, text, [text], PIECES)
+        return to_bytes(f"{chance.choice(MSG_NAMES[:4])}\n{text}")
+
+    def definition(self, chance):
+        lines = []
+        for at in range(chance.choice((0, 1, 2, 3, 6))):
+            odd = chance.random() < 0.15
+            kind = chance.choice(TYPES if odd else TYPES[:17])
+            array = chance.choice(ARRAYS if odd else ARRAYS[:8])
+            name = chance.choice(NAMES) if odd else f"x{at}"
+            rest = chance.choice(RESTS) if odd else ""
+            lines.append(f"{kind}{array} {name}{rest}\n")
+        return "".join(lines)
+
+    def run(self, data):
+        name, _, text = to_text(data).partition("\n")
+        found = self.attempt(ros2_type, name, text, FOUND.get)
+        if found is None:
+            return
+        definition = found.definition
+        decoder = self.attempt(self.known.decoder, definition)
+        encoder = self.attempt(self.known.encoder, definition)
+        if decoder is None or encoder is None:
+            return
+        write = text_writer(decoder)
+        for raw in self.messages(data):
+            message = self.attempt(found.to_ros1, raw)
+            if message is None:
+                continue
+            # What was converted is a message of the definition, and comes back through text and term.
+            term = decoder.decode(message)
+            if text_of(term) != write(message):
+                raise Finding("difference", "text and term do not agree", "ros2")
+            again = self.attempt(encoder.encode, decoder.lazy(message))
+            if again is not None and text_of(decoder.decode(again)) != text_of(term):
+                raise Finding("difference", "it does not come back as it was", "ros2")
+
+    def messages(self, data):
+        """Return messages: zeros of all lengths, counts of one, and the bytes of the input itself."""
+        for head in CDR:
+            order = "<" if head == CDR[0] else ">"
+            for size in range(0, 80, 4):
+                yield head + bytes(size)
+                yield head + struct.pack(f"{order}I", 1) * (size // 4)
+            yield head + data[:200]
+            yield head + struct.pack(f"{order}I", 0xFFFFFFFF) + data[:60]
+        yield data[:50]
+        yield b""

@@ -1,0 +1,167 @@
+"""States with changed values and right checksums, changed bytes, and pieces left out."""
+
+from retalis import Engine
+from retalis.engine import parts_of
+from retalis.engine.keeping import from_bytes, pack, to_bytes, unpack
+from retalis.foundation import RetalisError, UsageError
+from retalis.prolog.terms import atom, functor
+
+from ..mutate import NUMBERS, changed_bytes
+from ..watch import Finding
+from .base import LOGGED, SETTINGS, Kind, silent_engine
+
+PROGRAMS = (
+    (
+        """
+ab(X, Y) <- a(X) seq b(Y).
+both(X) <- (a(X) and c(X)) within 60.
+many(S) <- a(_) seq aggregate(sum(X), b(X), S).
+lot([property(policy, unrestricted)]) : unless(X) <- (a(X) seq c(_)) cnot b(X).
+""",
+        "memorize(a(X), [], X, as, 10)\nsubscribe(ab(_,_), [], _, t, s)\nmemorize(c(X), [number(X)], got(X), cs, 3)",
+    ),
+    (
+        """
+:- dynamic f/1. :- table r/2 as incremental. :- dynamic e/2 as incremental. :- op(700, xfx, near).
+f(1). f("text"). f(2.5) :- \\+ f(3). e(1, 2). r(X, Y) :- e(X, Y). r(X, Z) :- r(X, Y), e(Y, Z).
+n(N) <- aggregate(count, a(X), N, last(3, events)).
+up(N) <- aggregate(list(X), a(X), N, steps([up where X > 0, later(dn) where X < 0])).
+s(X) <- a(X) seq absent(b(_), 2).
+d(X) <- (a(X) with throttle(2, X)).
+:- state(h(X), from(a(X)), until(b(_))).
+""",
+        "set_etalis_flag(out_of_order, on)\nnb_setval(k, f(_, [1, 2]))\ntimer(c(1), after(30))",
+    ),
+    (
+        """
+p(X, Y) <- a(X) seq b(Y).
+q(X) <- p(X, _) seq c(_).
+m(L) <- a(_) seq (b(_) star_times).
+pose(X) <- prev(as, X, _, _, [1, 0]) where true.
+""",
+        "set_etalis_flag(revision_flag, on)\nset_etalis_flag(event_consumption_policy, chronological)\n"
+        "memorize(a(X), [], X, as, 5)\nsubscribe(q(_), [], _, t, s)",
+    ),
+)
+EVENTS = ("a(1)", "b(2)", "a(-1)", "c(1)", "a(f(Z, Z))", "b(1)", "a(2)")
+AFTER = ("b(7)", "c(2)", "a(1)", "rev(b(7))", "b(2)")
+QUERIES = ("memory_size(M, N)", "r(X, Y)", "f(X)", "holds(h(X))", "nb_getval(k, X)", "e(X, Y), assertz(e(Y, 5))")
+
+
+class Inputs(Kind):
+    """An input is the state itself."""
+
+    block = 40
+    warm = False
+
+    def setup(self):
+        self.states = []
+        for rules, goals in PROGRAMS:
+            engine = silent_engine()
+            engine.load(rules, goals)
+            for now, event in enumerate(EVENTS, 1):
+                engine.event(event, now)
+            self.states.append(unpack(engine.snapshot()))
+        LOGGED.found = None
+        self.whole = [pack(state) for state in self.states]
+        self.sections = [(state, name) for state in self.states for name in state]
+        self.values = [1, -1, 1 << 70, 0.5, float("nan"), None, True, "", "text", b"", [], (), {}, atom("a")]
+        self.values += [(functor("f", 1), 1), (functor("f", 2), 1), [1], (1, 2, 3), *NUMBERS]
+        self.shared = {(name, arity): functor(name, arity) for name in "abcf" for arity in range(3)}
+
+    def make(self, chance):
+        what = chance.random()
+        if what < 0.05:
+            whole = chance.choice(self.whole)
+            return whole[: chance.randrange(len(whole))]
+        state, name = chance.choice(self.sections)
+        if what < 0.15:
+            return changed_bytes(chance, pack(state), self.whole)
+        if what < 0.3:
+            changed = changed_bytes(chance, state[name], [state[name]])
+            return pack(dict(state, **{name: changed}))
+        if what < 0.35:
+            other = chance.choice(self.states)
+            return pack(dict(state, **{name: other.get(name, b"")}))
+        data = from_bytes(state[name])
+        for _ in range(chance.choice((1, 1, 1, 2))):
+            data = self.changed(chance, data, self.places(data))
+        return pack(dict(state, **{name: to_bytes(data)}))
+
+    def places(self, data, path=(), found=None):
+        """Return the paths to all values."""
+        found = [] if found is None else found
+        found.append(path)
+        if isinstance(data, (list, tuple)):
+            for at, item in enumerate(data):
+                self.places(item, (*path, at), found)
+        elif isinstance(data, dict):
+            for key, item in data.items():
+                self.places(item, (*path, key), found)
+        return found
+
+    def changed(self, chance, data, places):
+        """Return data with another value at one place."""
+        path = chance.choice(places[1:] or places)
+        return self.put(data, path, lambda old: self.other(chance, old))
+
+    def other(self, chance, old):
+        """Return a value for another: of the same type, or of any."""
+        what = chance.random()
+        if old.__class__ is int and what < 0.5:
+            return old + chance.choice((-1, 1, 1000, -old - 1))
+        if old.__class__ is str and what < 0.5:
+            return chance.choice((old + "x", old[1:], "no_such", "'"))
+        if isinstance(old, (list, dict)) and old and what < 0.5:
+            if isinstance(old, list):
+                return chance.choice((old[1:], old + old[:1], old[::-1]))
+            return dict(list(old.items())[1:])
+        return chance.choice(self.values)
+
+    def put(self, data, path, change):
+        if not path:
+            return change(data)
+        first, rest = path[0], path[1:]
+        if isinstance(data, dict):
+            return {**data, first: self.put(data[first], rest, change)} if first in data else data
+        if not isinstance(data, (list, tuple)) or not first.__class__ is int or first >= len(data):
+            return data
+        items = list(data)
+        items[first] = self.put(items[first], rest, change)
+        if isinstance(data, list):
+            return items
+        try:
+            return data.__class__(*items) if hasattr(data, "_fields") else tuple(items)
+        except Exception:  # a named tuple that checks its values
+            return data
+
+    def run(self, data):
+        try:
+            engine = Engine.restore(data, settings=SETTINGS)
+        except UsageError as error:
+            str(error)
+            self.refused += 1
+            self.check_shared()
+            LOGGED.found = None
+            return
+        parts_of(engine).logic.output = parts_of(engine).logic.error_output = lambda text: None
+        self.check_shared()
+        for now, event in enumerate(AFTER, 10):
+            self.attempt(engine.event, event, now)
+        for query in QUERIES:
+            self.attempt(engine.query, query, 5)
+        engine.status()
+        LOGGED.check()
+        try:
+            again = engine.snapshot()
+            Engine.restore(again, settings=SETTINGS)
+        except RetalisError as error:
+            raise Finding("difference", f"the state of the restored engine: {error}"[:300], "states") from error
+        LOGGED.check()
+
+    def check_shared(self):
+        """Check that the process is as before: all engines share functors."""
+        for (name, arity), kind in self.shared.items():
+            if (kind.name, kind.arity) != (name, arity) or kind is not functor(name, arity):
+                kind.name, kind.arity = name, arity
+                raise Finding("difference", f"the functor {name}/{arity} is another one", "states")

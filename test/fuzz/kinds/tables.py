@@ -1,0 +1,140 @@
+"""Incremental tables and the same program without tables: random changes, and the same answers."""
+
+import json
+
+from retalis.engine import Settings, parts_of
+from retalis.foundation import RetalisError
+from retalis.prolog.machine import Limits
+
+from ..mutate import to_bytes, to_text
+from ..watch import Finding
+from .base import LOGGED, Kind, silent_engine
+
+SETTINGS = Settings(limits=Limits(seconds=2.0, inferences=300_000, megabytes=40), folders=())
+
+BASE = ("e/2", "n/1", "s/1")
+DYNAMIC = ":- dynamic e/2 as incremental.\n:- dynamic([n/1, s/1], [incremental(true)]).\n"
+FACTS = "e(1, 2). e(2, 3). n(1). n(2). n(3). s(1).\n"
+MEMORY = "memorize(pose(X), [], X, m, 4)\nmemorize(seen(X), [], X, k, 100)"
+NEGATION = r"\+ {}"
+FORMS = ("{}", "{}", "{}", NEGATION, "once({})", "forall({}, true)", "catch({}, _, fail)", "call({})")
+CONSTANTS = (1, 2, 3, 4, 5)
+MODES = ("min", "max")
+
+
+class Inputs(Kind):
+    """An input is a JSON object: the rules with and without tables, the operations, and the goals that are compared."""
+
+    block = 20
+
+    def setup(self):
+        silent_engine().load(DYNAMIC + FACTS)  # reads the library
+
+    def make(self, chance):
+        names, tabled, plain = ["n", "s", "up"], [], []
+        for at in range(chance.choice((1, 2, 3, 4))):
+            name = f"p{at}"
+            for rule in self.rules(chance, name, names):
+                tabled.append(rule[0])
+                plain.append(rule[1])
+            if chance.random() < 0.85:
+                names.append(name)
+        declared = [name for name in names[3:] if chance.random() < 0.9] + ["r"]
+        heads = ", ".join(f"{name}/{2 if name == 'r' else 1}" for name in declared)
+        # What tables read and is not tabled itself is read by the table that calls it.
+        start = f":- table ({heads}) as incremental.\n" if ", " in heads else f":- table {heads} as incremental.\n"
+        operations = [self.operation(chance, names) for _ in range(chance.randint(3, 14))]
+        found = {
+            "tabled": start + "".join(tabled) + "r(X, Y) :- e(X, Y).\nr(X, Y) :- r(X, Z), e(Z, Y).\n",
+            "plain": "".join(plain) + "r(X, Y) :- e(X, Y).\nr(X, Y) :- e(X, Z), r(Z, Y).\n",
+            "operations": operations,
+            "goals": [*(f"{name}(X)" for name in names), "r(1, X)", "r(X, 3)", "r(A, B), X = A-B"],
+        }
+        return to_bytes(json.dumps(found))
+
+    def rules(self, chance, name, names):
+        """Return clauses of a predicate over those before it, for both programs."""
+        for _ in range(chance.choice((1, 1, 2))):
+            bound = chance.choice(("n(X)", "e(X, _)", "e(_, X)", "r(_, X)", "memory_value(X)", f"{chance.choice(names)}(X)"))
+            body = [bound]
+            for _ in range(chance.choice((0, 1, 2))):
+                body.append(chance.choice(FORMS).format(self.literal(chance, names)))
+            if chance.random() < 0.2:
+                body = [f"findall(Y, ({', '.join(body).replace('X', 'Y')}), L), sort(L, S), length(S, X)"]
+            yield (f"{name}(X) :- {', '.join(body)}.\n",) * 2
+
+    def literal(self, chance, names):
+        return chance.choice(
+            (
+                f"{chance.choice(names)}(X)",
+                "e(X, _)",
+                "r(X, _)",
+                f"r({chance.choice(CONSTANTS)}, X)",
+                f"clause({chance.choice('ns')}(X), true)",
+                "newest_matching(m, X, _, _)",
+                "holds(h(X))",
+            )
+        )
+
+    def operation(self, chance, names):
+        """Return a goal, or an event after a mark."""
+        what = chance.random()
+        low, high = sorted(chance.sample(CONSTANTS, 2))  # edges lead upwards, so that programs without tables end
+        fact = chance.choice((f"e({low}, {high})", f"n({low})", f"s({high})"))
+        if what < 0.35:
+            return f"{chance.choice(('assertz', 'asserta'))}({fact})"
+        if what < 0.6:
+            return f"ignore(retract({fact}))"
+        if what < 0.65:
+            return chance.choice(("retractall(e(_, _))", "retractall(n(_))", f"retractall(e({low}, _))"))
+        if what < 0.7:
+            return "assertz((n(X) :- s(X)))"
+        if what < 0.8:
+            return f"event {chance.choice(('pose', 'seen', 'a', 'b'))}({chance.choice(CONSTANTS)})"
+        name = chance.choice(names)
+        if what < 0.9:  # a table that is not read to its end, or changes while it is read
+            return f"ignore((once({name}(X)), assertz(s(X))))"
+        if what < 0.95:
+            return f"forall({name}(X), assertz(n(X)))"
+        return f"catch(({name}(_), throw(a)), _, true), ignore(retract({fact}))"
+
+    def run(self, data):
+        try:
+            found = json.loads(to_text(data))
+            tabled, plain = (DYNAMIC + FACTS + found[name] + HELPERS for name in ("tabled", "plain"))
+            operations, goals = found["operations"], found["goals"]
+        except (ValueError, KeyError, TypeError):  # an input that was shortened too far
+            return
+        engines = [silent_engine(SETTINGS), silent_engine(SETTINGS)]
+        for engine, text in zip(engines, (tabled, plain)):
+            if self.attempt(lambda engine=engine, text=text: engine.load(text, MEMORY) or True) is None:
+                return
+        for now, operation in enumerate(["true", *operations], 1):
+            for engine in engines:
+                if operation.startswith("event "):
+                    self.attempt(engine.event, operation[6:], now)
+                else:
+                    self.attempt(engine.query, operation, 1)
+            for goal in goals:
+                one, other = (self.answers(engine, goal) for engine in engines)
+                if one != other:
+                    raise Finding("difference", f"{goal} after {operation}: {one} with tables, {other} without", "tables")
+        LOGGED.check()
+
+    def answers(self, engine, goal):
+        """Return the set of answers, or the kind of the error."""
+        try:
+            found = sorted({engine.show(one["X"]) for one in engine.query(goal, 200)})
+        except RetalisError as error:
+            self.refused += 1
+            return f"error {error.brief()}"[:60]
+        self.taken += 1
+        return found
+
+
+HELPERS = """
+up(X) :- s(Y), X is Y + 1.
+memory_value(X) :- newest_matching(m, X, _, _).
+memory_value(X) :- newest_matching(k, X, _, _).
+:- state(h(X), from(a(X)), until(b(X))).
+"""
