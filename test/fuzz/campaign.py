@@ -125,7 +125,7 @@ class Campaign:
 
 def known_reason(line):
     """Return why a finding is known, or an empty text."""
-    return reason(line["kind"], line["what"], line["where"])
+    return reason(line["kind"], line["what"], f"{line['where']} {line['detail']}")
 
 
 class _Process:

@@ -10,7 +10,7 @@ class Known(NamedTuple):
     Attributes:
         kind: the kind of inputs.
         what: pattern of what the input did, as in the table of README.md.
-        place: pattern of the place, which is a predicate in the kind `limits`.
+        place: pattern of the place (a predicate in the kind `limits`) and the detail.
         why: the cause, for the report.
     """
 
@@ -20,7 +20,24 @@ class Known(NamedTuple):
     why: str
 
 
-KNOWN = ()
+LIMITS = "one step of a built-in does not check the limits while it works"
+PATTERNS = "pattern work does not count against the limits of an event"
+STATES = "values of a state are not all checked before they are used"
+
+TOO_MUCH = "time|growth|hang|died.*"
+
+KNOWN = (
+    Known("joins", TOO_MUCH, "^unrestricted ", PATTERNS),
+    Known(
+        "limits",
+        TOO_MUCH,
+        r"^(ord_union|msort|sort|predsort|atomic_list_concat|number_codes|nth0|nth1)/",
+        LIMITS,
+    ),
+    Known("limits", TOO_MUCH, r"^(\\=|@=<|@<|@>|@>=|compare|==|\\==|format|print|writeq)/", LIMITS),
+    Known("states", "exception|logged", "", STATES),
+    Known("states", "time|growth", "keeping/coding.py", STATES),
+)
 
 
 def reason(kind, what, place):

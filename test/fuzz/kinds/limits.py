@@ -13,20 +13,22 @@ from .goals import PAGE
 
 SETTINGS = Settings(limits=Limits(seconds=0.2, megabytes=50), limit_start=False, folders=())
 
-VALUES = """
+VALUES = r"""
 numlist(1, 100000, L), nb_setval(long, L).
-findall(K-v, (between(1, 30000, I), K is -I), L), nb_setval(pairs, L).
-findall(A, (between(1, 20000, I), atom_number(A, I)), L), nb_setval(atoms, L).
-length(L, 100000), maplist(=(0'7), L), nb_setval(codes, L).
-findall([I], between(1, 30000, I), L), nb_setval(lists, L).
-length(L, 100000), maplist(=(0'a), L), atom_codes(T, L), nb_setval(text, T).
-length(L, 100000), maplist(=(0'7), L), string_codes(T, L), nb_setval(string, T).
-length(L, 1000000), maplist(=(0'9), L), atom_codes(T, L), nb_setval(digits, T).
-numlist(1, 50000, L), foldl([_,A,f(A)]>>true, L, x, T), nb_setval(deep, T).
-numlist(1, 5000, L), pairs_keys_values(P, L, L), list_to_assoc(P, T), nb_setval(assoc, T).
+numlist(1, 20000, L), pairs_keys_values(P, L, L), reverse(P, R), nb_setval(pairs, R).
+numlist(1, 10000, L), atomic_list_concat(L, ' ', T), atomic_list_concat(A, ' ', T), nb_setval(atoms, A).
+format(atom(T), "~*c", [100000, 0'7]), atom_codes(T, L), nb_setval(codes, L).
+findall([I], between(1, 5000, I), L), nb_setval(lists, L).
+format(atom(T), "~*c", [100000, 0'a]), nb_setval(text, T).
+format(string(T), "~*c", [100000, 0'7]), nb_setval(string, T).
+format(atom(T), "~*c", [1000000, 0'9]), nb_setval(digits, T).
+deep(20000, x, T), nb_setval(deep, T).
+numlist(1, 2000, L), pairs_keys_values(P, L, L), list_to_assoc(P, T), nb_setval(assoc, T).
 """
 
 PROGRAM = """
+deep(0, T, T) :- !.
+deep(N, A, T) :- M is N - 1, deep(M, f(A), T).
 wide(0, T, T) :- !.
 wide(N, A, T) :- M is N - 1, wide(M, f(A, A), T).
 sum(0, T, T) :- !.
@@ -62,7 +64,13 @@ NUMBERS = (
     "V = 10 ** 1000000",
     "V = 1 << (1 << 40)",
 )
-TEXTS = ("nb_getval(text, V)", "nb_getval(string, V)", "nb_getval(digits, V)", "nb_getval(codes, V)", "V = ''")
+TEXTS = (
+    "nb_getval(text, V)",
+    "nb_getval(string, V)",
+    "nb_getval(digits, V)",
+    "nb_getval(codes, V)",
+    "V = ''",
+)
 TEXTS += ("V = '~q~w~p'", "V = '~16777216|~t~w'", "V = '~100000000c'", "V = '%s'", "V = a")
 TERMS = (
     "wide(60, _, V)",
@@ -75,7 +83,15 @@ TERMS = (
     "V = _",
     "V = X0",
 )
-GOALS = ("V = loop", "V = grow(a)", "V = yes", "V = between(1, 1000000000)", "V = repeat", "V = p(_)", "V = succ_or")
+GOALS = (
+    "V = loop",
+    "V = grow(a)",
+    "V = yes",
+    "V = between(1, 1000000000)",
+    "V = repeat",
+    "V = p(_)",
+    "V = succ_or",
+)
 SORTS = {
     "List Set Pairs Rest Graph Keys Values Lists Items Sorted Arguments Options Numbers Vertices Codes Characters": LISTS,
     "Number Count Length Low High Index Expression X Y Size Arity Code Priority Seconds": NUMBERS,
@@ -103,7 +119,7 @@ def signatures():
 class Inputs(Kind):
     """An input is the name of a built-in and its arity, then a goal that calls it."""
 
-    block = 100
+    block = 50
     seconds = 2.0
     growth = 200 << 20
 
@@ -115,7 +131,8 @@ class Inputs(Kind):
 
     def begin(self):
         self.engine = silent_engine(SETTINGS)
-        self.engine.load(PROGRAM, VALUES.replace(").\n", ")\n"))
+        self.engine.load(PROGRAM)
+        self.engine.load(goals=VALUES.replace(").\n", ")\n"))
 
     def make(self, chance):
         name, arity = chance.choice(self.keys)

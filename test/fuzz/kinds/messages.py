@@ -14,6 +14,19 @@ from .base import CORPUS, Kind
 SIZES = {"bool": "?", "int8": "b", "byte": "b", "uint8": "B", "char": "B", "int16": "h", "uint16": "H"}
 SIZES.update(int32="i", uint32="I", int64="q", uint64="Q", float32="f", float64="d")
 TEXTS = (b"", b"/map", b"base_link", "é".encode(), b'a "quoted" \\ one', b"\xff\xfe", b"it's\n", b"x" * 300)
+# Beyond ASCII: several scripts, separators, controls of C1, cut, overlong and surrogate sequences, long texts.
+TEXTS += tuple(
+    text.encode()
+    for text in ("Küche \u65e5\u672c", "\u2028", "\x85", "\U0001f600'", "e\u0301", "\ufeffa", 'é"\\')
+)
+TEXTS += (
+    b"\xc3",
+    b"\xc0\x80",
+    b"\xed\xa0\x80",
+    "ü".encode() * 700,
+    "ü".encode() * 700 + b"\xc3",
+    "FFFFFFFFFFü".encode(),
+)
 PIECES = (
     "nan",
     "inf",
@@ -27,7 +40,19 @@ PIECES = (
     "[]",
     "[1,2|T]",
 )
-PIECES += ("'\"t\"'", "a", '"s"', "{}", "f(x)", "[1,2,3]", "(a,b)", "std_msgs__0__Header(0,[0,0],'\"\"')")
+PIECES += (
+    "'\"t\"'",
+    "a",
+    '"s"',
+    "{}",
+    "f(x)",
+    "[1,2,3]",
+    "(a,b)",
+    "std_msgs__0__Header(0,[0,0],'\"\"')",
+    "'\"é∀\"'",
+    "'\"\\x85\\\"'",
+    "é",
+)
 
 
 def valid(chance, definition):
@@ -113,6 +138,11 @@ class Inputs(Kind):
             return
         if text_of(term) != text:
             raise Finding("difference", f"{text_of(term)[:100]} is no {text[:100]}", "messages")
+        read = self.attempt(self.reader.read, text)
+        if read is not None:
+            made = self.attempt(encoder.encode, read)
+            if made is not None and text_of(decoder.decode(made)) != text:
+                raise Finding("difference", "its text does not come back as the message", "messages")
         lazy = decoder.lazy(data)
         again = encoder.encode(lazy)
         if text_of(decoder.decode(again)) != text:

@@ -9,17 +9,114 @@ from ..mutate import changed_text, soup, to_bytes, to_text
 from ..watch import Finding
 from .base import Kind
 
-TYPES = ("int32", "string", "wstring", "string<=10", "wstring<=4", "byte", "char", "float64", "bool", "uint8", "octet")
-TYPES += ("pkg/msg/Type", "pkg/Type", "Type", "builtin_interfaces/Time", "builtin_interfaces/msg/Duration", "Header")
-TYPES += ("std_msgs/msg/Header", "int64", "long", "pkg/msg/msg/Type", "pkg/srv/Type", "no/msg/Such", "no_such")
-ARRAYS = ("", "", "", "[]", "[3]", "[<=3]", "[0]", "[<=0]", "[<=99999999999]", "[100000000]", "[9]", "[<=", "[-1]", "[<3]")
-RESTS = ("", "", "", " 5", " -0x5", ' "a#b"', " 'it''s'", " [1, 2, 3]", ' ["a", "b"]', " true", " nan", "=5", " = 0x10")
+TYPES = (
+    "int32",
+    "string",
+    "wstring",
+    "string<=10",
+    "wstring<=4",
+    "byte",
+    "char",
+    "float64",
+    "bool",
+    "uint8",
+    "octet",
+)
+TYPES += (
+    "pkg/msg/Type",
+    "pkg/Type",
+    "Type",
+    "builtin_interfaces/Time",
+    "builtin_interfaces/msg/Duration",
+    "Header",
+)
+TYPES += (
+    "std_msgs/msg/Header",
+    "int64",
+    "long",
+    "pkg/msg/msg/Type",
+    "pkg/srv/Type",
+    "no/msg/Such",
+    "no_such",
+)
+ARRAYS = (
+    "",
+    "",
+    "",
+    "[]",
+    "[3]",
+    "[<=3]",
+    "[0]",
+    "[<=0]",
+    "[<=99999999999]",
+    "[100000000]",
+    "[9]",
+    "[<=",
+    "[-1]",
+    "[<3]",
+)
+RESTS = (
+    "",
+    "",
+    "",
+    " 5",
+    " -0x5",
+    ' "a#b"',
+    " 'it''s'",
+    " [1, 2, 3]",
+    ' ["a", "b"]',
+    " true",
+    " nan",
+    "=5",
+    " = 0x10",
+)
 RESTS += ('="a = b # c"', "='\\'x'", "=", " # comment", '="unclosed', " 1e999", "=1e999", " é", ' "é∀"')
-NAMES = ("x", "y", "z", "X", "Y", "data", "class", "seq", "stamp", "x_", "_x", "1x", "é", "import", "MAX_VALUE")
+NAMES = (
+    "x",
+    "y",
+    "z",
+    "X",
+    "Y",
+    "data",
+    "class",
+    "seq",
+    "stamp",
+    "x_",
+    "_x",
+    "1x",
+    "é",
+    "import",
+    "MAX_VALUE",
+)
 SEPARATOR = "=" * 80 + "\nMSG: "
-PIECES = (*TYPES, *ARRAYS, *RESTS, *NAMES, " ", "\n", "#", "<=", f"\n{SEPARATOR}pkg/msg/Type\n", "\r", "\x85", "MSG: ")
-MSG_NAMES = ("pkg/msg/Kind", "pkg/Kind", "std_msgs/msg/Header", "pkg/msg/Type", "pkg/action/Kind", "Kind", "pkg/msg/é", "msg/msg/msg")
-FOUND = {"pkg/Type": "int32 found\nstring<=3 name", "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id"}
+PIECES = (
+    *TYPES,
+    *ARRAYS,
+    *RESTS,
+    *NAMES,
+    " ",
+    "\n",
+    "#",
+    "<=",
+    f"\n{SEPARATOR}pkg/msg/Type\n",
+    "\r",
+    "\x85",
+    "MSG: ",
+)
+MSG_NAMES = (
+    "pkg/msg/Kind",
+    "pkg/Kind",
+    "std_msgs/msg/Header",
+    "pkg/msg/Type",
+    "pkg/action/Kind",
+    "Kind",
+    "pkg/msg/é",
+    "msg/msg/msg",
+)
+FOUND = {
+    "pkg/Type": "int32 found\nstring<=3 name",
+    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
+}
 CDR = (b"\0\1\0\0", b"\0\0\0\0")
 
 
@@ -31,9 +128,6 @@ class Inputs(Kind):
     def setup(self):
         for encoding in ("utf-16-le", "utf-16-be", "utf-32-le", "utf-32-be"):  # imports the codecs
             "".encode(encoding)
-
-    def begin(self):
-        self.known = Definitions()
 
     def make(self, chance):
         what = chance.random()
@@ -61,6 +155,8 @@ class Inputs(Kind):
         return "".join(lines)
 
     def run(self, data):
+        # Types that differ in arrays of nested types only have one checksum in ROS, which `Definitions` goes by.
+        self.known = Definitions()
         name, _, text = to_text(data).partition("\n")
         found = self.attempt(ros2_type, name, text, FOUND.get)
         if found is None:

@@ -45,7 +45,14 @@ pose(X) <- prev(as, X, _, _, [1, 0]) where true.
 )
 EVENTS = ("a(1)", "b(2)", "a(-1)", "c(1)", "a(f(Z, Z))", "b(1)", "a(2)")
 AFTER = ("b(7)", "c(2)", "a(1)", "rev(b(7))", "b(2)")
-QUERIES = ("memory_size(M, N)", "r(X, Y)", "f(X)", "holds(h(X))", "nb_getval(k, X)", "e(X, Y), assertz(e(Y, 5))")
+QUERIES = (
+    "memory_size(M, N)",
+    "r(X, Y)",
+    "f(X)",
+    "holds(h(X))",
+    "nb_getval(k, X)",
+    "e(X, Y), assertz(e(Y, 5))",
+)
 
 
 class Inputs(Kind):
@@ -156,7 +163,9 @@ class Inputs(Kind):
             again = engine.snapshot()
             Engine.restore(again, settings=SETTINGS)
         except RetalisError as error:
-            raise Finding("difference", f"the state of the restored engine: {error}"[:300], "states") from error
+            raise Finding(
+                "difference", f"the state of the restored engine: {error}"[:300], "states"
+            ) from error
         LOGGED.check()
 
     def check_shared(self):

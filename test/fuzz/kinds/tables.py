@@ -42,7 +42,11 @@ class Inputs(Kind):
         declared = [name for name in names[3:] if chance.random() < 0.9] + ["r"]
         heads = ", ".join(f"{name}/{2 if name == 'r' else 1}" for name in declared)
         # What tables read and is not tabled itself is read by the table that calls it.
-        start = f":- table ({heads}) as incremental.\n" if ", " in heads else f":- table {heads} as incremental.\n"
+        start = (
+            f":- table ({heads}) as incremental.\n"
+            if ", " in heads
+            else f":- table {heads} as incremental.\n"
+        )
         operations = [self.operation(chance, names) for _ in range(chance.randint(3, 14))]
         found = {
             "tabled": start + "".join(tabled) + "r(X, Y) :- e(X, Y).\nr(X, Y) :- r(X, Z), e(Z, Y).\n",
@@ -55,7 +59,9 @@ class Inputs(Kind):
     def rules(self, chance, name, names):
         """Return clauses of a predicate over those before it, for both programs."""
         for _ in range(chance.choice((1, 1, 2))):
-            bound = chance.choice(("n(X)", "e(X, _)", "e(_, X)", "r(_, X)", "memory_value(X)", f"{chance.choice(names)}(X)"))
+            bound = chance.choice(
+                ("n(X)", "e(X, _)", "e(_, X)", "r(_, X)", "memory_value(X)", f"{chance.choice(names)}(X)")
+            )
             body = [bound]
             for _ in range(chance.choice((0, 1, 2))):
                 body.append(chance.choice(FORMS).format(self.literal(chance, names)))
@@ -79,7 +85,9 @@ class Inputs(Kind):
     def operation(self, chance, names):
         """Return a goal, or an event after a mark."""
         what = chance.random()
-        low, high = sorted(chance.sample(CONSTANTS, 2))  # edges lead upwards, so that programs without tables end
+        low, high = sorted(
+            chance.sample(CONSTANTS, 2)
+        )  # edges lead upwards, so that programs without tables end
         fact = chance.choice((f"e({low}, {high})", f"n({low})", f"s({high})"))
         if what < 0.35:
             return f"{chance.choice(('assertz', 'asserta'))}({fact})"
@@ -118,7 +126,11 @@ class Inputs(Kind):
             for goal in goals:
                 one, other = (self.answers(engine, goal) for engine in engines)
                 if one != other:
-                    raise Finding("difference", f"{goal} after {operation}: {one} with tables, {other} without", "tables")
+                    raise Finding(
+                        "difference",
+                        f"{goal} after {operation}: {one} with tables, {other} without",
+                        "tables",
+                    )
         LOGGED.check()
 
     def answers(self, engine, goal):
