@@ -22,6 +22,7 @@ class Known(NamedTuple):
 
 LIMITS = "one step of a built-in does not check the limits while it works"
 PATTERNS = "pattern work does not count against the limits of an event"
+ANSWERS = "the values of an answer are copied outside of the limits of the query"
 STATES = "values of a state are not all checked before they are used"
 
 TOO_MUCH = "time|growth|hang|died.*"
@@ -35,6 +36,7 @@ KNOWN = (
         LIMITS,
     ),
     Known("limits", TOO_MUCH, r"^(\\=|@=<|@<|@>|@>=|compare|==|\\==|format|print|writeq)/", LIMITS),
+    Known("limits", TOO_MUCH, "^answer of ", ANSWERS),
     Known("states", "exception|logged", "", STATES),
     Known("states", "time|growth", "keeping/coding.py", STATES),
 )

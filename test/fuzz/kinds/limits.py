@@ -93,7 +93,7 @@ GOALS = (
     "V = succ_or",
 )
 SORTS = {
-    "List Set Pairs Rest Graph Keys Values Lists Items Sorted Arguments Options Numbers Vertices Codes Characters": LISTS,
+    "List Set Pairs Rest Graph Keys Values Lists Items Sorted Arguments Options Numbers Vertices Codes": LISTS,
     "Number Count Length Low High Index Expression X Y Size Arity Code Priority Seconds": NUMBERS,
     "Text Atom String Name Format Whole Part Separator Character": TEXTS,
     "Goal Condition Predicate Head Closure": GOALS,
@@ -148,7 +148,10 @@ class Inputs(Kind):
             parts.append(re.sub(r"\b([VWX]\d?)\b", rf"\g<1>_{at}", chance.choice(values)))
             arguments.append(f"V_{at}")
         goal = f"{self.quoted[name]}({', '.join(arguments)})"
-        return to_bytes("\n".join((f"{name}/{arity}", ", ".join((*parts, goal)))))
+        text = ", ".join((*parts, goal))
+        if chance.random() < 0.05:
+            return to_bytes(f"answer of {name}/{arity}\n{text}")
+        return to_bytes(f"{name}/{arity}\n\\+ \\+ ({text})")  # without copying the values into the answer
 
     def subject(self, data):
         return to_text(data).partition("\n")[0][:60]

@@ -131,7 +131,7 @@ class Inputs(Kind):
         first, rest = path[0], path[1:]
         if isinstance(data, dict):
             return {**data, first: self.put(data[first], rest, change)} if first in data else data
-        if not isinstance(data, (list, tuple)) or not first.__class__ is int or first >= len(data):
+        if not isinstance(data, (list, tuple)) or first.__class__ is not int or first >= len(data):
             return data
         items = list(data)
         items[first] = self.put(items[first], rest, change)

@@ -2,7 +2,7 @@
 
 import json
 
-from retalis.engine import Settings, parts_of
+from retalis.engine import Settings
 from retalis.foundation import RetalisError
 from retalis.prolog.machine import Limits
 
@@ -23,7 +23,7 @@ MODES = ("min", "max")
 
 
 class Inputs(Kind):
-    """An input is a JSON object: the rules with and without tables, the operations, and the goals that are compared."""
+    """An input is a JSON object: rules with and without tables, operations, and the goals to compare."""
 
     block = 20
 
