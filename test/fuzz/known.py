@@ -32,7 +32,7 @@ KNOWN = (
     Known(
         "limits",
         TOO_MUCH,
-        r"^(ord_union|msort|sort|predsort|atomic_list_concat|number_codes|nth0|nth1)/",
+        r"^(ord_union|union|msort|sort|predsort|atomic_list_concat|number_codes|nth0|nth1)/",
         LIMITS,
     ),
     Known("limits", TOO_MUCH, r"^(\\=|@=<|@<|@>|@>=|compare|==|\\==|format|print|writeq)/", LIMITS),

@@ -5,6 +5,7 @@ import pytest
 from fuzz import campaign as module
 from fuzz.campaign import Campaign
 from fuzz.kinds.bad import ACTS
+from fuzz.known import reason
 from retalis.foundation import PYPY
 
 pytestmark = pytest.mark.skipif(PYPY, reason="an input is watched by audit events, and PyPy has few of them")
@@ -87,3 +88,18 @@ def test_the_same_number_makes_the_same_input():
     one.run(200, 1)
     two.run(200, 2)
     assert (one.done, one.taken, one.refused) == (two.done, two.taken, two.refused)
+
+
+@pytest.mark.parametrize(
+    ("kind", "what", "place", "known"),
+    [
+        ("limits", "time", "ord_union/3 2.1 s", True),
+        ("limits", "time", "append/3 2.1 s", False),
+        ("limits", "exception", "ord_union/3 KeyError", False),
+        ("joins", "growth", "unrestricted 60 MB", True),
+        ("joins", "time", "other policies 5.0 s", False),
+        ("states", "action", "open", False),
+    ],
+)
+def test_known_findings_are_told_from_others(kind, what, place, known):
+    assert bool(reason(kind, what, place)) == known
