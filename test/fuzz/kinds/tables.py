@@ -100,6 +100,8 @@ class Inputs(Kind):
         if what < 0.8:
             return f"event {chance.choice(('pose', 'seen', 'a', 'b'))}({chance.choice(CONSTANTS)})"
         name = chance.choice(names)
+        if what < 0.84:  # an error while the answers of a table are read
+            return f"{name}(_), atom_length(_, _)"
         if what < 0.9:  # a table that is not read to its end, or changes while it is read
             return f"ignore((once({name}(X)), assertz(s(X))))"
         if what < 0.95:
