@@ -11,10 +11,10 @@ from ..foundation import UsageError
 from .listing import NEVER
 
 MARK = "/add_memory"
-"""How a service's name ends that all of our nodes with an engine have, old and new."""
+"""End of the name of a service that every node with an engine offers, old and new."""
 
 INTERFACE_MARK = "/add_input_subscription"
-"""How a service's name ends that all nodes with a ROS interface have."""
+"""End of the name of a service that every node with a ROS interface offers."""
 
 PATIENCE = 5.0
 """Seconds in which the master has to answer."""

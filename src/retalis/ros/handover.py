@@ -47,7 +47,7 @@ LATCHED = 1000
 """Latched messages that are kept at most: one for each topic and publisher."""
 
 LOOKS = 10
-"""How often a receiver is looked at that is not the peer, while that is not there: it may be only starting."""
+"""Attempts to identify a receiver as the peer while no peer is connected: it may still be starting."""
 
 PAUSE = 1.0
 """Seconds between two such looks."""

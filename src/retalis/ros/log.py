@@ -35,7 +35,7 @@ class LogCounts(logging.Handler):
 
 
 _sending = threading.local()
-"""Whether the record that this thread sends to ROS has been counted."""
+"""True while this thread sends a record to ROS that has been counted."""
 
 
 class _RosHandler(logging.Handler):

@@ -62,7 +62,7 @@ class Kept(NamedTuple):
 
     @property
     def stands_for_event(self) -> bool:
-        """Whether the form is a variable of its own, as ``_``: then the event itself is recorded or sent."""
+        """True if the form is a variable of its own, as ``_``: then the event itself is recorded or sent."""
         return is_whole(self.pattern, deref(self.term[2]), self.form)
 
     @property

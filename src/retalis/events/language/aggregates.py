@@ -36,7 +36,7 @@ class AggregateKind(NamedTuple):
 
     @property
     def numeric(self) -> bool:
-        """Whether values have to be numbers."""
+        """True if values have to be numbers."""
         return self.check is not None
 
 

@@ -251,7 +251,7 @@ class Rule:
 
     @property
     def sweeps_ruled_out(self) -> bool:
-        """Whether it drops matches that are ruled out; see `RuledOutSweep`."""
+        """True if matches that are ruled out are dropped; see `RuledOutSweep`."""
         return bool(self._sweeps)
 
     @property

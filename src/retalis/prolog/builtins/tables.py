@@ -106,7 +106,7 @@ class Table:
 
     @property
     def is_outdated(self) -> bool:
-        """Whether something has changed that an incremental table has read."""
+        """True if something has changed that an incremental table has read."""
         reads = self.reads or {}
         return any(source.version(part) != version for (source, part), version in reads.items())
 
