@@ -130,9 +130,9 @@ class Rule:
         spans = [buffer.span for buffer in self._buffers() if buffer.span is not None]
         self._span = max(spans, key=spans.count) if spans else None
         self._watched = self.timed or mode.tracked or skipping is not None
-        self._sweeps = (
-            [] if skipping is not None else [one for node, _, _ in self.nodes for one in node.sweeps(mode)]
-        )
+        # Within a time, matches expire by themselves, and each one may still be needed until then.
+        sweeps = [one for node, _, _ in self.nodes for one in node.sweeps(mode) if one.waiting.span is None]
+        self._sweeps = [] if skipping is not None else sweeps
         self._end_sweep()
         self._resettle()
         self.unlisten()
