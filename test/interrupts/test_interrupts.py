@@ -6,6 +6,7 @@ from itertools import count
 import pytest
 
 from retalis.engine import Engine, parts_of
+from retalis.engine.runtime import StreamClock
 from retalis.events.knowledge.memory import Memory
 from retalis.prolog.syntax import Operators, read_term
 from retalis.prolog.terms import atom, functor
@@ -46,7 +47,7 @@ def interrupted(engine, work, prepare=lambda: None):
 
 @pytest.mark.slow
 def test_an_event_that_is_interrupted_anywhere_is_recorded_whole_or_not_at_all():
-    engine = Engine()
+    engine = Engine(StreamClock(0))
     engine.load(goals="memorize(a(_), [], _, m, 2)")
     counts = []
     event = functor("a", 1)(1)
@@ -60,7 +61,7 @@ def test_an_event_that_is_interrupted_anywhere_is_recorded_whole_or_not_at_all()
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [1, 2], ids=["one", "together"])
 def test_a_post_that_is_interrupted_anywhere_leaves_the_engine_to_others(number):
-    engine = Engine()
+    engine = Engine(StreamClock(0))
     engine.load(rules="b(X) <- a(X).")
     seen = []
     engine.on_event(lambda term, start, end: seen.append(term))
@@ -81,7 +82,7 @@ def test_a_post_that_is_interrupted_anywhere_leaves_the_engine_to_others(number)
 @pytest.mark.slow
 @pytest.mark.parametrize("last", ["a", "b", "c"])
 def test_a_side_of_a_pair_that_is_interrupted_anywhere_leaves_its_rule_in_order(last):
-    engine = Engine()
+    engine = Engine(StreamClock(0))
     engine.load(rules="out(K) <- ((a(K) seq b(K)) cnot c(K)) within 5.")
     [rule] = parts_of(engine).rules.rules
     instants = count(1_000_000_000, 1_000_000_000)
@@ -114,7 +115,7 @@ def test_a_side_of_a_pair_that_is_interrupted_anywhere_leaves_its_rule_in_order(
 
 @pytest.mark.slow
 def test_a_query_that_is_interrupted_anywhere_leaves_nothing_to_be_done_behind_it():
-    engine = Engine()
+    engine = Engine(StreamClock(0))
     goal = term_of("call_with_inference_limit(true, 1000, R)")
     assert sum(1 for _ in interrupted(engine, lambda: engine.query(goal))) > 1000
 
@@ -140,7 +141,7 @@ def test_a_memory_that_is_cut_when_an_interrupt_comes_counts_what_it_took():
 
 
 def test_solutions_that_are_closed_long_after_an_interrupt_disturb_no_other_goal():
-    engine = Engine()
+    engine = Engine(StreamClock(0))
     kept = []
 
     def keep(machine, term):
@@ -158,7 +159,7 @@ def test_solutions_that_are_closed_long_after_an_interrupt_disturb_no_other_goal
 
 
 def test_a_goal_that_is_called_leaves_nothing_on_the_trail():
-    engine = Engine()
+    engine = Engine(StreamClock(0))
     term = functor("=", 2)(functor("f", 1)(1), term_of("f(X)"))
     assert engine.call(term)
     assert engine.show(term) == "f(1)=f(1)"
