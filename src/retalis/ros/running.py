@@ -1,6 +1,7 @@
 """Starting and ending a node."""
 
 import logging
+import threading
 import time
 from typing import Callable
 
@@ -65,6 +66,9 @@ def _live(name: str, build: Callable[[Parameters], object], interrupts: Interrup
         worked = time.process_time()
         time.sleep(SPIN)
         if time.process_time() - worked < IDLE * SPIN:
-            collect_when_idle()
+            # In a thread of its own: an interrupt that comes in a callback of the garbage collector would be lost.
+            collecting = threading.Thread(target=collect_when_idle, daemon=True)
+            collecting.start()
+            collecting.join()
     del node
     return 0
