@@ -25,7 +25,9 @@ def test_the_commands_of_the_page_do_what_they_say(tmp_path, monkeypatch, capsys
     shutil.copytree(ROOT / "application_source", "application_source")
     shutil.copytree(ROOT / "examples" / "nao", "examples/nao")
     make_bag = [sys.executable, *shlex.split(MAKE_BAG), "--seconds", "1"]
-    subprocess.run(make_bag, check=True, env={**os.environ, "PYTHONPATH": str(ROOT / "src")})
+    # A workspace has rosbags in a folder of its own, which PYTHONPATH names already.
+    search_path = os.pathsep.join([str(ROOT / "src"), os.environ.get("PYTHONPATH", "")])
+    subprocess.run(make_bag, check=True, env={**os.environ, "PYTHONPATH": search_path})
     assert COMMANDS
     for command in COMMANDS:
         words, _, file = command.partition(" > ")
