@@ -70,6 +70,11 @@ CASES: Dict[str, Case] = {
         ("\\N{", "\\", ""),
         ("A", "\\N{", "\\N{A", "\\", "\\x4", "\\u004", "0"),
     ),
+    (
+        "[\x00-\x08\x0b-\x1f\x7f-\x9f\xad\u061c\u180e\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb"
+        "\ufffe\uffff\ud800-\udfff\U000e0000-\U000e007f]|(?<![^\x00-\x7f])[\u200c\u200d]"
+    ): Case("search", "each character once", ("",), ("\x1b", "a", "\u200d", "é\u200d", "a\u200d")),
+    r"&(?=#?\w+;)": Case("search", "each character once", ("", "&"), ("&", "&#", "a", "&a", "a;")),
     r"event\(retalis_latched\('([0-9a-f]{32})','([0-9a-f]{32})',([01])\)\)": Case(
         "match",
         "each character once",

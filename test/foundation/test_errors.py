@@ -1,8 +1,11 @@
 """Places keep a short part of a long line, and show it with a caret at the column."""
 
+import json
+from xml.etree import ElementTree
+
 import pytest
 
-from retalis.foundation import SHOWN, Place, beginning, counted, place_at, place_in
+from retalis.foundation import SHOWN, Place, beginning, counted, place_at, place_in, printable, printable_json
 from retalis.prolog.syntax import Operators, read_program
 
 
@@ -39,3 +42,43 @@ def test_what_is_read_of_one_long_line_keeps_little_of_it():
 def test_one_thing_is_counted_as_one():
     assert [counted(number, "slot") for number in (0, 1, 2)] == ["0 slots", "1 slot", "2 slots"]
     assert [counted(number, "memory", "memories") for number in (1, 2)] == ["1 memory", "2 memories"]
+
+
+FORGING = [
+    *range(9),
+    *range(11, 32),
+    *range(127, 160),
+    0xAD,
+    0x61C,
+    0x200B,
+    0x200E,
+    0x200F,
+    *range(0x2028, 0x202F),
+]
+FORGING += [*range(0x2060, 0x2070), 0xFEFF, 0xFFFE, 0xFFFF, 0xD800, 0xDFFF, 0xE0001, 0xE0041]
+
+
+@pytest.mark.parametrize("code", FORGING, ids=hex)
+def test_what_a_terminal_acts_on_is_shown_as_an_escape(code):
+    shown = printable(f"a{chr(code)}b")
+    assert shown == f"a{ascii(chr(code))[1:-1]}b"
+    ElementTree.fromstring(f"<t>{shown}</t>")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "a\n\tb", "é\xa0日本\u3000", "\u0645\u06cc\u200c\u062e", "\U0001f469\u200d\U0001f680", "\ufffd"],
+    ids=ascii,
+)
+def test_text_that_is_read_stays(text):
+    assert printable(text) == text
+
+
+@pytest.mark.parametrize("joiner", "\u200c\u200d", ids=ascii)
+def test_a_joiner_that_joins_nothing_is_shown(joiner):
+    assert printable(f"{joiner}a{joiner}b") == f"{ascii(joiner)[1:-1]}a{ascii(joiner)[1:-1]}b"
+
+
+def test_all_texts_of_json_are_printable():
+    data = {"a\x1b": ["b\u202e", 1, None, ("c\x9b", {"d": 0.5})]}
+    assert json.loads(printable_json(data)) == {r"a\x1b": [r"b\u202e", 1, None, [r"c\x9b", {"d": 0.5}]]}

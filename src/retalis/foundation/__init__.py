@@ -22,6 +22,7 @@ from .errors import (
     place_in,
     place_on,
     printable,
+    printable_json,
     shortened,
     undecodable,
 )
@@ -61,6 +62,7 @@ __all__ = [
     "plain_fault",
     "plain_type",
     "printable",
+    "printable_json",
     "ProgramErrors",
     "PYPY",
     "releasing",

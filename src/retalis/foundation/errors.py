@@ -1,5 +1,7 @@
 """Errors of the package: one root, and a place in a text for every error that is about a text."""
 
+import json
+import re
 from typing import Iterable, List, NamedTuple, Optional
 
 SHOWN = 200
@@ -15,22 +17,39 @@ def beginning(text: str, most: int = SHOWN) -> str:
     return text if len(text) <= most else f"{text[:most]}..."
 
 
-_HARMLESS = frozenset("\n\t ")
+_ACTED_ON = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\xad\u061c\u180e\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb"
+    "\ufffe\uffff\ud800-\udfff\U000e0000-\U000e007f]|(?<![^\x00-\x7f])[\u200c\u200d]"
+)
+"""Characters that forge what is displayed: C0 but newline and tab, DEL, C1, marks of direction, characters without a
+width, halves of surrogate pairs, and what XML 1.0 does not have. Joiners (U+200C, U+200D) belong to words and emoji,
+so they are let through behind a character that is not ASCII."""
 
 
 def printable(text: str) -> str:
-    """Return a text with escapes in place of what a terminal or a log would act on, or could not be told at all.
+    r"""Return a text with escapes in place of what a terminal, a log or XML would act on, or has no way to show.
 
-    Control characters, marks that change the direction of writing, and halves of surrogate pairs come with texts
-    from outside.
+    It is for each place where a text leaves the program for somebody to read. Newlines and tabs stay.
+
+    >>> print(printable("\x1b[31m alarm \u202e"))
+    \x1b[31m alarm \u202e
     """
     if text.isascii() and text.isprintable():
         return text
-    return "".join(one if one.isprintable() or one in _HARMLESS else _escaped(one) for one in text)
+    return _ACTED_ON.sub(lambda found: ascii(found[0])[1:-1], text)
 
 
-def _escaped(character: str) -> str:
-    return ascii(character)[1:-1]
+def printable_json(data: object) -> str:
+    """Return data as JSON for a page that shows it, all its texts `printable`."""
+    return json.dumps(_printable_parts(data))
+
+
+def _printable_parts(data: object) -> object:
+    if isinstance(data, str):
+        return printable(data)
+    if isinstance(data, dict):
+        return {_printable_parts(key): _printable_parts(value) for key, value in data.items()}
+    return [_printable_parts(item) for item in data] if isinstance(data, (list, tuple)) else data
 
 
 class Place(NamedTuple):

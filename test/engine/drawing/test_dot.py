@@ -4,6 +4,8 @@ import re
 import subprocess
 from pathlib import Path
 from shutil import which
+from xml.etree import ElementTree
+from xml.sax.saxutils import escape
 
 import pytest
 from hypothesis import given
@@ -47,6 +49,23 @@ def test_no_text_from_outside_becomes_part_of_the_language(name):
             "",
         ),
     )
+
+
+FORGING = "\x1b[31m\x9b\u202e\x00\ud800\uffff &#27; &amp; &x; a & b"
+
+
+def test_texts_have_only_what_xml_has_and_no_entities():
+    nodes = [GraphNode("a", kind, FORGING, FORGING) for kind in KINDS]
+    text = dot_text(Graph(nodes, [], 0), FORGING)
+    ElementTree.fromstring(f"<t>{escape(text)}</t>")
+    shown = r"\x1b[31m\x9b\u202e\x00\ud800\uffff \x26#27; \x26amp; \x26x; a & b"
+    assert shown.replace("\\", "\\\\") in text
+
+
+@pytest.mark.skipif(which("dot") is None, reason="Graphviz is not there")
+def test_graphviz_draws_any_text_as_well_formed_xml(tmp_path):
+    draw(dot_text(Graph([GraphNode("a", "topic", FORGING, FORGING)], [], 0), FORGING), tmp_path / "x.svg")
+    assert "\\x1b[31m" in "".join(ElementTree.parse(tmp_path / "x.svg").getroot().itertext())
 
 
 def test_without_graphviz_the_error_says_what_to_do(monkeypatch, tmp_path):

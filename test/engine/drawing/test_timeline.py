@@ -114,6 +114,15 @@ def test_half_a_character_is_part_of_the_page():
     assert "\\ud800" in page(run, "run").encode("utf-8").decode()
 
 
+def test_the_page_shows_control_characters_as_escapes():
+    run = of([{"output": "x\x1b", "topic": "z\u202e", "id": "i", "time": 7 * SECOND}])
+    text = page(run, "\x9b")
+    (held,) = re.findall(r">(\{.*\})<", text)
+    found = json.loads(held)
+    assert found["title"] == r"\x9b"
+    assert (found["lanes"][0]["name"], found["lanes"][0]["marks"][0][2]) == (r"z\u202e", r"x\x1b")
+
+
 def test_without_matplotlib_the_error_says_what_to_do(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)

@@ -9,6 +9,7 @@ from tornado.httpserver import HTTPServer
 from tornado.iostream import IOStream, StreamClosedError
 from tornado.web import Application, HTTPError, RequestHandler
 
+from ...foundation import printable_json
 from .answering import Answers
 from .streaming import Streams
 
@@ -156,7 +157,7 @@ class AnswerHandler(LocalHandler):
         if not isinstance(asked, dict):
             raise HTTPError(400, reason="Expected an object of JSON")
         found = await self._answers.run(lambda: self._answer(asked))
-        self.finish(json.dumps(found))
+        self.finish(printable_json(found))
 
 
 class NothingHandler(LocalHandler):

@@ -1,10 +1,10 @@
 """The live numbers of all open pages: taken once a second while there is one, and not at all otherwise."""
 
 import asyncio
-import json
 import logging
 from typing import Any, Dict, List, Optional
 
+from ...foundation import printable_json
 from .snapshot import Snapshots
 
 log = logging.getLogger("retalis")
@@ -124,4 +124,4 @@ class Streams:
 
 def _sent(event: str, data: Dict[str, Any]) -> bytes:
     """Return data as an event of a stream."""
-    return f"event: {event}\ndata: {json.dumps(data)}\n\n".encode()
+    return f"event: {event}\ndata: {printable_json(data)}\n\n".encode()

@@ -7,7 +7,7 @@ from shutil import which
 from textwrap import wrap
 from typing import Dict, Iterable, Iterator, List, NamedTuple
 
-from ...foundation import UsageError, counted
+from ...foundation import UsageError, counted, printable
 from .graph import Graph, GraphNode
 
 FORMATS = ("svg", "png", "pdf")
@@ -43,6 +43,7 @@ KINDS = {
     "output": _NodeStyle("cds", "#cfe3f1", "published topic"),
 }
 
+_ENTITY = re.compile(r"&(?=#?\w+;)")
 _PACKAGE, _UNNAMED, _TIGHT = re.compile(r"\b\w+?__0__"), re.compile(r"\b_G\d+\b"), re.compile(r"(,|\)(?=\w))")
 
 WAYS = {
@@ -152,6 +153,10 @@ def _legend(kinds: Iterable[str], ways: Iterable[str]) -> Iterator[str]:
 
 
 def _quoted(text: str) -> str:
-    """Return a text as a string of Graphviz, in which a line break is centered."""
-    plain = text.replace("\\", "\\\\").replace('"', '\\"').replace("\r", " ")
+    """Return a text as a string of Graphviz, in which a line break is centered.
+
+    Graphviz would put the character in place of an entity (``&#27;``), and any character as it is into an SVG file.
+    """
+    plain = _ENTITY.sub(r"\\x26", printable(text))
+    plain = plain.replace("\\", "\\\\").replace('"', '\\"')
     return '"' + plain.replace("\n", "\\n") + '"'

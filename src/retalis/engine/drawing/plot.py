@@ -1,10 +1,9 @@
 """Pictures of a timeline: a page that zooms and needs nothing but a browser, and a picture by matplotlib."""
 
-import json
 from pathlib import Path
 from typing import Any, Dict, List
 
-from ...foundation import UsageError, printable
+from ...foundation import UsageError, printable, printable_json
 from ...prolog.terms import timestamps
 from .timeline import KINDS, Timeline, TimelineLane, tracks
 
@@ -29,7 +28,7 @@ def page(timeline: Timeline, title: str) -> str:
         "length": timeline.length,
         "lanes": [{**lane._asdict(), "marks": _marks(lane), "rows": _rows(lane)} for lane in timeline.lanes],
     }
-    held = json.dumps(told).replace("<", "\\u003c")  # no text ends the element that it is in
+    held = printable_json(told).replace("<", "\\u003c")  # no text ends the element that it is in
     return _PAGE.read_text(encoding="utf-8").replace(_PLACE, f">{held}<", 1)
 
 
