@@ -127,7 +127,7 @@ def test_types_that_cannot_be():
         read("Kind[<=3] kinds")
     with pytest.raises(MessageError, match="x is defined twice"):
         read("int32 x\nint32 x")
-    with pytest.raises(MessageError, match="at most 1048576 are allowed"):
+    with pytest.raises(MessageError, match="at most 1000000 are allowed"):
         read("#" * (1 << 20) + "\n")
 
 

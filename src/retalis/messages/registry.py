@@ -23,10 +23,10 @@ _Key = Tuple[str, str]
 _CodeKey = Tuple[str, str, str]
 """Type, checksum, and what its events are called."""
 
-LONGEST_TEXT = 1 << 20
+LONGEST_TEXT = 1_000_000
 """Characters that a definition may have, with those of the types in it."""
 
-MOST_TYPES, MOST_TEXT = 1000, 16 << 20
+MOST_TYPES, MOST_TEXT = 1000, 16_000_000
 """Types that are added at most, and characters that their definitions may have all together."""
 
 _SLOT = 2000

@@ -40,7 +40,7 @@ from ..engine.runtime import Reports
 from ..foundation import RetalisError
 from .sending import Outlet
 
-HELD_BYTES = 64 << 20
+HELD_BYTES = 64_000_000
 """Bytes of texts that are held at most, and of the messages that are kept because they are latched."""
 
 LATCHED = 1000

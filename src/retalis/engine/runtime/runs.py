@@ -45,7 +45,7 @@ PAUSE = 10.0
 """Seconds after a wait in vain in which nothing counts as early."""
 
 MOST_HELD = 20_000
-MOST_BYTES = 64 << 20
+MOST_BYTES = 64_000_000
 
 SENDERS = 100
 """Senders of texts that are remembered."""

@@ -30,7 +30,7 @@ RULES = "eventRules.txt"
 ATTRIBUTES = {"subscribe_to": ("name", "msg_type", "event"), "publish_to": ("name", "msg_type", "latch")}
 """The elements of ``pub_sub.xml`` that say something, and what they may say."""
 
-LARGEST = 4 << 20
+LARGEST = 4_000_000
 """Characters that ``pub_sub.xml`` may have."""
 
 DEEPEST = 100

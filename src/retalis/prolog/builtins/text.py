@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 LARGEST_CODE = 0x10FFFF
 _LONG = 10**300
 
-LONGEST = 1 << 25
+LONGEST = 33_000_000
 """Characters of the longest text that a goal may make."""
 
 _LOOK_FROM = 1 << 15

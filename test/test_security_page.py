@@ -1,0 +1,102 @@
+"""The limits that docs/security.md and the launch file state are those of the code."""
+
+import ast
+from math import log10
+from xml.etree import ElementTree
+
+import pytest
+from source import ROOT, TREES
+
+from retalis.engine import Settings
+from retalis.engine.textinput import LONGEST_INPUT
+from retalis.events.knowledge import declaring
+from retalis.events.language import stateforms
+from retalis.events.program import folder
+from retalis.events.rules import timers
+from retalis.foundation import LONGEST, SHOWN, errors, rosnames
+from retalis.messages import registry, slots
+from retalis.prolog.arithmetic import evaluation
+from retalis.prolog.builtins import streams, text
+from retalis.prolog.terms import steps
+
+PAGE = (ROOT / "docs" / "security.md").read_text(encoding="utf-8")
+MILLION = 1_000_000
+
+
+def table(heading):
+    """Return the rows of the table whose first line begins with a cell, by their first cells."""
+    lines = PAGE[PAGE.index(heading) :].split("\n\n", 1)[0].splitlines()[2:]
+    rows = [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in lines]
+    return {row[0]: row[1:] for row in rows}
+
+
+def millions(number):
+    """Return a number of millions in words."""
+    assert number % MILLION == 0
+    return f"{number // MILLION} million"
+
+
+STATES = (
+    f"{declaring.MOST:,} declarations; of each {stateforms.OPEN:,} open and {stateforms.PAST:,} that are over"
+)
+FIXED = {
+    "names of packages, types, slots": f"a letter first; {rosnames.LONGEST} characters",
+    "the text of an event": f"{millions(LONGEST_INPUT)} characters",
+    "definitions of message types that publishers send": (
+        f"{registry.MOST_TYPES:,} types, {millions(registry.MOST_TEXT)} characters in all; each "
+        f"{millions(registry.LONGEST_TEXT)} characters, {slots.MOST_SLOTS:,} slots, depth {slots.DEEPEST}"
+    ),
+    "`pub_sub.xml`": f"{millions(folder.LARGEST)} characters, depth {folder.DEEPEST}, no DOCTYPE",
+    "errors of one file that are kept and shown": f"{errors.MOST_ERRORS}, and how many more",
+    "characters of a text from outside that are kept and shown": f"{SHOWN}; of a whole error {LONGEST:,}",
+    "streams that are open at once": f"{streams.MOST};",
+    "integers": f"{evaluation.HUGE:,} bits ({int(evaluation.HUGE * log10(2) / 100_000) / 10} million digits)",
+    "texts that goals make": f"{millions(text.LONGEST)} characters",
+    "terms that goals walk through": f"{millions(steps.MOST)} parts",
+    "timers": f"{timers.MOST:,}, each every millisecond at most; {timers.MOST_AT_ONCE:,} times at once",
+    "states": STATES,
+}
+
+
+@pytest.mark.parametrize("what", FIXED)
+def test_a_fixed_limit_is_what_the_page_says(what):
+    (limit,) = table("| what | limit |")[what]
+    assert FIXED[what] in limit
+
+
+def node_limits():
+    """Return the node's defaults of the limits, as they stand in the module of its parameters."""
+    (path,) = [path for path in TREES if path.endswith("ros/parameters.py")]
+    for statement in TREES[path].body:
+        if isinstance(statement, ast.Assign) and statement.targets[0].id == "LIMITS":
+            return {one.arg: one.value.value for one in statement.value.keywords}
+    raise AssertionError(path)
+
+
+LAUNCHED = {
+    one.get("name"): one.get("default")
+    for one in ElementTree.parse(ROOT / "launch" / "retalis.launch").getroot().iter("arg")
+}
+NONE = "none"
+ENGINE = Settings()
+OF_NODE = {"output_megabytes": ENGINE.limits.output_megabytes, **node_limits()}
+
+
+@pytest.mark.parametrize(
+    ("parameter", "node", "engine", "unit"),
+    [
+        ("max_seconds", OF_NODE["seconds"], ENGINE.limits.seconds, " s"),
+        ("max_megabytes", OF_NODE["megabytes"], ENGINE.limits.megabytes, " MB"),
+        ("max_output_megabytes", OF_NODE["output_megabytes"], ENGINE.limits.output_megabytes, " MB"),
+        ("max_inferences", OF_NODE.get("inferences"), ENGINE.limits.inferences, ""),
+        ("max_file_megabytes", ENGINE.max_file_megabytes, ENGINE.max_file_megabytes, " MB"),
+        ("queue", ENGINE.queue, ENGINE.queue, ""),
+        ("max_depth", ENGINE.max_depth, ENGINE.max_depth, ""),
+    ],
+)
+def test_a_setting_has_the_default_that_the_page_says(parameter, node, engine, unit):
+    rows = {cells[0]: cells[1:] for cells in table("| what | node |").values()}
+    shown = [NONE if value is None else f"{value:g}{unit}" for value in (node, engine)]
+    assert rows[f"`~{parameter}`"] == shown
+    launched = LAUNCHED[parameter]
+    assert launched == NONE or float(launched) == (node or 0)
