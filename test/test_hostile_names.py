@@ -18,6 +18,7 @@ from retalis.foundation import (
     SyntaxFault,
     UsageError,
     codegen,
+    printable,
 )
 from retalis.messages import Definitions, Installed, ros2_type, text_writer
 from retalis.prolog.syntax import Operators, read_term, writeq
@@ -258,7 +259,7 @@ def test_goals_that_take_any_name_give_it_back(name, capsys):
     it = quoted(name)
     assert engine.query(f"set_prolog_flag({it}, on), current_prolog_flag({it}, X)") == [{"X": atom("on")}]
     assert engine.query(f"format({it.replace('~', '~~')}, [])") == [{}]
-    assert capsys.readouterr().out == name
+    assert capsys.readouterr().out == printable(name)
 
 
 @every_name

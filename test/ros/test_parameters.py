@@ -11,7 +11,7 @@ from retalis.engine import Settings  # noqa: E402
 from retalis.engine.dashboard import DASHBOARD_PORT  # noqa: E402
 from retalis.events.program import TopicType  # noqa: E402
 from retalis.foundation import UsageError  # noqa: E402
-from retalis.prolog.machine import Limits  # noqa: E402
+from retalis.prolog.machine import NO_LIMITS, Limits  # noqa: E402
 from retalis.ros.parameters import read_parameters  # noqa: E402
 
 
@@ -43,8 +43,17 @@ def test_limits_have_defaults_and_0_is_none(read):
     found = read().settings
     assert found.limits == Limits(10.0, None, 500)
     assert (found.watchdog, found.limit_start) == (1.0, False)
-    found = read(max_seconds=0, max_inferences=0, max_megabytes=0, watchdog=0.0).settings
-    assert (found.limits, found.watchdog) == (Limits(), None)
+    zeros = dict.fromkeys(("max_seconds", "max_inferences", "max_megabytes", "max_output_megabytes"), 0)
+    found = read(watchdog=0.0, **zeros).settings
+    assert (found.limits, found.watchdog) == (NO_LIMITS, None)
+
+
+def test_limits_are_numbers_of_either_kind(read):
+    limits = read(
+        max_seconds=2, max_inferences=1e6, max_megabytes=0.5, max_output_megabytes=3
+    ).settings.limits
+    assert limits == (2.0, 1_000_000, 0.5, 3.0)
+    assert isinstance(limits.inferences, int)
 
 
 def test_any_stamp_is_taken_where_no_limit_is_given(read):
@@ -135,7 +144,12 @@ def test_goals_open_files_of_the_program_only_by_default(read):
         ("max_seconds", -1),
         ("max_seconds", float("nan")),
         ("watchdog", "soon"),
-        ("max_megabytes", 0.5),
+        ("max_megabytes", "0.5"),
+        ("max_megabytes", float("inf")),
+        ("max_output_megabytes", -1),
+        ("max_inferences", 1.5),
+        ("max_skew", float("inf")),
+        ("diagnostics", 1e300),
         ("max_inferences", "x"),
         ("folders", "/data"),
         ("folders", [1]),

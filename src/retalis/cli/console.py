@@ -11,7 +11,7 @@ from typing import Callable, Dict, List, Optional, Union, cast
 from ..engine import Engine, Settings, parts_of
 from ..engine.runtime import Clock, Reports, limit_gc_pauses
 from ..events.rules import event_of
-from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
+from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError, printable
 from ..prolog.logic import Tracer
 from ..prolog.syntax import ReadTerm
 from ..prolog.terms import COMMA, Atom, String, Term, Var, deref, functor, list_items
@@ -100,6 +100,10 @@ def _show(text: str) -> None:
     print(text, end="", flush=True)
 
 
+def _show_error(text: str) -> None:
+    print(text, end="", file=sys.stderr, flush=True)
+
+
 class Console:
     """A top level over an engine.
 
@@ -117,7 +121,7 @@ class Console:
         self._files = LoadedFiles(self.engine)
         self.engine.on_output(to_reader(self._output))
         self.logic = parts_of(self.engine).logic
-        self.logic.output = _show
+        self.logic.print_to(_show, _show_error)
         self._report = report
         self._most = most
         self._tracing = False
@@ -134,7 +138,7 @@ class Console:
         """
         try:
             for line in self._files.load(_found(path)):
-                print(f"% {line}", flush=True)
+                print(f"% {printable(line)}", flush=True)
         except ProgramErrors as errors:
             for error in errors.errors:
                 self._report(error)
@@ -322,7 +326,7 @@ class Console:
             self.logic.column = 0
 
     def _output(self, term: Term, topic: str, name: Term) -> None:
-        print(f"% {topic}: {self.engine.show(term)}", flush=True)
+        print(f"% {printable(topic)}: {self.engine.show(term)}", flush=True)
 
 
 def _is_atom(term: Term, name: str) -> bool:

@@ -18,7 +18,14 @@ _OPTIONS: Tuple[Tuple[str, Callable[[str], float], Optional[int], str, str], ...
         "seconds that an event, goal or query may take, with everything that it starts (0)",
     ),
     ("--max-inferences", int, None, "N", "inferences that it may take (0)"),
-    ("--max-megabytes", int, _MEGABYTES, "N", f"memory that it may take, in megabytes ({_MEGABYTES})"),
+    ("--max-megabytes", float, _MEGABYTES, "N", f"memory that it may take, in megabytes ({_MEGABYTES})"),
+    (
+        "--max-output-megabytes",
+        float,
+        None,
+        "N",
+        "what it may write to standard output and standard error, in megabytes (0)",
+    ),
     (
         "--watchdog",
         float,
@@ -35,6 +42,7 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group(
         "limits",
         "Whatever exceeds a limit ends with a resource error, and the rest goes on; 0 means no limit. "
+        "A megabyte is 1,000,000 bytes. "
         "Defaults are in brackets.",
     )
     for name, kind, default, metavar, text in _OPTIONS:
@@ -57,7 +65,10 @@ def add_swi(parser: argparse.ArgumentParser) -> None:
 def limited(settings: Settings, options: argparse.Namespace) -> Settings:
     """Return settings of an engine with the limits that the options ask for."""
     limits = Limits(
-        options.max_seconds or None, options.max_inferences or None, options.max_megabytes or None
+        options.max_seconds or None,
+        options.max_inferences or None,
+        options.max_megabytes or None,
+        options.max_output_megabytes or None,
     )
     return settings._replace(
         limits=limits,

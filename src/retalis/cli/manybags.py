@@ -44,6 +44,7 @@ _OPTIONS = (
     "max_seconds",
     "max_inferences",
     "max_megabytes",
+    "max_output_megabytes",
     "watchdog",
     "max_depth",
     "folder",

@@ -9,7 +9,7 @@ Reader = Callable[[str], float]
 def from_zero(kind: Callable[[str], float]) -> Reader:
     """Return what reads an option's number of 0 or more, an ``int`` or a ``float``."""
     name = "a whole number" if kind is int else "a number"
-    return _reader(kind, lambda number: number >= 0, f"{name} of 0 or more")
+    return _reader(kind, lambda number: 0 <= number < float("inf"), f"{name} of 0 or more")
 
 
 def _reader(kind: Callable[[str], float], fits: Callable[[float], bool], wanted: str) -> Reader:

@@ -4,7 +4,7 @@ import logging
 import sys
 from typing import Callable
 
-from ..foundation import RetalisError
+from ..foundation import RetalisError, printable
 
 _log = logging.getLogger("retalis")
 _shown = logging.getLogger("retalis.events")
@@ -45,14 +45,15 @@ class Report(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Report what was logged."""
+        text = printable(self.format(record))
         if record.name == _shown.name:
-            print(self.format(record), file=sys.stderr)
+            print(text, file=sys.stderr)
             return
         if record.levelno < logging.WARNING:
             return
         if record.levelno >= logging.ERROR:
             self.errors += 1
-        print(f"{record.levelname.lower()}: {self.format(record)}", file=sys.stderr)
+        print(f"{record.levelname.lower()}: {text}", file=sys.stderr)
 
     def listen(self, events: bool = False) -> "Report":
         """Report what the package logs from now on, until `leave`; on request also events that a program shows."""

@@ -7,7 +7,7 @@ from typing import Dict, List, NamedTuple, Optional, Sequence, TypeVar
 
 from ..foundation import UsageError
 from ..prolog.foreign import to_json
-from ..prolog.machine import Limits
+from ..prolog.machine import NO_LIMITS, Limits
 from ..prolog.syntax import read_term
 from ..prolog.terms import Term, Var, functor, make_list
 from .core import EngineCore, parts_of
@@ -63,7 +63,7 @@ def ask(
         found: List[List[Binding]] = []
         left = largest
         before = logic.limits
-        logic.limits = _tighter(before, limits or Limits())
+        logic.limits = _tighter(before, limits or NO_LIMITS)
         try:
             with closing(logic.solutions(read.term)) as solutions:
                 for _ in solutions:
@@ -101,6 +101,7 @@ def _tighter(one: Limits, other: Limits) -> Limits:
         _least(one.seconds, other.seconds),
         _least(one.inferences, other.inferences),
         _least(one.megabytes, other.megabytes),
+        _least(one.output_megabytes, other.output_megabytes),
     )
 
 

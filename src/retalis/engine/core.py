@@ -6,12 +6,12 @@ from typing import Callable, Dict, List, NamedTuple, Optional, Tuple, Union
 
 from ..events.dispatch import Dispatcher
 from ..events.knowledge import OWN_EVENTS, Knowledge
-from ..events.program import MEGABYTE
 from ..events.rules import Rules, define_new_event
 from ..foundation import UsageError
 from ..messages import Definitions, SlotNames
 from ..prolog.foreign import define_use_foreign
 from ..prolog.logic import Logic
+from ..prolog.machine import MEGABYTE
 from ..prolog.swi import define_use_swi
 from ..prolog.syntax import ReadFlags, read_term
 from ..prolog.terms import Term, Var, copy

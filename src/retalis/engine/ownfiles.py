@@ -8,7 +8,7 @@ from ..events.program import FileGoal, errors_in, goals_of
 from ..events.rules import Rules
 from ..foundation import Errors, ProgramErrors, RetalisError, RuleError
 from ..prolog.logic import Logic
-from ..prolog.machine import Limits
+from ..prolog.machine import NO_LIMITS
 from ..prolog.terms import Term, atom
 from .runtime import Runner
 
@@ -88,7 +88,7 @@ class OwnFiles:
         self._runner.entry = goal
         limits = budget.limits
         if not self._limited:
-            budget.allow(Limits())
+            budget.allow(NO_LIMITS)
         try:
             return self._once(goal.term)
         finally:

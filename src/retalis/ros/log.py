@@ -1,4 +1,8 @@
-"""The node's log: records of the package sent to ROS, and counts of warnings and errors."""
+"""The node's log: records of the package sent to ROS, counts of warnings and errors, and what goals print.
+
+Texts from outside get into both. So control characters are shown as escapes, and only what the node itself logs
+begins a line as a record does: further lines of a record are indented, and lines that goals print have a mark.
+"""
 
 import io
 import logging
@@ -9,7 +13,8 @@ from typing import List
 import rospy
 
 from ..engine.runtime import COUNTED
-from ..foundation import ProgramErrors, RetalisError
+from ..foundation import ProgramErrors, RetalisError, printable
+from ..prolog.logic import Logic
 
 
 class LogCounts(logging.Handler):
@@ -73,12 +78,70 @@ def write_out_each_line() -> None:
 def forward_log(logger: logging.Logger) -> None:
     """Send what a logger gets to rospy's log functions, so that it is seen on the screen and on ``/rosout``.
 
-    All that these log from now on is counted in `log_counts`.
+    All that these log from now on is counted in `log_counts`, and shown as `show_safely` says.
     """
-    logging.getLogger("rosout").addHandler(log_counts)
+    rosout = logging.getLogger("rosout")
+    rosout.addHandler(log_counts)
+    for filtered in (rosout, *rosout.handlers, *logging.getLogger().handlers):
+        filtered.addFilter(show_safely)
     logger.addHandler(_RosHandler())
     logger.setLevel(logging.INFO)
     logger.propagate = False
+
+
+def show_safely(record: logging.LogRecord) -> bool:
+    """Change the text of a log record so that no part of it is taken for another record or acted on; return True.
+
+    rospy's own handler would put values in place of ``${...}`` in the text, and fail at one without an end.
+    """
+    if not hasattr(record, "shown_safely"):
+        text = printable(record.getMessage())
+        record.msg, record.args = text.replace("\n", "\n    ").replace("${", "\\x24{"), ()
+        record.shown_safely = True
+    return True
+
+
+PRINTED = "| "
+"""Before each line that goals print."""
+
+LONGEST_LINE = 4096
+"""Characters of a printed line: what is longer goes on in another."""
+
+
+class PrintedLines:
+    """Prints what goals write to ``user_output`` or ``user_error``, in whole lines.
+
+    Args:
+        stream: ``stdout`` or ``stderr``.
+    """
+
+    def __init__(self, stream: str):
+        self._stream = stream
+        self._held = ""
+
+    def __call__(self, text: str) -> None:
+        """Print the lines that are complete by now."""
+        *lines, self._held = (self._held + text).split("\n")
+        if len(self._held) > LONGEST_LINE:
+            size = len(self._held) // LONGEST_LINE * LONGEST_LINE
+            lines += [self._held[at : at + LONGEST_LINE] for at in range(0, size, LONGEST_LINE)]
+            self._held = self._held[size:]
+        stream = getattr(sys, self._stream)
+        if lines and stream is not None:  # None where the node was started with it closed
+            stream.write("".join(f"{PRINTED}{line}\n" for line in lines))
+
+    def end(self) -> None:
+        """Print a last line that nothing ended."""
+        if self._held:
+            self("\n")
+
+
+def print_lines_of(logic: Logic) -> None:
+    """Have goals print lines that cannot be taken for records of the log."""
+    streams = PrintedLines("stdout"), PrintedLines("stderr")
+    logic.print_to(*streams)
+    for stream in streams:
+        rospy.on_shutdown(stream.end)
 
 
 def log_error(error: RetalisError) -> List[str]:

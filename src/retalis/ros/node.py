@@ -27,7 +27,7 @@ from .hints import StartHints
 from .interface import Interface, Publisher, Take
 from .latchedinputs import LatchedConnection, LatchedInputs
 from .listing import Listing
-from .log import log_counts, log_error
+from .log import log_counts, log_error, print_lines_of
 from .names import INPUT, OUTPUT, resolve
 from .parameters import WATCHDOG, Parameters
 from .questions import Questions
@@ -134,6 +134,7 @@ class RetalisNode:
         definitions = Definitions(bare=parameters.bare)
         state = StateFile(parameters, self._reports)
         self.engine = state.engine(lambda: RosClock(self._time.runs), definitions)
+        print_lines_of(parts_of(self.engine).logic)
         clock: Any = self.engine.clock
         clock.engine, clock.resumed = self.engine, state.resumed
         skew = Skew(self._reports, self._time.now, most=parameters.max_skew, may_wait=self._time.may_wait)

@@ -3,7 +3,7 @@
 import sys
 from difflib import get_close_matches
 from pathlib import Path
-from typing import List, NamedTuple, Optional, Tuple, Type, TypeVar
+from typing import List, NamedTuple, Optional, Tuple, Type
 
 import rospkg
 import rospy
@@ -13,7 +13,7 @@ from ..engine.dashboard import DASHBOARD_PORT
 from ..events.program import AUTO, DirectTopics, read_direct
 from ..foundation import UsageError, beginning, printable
 from ..messages import BARE
-from ..prolog.machine import Limits
+from ..prolog.machine import Limits, Number, checked_number
 from .diagnostics import HARDWARE
 
 LIMITS = Limits(seconds=10.0, megabytes=500)
@@ -39,6 +39,7 @@ KNOWN = (
     "max_seconds",
     "max_inferences",
     "max_megabytes",
+    "max_output_megabytes",
     "max_skew",
     "max_gap",
     "watchdog",
@@ -49,9 +50,6 @@ KNOWN = (
     "explain",
     "checkpoint",
 )
-
-
-Number = TypeVar("Number", int, float)
 
 
 class Parameters(NamedTuple):
@@ -99,7 +97,8 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
     limits = Limits(
         _limit("~max_seconds", float, LIMITS.seconds),
         _limit("~max_inferences", int, LIMITS.inferences),
-        _limit("~max_megabytes", int, LIMITS.megabytes),
+        _limit("~max_megabytes", float, LIMITS.megabytes),
+        _limit("~max_output_megabytes", float, LIMITS.output_megabytes),
     )
     depth = _number("~max_depth", int)
     queue = _number("~queue", int)
@@ -224,18 +223,17 @@ def _port(name: str) -> Optional[int]:
 
 def _limit(name: str, kind: Type[Number], default: Optional[Number]) -> Optional[Number]:
     """Return a number from 0 on, None for 0: without limit."""
-    value = rospy.get_param(name, default or 0)
-    if isinstance(value, bool) or not isinstance(value, (int, kind)) or not value >= 0:
-        raise UsageError(
-            f"parameter {name}: expected a number of 0 or more (0 means no limit), found {value!r}"
-        )
-    return kind(value) or None
+    return (
+        checked_number(f"parameter {name} (0 means no limit)", rospy.get_param(name, default or 0), kind)
+        or None
+    )
 
 
 def _number(name: str, kind: Type[Number]) -> Optional[Number]:
     value = rospy.get_param(name, None)
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, (int, kind)) or not value > 0:
+    number = checked_number(f"parameter {name}", value, kind)
+    if number == 0:
         raise UsageError(f"parameter {name}: expected a positive number, found {value!r}")
-    return kind(value)
+    return number

@@ -8,7 +8,7 @@ import rospy
 from ..engine import Engine, ask, await_memories
 from ..engine.explaining import explain, records_origins
 from ..foundation import RetalisError, SyntaxFault, UsageError
-from ..prolog.machine import Limits
+from ..prolog.machine import Limits, checked_number
 from .services import LONGEST_ANSWER, OK, name, reason
 
 MOST = 100
@@ -57,8 +57,8 @@ class Questions:
     def _query(self, request: Any) -> Any:
         response = self._srv.QueryResponse
         try:
-            seconds = _number(request.seconds, "seconds")
-            limits = Limits(seconds or None, request.inferences or None)
+            seconds = checked_number("seconds", request.seconds, float)
+            limits = Limits(seconds or None, request.inferences or None, output_megabytes=None)
             most = min(request.max_solutions or MOST, MOST_OF_ALL)
             if request.wait_for:
                 self._await(request)
@@ -75,7 +75,7 @@ class Questions:
 
     def _await(self, request: Any) -> None:
         names = [name(text, "wait_for") for text in request.wait_for]
-        seconds = _number(request.timeout, "timeout") or PATIENCE
+        seconds = checked_number("timeout", request.timeout, float) or PATIENCE
         if not self._waiting.acquire(blocking=False):
             raise UsageError(f"{AT_ONCE} queries wait already")
         try:
@@ -98,10 +98,3 @@ class Questions:
                 lines = [*lines[:MOST_LINES], "..."]
                 break
         return response(OK, found.happened, [line[:LONGEST_LINE] for line in lines])
-
-
-def _number(value: float, field: str) -> float:
-    """Return a number of seconds that a request gives; 0 where it gives none."""
-    if not 0 <= value < float("inf"):
-        raise UsageError(f"{field}: expected a number of 0 or more, found {value}")
-    return value

@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from retalis.prolog.machine import Budget, Left, LimitError, LimitPassed, Limits
+from retalis.prolog.machine import MEGABYTE, Budget, Left, LimitError, LimitPassed, Limits
 from retalis.prolog.machine import budget as _budget
 from retalis.prolog.terms import atom
 
@@ -62,11 +62,11 @@ def test_no_two_ceilings_are_the_same(budget):
 
 
 def test_memory_may_grow_by_just_its_limit(budget, monkeypatch):
-    used, now = [50 << 20], [1.0]
+    used, now = [50 * MEGABYTE], [1.0]
     monkeypatch.setattr(_budget, "resident_bytes", lambda: used[0])
     monkeypatch.setattr(_budget, "monotonic", lambda: now[0])
     budget.allow(Limits(megabytes=2))
-    for used[0] in (50 << 20, 52 << 20):
+    for used[0] in (50 * MEGABYTE, 52 * MEGABYTE):
         now[0] += 1.0
         budget.look(1)
     now[0] += 1.0
@@ -126,3 +126,25 @@ def test_an_entry_inside_of_another_has_limits_of_its_own(budget, turn):
     assert budget.apart(("inner",), inner) == Left(None, 100, None)
     assert turn.entry == ("outer",) and budget.goal is outer
     assert budget.left() == Left(None, 100, None)
+
+
+def test_output_is_limited_for_each_entry(budget, turn):
+    budget.count_for(turn)
+    budget.allow(Limits(output_megabytes=1))
+    budget.count_output(MEGABYTE)
+    with pytest.raises(LimitError, match="output") as caught:
+        budget.count_output(1)
+    assert not caught.value.final
+    budget.count_output(MEGABYTE // 10)  # a handler may write a tenth more
+    with pytest.raises(LimitError, match="output") as caught:
+        budget.count_output(1)
+    assert caught.value.final
+    (end,) = turn.following
+    end()
+    budget.count_output(MEGABYTE)
+
+
+def test_what_no_entry_writes_is_not_limited(budget):
+    budget.allow(Limits(output_megabytes=1))
+    for _ in range(3):
+        budget.count_output(MEGABYTE)

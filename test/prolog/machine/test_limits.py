@@ -1,10 +1,12 @@
 """What runs away ends with a resource error, and the engine goes on."""
 
+import pickle
+
 import pytest
 from prolog.support import first, prolog
 
 from retalis.engine import Engine, Settings, parts_of
-from retalis.foundation import ProgramErrors, look
+from retalis.foundation import ProgramErrors, UsageError, look
 from retalis.prolog.machine import Limits, PrologError
 from retalis.prolog.syntax import writeq
 from retalis.prolog.terms import Var, atom, functor
@@ -338,3 +340,34 @@ def test_what_runs_between_two_solutions_counts_with_them():
     solutions.close()
     assert not logic.machine.budget.running
     assert logic.once(functor("work", 1)(6000))
+
+
+def test_limits_take_whole_and_broken_numbers():
+    limits = Limits(seconds=1, inferences=1e6, megabytes=200.0)
+    assert limits == (1.0, 1_000_000, 200.0, 1.0)
+    assert isinstance(limits.inferences, int)
+    assert limits._replace(seconds=None) == Limits(None, 1_000_000, 200)
+    assert pickle.loads(pickle.dumps(limits)) == limits
+
+
+@pytest.mark.parametrize("name", Limits._fields)
+@pytest.mark.parametrize(
+    "value", [True, "1", -1, -0.5, float("nan"), float("inf"), 10**400, [1], 1 + 0j], ids=repr
+)
+def test_limits_that_are_no_numbers_are_refused_when_they_are_made(name, value):
+    with pytest.raises(UsageError, match=f"^{name}: expected a (whole )?number from 0 to 1e"):
+        Limits(**{name: value})
+    with pytest.raises(UsageError, match=f"^{name}: "):
+        Limits()._replace(**{name: value})
+
+
+def test_half_an_inference_is_refused():
+    with pytest.raises(UsageError, match="^inferences: expected a whole number from 0 to 1e.20, found 1.5$"):
+        Limits(inferences=1.5)
+
+
+def test_a_limit_of_memory_that_is_a_float_ends_an_event(caplog):
+    engine = Engine(settings=Settings(limits=Limits(seconds=60.0, megabytes=20.0)))
+    engine.load(rules=PROGRAM + "null_event do grow([]) <- in.")
+    engine.event("in", 1)
+    assert caplog.text.count("Not enough resources: memory") == 1

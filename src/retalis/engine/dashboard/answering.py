@@ -22,7 +22,7 @@ LARGEST_ANSWER = 100_000
 LONGEST_GOAL = 5_000
 """Characters of its text."""
 
-LIMITS = Limits(seconds=5.0)
+LIMITS = Limits(seconds=5.0, output_megabytes=None)
 """What a query may use; the engine's own limits hold besides."""
 
 MOST_LINES = 500

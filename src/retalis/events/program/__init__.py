@@ -1,7 +1,6 @@
 """A program as files: its folder, topics, goals and rules, read, checked and loaded."""
 
 from .clauses import FileChecker, nowhere
-from .door import MEGABYTE
 from .files import Files
 from .folder import (
     ATTRIBUTES,
@@ -37,7 +36,6 @@ __all__ = [
     "GOALS",
     "goals_of",
     "Loader",
-    "MEGABYTE",
     "nowhere",
     "read_direct",
     "read_goals",

@@ -12,6 +12,7 @@ from typing import Iterable, Iterator, List, Optional, Tuple, Union
 
 from ...foundation import O_PATH, RetalisError, UsageError, shortened, undecodable
 from ...prolog.machine import (
+    MEGABYTE,
     domain_error,
     existence_error,
     permission_error,
@@ -19,8 +20,6 @@ from ...prolog.machine import (
     resource_error,
 )
 from ...prolog.terms import atom
-
-MEGABYTE = 1_000_000
 
 _LONGEST_PATH, _LONGEST_PART = 4095, 255
 """Bytes, on Linux."""

@@ -35,7 +35,10 @@ class _Cleanup:
             machine.logic.once(self.goal)
         except PrologError as error:
             if keep_back(error):
-                machine.logic.error_output(f"Warning: cleanup: {error.message}\n")
+                try:
+                    machine.logic.error_output(f"Warning: cleanup: {error.message}\n")
+                except PrologError as passed:  # the limit of output: nobody could catch it here
+                    keep_back(passed)
         undo(machine.trail, mark)
 
     if not PYPY:  # there it would come at any time

@@ -17,11 +17,11 @@ from typing import (
     Tuple,
 )
 
-from ...foundation import Place, beginning
+from ...foundation import Place, beginning, printable
 from .. import builtins  # noqa: F401  (they register themselves)
 from ..compiler import CALL
 from ..database import COMPILE_AFTER, Clause, CompiledGoal, Predicate, check_body, functor_of, split_clause
-from ..machine import Frame, Limits, PrologError
+from ..machine import Budget, Frame, Limits, PrologError
 from ..syntax import Operators, by_name, write_term
 from ..terms import COLON, CompoundTerm, Functor, Term, Var, copy, deref, functor
 from . import ports  # noqa: F401  (it registers trace/1)
@@ -31,6 +31,32 @@ from .unknown import similar, undefined
 _DIRECTIVE = functor(":-", 1)
 _QUERY = functor("?-", 1)
 _ARROW = functor("-->", 2)
+
+
+class UserStream:
+    """``user_output`` or ``user_error``: what people and logs get, with escapes for what these would act on.
+
+    Args:
+        budget: limits what an entry may write.
+        write: prints a text.
+    """
+
+    def __init__(self, budget: Budget, write: Callable[[str], None]):
+        self._budget = budget
+        self._write = write
+
+    def __call__(self, text: str) -> None:
+        """Write a text.
+
+        Raises:
+            LimitError: past the limit of output; nothing of the text is written then.
+        """
+        self._budget.count_output(len(text))  # before anything is made of a text that is too long
+        shown = printable(text)
+        more = len(shown.encode()) - len(text)
+        if more:
+            self._budget.count_output(more)
+        self._write(shown)
 
 
 class Logic(Predicates):
@@ -58,8 +84,9 @@ class Logic(Predicates):
         self.database.undefined = self._undefined
         self.globals: Dict[str, Term] = {}
         self.column = 0
-        self.output: Callable[[str], None] = _print
-        self.error_output: Callable[[str], None] = _print_error
+        self.output: Callable[[str], None]
+        self.error_output: Callable[[str], None]
+        self.print_to(_print, _print_error)
         self.message = self._to_error_output
         self.database.modules.on_clash = lambda text: self.message("warning", text)
         self.files: Optional[builtins.StreamFiles] = None
@@ -255,6 +282,11 @@ class Logic(Predicates):
     def solutions(self, goal: Term) -> Generator[None, None, None]:
         """Run a goal; yield at each solution, with its bindings in place. Closing drops what is left."""
         return self.machine.solutions((self.control.code, (CALL, goal), 0, self.machine.done), goal)
+
+    def print_to(self, write: Callable[[str], None], write_error: Callable[[str], None]) -> None:
+        """Set what prints the texts of ``user_output`` and ``user_error``; no goal runs."""
+        budget = self.machine.budget
+        self.output, self.error_output = UserStream(budget, write), UserStream(budget, write_error)
 
     def write(self, text: str) -> None:
         """Write to the current output."""

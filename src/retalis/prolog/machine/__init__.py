@@ -22,13 +22,24 @@ from .faults import (
     type_error,
     uninstantiation_error,
 )
-from .limits import LOOP, LimitError, LimitPassed, Limits, keep_back
+from .limits import (
+    LOOP,
+    MEGABYTE,
+    NO_LIMITS,
+    LimitError,
+    LimitPassed,
+    Limits,
+    Number,
+    checked_number,
+    keep_back,
+)
 from .machine import Machine
 
 __all__ = [
     "BAIL",
     "Budget",
     "CatchMark",
+    "checked_number",
     "Code",
     "CONTEXT",
     "DEAD",
@@ -51,8 +62,11 @@ __all__ = [
     "Limits",
     "LOOP",
     "Machine",
+    "MEGABYTE",
     "no_argument",
+    "NO_LIMITS",
     "no_matching_rule",
+    "Number",
     "permission_error",
     "PrologError",
     "representation_error",

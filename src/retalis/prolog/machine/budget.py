@@ -8,7 +8,7 @@ from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Pr
 
 from ...foundation import WATCH, watch_for
 from .faults import resource_error
-from .limits import LOOP, NO_LIMITS, SLICE, LimitError, LimitPassed, Limits
+from .limits import LOOP, MEGABYTE, NO_LIMITS, SLICE, LimitError, LimitPassed, Limits
 
 _MEASURE_EVERY = 0.005
 """Seconds between two looks at the memory in use."""
@@ -82,8 +82,10 @@ class Budget:
         """Set what each entry may use."""
         self._spent = 0
         self.limits = limits
-        self._bounded = limits != NO_LIMITS
-        self.limited = self._bounded and self.turn is None
+        self._bounded = (
+            limits[:3] != NO_LIMITS[:3]
+        )  # what steps look at; output is counted where it is written
+        self.limited = limits != NO_LIMITS and self.turn is None
 
     def count_for(self, turn: Turn) -> None:
         """Take the pieces of work of a turn (see `turn`) for entries; ``turn.follow`` does something after one."""
@@ -151,6 +153,7 @@ class Budget:
     def _begin(self) -> None:
         self.used = False
         self._spent = 0
+        self._printed = 0  # bytes of output
         self._deadline: Optional[float] = None
         self._memory: Optional[int] = None
         self.rounds = 1
@@ -271,6 +274,20 @@ class Budget:
             if self._bounded and self._past(monotonic()) is not None:
                 self.closed = True
 
+    def count_output(self, size: int) -> None:
+        """Count bytes that are about to be written to the user's streams.
+
+        Raises:
+            LimitError: if the entry may not write as many. A handler may write a tenth more.
+        """
+        most = self.limits.output_megabytes
+        if most is None or not (self.running or self.at_work):
+            return
+        self._use()
+        if self._printed + size > most * MEGABYTE * (1.0 if self.rounds == 1 else 1.1):
+            raise self._exceeded("output")
+        self._printed += size
+
     def left(self) -> "Optional[Left]":
         """Return what a step that cannot look at the limits by itself may use; None where nothing is limited.
 
@@ -281,7 +298,7 @@ class Budget:
             return None
         self._enforce()
         if self._memory is None and self.limits.megabytes is not None:
-            self._memory = resident_bytes() + (self.limits.megabytes << 20)
+            self._memory = resident_bytes() + int(self.limits.megabytes * MEGABYTE)
         if not self.alarms and not self.ceilings and self.limits.inferences is None:
             return Left(self._deadline, None, self._memory)
         times = [at for at, _ in self.alarms]
@@ -346,7 +363,7 @@ class Budget:
             self._measured = now
             used = resident_bytes()
             if self._memory is None:
-                self._memory = used + (limits.megabytes << 20)
+                self._memory = used + int(limits.megabytes * MEGABYTE)
             elif used > self._memory:
                 return "memory"
         return None
@@ -385,7 +402,18 @@ class _Inside:
 
 _INSIDE = _Inside()
 
-_OF_ENTRY = ("rounds", "refused", "closed", "used", "_entry", "_spent", "_deadline", "_memory", "_out")
+_OF_ENTRY = (
+    "rounds",
+    "refused",
+    "closed",
+    "used",
+    "_entry",
+    "_spent",
+    "_printed",
+    "_deadline",
+    "_memory",
+    "_out",
+)
 """The attributes of a budget that tell what an entry has used."""
 
 _PAGE = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096

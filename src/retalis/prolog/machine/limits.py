@@ -1,7 +1,8 @@
 """What an event or a question may use with all that it starts, and the errors of what has used more."""
 
-from typing import NamedTuple, Optional, Protocol
+from typing import Any, Iterable, NamedTuple, Optional, Protocol, Type, TypeVar
 
+from ...foundation import UsageError, shortened
 from ..terms import Term
 from .faults import PrologError
 
@@ -12,7 +13,49 @@ LOOP = (None,) * 256
 """Turns of a loop inside one step."""
 
 
-class Limits(NamedTuple):
+MEGABYTE = 1_000_000
+"""Bytes of a megabyte, wherever a limit is given in megabytes."""
+
+MAX_LIMIT = 1e9
+"""The largest number of seconds or megabytes that a limit may be: 31 years."""
+
+MAX_COUNT = 10**20
+"""The largest number of inferences that a limit may be."""
+
+Number = TypeVar("Number", int, float)
+
+
+def checked_number(name: str, value: object, kind: Type[Number]) -> Number:
+    """Return a number of 0 or more that a setting gives.
+
+    Args:
+        name: the setting's, for the error.
+        value: an ``int`` or a ``float``.
+        kind: ``int`` for whole numbers, which may be given as floats (``1e6``).
+
+    Raises:
+        UsageError: for anything else: a ``bool``, a text, a negative number, NaN, infinity, or a number that is too
+            large for a time.
+    """
+    largest = MAX_COUNT if kind is int else MAX_LIMIT
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        if 0 <= value <= largest and kind(value) == value:
+            return kind(value)
+        found = str(value) if abs(value) < 1e300 else "a larger number"
+    else:
+        found = shortened(repr(value))
+    whole = "a whole number" if kind is int else "a number"
+    raise UsageError(f"{name}: expected {whole} from 0 to {largest:.0e}, found {found}")
+
+
+class _LimitFields(NamedTuple):
+    seconds: Optional[float]
+    inferences: Optional[int]
+    megabytes: Optional[float]
+    output_megabytes: Optional[float]
+
+
+class Limits(_LimitFields):
     """What an event or a question may use with all that it starts; None means without limit.
 
     >>> engine = Engine(settings=Settings(limits=Limits(inferences=10000)))
@@ -23,15 +66,39 @@ class Limits(NamedTuple):
     Attributes:
         seconds: of wall time.
         inferences: calls of predicates, and steps of walks over large terms (counted by the thousand).
-        megabytes: growth of the process's resident memory.
+        megabytes: growth of the process's resident memory, in 1,000,000 bytes.
+        output_megabytes: what goals write to ``user_output`` and ``user_error`` together, in 1,000,000 bytes; 1 by
+            default.
+
+    Raises:
+        UsageError: for a limit that is no number from 0 on; it names the limit.
     """
 
-    seconds: Optional[float] = None
-    inferences: Optional[int] = None
-    megabytes: Optional[int] = None
+    __slots__ = ()
+
+    def __new__(
+        cls,
+        seconds: Optional[float] = None,
+        inferences: Optional[int] = None,
+        megabytes: Optional[float] = None,
+        output_megabytes: Optional[float] = 1.0,
+    ) -> "Limits":
+        """Check the limits and keep them."""
+        return super().__new__(
+            cls,
+            None if seconds is None else checked_number("seconds", seconds, float),
+            None if inferences is None else checked_number("inferences", inferences, int),
+            None if megabytes is None else checked_number("megabytes", megabytes, float),
+            None if output_megabytes is None else checked_number("output_megabytes", output_megabytes, float),
+        )
+
+    @classmethod
+    def _make(cls, iterable: Iterable[Any]) -> "Limits":  # type: ignore[override]
+        """Return limits of four values; ``_replace`` comes here."""
+        return cls(*iterable)
 
 
-NO_LIMITS = Limits()
+NO_LIMITS = Limits(output_megabytes=None)
 
 
 class Refuses(Protocol):

@@ -5,7 +5,7 @@ from threading import local
 from typing import Callable, Iterator, Optional, Union
 
 from ..logic import Logic
-from ..machine import Machine
+from ..machine import MEGABYTE, Machine
 from ..terms import COLON, Term, atom, functor
 from .binding import FAILED
 from .session import SwiEngine
@@ -55,7 +55,7 @@ class SwiProgram:
             found = self._threads.engine = SwiEngine(self._logic, self._started)
             megabytes = self._logic.limits.megabytes
             if megabytes is not None:
-                self.ask("limit_stacks", megabytes << 20)
+                self.ask("limit_stacks", int(megabytes * MEGABYTE))
         return found
 
     def ask(self, name: str, *arguments: Term) -> bool:
