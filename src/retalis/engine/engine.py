@@ -37,6 +37,9 @@ class Engine(Lasting):
     done stays done, what follows from that and has not been done is left out, no cleanup is. Everything else is as
     if nothing had been: no event that comes later is served in another way.
 
+    In a forked process (``os.fork``, ``multiprocessing``) an engine goes on by itself. If another thread was at work
+    in it at that moment, its calls raise a `UsageError` there.
+
     >>> engine = Engine()
     >>> engine.load(rules="alarm(X) <- smoke(X) seq heat(X).", goals="subscribe(alarm(_), [], _, alarms, a)")
     >>> engine.on_output(lambda term, topic, name: print(topic, engine.show(term)))

@@ -6,13 +6,18 @@ once. Handing each event to a worker thread instead would double its cost.
 An interrupt (a signal, usually) may end any of this between any two of its steps. So it is not made of steps that
 each leave all in order: who comes in first and is interrupted goes back to the idle state (`Recovery`), and where
 that is interrupted as well, the next one to come in does so.
+
+A process that is forked has the thread that forked and no other. If another thread was at work, its work stays half
+done there, so that the runner refuses all work in the child. A runner that was idle goes on in both processes.
 """
 
+import os
 import sys
 import threading
 from collections import deque
 from types import FrameType
 from typing import Callable, Deque, Iterable, Iterator, Optional, Tuple, TypeVar
+from weakref import WeakSet
 
 from ...foundation import RetalisError, UsageError
 from .request import Request
@@ -77,6 +82,7 @@ class Runner:
         self.callback: Optional[Tuple[str]] = None
         self.entry: object = None
         self.dropped = 0
+        _RUNNERS.add(self)
 
     def __len__(self) -> int:
         return len(self._queue)
@@ -343,6 +349,18 @@ class Runner:
         self._restore(is_unexpected(error))
         self._on_error(error)
 
+    def begin_in_child(self) -> None:
+        """Go on in a process that has just been forked, or refuse all work if another thread was at work."""
+        for call in tuple(self._calls):
+            if not (call.begun or call.follows):  # its caller is a thread of the other process
+                self._calls.remove(call)
+        if not self._lock.acquire(False):
+            self.__class__ = _Unusable
+        elif self._running == _this_thread():
+            self._lock.release()  # the piece of work that has forked goes on
+        else:
+            self._lock = threading.RLock()
+
     def _restore(self, mend: bool) -> None:
         self.callback = None
         self._recovery.restore(None, mend)
@@ -365,6 +383,41 @@ class Runner:
             pass
         for call in tuple(self._calls):
             call.wake()
+
+
+class _Unusable(Runner):
+    """A runner in a forked process, whose work another thread of the first process has under way."""
+
+    def post(self, work: Callable[..., object], *arguments: object) -> None:
+        """Refuse a piece of work."""
+        raise _refusal()
+
+    def post_each(self, work: Callable[[_One, _Two], object], entries: Iterable[Tuple[_One, _Two]]) -> None:
+        """Refuse pieces of work."""
+        raise _refusal()
+
+    def call(self, work: Callable[[], _Result], entry: object = None) -> _Result:
+        """Refuse a piece of work."""
+        raise _refusal()
+
+
+def _refusal() -> UsageError:
+    return UsageError(
+        "the engine cannot be used in this process, which was forked while another thread was at work in it:"
+        " make an engine in the forked process, or fork while the engine is idle"
+    )
+
+
+_RUNNERS: "WeakSet[Runner]" = WeakSet()
+
+
+def _begin_in_child() -> None:
+    for runner in tuple(_RUNNERS):
+        runner.begin_in_child()
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows
+    os.register_at_fork(after_in_child=_begin_in_child)
 
 
 _AT_WORK = frozenset(one.__code__ for one in (Runner.post, Runner._post_some, Runner.call, Runner._work_off))  # noqa: SLF001 - its own module

@@ -1,9 +1,10 @@
 """Who holds up the engine: a thread that looks once in a while at what is at work."""
 
+import os
 import threading
 import time
 from typing import Any, Callable, NamedTuple, Optional, Tuple
-from weakref import ref
+from weakref import WeakSet, ref
 
 from ...events.dispatch import Dispatcher
 from ...foundation import Place, RuleError, beginning
@@ -116,8 +117,25 @@ def watch(
     budget.on_refused = refused
     watchdog = Watchdog(turn, budget, patience, warn)
     if patience is not None or budget.limits.seconds is not None:
-        threading.Thread(target=_run, args=(ref(watchdog),), name="retalis watchdog", daemon=True).start()
+        _begin(watchdog)
+        _BEGUN.add(watchdog)
     return watchdog
+
+
+def _begin(watchdog: Watchdog) -> None:
+    threading.Thread(target=_run, args=(ref(watchdog),), name="retalis watchdog", daemon=True).start()
+
+
+_BEGUN: "WeakSet[Watchdog]" = WeakSet()
+
+
+def _begin_in_child() -> None:
+    for watchdog in tuple(_BEGUN):
+        _begin(watchdog)
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows; a forked process has none of the threads
+    os.register_at_fork(after_in_child=_begin_in_child)
 
 
 def _run(known: "ref[Watchdog]") -> None:

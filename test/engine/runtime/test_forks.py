@@ -1,0 +1,155 @@
+"""A forked process: an engine that was idle goes on in it, one that was busy in another thread refuses clearly."""
+
+import multiprocessing
+import os
+import signal
+import threading
+
+import pytest
+
+from retalis.engine import Engine, Settings
+from retalis.foundation import UsageError
+from retalis.prolog.machine import Limits
+
+pytestmark = [
+    pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork"),
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),  # later Pythons warn of a fork beside threads
+]
+
+SECONDS = 60
+"""After these a process that hangs is ended."""
+
+REFUSED = (
+    "the engine cannot be used in this process, which was forked while another thread was at work in it: make"
+)
+
+
+def in_child(work):
+    """Return what work returns in a forked process, or the text of its error; "" for one that hung."""
+    reading, writing = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(SECONDS)
+        try:
+            try:
+                text = str(work())
+            except UsageError as error:
+                text = str(error)
+            os.write(writing, text.encode())
+        finally:
+            os._exit(0)
+    os.close(writing)
+    with open(reading, encoding="utf-8") as pipe:
+        text = pipe.read()
+    os.waitpid(pid, 0)
+    return text
+
+
+@pytest.fixture
+def engine():
+    made = Engine(settings=Settings(limits=Limits(seconds=30.0)))
+    made.load(rules="out(X) <- in(X).\ncount(0).\ncount(N) :- N > 0, M is N - 1, count(M).")
+    return made
+
+
+def test_an_idle_engine_goes_on_in_both_processes(engine):
+    def use():
+        seen = []
+        engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+        engine.event("in(1)", 1)
+        return seen, engine.call("assertz(mine)"), len(engine.status().rules)
+
+    assert in_child(use) == "(['in(1)', 'out(1)'], True, 1)"
+    assert engine.call("X = 1")
+    assert use()[0] == ["in(1)", "out(1)"]
+    threads = in_child(lambda: [thread.name for thread in threading.enumerate()])
+    assert "retalis watchdog" in threads
+
+
+@pytest.fixture
+def busy(engine):
+    """An engine in which another thread is at work."""
+    begun, goes_on = threading.Event(), threading.Event()
+
+    def wait(*_):
+        begun.set()
+        goes_on.wait(SECONDS)
+
+    engine.on_event(wait)
+    worker = threading.Thread(target=lambda: engine.event("in(1)", 1))
+    worker.start()
+    assert begun.wait(SECONDS)
+    yield engine
+    goes_on.set()
+    worker.join()
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda engine: engine.query("X = 1"),
+        lambda engine: engine.post("in(2)", 2),
+        lambda engine: engine.event("in(2)", 2),
+        lambda engine: engine.post_each([]),
+        lambda engine: engine.load(rules="a <- b."),
+    ],
+)
+def test_an_engine_that_was_busy_refuses_in_the_child(busy, use):
+    assert in_child(lambda: use(busy)).startswith(REFUSED)
+
+
+def test_another_engine_can_be_made_in_the_child(busy):
+    assert in_child(lambda: Engine().call("true")) == "True"
+
+
+def test_the_thread_that_is_at_work_may_fork(engine):
+    found = []
+
+    def fork(*_):
+        found.append(in_child(lambda: engine.query("X = 1")))
+
+    engine.on_event(fork)
+    engine.event("in(1)", 1)
+    assert found == ["[{'X': 1}]"] * 2
+    assert engine.call("true")
+
+
+@pytest.mark.parametrize("kind", ["fork", "multiprocessing"])
+def test_no_process_hangs_that_is_forked_while_another_thread_asks(engine, kind):
+    ending = threading.Event()
+
+    def ask():
+        while not ending.is_set():
+            engine.query("count(200)")
+
+    def use():
+        return len(engine.query("member(X, [1, 2])"))
+
+    worker = threading.Thread(target=ask)
+    worker.start()
+    try:
+        answers = [in_child(use) if kind == "fork" else in_process(use) for _ in range(30)]
+    finally:
+        ending.set()
+        worker.join()
+    assert all(answer == "2" or answer.startswith(REFUSED) for answer in answers)
+    assert engine.call("true")
+
+
+def in_process(work):
+    """Return what work returns in a process of multiprocessing that was forked, or the text of its error."""
+    context = multiprocessing.get_context("fork")
+    receiver, sender = context.Pipe(duplex=False)
+
+    def run():
+        signal.alarm(SECONDS)
+        try:
+            sender.send(str(work()))
+        except UsageError as error:
+            sender.send(str(error))
+
+    process = context.Process(target=run)
+    process.start()
+    process.join()
+    return receiver.recv() if receiver.poll() else ""
