@@ -20,3 +20,25 @@ def test_a_long_format_is_walked_through_once_and_not_for_each_of_its_variables(
     found = reader._fields(SimpleNamespace(event=f"a({slots})", conditions="", format=f"b({slots},Y)"))
     assert found.free == ["Y"]
     assert len(walked) < 5
+
+
+def test_a_long_request_is_refused_unread(monkeypatch):
+    provided = {}
+    monkeypatch.setattr(
+        services.rospy, "Service", lambda name, kind, handler: provided.update({name: handler})
+    )
+    handled = []
+    services.provide("~query", object, lambda request: handled.append(request) or "done")
+
+    def call(goal, wait_for):
+        request = SimpleNamespace(__slots__=["goal", "wait_for", "seconds"], seconds=1.0)
+        request.goal, request.wait_for = goal, wait_for
+        return provided["~query"](request)
+
+    half = services.MAX_REQUEST_CHARACTERS // 2
+    assert call("a" * half, ["b", "b" * (half - 1)]) == "done"
+    assert len(handled) == 1
+    assert call("a" * half, ["b", "b" * half]) == {
+        "result": "error: the request has 100001 characters: expected at most 100000"
+    }
+    assert len(handled) == 1

@@ -2,11 +2,9 @@
 
 from typing import Any
 
-import rospy
-
 from ..engine import Engine, add_rule, delete_rule
 from ..foundation import ProgramErrors, RetalisError, SyntaxFault, beginning
-from .services import LONGEST_ANSWER, OK, answer, reason
+from .services import LONGEST_ANSWER, OK, answer, provide, reason
 
 
 class RuleServices:
@@ -21,8 +19,8 @@ class RuleServices:
 
         self._engine = engine
         self._added = srv.AddRuleResponse
-        rospy.Service("~add_rule", srv.AddRule, self._add)
-        rospy.Service("~delete_rule", srv.DeleteRule, self._delete)
+        provide("~add_rule", srv.AddRule, self._add)
+        provide("~delete_rule", srv.DeleteRule, self._delete)
 
     def _add(self, request: Any) -> Any:
         try:

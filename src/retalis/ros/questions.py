@@ -3,13 +3,11 @@
 from threading import BoundedSemaphore
 from typing import Any, List
 
-import rospy
-
 from ..engine import Engine, ask, await_memories
 from ..engine.explaining import explain, records_origins
 from ..foundation import RetalisError, SyntaxFault, UsageError
 from ..prolog.machine import Limits, checked_number
-from .services import LONGEST_ANSWER, OK, name, reason
+from .services import LONGEST_ANSWER, OK, name, provide, reason
 
 MOST = 100
 """Solutions of a query that does not say how many."""
@@ -51,8 +49,8 @@ class Questions:
         self._engine = engine
         self._msg, self._srv = msg, srv
         self._waiting = BoundedSemaphore(AT_ONCE)
-        rospy.Service("~query", srv.Query, self._query)
-        rospy.Service("~explain", srv.Explain, self._explain)
+        provide("~query", srv.Query, self._query)
+        provide("~explain", srv.Explain, self._explain)
 
     def _query(self, request: Any) -> Any:
         response = self._srv.QueryResponse

@@ -1,6 +1,6 @@
 """The six services: texts in, ``ok`` or ``error: ...`` out."""
 
-from typing import Any, Callable, Dict, List, NamedTuple, Tuple
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Tuple
 
 import rospy
 
@@ -35,12 +35,43 @@ LONGEST_ANSWER = 1000
 """Characters of what a service says is wrong."""
 
 
+MAX_REQUEST_CHARACTERS = 100_000
+"""Characters of a request's fields together: the engine takes no events while they are read, for 0.5 to 1 s."""
+
 _SUBSCRIBE = functor("subscribe", 5)
 
 
 def shown(text: str) -> str:
     """Return the field of a request as answers show it."""
     return printable(beginning(text.strip()))
+
+
+def provide(name: str, kind: Any, handler: Callable[[Any], Any]) -> None:
+    """Provide a service whose requests have texts of a bounded length.
+
+    Args:
+        name: the service.
+        kind: its class; the first field of its response is the result.
+        handler: takes a request and returns its response.
+    """
+
+    def handle(request: Any) -> Any:
+        size = sum(len(value) for value in _texts(request))
+        if size > MAX_REQUEST_CHARACTERS:
+            most = MAX_REQUEST_CHARACTERS
+            return {"result": f"error: the request has {size} characters: expected at most {most}"}
+        return handler(request)
+
+    rospy.Service(name, kind, handle)
+
+
+def _texts(request: Any) -> Iterator[str]:
+    for field in request.__slots__:
+        value = getattr(request, field)
+        if isinstance(value, str):
+            yield value
+        elif isinstance(value, list):
+            yield from value
 
 
 def answer(work: Callable[[], None]) -> str:
@@ -99,10 +130,10 @@ class EngineServices:
         self._text_only = text_only
         self._doubt = doubt
         self._misfit = misfit
-        rospy.Service("add_output_subscription", srv.AddOutputSubscription, self._add_subscription)
-        rospy.Service("delete_output_subscription", srv.DeleteOutputSubscription, self._delete_subscription)
-        rospy.Service("add_memory", srv.AddMemory, self._add_memory)
-        rospy.Service("delete_memory", srv.DeleteMemory, self._delete_memory)
+        provide("add_output_subscription", srv.AddOutputSubscription, self._add_subscription)
+        provide("delete_output_subscription", srv.DeleteOutputSubscription, self._delete_subscription)
+        provide("add_memory", srv.AddMemory, self._add_memory)
+        provide("delete_memory", srv.DeleteMemory, self._delete_memory)
 
     def _add_subscription(self, request: Any) -> str:
         def work() -> None:
@@ -221,8 +252,8 @@ class InterfaceServices:
         from retalis import srv  # noqa: PLC0415 - generated: there only where the package was built
 
         self._interface = interface
-        rospy.Service("add_input_subscription", srv.AddInputSubscription, self._add)
-        rospy.Service("delete_input_subscription", srv.DeleteInputSubscription, self._delete)
+        provide("add_input_subscription", srv.AddInputSubscription, self._add)
+        provide("delete_input_subscription", srv.DeleteInputSubscription, self._delete)
 
     def _add(self, request: Any) -> str:
         topic, kind = request.topic.strip(), request.message_type.strip()
