@@ -9,7 +9,7 @@ import rospy
 
 from ..engine.runtime import collect_when_idle, limit_gc_pauses
 from ..foundation import RetalisError, stop_collecting
-from .backlog import widen_backlog
+from .connection_limits import limit_connections
 from .interrupts import PAUSE, Interrupts
 from .log import forward_log, write_out_each_line
 from .master import MasterWatch, wait_for_master
@@ -49,8 +49,8 @@ def run_node(name: str, build: Callable[[Parameters], object]) -> int:
 def _live(name: str, build: Callable[[Parameters], object], interrupts: Interrupts) -> int:
     write_out_each_line()
     wait_for_master()
+    limit_connections()
     rospy.init_node(name, disable_signals=True)
-    widen_backlog()
     forward_log(logging.getLogger("retalis"))
     try:
         parameters = read_parameters()
