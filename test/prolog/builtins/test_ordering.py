@@ -91,6 +91,62 @@ def test_association_lists_stay_balanced(seed):
     assert first(logic, f"list_to_assoc([{listed}], A), get_assoc(none, A, _)") is None
 
 
+@pytest.mark.parametrize("seed", range(10))
+def test_association_lists_stay_balanced_as_keys_are_deleted(seed):
+    choose = random.Random(seed)
+    rules = """
+    del([], A, A).
+    del([K|Ks], A0, A) :- del_assoc(K, A0, x(K), A1), !, is_assoc(A1), del(Ks, A1, A).
+    del([K|Ks], A0, A) :- \\+ get_assoc(K, A0, _), del(Ks, A0, A).
+    """
+    logic = prolog(rules)
+    keys = choose.sample(range(60), choose.randint(1, 50))
+    removed = [choose.randrange(60) for _ in range(40)]
+    left = sorted(set(keys) - set(removed))
+    (found,) = answers(
+        logic,
+        f"findall(K-x(K), member(K, {keys}), Ps), list_to_assoc(Ps, A0), del({removed}, A0, A),"
+        "assoc_to_keys(A, Keys), assoc_to_values(A, Values), assoc_to_list(A, Pairs)",
+    )
+    assert found["Keys"] == "[" + ",".join(map(str, left)) + "]"
+    assert found["Values"] == "[" + ",".join(f"x({key})" for key in left) + "]"
+    assert found["Pairs"] == "[" + ",".join(f"{key}-x({key})" for key in left) + "]"
+
+
+@pytest.mark.parametrize(
+    ("before", "key", "after"),
+    [  # as SWI-Prolog 9.0.4 answers
+        ("t(b,2,-,t(a,1,-,t,t),t(c,3,-,t,t))", "b", "t(a,1,>,t,t(c,3,-,t,t))"),
+        (
+            "t(b,2,>,t(a,1,-,t,t),t(d,4,-,t(c,3,-,t,t),t(e,5,-,t,t)))",
+            "b",
+            "t(c,3,>,t(a,1,-,t,t),t(d,4,>,t,t(e,5,-,t,t)))",
+        ),
+        (
+            "t(b,2,>,t(a,1,-,t,t),t(d,4,-,t(c,3,-,t,t),t(e,5,-,t,t)))",
+            "a",
+            "t(d,4,<,t(b,2,>,t,t(c,3,-,t,t)),t(e,5,-,t,t))",
+        ),
+        (
+            "t(d,4,<,t(b,2,-,t(a,1,-,t,t),t(c,3,-,t,t)),t(e,5,-,t,t))",
+            "e",
+            "t(b,2,>,t(a,1,-,t,t),t(d,4,<,t(c,3,-,t,t),t))",
+        ),
+        ("t(a,1,>,t,t(b,2,-,t,t))", "a", "t(b,2,-,t,t)"),
+    ],
+)
+def test_deletion_makes_the_tree_of_swi_prolog(before, key, after):
+    assert answers(prolog(), f"del_assoc({key}, {before}, _, A)") == [{"A": after}]
+
+
+def test_deletions_from_a_large_tree_take_few_inferences():
+    """A deletion visits the nodes of one path, not all of them."""
+    make = "findall(K-x, between(1, 10000, K), _Pairs), list_to_assoc(_Pairs, _A)"
+    delete = "call_with_inference_limit(forall(between(1, 100, K), del_assoc(K, _A, x, _)), 50000, Left)"
+    (found,) = answers(prolog(), f"{make}, {delete}")
+    assert found["Left"] == "!"
+
+
 def test_trees_that_are_none():
     logic = prolog()
     assert answers(logic, "put_assoc(a, t(b,1,x,t,t), 2, A)") == []
@@ -99,5 +155,12 @@ def test_trees_that_are_none():
     ]
     assert answers(logic, "get_assoc(a, t(b,1,<,X,t), V)") == []
     assert answers(logic, "get_assoc(K, t(b,1,<,t,t), V)") == []
+    assert answers(logic, "del_assoc(a, t(a,1,<,foo,bar), 1, A)") == []
+    assert answers(logic, "del_assoc(a, t(b,1,>,t(a,1,-,t,t),foo), 1, A)") == []
+    assert answers(logic, "del_assoc(a, t(b,1,>,t(a,1,-,t,t),t(c,1,<,t,t)), 1, A)") == []
+    assert answers(logic, "del_assoc(b, t(b,1,x,t(a,1,-,t,t),t(c,1,-,t,t)), 1, A)") == []
+    assert answers(logic, "assoc_to_list(t(b,1,<,foo,t), L)") == []
+    assert answers(logic, "assoc_to_list(t(b,1,<,X,t), L)") == ["instantiation_error"]
+    assert answers(logic, "A = t(b,1,<,A,t), assoc_to_list(A, L)") == ["resource_error(term_size)"]
     assert answers(logic, "list_to_assoc([a-1,a-2], A)") == ["domain_error(unique_key_pairs,[a-1,a-2])"]
     assert answers(logic, "ord_list_to_assoc([b-1,a-2], A)") == ["domain_error(key_ordered_pairs,[b-1,a-2])"]

@@ -1,14 +1,15 @@
 """Association lists: AVL trees of terms ``t(Key, Value, Balance, Left, Right)``, empty: ``t``.
 
-``Balance`` names the deeper side: ``<`` the left one, ``>`` the right one, ``-`` none. Look-up and insertion go down
-the tree by the standard order of the keys, and insertion rebuilds the nodes on its way; the other predicates are in
-the library (library/assoc.pl).
+``Balance`` names the deeper side: ``<`` the left one, ``>`` the right one, ``-`` none. Look-up, insertion and
+deletion descend the tree by the standard order of the keys; insertion and deletion rebuild the nodes of that path.
+The other predicates are in the library (library/assoc.pl).
 """
 
-from typing import Any, List, Optional, Tuple
+from typing import Any, Callable, List, Optional, Tuple
 
+from ...foundation import BULK, TermTooLarge, look
 from ..machine import instantiation_error, no_matching_rule, type_error
-from ..terms import MINUS, CompoundTerm, Term, Var, atom, compare, deref, functor, unify
+from ..terms import MINUS, ROUNDS, CompoundTerm, Term, Var, atom, compare, deref, functor, make_list, unify
 from .arguments import items
 from .program import Machine
 from .registry import deterministic
@@ -16,7 +17,7 @@ from .sets import bounded
 
 _NODE, _EMPTY = functor("t", 5), atom("t")
 _LEFT, _EVEN, _RIGHT = atom("<"), atom("-"), atom(">")
-_INSERT = functor("insert", 5)
+_INSERT, _DELETE = functor("insert", 5), functor("delete", 5)
 _AFTER_DOUBLE_ROTATION = {_EVEN: (_EVEN, _EVEN), _LEFT: (_EVEN, _RIGHT), _RIGHT: (_LEFT, _EVEN)}
 """Balances of the left and the right node after a double rotation, by the balance of the node that goes up."""
 
@@ -26,6 +27,11 @@ def _order(key: Any, other: Any) -> int:
     if key.__class__ is int and other.__class__ is int:
         return (key > other) - (key < other)
     return compare(key, other)
+
+
+def _is_node(term: Term) -> bool:
+    """Tell whether a dereferenced term is a tree with a key."""
+    return term.__class__ is tuple and term[0] is _NODE
 
 
 @deterministic("get_assoc/3", locked=False)
@@ -40,7 +46,12 @@ def get_assoc(machine: Machine, key: Term, tree: Term, value: Term) -> bool:
     for _ in bounded():
         if node.__class__ is not tuple or node[0] is not _NODE:
             return False
-        order = _order(key, node[1])
+        other = node[1]
+        # As `_order`, without its call: most keys are integers or atoms.
+        if key.__class__ is int and other.__class__ is int:
+            order = -1 if key < other else key > other
+        else:
+            order = 0 if key is other else compare(key, other)
         if not order:
             return unify(value, node[2], machine.trail)
         node = node[4] if order < 0 else node[5]
@@ -120,6 +131,142 @@ def _rotated(key: Term, value: Term, left: Any, right: Any, order: int) -> Compo
         lower = (_NODE, key, value, left_balance, left, top_left)
         upper = (_NODE, child_key, child_value, right_balance, top_right, inner_right)
     return (_NODE, top_key, top_value, _EVEN, lower, upper)
+
+
+@deterministic("del_assoc/4", locked=False)
+def del_assoc(machine: Machine, key: Term, tree: Term, value: Term, result: Term) -> bool:
+    """Remove a key."""
+    key = deref(key)
+    path: List[Tuple[CompoundTerm, int]] = []
+    node: Any = deref(tree)
+    for _ in bounded():
+        if node is _EMPTY:
+            return False
+        if node.__class__ is not tuple or node[0] is not _NODE:
+            raise no_matching_rule("assoc", (_DELETE, node, key, value, Var(), Var()))
+        order = _order(key, node[1])
+        if not order:
+            break
+        path.append((node, order))
+        node = deref(node[4] if order < 0 else node[5])
+    if not unify(value, node[2], machine.trail):
+        return False
+    rest = _without_key(node, path)
+    if rest is None:
+        return False
+    shrunk = True
+    for parent, order in reversed(path):
+        if shrunk:
+            made = _flattened(parent, rest, order)
+            if made is None:
+                return False
+            rest, shrunk = made
+        else:
+            sides = (rest, parent[5]) if order < 0 else (parent[4], rest)
+            rest = (*parent[:4], *sides)
+    return unify(result, rest, machine.trail)
+
+
+def _without_key(node: CompoundTerm, path: List[Tuple[CompoundTerm, int]]) -> Optional[Term]:
+    """Return what replaces the last node of a path when the key of a node is removed; None if a side is no tree.
+
+    If the node has both sides, the next key of its deeper side takes its place, and the path is extended to that key.
+
+    Args:
+        node: the node whose key is removed.
+        path: the nodes above it, each with -1 or 1 for the side in which the path goes on.
+    """
+    left, right = deref(node[4]), deref(node[5])
+    if left is _EMPTY or right is _EMPTY:
+        return right if left is _EMPTY else left
+    if not (_is_node(left) and _is_node(right)):
+        return None
+    side = 1 if deref(node[3]) is _RIGHT else -1
+    place = len(path)
+    path.append((node, side))
+    following: Any = right if side > 0 else left
+    for _ in bounded():
+        inner, outer = (following[4], following[5]) if side > 0 else (following[5], following[4])
+        inner = deref(inner)
+        if not _is_node(inner):
+            break
+        path.append((following, -side))
+        following = inner
+    path[place] = ((_NODE, following[1], following[2], *node[3:]), side)
+    return deref(outer)
+
+
+def _flattened(parent: CompoundTerm, side: Any, order: int) -> Optional[Tuple[CompoundTerm, bool]]:
+    """Return a node one of whose sides has lost a level, and whether the node has.
+
+    The side is the left one where ``order`` is negative. None where the balance is none.
+    """
+    _, key, value, balance, left, right = parent
+    left, right = (side, right) if order < 0 else (left, side)
+    flatter, other = (_LEFT, _RIGHT) if order < 0 else (_RIGHT, _LEFT)
+    balance = deref(balance)
+    if balance is flatter:
+        return (_NODE, key, value, _EVEN, left, right), True
+    if balance is _EVEN:
+        return (_NODE, key, value, other, left, right), False
+    if balance is not other:
+        return None
+    sibling: Any = deref(right if order < 0 else left)
+    if not _is_node(sibling):
+        return None
+    lean = deref(sibling[3])
+    if lean is flatter:
+        inner: Any = deref(sibling[4] if order < 0 else sibling[5])
+        if not _is_node(inner) or inner[3] not in _AFTER_DOUBLE_ROTATION:
+            return None
+    if lean is not _EVEN:
+        return _rotated(key, value, left, right, -order), True
+    # A single rotation; the node keeps its depth, and both levels lean.
+    _, top_key, top_value, _, inner_left, inner_right = sibling
+    if order < 0:
+        lower = (_NODE, key, value, _RIGHT, left, inner_left)
+        return (_NODE, top_key, top_value, _LEFT, lower, inner_right), False
+    lower = (_NODE, key, value, _LEFT, inner_right, right)
+    return (_NODE, top_key, top_value, _RIGHT, inner_left, lower), False
+
+
+def _walk(tree: Term, item: Callable[[CompoundTerm], Term]) -> Optional[Term]:
+    """Return the list of an item of each node in the order of keys; None for a term that is no tree."""
+    items: List[Term] = []
+    path: List[CompoundTerm] = []
+    node: Any = deref(tree)
+    for _ in ROUNDS:
+        for _ in BULK:
+            if node.__class__ is tuple and node[0] is _NODE:
+                path.append(node)
+                node = node[4]
+            elif node is _EMPTY:
+                if not path:
+                    return make_list(items)
+                node = path.pop()
+                items.append(item(node))
+                node = node[5]
+            elif node.__class__ is Var:
+                raise instantiation_error()
+            else:
+                return None
+            if node.__class__ is not tuple:
+                node = deref(node)
+        look()
+    raise TermTooLarge
+
+
+def _listing(item: Callable[[CompoundTerm], Term]) -> Callable[[Machine, Term, Term], bool]:
+    def run(machine: Machine, tree: Term, result: Term) -> bool:
+        found = _walk(tree, item)
+        return found is not None and unify(result, found, machine.trail)
+
+    return run
+
+
+deterministic("assoc_to_list/2", locked=False)(_listing(lambda node: (MINUS, node[1], node[2])))
+deterministic("assoc_to_keys/2", locked=False)(_listing(lambda node: node[1]))
+deterministic("assoc_to_values/2", locked=False)(_listing(lambda node: node[2]))
 
 
 @deterministic("$pairs_to_assoc/2")

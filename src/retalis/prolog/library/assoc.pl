@@ -1,7 +1,7 @@
 % Association lists as AVL trees: t (empty) and t(Key,Value,Balance,Left,Right), of balance <, - or >.
 %
-% defines: empty_assoc/1 list_to_assoc/2 ord_list_to_assoc/2 assoc_to_list/2 assoc_to_keys/2
-% defines: assoc_to_values/2 max_assoc/3 min_assoc/3 del_assoc/4 map_assoc/2 map_assoc/3 gen_assoc/3
+% defines: empty_assoc/1 list_to_assoc/2 ord_list_to_assoc/2 max_assoc/3
+% defines: min_assoc/3 map_assoc/2 map_assoc/3 gen_assoc/3
 % defines: is_assoc/1
 
 empty_assoc(t).
@@ -29,7 +29,7 @@ assoc_balance_(DL, DR, <) :-
 assoc_balance_(DL, DR, >) :-
     DR =:= DL + 1.
 
-% get_assoc/3, put_assoc/4 and '$pairs_to_assoc'/2 are done in Python.
+% get_assoc/3, put_assoc/4, del_assoc/4, assoc_to_list/2 and the like, and '$pairs_to_assoc'/2 are done in Python.
 
 list_to_assoc(List, Assoc) :-
     must_be(list, List),
@@ -49,22 +49,6 @@ ord_list_to_assoc(List, Assoc) :-
     ->  Assoc = Found
     ;   throw(error(domain_error(key_ordered_pairs, List), _))
     ).
-
-assoc_to_list(A, L) :-
-    assoc_to_list_(A, L, []).
-
-assoc_to_list_(t, L, L).
-assoc_to_list_(t(K, V, _, L, R), List, Rest) :-
-    assoc_to_list_(L, List, [K-V|More]),
-    assoc_to_list_(R, More, Rest).
-
-assoc_to_keys(A, Ks) :-
-    assoc_to_list(A, L),
-    pairs_keys(L, Ks).
-
-assoc_to_values(A, Vs) :-
-    assoc_to_list(A, L),
-    pairs_values(L, Vs).
 
 max_assoc(A, Key, Val) :-
     (   nonvar(A), A = t(K, V, _, _, R)
@@ -100,22 +84,6 @@ gen_assoc_(A, Key, Value) :-
         )
     ;   A \== t,
         '$no_rule'(assoc, gen_assoc_(Key, A, Value))
-    ).
-
-del_assoc(Key, A0, Value, A) :-
-    (   nonvar(A0), ( A0 = t ; A0 = t(_, _, _, _, _) )
-    ->  true
-    ;   '$no_rule'(assoc, delete(A0, Key, Value, A, _))
-    ),
-    assoc_to_list(A0, L0),
-    del_pair_(L0, Key, Value, L),
-    '$pairs_to_assoc'(L, A).
-
-del_pair_([K-V|T], Key, Value, L) :-
-    (   K == Key
-    ->  Value = V, L = T
-    ;   L = [K-V|R],
-        del_pair_(T, Key, Value, R)
     ).
 
 map_assoc(G, A) :-
