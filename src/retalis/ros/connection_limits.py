@@ -58,7 +58,10 @@ LOOP_SECONDS = 1.0
 """Seconds after which a loop looks for deadlines and for the end of the node at the latest."""
 
 _NO_RESOURCES = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
-_NO_RESOURCES_PAUSE = 0.1
+
+OWNER_PAUSE = 0.001
+NO_FILES_PAUSE = 0.1
+"""Seconds until the next try to accept a connection without free files, with and without a connection to close."""
 
 Now = Callable[[], float]
 Address = Tuple[Any, ...]
@@ -183,10 +186,12 @@ class ConnectionTable:
                 self._close_oldest("" if self._may_idle else f"not finished within {self._seconds:g} s")
 
     def make_room(self) -> None:
-        """Close the oldest connection, because the process can open no more files."""
+        """Close the oldest connection, because the process can open no more files, and give its owner time for it."""
         with self._lock:
+            pause = OWNER_PAUSE if self._entries else NO_FILES_PAUSE
             if self._entries:
                 self._close_oldest("no more files can be opened")
+        time.sleep(pause)
 
     def _close_oldest(self, reason: str) -> None:
         self._close(next(iter(self._entries)), reason)
@@ -328,7 +333,6 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
         except OSError as error:
             if error.errno in _NO_RESOURCES:
                 self._handshakes.make_room()
-                time.sleep(_NO_RESOURCES_PAUSE)
             return  # the client has gone, or the server is being shut down
         sock.setblocking(False)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
@@ -449,7 +453,6 @@ class RequestServer(getattr(rosgraph.xmlrpc, "ThreadingXMLRPCServer", object)): 
         except OSError as error:
             if error.errno in _NO_RESOURCES:
                 self.connections.make_room()
-                time.sleep(_NO_RESOURCES_PAUSE)
             raise  # the loop goes on
 
     def process_request(self, request: socket.socket, client_address: Address) -> None:
