@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any, Awaitable, Callable, Dict, List, Optional
 from urllib.parse import urlsplit
+from weakref import WeakSet
 
 from tornado.httpserver import HTTPServer
 from tornado.iostream import IOStream, StreamClosedError
@@ -47,7 +48,10 @@ LARGEST_HEADER = 16_000
 """Bytes of its headers."""
 
 MOST_CONNECTIONS = 40
-"""Connections that may be open at once, whatever they are for."""
+"""Connections that may be open at once, whatever they are for; one more closes the oldest that has no request."""
+
+BUSY = "busy connections"
+"""The setting of the application with the connections whose requests are being answered, live pages among them."""
 
 IDLE = 60.0
 """Seconds after which a connection on which nothing is asked is closed."""
@@ -62,6 +66,9 @@ class LocalHandler(RequestHandler):
 
     def prepare(self) -> None:
         """Refuse what a foreign page may have sent."""
+        self._stream: Any = getattr(self.request.connection, "stream", None)
+        if self._stream is not None:
+            self.settings[BUSY].add(self._stream)
         headers = self.request.headers
         host = headers.get("Host", "")
         if _name_of(host) not in LOOPBACK:
@@ -70,6 +77,10 @@ class LocalHandler(RequestHandler):
             raise HTTPError(403, reason="Another page")
         if headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin") and self.request.path != "/":
             raise HTTPError(403, reason="Another page")
+
+    def on_finish(self) -> None:
+        """Note that the connection waits for its next request."""
+        self.settings[BUSY].discard(self._stream)
 
     def set_default_headers(self) -> None:
         """Have the browser run, load and tell others nothing that is not the page's own."""
@@ -186,12 +197,16 @@ class BoundedServer(HTTPServer):
         self._streams: List[IOStream] = []
 
     def handle_stream(self, stream: IOStream, address: Any) -> None:
-        """Take a connection, or close it where there are too many."""
+        """Take a connection; if there are too many, close the oldest one without a complete request."""
         self._streams = [one for one in self._streams if not one.closed()]
-        if len(self._streams) >= MOST_CONNECTIONS:
-            stream.close()
-            return
         self._streams.append(stream)
+        if len(self._streams) > MOST_CONNECTIONS:
+            application: Any = self.request_callback
+            busy = application.settings[BUSY]
+            oldest = next(one for one in self._streams if one not in busy)  # the new one has no request yet
+            oldest.close()
+            if oldest is stream:
+                return
         super().handle_stream(stream, address)
 
 
@@ -204,7 +219,10 @@ def server(streams: Streams, answers: Answers) -> HTTPServer:
         ("/explain", AnswerHandler, {"answer": answers.explain, "answers": answers}),
         ("/query", AnswerHandler, {"answer": answers.query, "answers": answers}),
     ]
-    application = Application(routes, default_handler_class=NothingHandler, log_function=lambda handler: None)
+    settings: Any = {BUSY: WeakSet()}
+    application = Application(
+        routes, default_handler_class=NothingHandler, log_function=lambda handler: None, **settings
+    )
     return BoundedServer(
         application,
         idle_connection_timeout=IDLE,
