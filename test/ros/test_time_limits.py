@@ -8,6 +8,8 @@ busy :- get_time(Now), End is Now + 2, repeat, get_time(Later), Later > End, !.
 null_event do loop <- endless.
 null_event do (busy, writeln('it was busy'), flush_output) <- long.
 null_event do (writeln('it goes on'), flush_output) <- short.
+null_event do (write(X), nl, write(user_error, X), nl(user_error)) <- say(X).
+null_event do (repeat, writeln('it floods'), fail) <- flood.
 """
 STARTS = "compile_event_file('rules.txt')\nbusy\nwriteln('it has started')\nflush_output\n"
 NAMED = "has taken"
@@ -56,7 +58,7 @@ def test_goals_at_the_start_are_exempt_and_events_are_not(devel, start):
     said(devel, ENDED)
     send(devel, "short")
     said(devel, "it goes on")
-    assert "it was busy" not in devel.printed().splitlines()
+    assert "| it was busy" not in devel.printed().splitlines()
 
 
 def test_zero_switches_both_off(devel, start):
@@ -65,3 +67,19 @@ def test_zero_switches_both_off(devel, start):
     said(devel, "it was busy")
     assert ENDED not in devel.printed()
     assert NAMED not in devel.printed()
+
+
+def test_what_goals_print_looks_like_no_log_and_ends_at_a_megabyte(devel, start):
+    start()
+    send(devel, r'say("\e[31mred\n[ERROR] [1.0]: forged")')
+    said(devel, "forged")
+    send(devel, "flood")
+    said(devel, "Not enough resources: output")
+    send(devel, "short")
+    said(devel, "it goes on")
+    text = devel.printed()
+    lines = text.splitlines()
+    assert "\x1b[31mred" not in text
+    assert lines.count(r'| "\x1b[31mred') == lines.count('| [ERROR] [1.0]: forged"') == 2
+    assert 90_000 < lines.count("| it floods") <= 100_000
+    assert text.count("Not enough resources: output") == 1

@@ -14,8 +14,8 @@ class Settings(NamedTuple):
 
     Attributes:
         limits: what an event, a query or any other call may use with all that it starts: seconds, inferences,
-            memory. Past that its goals end with a resource error; it is one of the others that may still be caught
-            once.
+            memory, and output (1 MB by default). Past that its goals end with a resource error; it is one of the
+            others that may still be caught once.
         limit_start: whether the goals of a goal file (`Engine.call_goals`) have these limits too.
         watchdog: seconds after which a warning names what is at work; None for never.
         max_depth: longest chain of events derived one from another.
