@@ -114,7 +114,16 @@ def watch(
         text = f"{_name(entry)} has exceeded its limit of {what}; goals refused: {number}"
         reports.warning(text, ("refused goals", _name(entry)))
 
+    def stopped(rule: Any, what: str, steps: int, entry: object) -> None:
+        name = "taking events back" if rule is None else rule.name
+        text = (
+            f"{name}: {_name(entry)} has exceeded its limit of {what} while patterns were matched:"
+            f" {steps} pairs, items or derived events were left out, with all that would have followed from them"
+        )
+        reports.warning(RuleError(text, getattr(rule, "place", None)), ("pattern work", name, _name(entry)))
+
     budget.on_refused = refused
+    budget.on_stopped = stopped
     watchdog = Watchdog(turn, budget, patience, warn)
     if patience is not None or budget.limits.seconds is not None:
         _begin(watchdog)

@@ -1,9 +1,9 @@
 """How a rule fires: its event is made of the values of a match, and served."""
 
-from typing import Any, Callable, Mapping, NamedTuple, Sequence
+from typing import Any, Callable, Mapping, NamedTuple, Optional, Sequence
 
 from ...foundation import UsageError, codegen, shared_function
-from ...prolog.machine import Frame
+from ...prolog.machine import Budget, Frame
 from ...prolog.terms import EventAction, Term, Var
 from .building import builder_source
 from .gates import Gate
@@ -15,7 +15,8 @@ class Head(NamedTuple):
 
     Attributes:
         term: the head, which is no alarm.
-        firings: counts them; it has a ``number``, and the instant of the ``last``.
+        rule: has ``firings``, which counts them by a ``number``, with the instant of the ``last``.
+        budget: counts the events as pattern work; None if nothing is counted.
         gate: that of the event.
         show: serves an event on which others only look, see `Dispatcher.show`.
         dispatch: serves any other, see `Dispatcher.dispatch`.
@@ -23,13 +24,20 @@ class Head(NamedTuple):
     """
 
     term: Term
-    firings: Any
+    rule: Any
+    budget: Optional[Budget]
     gate: Gate
     show: Callable[..., Frame]
     dispatch: Callable[..., Frame]
     failed: Callable[[UsageError, Frame], Frame]
 
 
+_METERED = """
+budget.pattern_steps = steps_left = budget.pattern_steps - 1
+if steps_left < 0 and stops(fired):
+    return after
+"""
+"""As the function that `Budget.meter` returns."""
 _FIRE = """
 firings.number += 1
 firings.last = end
@@ -56,7 +64,7 @@ def firing_source(head: Head, known: Mapping[Var, str], names: codegen.Names) ->
     """
     lines, event = builder_source(head.term, known, names)
     names.values.update(
-        firings=head.firings,
+        firings=head.rule.firings,
         gate=head.gate,
         show=head.show,
         dispatch=head.dispatch,
@@ -65,7 +73,11 @@ def firing_source(head: Head, known: Mapping[Var, str], names: codegen.Names) ->
         Onlookers=Onlookers,
         UsageError=UsageError,
     )
-    return _FIRE.format(lines="\n".join(lines), event=event)
+    metered = ""
+    if head.budget is not None:
+        metered = _METERED
+        names.values.update(budget=head.budget, stops=head.budget.stops, fired=head.rule)
+    return metered + _FIRE.format(lines="\n".join(lines), event=event)
 
 
 def firing_action(head: Head, order: Sequence[Var]) -> EventAction:

@@ -8,7 +8,7 @@ from typing import Any, Callable, Deque, Dict, Hashable, Iterator, List, Optiona
 from ...prolog.machine import Frame
 from ...prolog.terms import Term, Values, Var, functor, term_key
 from ..dispatch import Dispatch, Listener, Stage
-from ..matches import Held, Match, Run, sources
+from ..matches import Held, Match, Run, counted, sources
 from .occurrences import Occurrence, Suppressed, Tracked, Tried, TriesAgain, following, known_in
 from .owners import Fired, Remembered
 
@@ -178,16 +178,23 @@ class Tracker:
 
     def _take_back(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         """Take back what an event ``rev(E)`` names: all occurrences of E, or the one it was derived for."""
-        found = self._rules.dispatcher.token().takes_back
+        token = self._rules.dispatcher.token()
+        meter = self._rules.logic.machine.budget.meter(token.rule)
+        if meter is not None and meter(1):
+            return after
+        found = token.takes_back
         again: List[Tuple[TriesAgain, Tried]] = []
         unmade: List[Tracked] = []
         if found is None:
             found = [one for one in self._by_term.get(term_key(values[0]), ()) if not one.gone]
             if not found:
-                self._rules.took_nothing_back(values[0], self._rules.dispatcher.token().rule)
+                self._rules.took_nothing_back(values[0], token.rule)
                 return after
+            # Taking events out is not stopped half way: a rule would go on with what is gone.
             unmade, again = self._forget(found)
-        work = _TakingBack(self._steps([*found, *unmade], again, start, end))
+            if meter is not None:
+                meter(len(unmade) + len(again))
+        work = _TakingBack(counted(self._steps([*found, *unmade], again, start, end), meter))
         return work.run((work, after))
 
     def _forget(self, found: List[Occurrence]) -> Tuple[List[Tracked], List[Tuple[TriesAgain, Tried]]]:

@@ -228,7 +228,10 @@ class Absence:
         """Look at all negated matches that may share the values."""
         asked = Match(values, after, before, None, None, ())
         condition = self.condition
+        meter = self.rule.meter
         for match in self.buffer.partners(key, after, before, False):
+            if meter is not None and meter(1):
+                return True  # the search has to stop: what may be ruled out does not begin to wait
             if match.end < before and (self.ever or after < match.start):
                 met, of = match, values
                 if not surely_same(key, match):

@@ -2,6 +2,7 @@
 
 from typing import Optional, Protocol
 
+from ...prolog.machine import Meter
 from .matches import Match
 from .modes import NetworkOptions
 
@@ -41,10 +42,12 @@ class Owner(Protocol):
     Attributes:
         order: how many matches have begun to wait so far.
         waiting: how many wait.
+        meter: counts its pattern work; None if nothing is counted.
     """
 
     order: int
     waiting: int
+    meter: Optional[Meter]
 
     @property
     def network(self) -> Bounds:

@@ -11,6 +11,8 @@ from .timeindex import LEAST, MOST, TimeBounds, TimeIndex
 
 FEW, FEWER = 32, 4
 """How many matches at the wrong time are passed over before an index is made; before one that there is is used."""
+_LISTED_IN_A_STEP = 16
+"""Partners that are listed in the time in which a step of pattern work takes one."""
 _ANY: TimeBounds = (LEAST, MOST, LEAST, MOST)
 _PLAIN = frozenset((Atom, int, String))
 
@@ -224,14 +226,22 @@ class MatchBuffer:
         return iter(heapq.merge(*both, key=_order, reverse=newest))
 
     def partners_now(self, key: Hashable, start: int, end: int) -> Sequence[Match]:
-        """Return those that a match may fit, oldest first; see `partners`."""
+        """Return those that a match may fit, oldest first; see `partners`. After pattern work was stopped: none."""
         if key is not None and None not in self.newest:
             last = self.newest.get(key)
             if last is None:
                 return ()
             if last.older is last:
                 return (last,)
-        return list(self.partners(key, start, end, False))
+        meter = self.rule.meter
+        if meter is None:
+            return list(self.partners(key, start, end, False))
+        if meter(0):
+            return ()
+        found = list(self.partners(key, start, end, False))
+        # A nested dispatch makes such a list at each level before it takes the second partner of any.
+        meter(len(found) // _LISTED_IN_A_STEP)
+        return found
 
     def _within(self, key: Hashable, limits: TimeBounds, newest: bool) -> Iterator[Match]:
         """Yield those under a key that start and end within limits."""

@@ -1,8 +1,20 @@
 """Consumption policies: which waiting partners an event takes, and what becomes of them."""
 
-from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Optional, Tuple, TypeVar
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Hashable,
+    Iterable,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Tuple,
+    TypeVar,
+)
 
-from ...prolog.machine import Frame
+from ...prolog.machine import Frame, Meter
 from .matches import Match, unify_sides
 from .places import MatchBuffer, surely_same
 
@@ -119,9 +131,10 @@ def _among(side: Side, matched: _Matched) -> _Among:
     """Return what gives a match the first partner that fits, of several; without one it waits."""
     waits = side.waits
     wait = side.own.add if side.wait is None else side.wait
+    meter = side.own.rule.meter
 
     def among(match: Match, key: Hashable, partners: Iterator[Match], after: Frame) -> Frame:
-        for partner in partners:
+        for partner in counted(partners, meter):
             result = join_any(side, match, key, partner)
             if result is not None and partner.buffer is not None:
                 return matched(match, key, partner, result, after)
@@ -170,6 +183,7 @@ def taking_all(side: Side, emit: Emit) -> Emit:
     own, other, waits = side.own, side.other, side.waits
     wait = own.add if side.wait is None else side.wait
     key_of = own.key_of
+    meter = own.rule.meter
 
     def arrive(match: Match, after: Frame) -> Frame:
         key = key_of(match)
@@ -185,7 +199,7 @@ def taking_all(side: Side, emit: Emit) -> Emit:
             return after if result is None else emit(result, after)
         results = (
             result
-            for partner in partners
+            for partner in counted(partners, meter)
             if partner.buffer is not None
             for result in (join_any(side, match, key, partner),)
             if result is not None
@@ -199,11 +213,12 @@ def taking_all_at_once(side: Side, uses: bool, emit: Emit) -> Emit:
     """Return what a match does that takes all partners there are, using them up or itself."""
     own, other, waits, stays = side.own, side.other, side.waits, side.stays
     wait = own.add if side.wait is None else side.wait
+    meter = own.rule.meter
 
     def arrive(match: Match, after: Frame) -> Frame:
         key = own.key_of(match)
         results: List[Match] = []
-        for partner in other.partners_now(key, match.start, match.end):
+        for partner in counted(other.partners_now(key, match.start, match.end), meter):
             result = join_any(side, match, key, partner)
             if result is not None and partner.buffer is not None:
                 if uses:
@@ -228,6 +243,18 @@ def emit_each(results: Iterator[T], emit: Callable[[T, Frame], Frame], after: Fr
     """Return the frame that emits one result after the other, each with all that it leads to."""
     burst = _Burst(results, emit)
     return burst.run((burst, after))
+
+
+def counted(items: Iterable[T], meter: Optional[Meter]) -> Iterator[T]:
+    """Return the items, each of which counts as a step of pattern work; they end where that has to stop."""
+    return iter(items) if meter is None else _counted(items, meter)
+
+
+def _counted(items: Iterable[T], meter: Meter) -> Iterator[T]:
+    for item in items:
+        if meter(1):
+            return
+        yield item
 
 
 class _Burst:

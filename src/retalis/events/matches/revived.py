@@ -11,7 +11,7 @@ from ...prolog.machine import Frame
 from .matches import Match, arrival, sources
 from .owners import Noting
 from .places import MatchBuffer
-from .policy import Emit, Join, Side, emit_each, join_any
+from .policy import Emit, Join, Side, counted, emit_each, join_any
 
 KEPT = 10_000
 """How many second sides are kept in one buffer."""
@@ -67,7 +67,7 @@ def first_side(tracker: Noting, side: Side, uses: bool, all_too: bool, emit: Emi
         came = arrival(match)
         results: List[Match] = []
         if after_all(tracker, came):
-            for partner in other.partners_now(key, match.start, match.end):
+            for partner in counted(other.partners_now(key, match.start, match.end), own.rule.meter):
                 if arrival(partner) <= came or (uses and not all_too and stands(partner.used)):
                     continue
                 result = join_any(side, match, key, partner)

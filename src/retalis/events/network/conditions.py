@@ -17,7 +17,7 @@ from ...prolog.terms import (
     variables,
 )
 from ..dispatch import AT_ONCE, Completion, goal_lane
-from ..matches import Match, emit_each
+from ..matches import Match, counted, emit_each
 from .owners import RuleOwner
 
 Test = Callable[[Values, int, int], Optional[Values]]
@@ -165,7 +165,9 @@ class RuleGoal:
             if ground:
                 solutions = [values + solution for solution in solutions]
             return emit_each(
-                iter(solutions), lambda solution, then: solved(term, solution, start, end, then), after
+                counted(solutions, self.rule.meter),
+                lambda solution, then: solved(term, solution, start, end, then),
+                after,
             )
 
         given = given if ground else values

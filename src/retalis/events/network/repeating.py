@@ -33,6 +33,7 @@ from ..matches import (
     NetworkOptions,
     Token,
     Train,
+    counted,
     emit_each,
     identity,
     joined_at_once,
@@ -169,7 +170,9 @@ class Repeating(NetworkNode):
             else:
                 made = self._take(match, key)
                 return after if made is None else self._out(made, after)
-        return emit_each(self._served(), lambda relay, then: relay.take(match, then), after)
+        return emit_each(
+            counted(self._served(), self.rule.meter), lambda relay, then: relay.take(match, then), after
+        )
 
     # ---- together ------------------------------------------------------------------------------------
 
@@ -261,7 +264,8 @@ class Repeating(NetworkNode):
         if key not in buffer.newest:
             del apart[number]
             return None
-        for one in buffer.partners(key, match.start, match.end, self._mode.policy.newest):
+        partners = buffer.partners(key, match.start, match.end, self._mode.policy.newest)
+        for one in counted(partners, self.rule.meter):
             if one.end < match.start and self._fits(one, match):
                 return one
         return None

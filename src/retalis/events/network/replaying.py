@@ -1,7 +1,7 @@
 """What operators on streams would have given on without an event that is taken back: they are run again."""
 
 from collections import Counter
-from typing import Any, Callable, Hashable, List, Tuple
+from typing import Any, Callable, Dict, Hashable, List, Tuple
 
 from ...prolog.terms import term_key
 from ..matches import Held, Match, taken_back
@@ -25,6 +25,10 @@ class Replay:
         self._taken: List[Tuple[int, StreamItem, int]] = []
         self._given: List[Tuple[StreamOutput, Held]] = []
         self._new: List[StreamOutput] = []
+        self._forgotten: Dict[int, Match] = {}
+
+    def __len__(self) -> int:
+        return len(self._taken)
 
     def begin_step(self, stream: StreamOperator) -> None:
         """Settle what has been, if it is much, before the operator takes an item or gives on what is due."""
@@ -41,11 +45,9 @@ class Replay:
         self._given.append((output, held))
 
     def forget(self, match: Match) -> bool:
-        """Forget a match; tell whether it was remembered."""
-        left = [one for one in self._taken if one[1].match is not match]
-        found = len(left) < len(self._taken)
-        self._taken = left
-        return found or bool(self._base)
+        """Forget a match when the operator is run again; return True, as that may give other outputs then."""
+        self._forgotten[id(match)] = match
+        return True
 
     def run_again(self, now: int) -> Tuple[StreamOperator, List[Held]]:
         """Run the operator again over what is left.
@@ -54,6 +56,9 @@ class Replay:
             The operator as it stands then, and what stands for outputs that are no longer there. Those that are
             new are kept for `take_new`.
         """
+        forgotten = self._forgotten
+        self._taken = [one for one in self._taken if id(one[1].match) not in forgotten]
+        self._forgotten = {}
         stream = self._begin()
         if self._base:
             stream.restore(_without_what_is_gone(_copied(self._base)))

@@ -51,6 +51,7 @@ class Rule:
     Attributes:
         name: what reports call it.
         serial: the place among the rules: older ones are served first.
+        meter: counts its pattern work; None if nothing is counted.
         mode: how it runs, see `configure`.
         skipping: what its matches have skipped; None where they skip nothing.
         window: the longest interval that its label allows, in ns; None for no bound.
@@ -70,6 +71,7 @@ class Rule:
 
     def __init__(self, network: Network, definition: RuleDefinition, serial: int, name: str):
         self.network = network
+        self.meter = network.logic.machine.budget.meter(self)
         self.definition = definition
         self.place = definition.place
         self.label = definition.label
@@ -486,7 +488,8 @@ class Rule:
             self.network.rule_failed(self, RuleError(error.message))
             return after
 
-        firing = Head(head, self.firings, gate, dispatcher.show, dispatcher.dispatch, failed)
+        budget = None if self.meter is None else self.network.logic.machine.budget
+        firing = Head(head, self, budget, gate, dispatcher.show, dispatcher.dispatch, failed)
         complete = firing_action(firing, self.root.vars)
         shortcut = dispatcher.shortcuts.get(head[0]) if head.__class__ is tuple else None
         instead = shortcut and shortcut(self, complete)
@@ -504,6 +507,8 @@ class Rule:
 
     def fire(self, head: Term, start: int, end: int, after: Frame, token: object = None) -> Frame:
         """Return the frame that dispatches the head, or sets its alarm, and goes on with ``after``."""
+        if self.meter is not None and self.meter(1):
+            return after
         network = self.network
         dispatcher = network.dispatcher
         if head.__class__ not in (tuple, Atom):

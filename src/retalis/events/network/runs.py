@@ -22,6 +22,7 @@ from ..matches import (
     arrival,
     by_occurrence,
     by_term,
+    counted,
     emit_each,
     reach_of,
     stands,
@@ -150,7 +151,7 @@ class Running(RunValues):
         """
         results = []
         came = arrival(run) if self.keeps else 0
-        for match in self.incoming.partners_now(key, run.start, run.end):
+        for match in counted(self.incoming.partners_now(key, run.start, run.end), self.rule.meter):
             if self.keeps and (arrival(match) <= came or (self.consuming and stands(match.used))):
                 continue
             extended, result = self.extending(run, match, surely_same(key, match))
@@ -173,6 +174,7 @@ class Running(RunValues):
 
     def _extend_one(self, out: Emit, newest: bool) -> Emit:
         waits, ordered, extend = self.late or self.keeps, self.ordered, self.extending
+        meter = self.rule.meter
 
         def arrive(match: Match, after: Frame) -> Frame:
             key = self.incoming.key_of(match)
@@ -180,7 +182,7 @@ class Running(RunValues):
             runs: Iterable[Match] = self.buffer.partners(key, match.start, match.end, newest)
             if ordered:
                 runs = that_came_before(match, runs, self.rule.network.tracker)
-            for run in runs:
+            for run in counted(runs, meter):
                 extended, result = extend(run, match, surely_same(key, run))
                 if extended:
                     match.used = run
@@ -193,6 +195,7 @@ class Running(RunValues):
 
     def _extend_all(self, out: Emit) -> Emit:
         waits, ordered, extend = self.late or self.keeps, self.ordered, self.extending
+        meter = self.rule.meter
 
         def arrive(match: Match, after: Frame) -> Frame:
             key = self.incoming.key_of(match)
@@ -205,7 +208,7 @@ class Running(RunValues):
                 return after
             results = (
                 result
-                for run in runs
+                for run in counted(runs, meter)
                 if run.buffer is not None
                 for result in (extend(run, match, surely_same(key, run))[1],)
                 if result is not None

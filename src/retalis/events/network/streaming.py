@@ -3,7 +3,7 @@
 from typing import Any, Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...foundation import RuleError
-from ...prolog.machine import Frame
+from ...prolog.machine import Frame, Meter
 from ...prolog.terms import Term, Values, Var, WholeSeconds
 from ..dispatch import Completion, EventAction
 from ..history import known_in
@@ -18,6 +18,7 @@ from ..matches import (
     Match,
     NetworkOptions,
     arrival,
+    counted,
     emit_each,
     taken_back,
 )
@@ -101,12 +102,13 @@ class Streaming(NetworkNode):
         self.woken: Optional[int] = None
         self.late = 0
         self._began: Optional[NetworkOptions] = None
-        self.stream = self._begin(NetworkOptions())
+        self.stream = self._begin(NetworkOptions(), rule.meter)
         self.replay: Optional[Replay] = None
         self.out: Emit = lambda match, after: after
 
-    def _begin(self, mode: NetworkOptions) -> StreamOperator:
+    def _begin(self, mode: NetworkOptions, meter: Optional[Meter]) -> StreamOperator:
         stream = self.making.stream(mode)
+        stream.meter = meter
         stream.tracked = mode.tracked
         stream.allowed = self.rule.network.newest_allowed
         return stream
@@ -168,7 +170,9 @@ class Streaming(NetworkNode):
         if not self._is_put_off(lambda: self._change(mode)):
             self._began = mode
             self._rebuild()
-            self.replay = Replay(lambda: self._begin(mode), self.stream.kept()) if mode.revised else None
+            self.replay = (
+                Replay(lambda: self._begin(mode, None), self.stream.kept()) if mode.revised else None
+            )
 
     def _is_put_off(self, work: Callable[[], None]) -> bool:
         """Tell whether something has to wait for the operator, which is at work; it is done then."""
@@ -186,7 +190,7 @@ class Streaming(NetworkNode):
     def _rebuild(self) -> None:
         """Have a new operator know what the one knew: in another mode, or after an interrupt."""
         kept = self.stream.kept()
-        self.stream = self._begin(self._began or NetworkOptions())
+        self.stream = self._begin(self._began or NetworkOptions(), self.rule.meter)
         self.stream.restore(kept)
         self.stream.late = self.late
 
@@ -231,8 +235,11 @@ class Streaming(NetworkNode):
         """Return what takes a match, or only its values and interval, and gives what comes of it."""
         make, clocked = self.making.item, self.making.clocked or mode.revised
         network = self.rule.network
+        meter = self.rule.meter
 
         def take(match: Optional[Match], values: Values, start: int, end: int) -> List[StreamOutput]:
+            if meter is not None and meter(1):
+                return []
             now = network.time() if clocked else 0
             stream = self.stream
             crowded = stream.crowded
@@ -291,7 +298,7 @@ class Streaming(NetworkNode):
         return self._give(outputs, after, came)
 
     def _give(self, outputs: List[StreamOutput], after: Frame, came: int = 0) -> Frame:
-        return emit_each(self._matches(outputs, came), self.out, after)
+        return emit_each(counted(self._matches(outputs, came), self.rule.meter), self.out, after)
 
     def _matches(self, outputs: Iterable[StreamOutput], came: int = 0) -> Iterator[Match]:
         """Yield the matches of outputs, but for those that are too long or do not fit.
@@ -358,7 +365,11 @@ class Streaming(NetworkNode):
         """Return what stands for outputs that do not hold without what was forgotten."""
         if self.replay is None:
             return []
+        # A replay is not stopped half way: outputs that were left out would be taken back.
         self.stream, lost = self.replay.run_again(self.rule.network.time())
+        self.stream.meter = meter = self.rule.meter
+        if meter is not None:
+            meter(len(self.replay))
         self.late = self.stream.late
         self._wake()
         return lost
@@ -380,8 +391,8 @@ class Streaming(NetworkNode):
         if self._is_put_off(self.clear):
             return
         mode = self._began or NetworkOptions()
-        self.stream = self._begin(mode)
-        self.replay = Replay(lambda: self._begin(mode)) if mode.revised else None
+        self.stream = self._begin(mode, self.rule.meter)
+        self.replay = Replay(lambda: self._begin(mode, None)) if mode.revised else None
         self.woken = None
         self.late = 0
 

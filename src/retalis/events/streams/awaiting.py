@@ -180,7 +180,10 @@ class Awaiting(StreamShape):
 
     def _rule_out(self, absent: StreamItem, key: Hashable) -> None:
         """Have all leave that wait and are ruled out."""
-        for item in list(self._that_wait(key)):
+        waiting = list(self._that_wait(key))
+        if self.meter is not None:  # not stopped half way: what is ruled out would be given on
+            self.meter(len(waiting))
+        for item in waiting:
             if self._lies_after(absent, item):
                 self._leave(item)
 
@@ -192,6 +195,8 @@ class Awaiting(StreamShape):
         """Tell whether something that has come before an item lies after it and rules it out."""
         keys = list(self._absent) if key is None else [key, None]
         borders = [self._absent[one] for one in keys if one in self._absent]
+        if self.meter is not None:
+            self.meter(sum(len(border.items) for border in borders))
         return any(
             self._lies_after(absent, item)
             for border in borders

@@ -3,6 +3,7 @@
 from typing import Any, Callable, Hashable, List, NamedTuple, Optional, Protocol, Tuple
 
 from ...foundation import RuleError
+from ...prolog.machine import Meter
 from ...prolog.terms import Values, term_key
 
 
@@ -72,6 +73,7 @@ class StreamOperator(Protocol):
         late: how many items came too late to be taken.
         crowded: number of alternatives that were not followed, because one start had too many.
         tracked: whether outputs name the items that they are made of, a hundred at most, else the newest only.
+        meter: counts the items that are looked at as pattern work; None if nothing is counted.
         allowed: gives the newest end that moves the time of the stream on; of later ones only the items are taken.
     """
 
@@ -79,6 +81,7 @@ class StreamOperator(Protocol):
     late: int
     crowded: int
     tracked: bool
+    meter: Optional[Meter]
     allowed: Callable[[], int]
 
     def take(self, item: StreamItem, now: int, channel: int, /) -> List[StreamOutput]:

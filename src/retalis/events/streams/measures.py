@@ -26,10 +26,12 @@ class WindowMeasure(Protocol):
     Attributes:
         picky: whether it refuses some values.
         of_none: whether there is a result for no items.
+        lists: whether its result looks at each of the items.
     """
 
     picky: bool
     of_none: bool
+    lists: bool
 
     def check(self, item: StreamItem, /) -> None:
         """Refuse the value of an item.
@@ -53,6 +55,7 @@ class _Plain:
 
     picky = False
     of_none = False
+    lists = False
 
     def __init__(self, at: int, name: str, setting: Setting):
         self.at = at
@@ -187,6 +190,7 @@ class _Last(_Plain):
 
 class _List(_Plain):
     of_none = True
+    lists = True
 
     def result(self, members: Members, number: int) -> Optional[Term]:
         return make_list([item.values[self.at] for item in live(members)])
@@ -246,6 +250,7 @@ class _Distinct(_Plain):
     """The values that are different; looks at each of them once, however many items have it."""
 
     of_none = True
+    lists = True
 
     def __init__(self, at: int, name: str, setting: Setting):
         super().__init__(at, name, setting)
@@ -304,6 +309,8 @@ class _Rate(_Plain):
 
 class _Fold(_Plain):
     """A program's own measure: ``setting`` gives the result of the values, oldest first."""
+
+    lists = True
 
     def result(self, members: Members, number: int) -> Optional[Term]:
         found: Optional[Term] = self.setting([item.values[self.at] for item in live(members)])

@@ -4,6 +4,7 @@ import heapq
 from collections import OrderedDict
 from typing import Callable, Dict, Hashable, List, Optional, Tuple
 
+from ...prolog.machine import Meter
 from ...prolog.terms import term_key
 from .items import KnownState, StreamItem, StreamOutput
 
@@ -15,6 +16,7 @@ class StreamShape:
         self.next: Optional[int] = None
         self.late = self.crowded = 0
         self.tracked = False
+        self.meter: Optional[Meter] = None
         self.allowed: Callable[[], int] = lambda: 1 << 64
         self.clock = self._until = -(1 << 63)
 

@@ -8,6 +8,7 @@ it: one start has at most `MAX_WAYS_PER_START` ways, and the length of a window,
 from collections import OrderedDict, deque
 from typing import Any, Callable, Deque, Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple
 
+from ...prolog.machine import Meter
 from ...prolog.terms import Values
 from .groups import MOST_NAMED, measured
 from .items import KnownState, StreamItem, StreamOutput
@@ -176,6 +177,7 @@ class SteppedWindow:
         self._order = 0
         self._end = -(1 << 63)
         self.tracked = False
+        self.meter: Optional[Meter] = None
         self.allowed: Callable[[], int] = lambda: 1 << 64
         self.next: Optional[int] = None
         self.late = 0
@@ -194,6 +196,9 @@ class SteppedWindow:
         group = self._groups.get(item.key)
         if group is None:
             group = StepGroup([self._scanning()])
+        meter = self.meter
+        if meter is not None and meter(len(group.ways)):
+            return []
         item.order = self._order + 1
         onward = self._go_on(group.ways, item)  # conditions may refuse it: nothing has changed until here
         self._order += 1
@@ -314,6 +319,9 @@ class SteppedWindow:
     def _output(self, whole: _Whole) -> Optional[StreamOutput]:
         """Return what is given on for a match; None where a measure has no result."""
         pairs = _in_order(whole.taken)
+        meter = self.meter
+        if meter is not None and meter(len(pairs)):
+            return None
         items = [item for item, _ in pairs]
         start = min(item.start for item in items)
         end = max(self._end, *(item.end for item in items))

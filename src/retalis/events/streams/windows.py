@@ -8,6 +8,7 @@ import heapq
 from collections import OrderedDict, deque
 from typing import Callable, Deque, Hashable, List, Optional, Sequence, Tuple
 
+from ...prolog.machine import Meter
 from .groups import WindowGroup
 from .items import KnownState, StreamItem, StreamOutput
 from .measures import WindowMeasure
@@ -30,6 +31,8 @@ class Window:
         self.make = make
         self.groups: OrderedDict[Hashable, WindowGroup] = OrderedDict()  # whose oldest is found at once
         self.tracked = False
+        self.meter: Optional[Meter] = None
+        self._lists = any(measure.lists for measure in make())
         self.allowed: Callable[[], int] = lambda: 1 << 64
         self.clock = self._until = -(1 << 63)
         self.next: Optional[int] = None
@@ -121,6 +124,9 @@ class Window:
     def _given(
         self, group: WindowGroup, start: Optional[int] = None, end: Optional[int] = None
     ) -> List[StreamOutput]:
+        meter = self.meter
+        if meter is not None and meter(group.number if self._lists else 1):
+            return []
         output = group.output(self.tracked, start, end)
         return [] if output is None else [output]
 

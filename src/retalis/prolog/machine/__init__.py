@@ -1,7 +1,7 @@
 """The machine: frames, choice points and budgets, and the errors that goals end with."""
 
 from ..terms import Frame, Runs, Step
-from .budget import Budget, BudgetState, Left, Turn, resident_bytes
+from .budget import Budget, BudgetState, Left, Meter, Turn, resident_bytes
 from .codes import BAIL, DEAD, LAST, RESUME, CatchMark, Code, Guard, Takes
 from .describing import CONTEXT, ERROR, describe
 from .faults import (
@@ -63,6 +63,7 @@ __all__ = [
     "LOOP",
     "Machine",
     "MEGABYTE",
+    "Meter",
     "no_argument",
     "NO_LIMITS",
     "no_matching_rule",

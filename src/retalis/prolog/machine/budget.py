@@ -33,6 +33,9 @@ class Turn(Protocol):
         """Do something after the work at hand."""
 
 
+Meter = Callable[[int], bool]
+"""Count steps of pattern work (pairs, items, derived events); return True if pattern work has to stop."""
+
 BudgetState = Tuple[bool, Ask, object, int, Tuple[int, ...]]
 """What runs, see `Budget.state`."""
 
@@ -56,8 +59,14 @@ class Budget:
         used: whether there is anything to forget at the end of the entry.
         rounds: how often the entry may use its seconds: once more when a program may have caught the first error.
         refused: how many goals of the entry were refused.
+        metered: whether rules count their pattern work: not in an engine that has no limits.
+        pattern_steps: steps of pattern work until the limits are checked again; negative from then on.
+        stopped: the rule that was at work when a limit stopped the pattern work of the entry, and the limit; or None.
+        left_out: steps of pattern work that the entry has not done since then.
         on_new: called where what an entry has used is forgotten.
         on_refused: told at the end of an entry how many goals were refused, what had run out, and the entry.
+        on_stopped: called at the end of an entry whose pattern work was stopped, with the rule, the limit, the steps
+            left out, and the entry.
         running: whether a run is under way that was entered.
     """
 
@@ -66,6 +75,8 @@ class Budget:
         self.goal: object = None
         self.on_new: Callable[[], None] = lambda: None
         self.on_refused: Callable[[int, str, object], None] = lambda number, what, entry: None
+        self.on_stopped: Callable[[object, str, int, object], None] = lambda rule, what, steps, entry: None
+        self.metered = False
         self.allow(NO_LIMITS)
         self.running = False
         self._ask = self.look
@@ -82,14 +93,17 @@ class Budget:
         """Set what each entry may use."""
         self._spent = 0
         self.limits = limits
-        self._bounded = (
-            limits[:3] != NO_LIMITS[:3]
-        )  # what steps look at; output is counted where it is written
+        # what steps look at; output is counted where it is written
+        self._bounded = limits[:3] != NO_LIMITS[:3]
+        # Steps since the last check may be those of earlier entries: a small part of the limit, at most.
+        most = len(SLICE) if limits.inferences is None else int(limits.inferences) // 8
+        self._pattern_slice = self.pattern_steps = min(len(SLICE), max(1, most))
         self.limited = limits != NO_LIMITS and self.turn is None
 
     def count_for(self, turn: Turn) -> None:
         """Take the pieces of work of a turn (see `turn`) for entries; ``turn.follow`` does something after one."""
         self.turn = turn
+        self.metered = self._bounded
         self.limited = False
         watch_for(self)
 
@@ -160,15 +174,22 @@ class Budget:
         self.refused = 0
         self._out: Optional[str] = None  # what has run out, so that goals are refused
         self.closed = False
+        self.stopped: Optional[Tuple[object, str]] = None
+        self.left_out = 0
+        if self.pattern_steps < 0:
+            self.pattern_steps = self._pattern_slice
 
     def end(self) -> None:
-        """End an entry: say how many goals were refused, and forget what it has used."""
-        self._say_refused()
+        """End an entry: report what was refused and left out, and forget what it has used."""
+        self._report()
         self.start_anew()
 
-    def _say_refused(self) -> None:
+    def _report(self) -> None:
+        """Report the goals of the entry that were refused, and the pattern work that was left out."""
         if self.refused and self._out is not None:
             self.on_refused(self.refused, self._out, self._entry)
+        if self.stopped is not None:
+            self.on_stopped(*self.stopped, self.left_out, self._entry)
 
     def apart(self, entry: object, work: Callable[[], T]) -> T:
         """Return what work returns; it is an entry of its own, in the midst of another of a turn."""
@@ -184,7 +205,7 @@ class Budget:
         finally:
             turn.entry, self.goal = outer
             if self.used:
-                self._say_refused()
+                self._report()
                 self._begin()
             if kept is not None:
                 for name, value in zip(_OF_ENTRY, kept):
@@ -228,6 +249,40 @@ class Budget:
         """Note that an entry has used its seconds, if it is still at work; any thread may call this."""
         self._expired = entry
         self.closed = True
+        if self.goal is None:  # else the goal at work is over first
+            self.pattern_steps = -1
+
+    # Pattern work of entries
+
+    def meter(self, rule: object) -> Optional[Meter]:
+        """Return the function that counts the pattern work of a rule; None if nothing is counted.
+
+        Pattern work is not ended by an error, which would leave matches half joined: wherever it counts it stops by
+        itself when the function returns True, and from then on no rule derives an event from what came in.
+        """
+        if not self.metered:
+            return None
+
+        def count(steps: int) -> bool:
+            self.pattern_steps = left = self.pattern_steps - steps
+            return left < 0 and self.stops(rule)
+
+        return count
+
+    def stops(self, rule: object) -> bool:
+        """Check the limits, the steps until the next check being used up; return True if pattern work has to stop."""
+        if self.stopped is None:
+            self._steps += max(0, self._pattern_slice - self.pattern_steps)
+            self._count()
+            past = self._past(monotonic()) if self._bounded else None
+            if past is None:
+                self.pattern_steps = self._pattern_slice
+                return False
+            self.stopped = rule, past
+            self.close(self._error(past))
+            self.pattern_steps = -1
+        self.left_out += 1
+        return True
 
     # Limits of calls
 
@@ -340,11 +395,11 @@ class Budget:
         past = self._past(now)
         if past is None:
             return
-        out = self._exceeded(past)
         if self.goal is None and self.at_work:
-            self.close(out)  # patterns are at work: what they do is not left half done
+            self.close(self._error(past))  # patterns are at work: they stop where they count
+            self.pattern_steps = -1
         else:
-            raise out
+            raise self._exceeded(past)
 
     def _past(self, now: float) -> Optional[str]:
         """Return the limit that the entry is past, or None."""
@@ -413,6 +468,9 @@ _OF_ENTRY = (
     "_deadline",
     "_memory",
     "_out",
+    "stopped",
+    "left_out",
+    "pattern_steps",
 )
 """The attributes of a budget that tell what an entry has used."""
 

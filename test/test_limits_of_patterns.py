@@ -1,0 +1,244 @@
+"""Pattern work stops at the limits: what was derived stands, the rest is reported once, the next event works."""
+
+import resource
+import time
+
+import pytest
+
+from retalis.engine import Engine, Settings, parts_of
+from retalis.engine.runtime import Reports
+from retalis.prolog.machine import Limits, PrologError
+
+UNRESTRICTED = ":- set_etalis_flag(event_consumption_policy, unrestricted).\n"
+CHAIN = UNRESTRICTED + "".join(f"e{at + 1}(X) <- e{at}(X) and e{at}(Y).\n" for at in range(30))
+GROWING = UNRESTRICTED + "a(f(X)) <- a(X) seq a(Y).\n"
+FIVE = UNRESTRICTED + "b <- a(A) and a(B) and a(C) and a(D) and a(E).\n"
+PAIRS = UNRESTRICTED + "p(X) <- a(X) seq b(_).\n"
+REPORT = "while patterns were matched"
+LIMIT = 2000
+
+
+class Counting(Reports):
+    """Keeps what is reported, logged or not."""
+
+    def __init__(self):
+        super().__init__()
+        self.texts = []
+
+    def warning(self, problem, *more):
+        self.texts.append(str(problem))
+        super().warning(problem, *more)
+
+    def said(self):
+        """Return how often pattern work was stopped since the last call."""
+        number = sum(REPORT in text for text in self.texts)
+        self.texts.clear()
+        return number
+
+
+def make(rules, inferences=LIMIT, **settings):
+    limits = settings.pop("limits", Limits(inferences=inferences))
+    engine = Engine(settings=Settings(limits=limits, limit_start=False, **settings), reports=Counting())
+    engine.load(rules=rules + "alive(X) <- ping(X).\n")
+    engine.said = parts_of(engine).reports.said
+    engine.seen = []
+    engine.on_event(lambda term, start, end: engine.seen.append(engine.brief(term)))
+    return engine
+
+
+def send(engine, *events):
+    """Send events, one a second; return what was dispatched for the last."""
+    for event in events:
+        engine.seen.clear()
+        engine.now = getattr(engine, "now", 0) + 1
+        engine.event(event, engine.now)
+    return list(engine.seen)
+
+
+def is_alive(engine):
+    engine.seen.clear()
+    return send(engine, "ping(1)") == ["ping(1)", "alive(1)"] and engine.query("X = 1") == [{"X": 1}]
+
+
+@pytest.mark.parametrize(
+    ("rules", "events", "name"),
+    [
+        (CHAIN, ["e0(1)", "e0(2)", "e0(3)"], "rule e"),
+        (GROWING, [f"a({at})" for at in range(14)], "rule a(f(X))"),
+        (FIVE, [f"a({at})" for at in range(14)], "rule b"),
+        ("t <- t.\n" * 2, ["t"], "rule t"),
+    ],
+)
+def test_explosions_stop_at_the_limit(rules, events, name, caplog):
+    engine = make(rules)
+    for event in events:
+        seen = send(engine, event)
+        assert len(seen) <= LIMIT
+        stopped = engine.said()
+        assert stopped <= 1
+    assert stopped
+    assert name in caplog.text
+    assert len(seen) > 100  # what was derived stands
+    assert is_alive(engine)
+    assert engine.status().warnings
+
+
+def test_the_report_names_the_rule_its_place_the_limit_and_what_was_left_out(caplog):
+    engine = make("")
+    engine.load_rules(CHAIN, "rules.txt")
+    send(engine, "e0(1)", "e0(2)")
+    assert REPORT not in caplog.text
+    send(engine, "e0(3)")
+    (report,) = [one.getMessage() for one in caplog.records if REPORT in one.getMessage()]
+    assert report.startswith("rules.txt:")
+    assert "rule e" in report
+    assert "e0/1 has exceeded its limit of inferences" in report
+    assert "derived events were left out" in report
+
+
+def test_events_have_what_they_had_without_limits_below_them():
+    engines = make(CHAIN, 1_000_000), make(CHAIN, limits=Limits())
+    for event in ("e0(1)", "e0(2)"):
+        one, other = (send(engine, event) for engine in engines)
+        assert one == other
+    assert len(one) > 30
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        "q(X, Y) <- p(X) seq p(Y).",
+        "q(X, Y) <- p(X) and p(Y).",
+        "q(X, Y) <- p(X) cnot n(X) and p(Y).",
+        "q(X) <- p(X) ntimes 2.",
+        "q(X) <- p(X) ntimes 20.",
+        "q(S) <- a(1) seq aggregate(sum(X), p(X), S).",
+        "q <- a(_) seq p(_) star_times.",
+        "q(L) <- aggregate(list(X), p(X), L, last(1000)).",
+        "q(L) <- aggregate(list(X), p(X), L, last(1000, events)).",
+        "q(X, N) <- aggregate(count, p(X), N, every(2, events)).",
+        "q(L) <- aggregate(list(X), p(X), L, steps([a(0, many) where X > -1, b where X < 0])).",
+        "q(X) <- p(X) seq absent(p(-1), 100).",
+        "q(X) <- p(X) with change(X).",
+        "q(X) <- p(X) event_multiply member(_, [1, 2, 3]).",
+        "l([property(after_match, skip_past_last)]) : q(X, Y) <- p(X) seq p(Y).",
+    ],
+)
+@pytest.mark.parametrize(
+    "flag", ["true", "set_etalis_flag(out_of_order, on)", "set_etalis_flag(revision_flag, on)"]
+)
+def test_all_operators_count(rule, flag):
+    few = 200
+    engine = make(f":- {flag}.\n" + PAIRS + rule + "\n", 1_000_000)
+    send(engine, *[f"a({at})" for at in range(300)])
+    parts_of(engine).logic.limits = Limits(inferences=few)
+    budget = parts_of(engine).logic.machine.budget
+    before = budget.inferences
+    for _ in range(3):
+        assert len(send(engine, "b(1)")) <= few
+        assert engine.said() == 1
+    assert budget.inferences - before < 3 * 2 * few
+    assert is_alive(engine)
+
+
+def test_repetitions_without_end_count():
+    engine = make(UNRESTRICTED + "q <- p(_) ntimes 5.\n")
+    for number in range(30):
+        send(engine, f"p({number})")
+    assert engine.said()
+    assert is_alive(engine)
+
+
+def test_steps_with_many_ways_count():
+    steps = "steps([x(0, many) where X > 0, later(y(1, 2, reluctant)) where X > 1, z where X < 0])"
+    engine = make(f"q(N) <- aggregate(count, p(X), N, {steps}).\nr <- q(_).\n{PAIRS}", 1_000_000)
+    send(engine, *[f"a({at})" for at in range(1, 100)])
+    parts_of(engine).logic.limits = Limits(inferences=LIMIT // 10)
+    send(engine, "b(1)")
+    assert engine.said() == 1
+    assert is_alive(engine)
+
+
+def test_windows_of_many_keys_count_what_they_give_on():
+    engine = make("q(X, N) <- aggregate(count, p(X), N, every(10)).\n", 1_000_000)
+    for number in range(3000):
+        engine.event(f"p({number})", 1 + number / 1000)
+    parts_of(engine).logic.limits = Limits(inferences=LIMIT)
+    engine.now = 20
+    send(engine, "ping(1)")
+    assert engine.said() == 1
+    assert is_alive(engine)
+
+
+REVISED = ":- set_etalis_flag(revision_flag, on).\n" + PAIRS + "q(X, Y) <- p(X) seq c(Y).\n"
+
+
+def test_taking_events_back_counts_and_leaves_nothing_of_what_is_gone(caplog):
+    engine = make(REVISED, 1_000_000)
+    send(engine, *[f"a({at})" for at in range(1000)], "b(1)")
+    parts_of(engine).logic.limits = Limits(inferences=LIMIT // 4)
+    seen = send(engine, "rev(b(1))")
+    assert 10 < len(seen) < LIMIT // 4
+    assert engine.said() == 1
+    assert "taking events back" in caplog.text
+    assert send(engine, "c(1)") == ["c(1)"]
+    assert is_alive(engine)
+
+
+def test_many_events_are_taken_back_from_a_long_history_in_linear_time():
+    engine = make(REVISED + "s(S) <- aggregate(sum(X), p(X), S, last(5000, events)).\n", limits=Limits())
+    send(engine, *[f"a({at})" for at in range(300)], "b(1)")
+    seen = send(engine, "rev(b(1))")
+    assert sum(one.startswith("rev(p(") for one in seen) == 300
+    assert send(engine, "c(1)") == ["c(1)"]
+
+
+def test_a_goal_that_makes_events_ends_when_their_patterns_have_used_up_its_limit():
+    engine = make(CHAIN)
+    send(engine, "e0(1)", "e0(2)")
+    with pytest.raises(PrologError, match="inferences"):
+        engine.query("event(e0(3)), between(1, 1000000, X), fail")
+    assert is_alive(engine)
+
+
+def test_memories_and_subscriptions_have_all_that_was_derived():
+    engine = make(CHAIN)
+    engine.load(goals="memorize(e30(X), [], e30(X), m, 100000)\nsubscribe(e30(X), [], _, out, s)")
+    sent = []
+    engine.on_output(lambda term, topic, name: sent.append(term))
+    send(engine, "e0(1)", "e0(2)")
+    sent.clear()
+    engine.call("delete_memory(m)")
+    engine.load(goals="memorize(e30(X), [], e30(X), m, 100000)")
+    seen = send(engine, "e0(3)")
+    number = sum(one.startswith("e30(") for one in seen)
+    assert number == len(sent) > 10
+    assert engine.query("memory_size(m, N)") == [{"N": number}] or engine.query("memory_counter(m, N)")
+
+
+@pytest.mark.slow
+def test_seconds_stop_patterns():
+    engine = make(CHAIN, limits=Limits(seconds=2.0), watchdog=1.0)
+    send(engine, "e0(1)", "e0(2)")
+    began = time.monotonic()
+    send(engine, "e0(3)")
+    assert time.monotonic() - began < 20
+    assert is_alive(engine)
+
+
+@pytest.mark.slow
+def test_megabytes_stop_patterns(caplog):
+    def used():
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+    growing = "q(L) <- aggregate(list(X), p(X), L, last(5000, events)).\n"
+    engine = make(PAIRS + growing, limits=Limits(megabytes=20))
+    engine.load(goals="memorize(q(L), [], q(L), m, 10000)")
+    for number in range(3000):
+        engine.event(f"a({number})", 1 + number / 1000)
+    before = used()
+    engine.now = 10
+    send(engine, "b(1)")
+    assert "limit of memory" in caplog.text
+    assert used() - before < 150
+    assert is_alive(engine)
