@@ -1,6 +1,7 @@
 """Limits on a node's connections, with socket pairs and servers on the loopback address. Needs rospy, no master."""
 
 import errno
+import logging
 import socket
 import threading
 from http.client import HTTPConnection, HTTPException
@@ -369,6 +370,24 @@ def test_many_connections_at_once_are_held(tcpros):
     for thread in threads:
         thread.join(PATIENCE)
     assert results == [b"answer"] * 100
+
+
+def test_service_clients_that_end_without_a_request_are_counted_and_not_logged_each(tcpros):
+    server = tcpros[0]
+    assert handshake(server) == b"answer"  # the server runs
+    records = []
+    handler = logging.Handler()
+    handler.emit = records.append
+    log = logging.getLogger("rosout")
+    log.addHandler(handler)
+    try:
+        for _ in range(3):
+            rospy.logerr("incoming connection failed: unable to receive data from sender")
+        rospy.logerr("another error")
+    finally:
+        log.removeHandler(handler)
+    assert [record.msg for record in records] == ["another error"]
+    assert server.closed.total == 3
 
 
 # The XML-RPC server

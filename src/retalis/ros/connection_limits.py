@@ -11,6 +11,7 @@ stream and closes it.
 """
 
 import errno
+import logging
 import resource
 import selectors
 import socket
@@ -267,8 +268,14 @@ class EstablishedConnections:
             soft = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
             most = 3 * (min(soft, 2048) if soft >= 0 else 2048) // 8
         self._most = most
+        self._most_per_address = 3 * most // 4
         self._lock = threading.Lock()
         self._by_address: Dict[str, WeakSet[socket.socket]] = {}
+
+    @property
+    def limits(self) -> str:
+        """The numbers, for a message."""
+        return f"{self._most_per_address} of one address, {self._most} in all"
 
     def add(self, sock: socket.socket, address: str) -> bool:
         """Add a connection; return False if there are too many."""
@@ -278,7 +285,7 @@ class EstablishedConnections:
                 counts[known] = sum(1 for other in list(sockets) if other.fileno() >= 0)
                 if not counts[known]:
                     del self._by_address[known]
-            if sum(counts.values()) >= self._most or counts.get(address, 0) >= 3 * self._most // 4:
+            if sum(counts.values()) >= self._most or counts.get(address, 0) >= self._most_per_address:
                 return False
             self._by_address.setdefault(address, WeakSet()).add(sock)
             return True
@@ -309,23 +316,37 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
             HANDSHAKE_SECONDS, MAX_HANDSHAKES, MAX_HANDSHAKES_PER_ADDRESS, self.closed
         )
         self._established = EstablishedConnections()
-        listening = self.server_sock
+        log = logging.getLogger("rosout")
+        log.addFilter(self._is_logged)
+        try:
+            with selectors.DefaultSelector() as self._selector:
+                self._serve(self.server_sock)
+        finally:
+            log.removeFilter(self._is_logged)
+
+    def _serve(self, listening: socket.socket) -> None:
         listening.setblocking(False)
-        with selectors.DefaultSelector() as self._selector:
-            self._selector.register(listening, selectors.EVENT_READ)
-            while not self.is_shutdown:
-                is_new = False
-                # Headers that have come are read before the next connection is accepted: no connection is closed
-                # for a newer one while its header waits in the system's buffer.
-                for key, _ in self._selector.select(LOOP_SECONDS):
-                    if key.data is None:
-                        is_new = True
-                    else:
-                        self._read(key.fileobj, *key.data)
-                if is_new:
-                    self._accept(listening)
-                self._handshakes.expire()
-                self.closed.report()
+        self._selector.register(listening, selectors.EVENT_READ)
+        while not self.is_shutdown:
+            is_new = False
+            # Headers that have come are read before the next connection is accepted: no connection is closed
+            # for a newer one while its header waits in the system's buffer.
+            for key, _ in self._selector.select(LOOP_SECONDS):
+                if key.data is None:
+                    is_new = True
+                else:
+                    self._read(key.fileobj, *key.data)
+            if is_new:
+                self._accept(listening)
+            self._handshakes.expire()
+            self.closed.report()
+
+    def _is_logged(self, record: logging.LogRecord) -> bool:
+        """Count the connections of service clients that ended without a request; rospy logs an error for each."""
+        if not str(record.msg).startswith("incoming connection failed"):
+            return True
+        self.closed.count("ended before the request of a service", "a service's client")
+        return False
 
     def _accept(self, listening: socket.socket) -> None:
         try:
@@ -379,8 +400,9 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
         if rospy.core.is_shutdown_requested():
             return "node shutting down"
         if not self._established.add(sock, address[0]):
-            self.closed.count("too many connections", address[0])
-            return "too many connections"
+            refusal = f"too many connections: expected at most {self._established.limits}"
+            self.closed.count(refusal, address[0])
+            return refusal
         if "topic" in header:
             refusal = self._rospy_server.topic_connection_handler(sock, address, header)
         elif "service" in header:
