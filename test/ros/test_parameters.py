@@ -116,6 +116,8 @@ def test_numbers_and_flags(read):
     assert found.settings.allow_goals
     assert not found.settings.allow_swi
     assert read(allow_swi=True).settings.allow_swi
+    assert not found.settings.allow_flags
+    assert read(allow_flags=True).settings.allow_flags
     assert found.embedded
 
 

@@ -1,6 +1,6 @@
 """The engine: a program, the events that it takes, and what its subscribers get."""
 
-from .asking import ask, await_memories
+from .asking import ask, await_memories, do_for_others
 from .callbacks import OnEvent, OnOutput
 from .checking import check_program, never_comes, never_sent
 from .checkpointing import Checkpoints, resume
@@ -32,6 +32,7 @@ __all__ = [
     "CheckpointFile",
     "Checkpoints",
     "delete_rule",
+    "do_for_others",
     "AwaitedMemory",
     "Engine",
     "InputTopics",

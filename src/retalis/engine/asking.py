@@ -3,7 +3,7 @@
 from contextlib import closing
 from threading import Event
 from time import monotonic
-from typing import Dict, List, NamedTuple, Optional, Sequence, TypeVar
+from typing import Callable, Dict, List, NamedTuple, Optional, Sequence, TypeVar
 
 from ..foundation import UsageError
 from ..prolog.foreign import to_json
@@ -12,6 +12,7 @@ from ..prolog.syntax import read_term
 from ..prolog.terms import Term, Var, functor, make_list
 from .core import EngineCore, parts_of
 from .engine import Engine
+from .ownfiles import REQUEST
 
 LARGEST = 1_000_000
 """Characters that all solutions of an answer may have together, as JSON."""
@@ -20,6 +21,7 @@ WAITING = functor("wait_for", 1)
 _LOOK_AGAIN = 0.2
 """Seconds after which one who waits for memories looks whether he still does."""
 
+T = TypeVar("T")
 _Number = TypeVar("_Number", int, float)
 
 
@@ -81,7 +83,17 @@ def ask(
             logic.limits = before
         return Answer(found, True)
 
-    return engine.do(work, read.term)
+    return do_for_others(engine, work, read.term)
+
+
+def do_for_others(engine: Engine, work: Callable[[], T], what: Term = REQUEST) -> T:
+    """Do a piece of work, see `Engine.do`; its goals, and those that it gives the program, may not change flags."""
+
+    def locked() -> T:
+        with parts_of(engine).logic.for_others():
+            return work()
+
+    return engine.do(locked, what)
 
 
 def _values(engine: EngineCore, names: Dict[str, Var], most: int) -> List[Binding]:

@@ -73,6 +73,7 @@ class EngineCore:
         self._slots = self._logic.operators.slots = SlotNames(definitions)
         self._budget = budget = self._logic.machine.budget
         self._logic.limits = settings.limits
+        self._logic.allow_flags = settings.allow_flags
         self._logic.now = self.clock.now
         self._dispatcher = Dispatcher(self._logic, max_depth=settings.max_depth)
         self._reports = reports = Reports() if reports is None else reports

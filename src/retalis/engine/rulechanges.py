@@ -7,6 +7,7 @@ from ..events.language import RULE, is_rule, labelled
 from ..foundation import UsageError
 from ..prolog.syntax import ReadTerm, read_term
 from ..prolog.terms import Atom, Term, atom, deref, term_key
+from .asking import do_for_others
 from .core import parts_of
 from .engine import Engine
 from .ownfiles import REQUEST
@@ -38,7 +39,7 @@ def add_rule(engine: Engine, text: str, label: str = "") -> str:
         parts_of(engine).rules.loader.load_read(read)
         return engine.show(name)
 
-    return engine.do(work, REQUEST)
+    return do_for_others(engine, work)
 
 
 def _label(engine: Engine, read: ReadTerm, wanted: str) -> Term:

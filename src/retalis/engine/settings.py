@@ -21,6 +21,7 @@ class Settings(NamedTuple):
         max_depth: longest chain of events derived one from another.
         queue: how many events may wait for the one that is being worked on.
         allow_goals: whether any goal is taken as input, not only events.
+        allow_flags: whether goals of others than the program (of services and the dashboard) may change flags.
         allow_foreign: whether programs may load Python modules with ``use_foreign/1``.
         allow_swi: whether programs may have SWI-Prolog load files with ``use_swi/1``.
         folders: where goals of events, queries and services may read files, besides the program's own folders;
@@ -46,3 +47,4 @@ class Settings(NamedTuple):
     write_folders: Optional[Tuple[str, ...]] = ()
     max_file_megabytes: int = 100
     max_gap: Optional[float] = None
+    allow_flags: bool = False

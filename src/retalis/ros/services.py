@@ -4,7 +4,7 @@ from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Tuple
 
 import rospy
 
-from ..engine import Engine
+from ..engine import Engine, do_for_others
 from ..events.language import subscribed_event
 from ..events.program import topic_type
 from ..foundation import RetalisError, SyntaxFault, UsageError, beginning, printable
@@ -153,7 +153,7 @@ class EngineServices:
             self._warn_of_silence("subscribe", request.id, taken)
             self._text_only.look(request.topic.strip())
 
-        return answer(lambda: self._engine.do(work))
+        return answer(lambda: do_for_others(self._engine, work))
 
     def _add_memory(self, request: Any) -> str:
         def work() -> None:
@@ -165,7 +165,7 @@ class EngineServices:
             self._warn_of_free("memorize", request.id, fields)
             self._warn_of_silence("memorize", request.id, fields)
 
-        return answer(lambda: self._engine.do(work))
+        return answer(lambda: do_for_others(self._engine, work))
 
     def _delete_subscription(self, request: Any) -> str:
         def work() -> None:

@@ -44,6 +44,7 @@ class EngineRecovery(Recovery):
         self._logic.new_goals = goals
         if mend_all and state is None:
             mend(self._logic)
+            self._logic.from_outside = False
             dispatcher.mend()
             self._rules.mend()
             self._knowledge.mend()

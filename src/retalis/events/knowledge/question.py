@@ -143,16 +143,24 @@ class Followed(Question):
 
 
 def general_question(around: Surroundings) -> Question:
-    """Return the question whose values are an event and a query, whatever they are."""
+    """Return the question whose values are an event and a query, whatever they are.
+
+    The query comes with an event, which anybody may have sent: it may not change flags.
+    """
     event, query = Var(), Var()
-    goal = around.logic.compile_goal((_CALL, query), [event, query], [event], name=_NAME)
+    goal = around.logic.compile_goal((_CALL, query), [event, query], [event], name=_NAME, from_outside=True)
     made = Question(around, goal, (0, 1), lambda values: values[2], lambda values: values[0])
     made.terms = lambda values: (values[0], values[1])
     return made
 
 
 def compile_question(
-    around: Surroundings, event: Term, query: Term, names: Sequence[Var], place: Optional[Place]
+    around: Surroundings,
+    event: Term,
+    query: Term,
+    names: Sequence[Var],
+    place: Optional[Place],
+    from_outside: bool,
 ) -> Optional[Question]:
     """Return the question for values of ``names`` without variables; None where only the values tell what it is.
 
@@ -162,6 +170,7 @@ def compile_question(
         query: its goal.
         names: the variables that are known.
         place: where it was read.
+        from_outside: whether others than the program have given it.
     """
     event, query = deref(event), deref(query)
     mentioned = set(variables(query))
@@ -176,7 +185,9 @@ def compile_question(
     goal = None
     if query is not TRUE:
         try:
-            goal = around.logic.compile_goal(query, [names[at] for at in inputs], found, place, _NAME)
+            goal = around.logic.compile_goal(
+                query, [names[at] for at in inputs], found, place, _NAME, from_outside
+            )
         except PrologError:  # reported for each event that asks it
             return None
     made = Question(

@@ -199,7 +199,7 @@ class WaitingQueries:
         key, event, query, conditions = head
         names, firings = rule.vars, rule.firings
         find = compile_conditions(self._logic, self._memories, conditions, names)
-        asked = compile_question(self._around, event, query, names, rule.place)
+        asked = compile_question(self._around, event, query, names, rule.place, rule.from_outside)
         if find is None or asked is None:
             return None
 

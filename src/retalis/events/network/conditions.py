@@ -52,6 +52,9 @@ class RuleGoal:
         self._takes_all = inputs == self.known
         self.outputs = [var for var in mentioned if var not in places]
         self.result_vars = [*self.known, *self.outputs]
+        self._from_outside = (
+            rule.network.logic.from_outside
+        )  # other ways to call it are compiled when they are needed
         self._compiled: Dict[Tuple[object, ...], CompiledGoal] = {}
         self._inputs = inputs
         self._plain = self._compile(inputs, self.outputs, False)
@@ -196,7 +199,7 @@ class RuleGoal:
                 wanted = [all_solutions]
             rule = self.rule
             found = self._compiled[key] = rule.network.logic.compile_goal(
-                goal, list(inputs), wanted, place=rule.place, name=rule.name
+                goal, list(inputs), wanted, rule.place, rule.name, self._from_outside
             )
         return found
 

@@ -52,6 +52,7 @@ class Rule:
         name: what reports call it.
         serial: the place among the rules: older ones are served first.
         meter: counts its pattern work; None if nothing is counted.
+        from_outside: whether others than the program have added it.
         mode: how it runs, see `configure`.
         skipping: what its matches have skipped; None where they skip nothing.
         window: the longest interval that its label allows, in ns; None for no bound.
@@ -73,6 +74,7 @@ class Rule:
         self.network = network
         self.meter = network.logic.machine.budget.meter(self)
         self.definition = definition
+        self.from_outside = network.logic.from_outside
         self.place = definition.place
         self.label = definition.label
         self.serial = serial

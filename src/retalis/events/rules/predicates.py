@@ -122,6 +122,8 @@ class _RuleGoals:
         return True
 
     def reset(self, machine: Machine) -> bool:
+        for name in self.rules.flags.changed():
+            self.rules.logic.require_flags(atom(name))
         self.rules.reset()
         return True
 
@@ -150,6 +152,7 @@ class _FlagGoals:
             raise instantiation_error()
         if name.__class__ is not Atom:
             raise domain_error("etalis_flag", name)
+        self.rules.logic.require_flags(name)
         try:
             self.rules.flags.set(name.name, value)
         except UsageError as error:

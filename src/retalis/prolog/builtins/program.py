@@ -55,6 +55,9 @@ class MachineProgram(Protocol):
     now: Callable[[], int]
     environment: Optional[Mapping[str, str]]
 
+    def require_flags(self, flag: Term) -> None:
+        """Require that the goal at work may change a flag."""
+
     def once(self, goal: Term) -> bool:
         """Run a goal for its first solution, whose bindings stay."""
 

@@ -60,6 +60,7 @@ def set_prolog_flag(machine: Machine, flag: Term, value: Term) -> bool:
     name, value = atom_of(flag), deref(value)
     if value.__class__ is Var:
         raise instantiation_error()
+    machine.logic.require_flags(name)
     flags = machine.logic.flags
     allowed = _CHANGEABLE.get(name.name)
     if allowed is None:
@@ -86,7 +87,9 @@ def unknown(machine: Machine, old: Term, new: Term) -> bool:
 @deterministic("create_prolog_flag/3")
 def create_prolog_flag(machine: Machine, flag: Term, value: Term, options: Term) -> bool:
     """Make a flag of the program's own."""
-    machine.logic.flags[atom_of(flag).name] = copy(value)
+    name = atom_of(flag)
+    machine.logic.require_flags(name)
+    machine.logic.flags[name.name] = copy(value)
     return True
 
 

@@ -21,6 +21,7 @@ class CompiledGoal:
         name: who asks, for errors.
         term: the goal.
         place: where it was read.
+        from_outside: whether others than the program have given it: then it may not change flags.
     """
 
     def __init__(
@@ -31,8 +32,10 @@ class CompiledGoal:
         outputs: Sequence[Term],
         place: Optional[Place] = None,
         name: str = "goal",
+        from_outside: bool = False,
     ):
         self.term = term
+        self.from_outside = from_outside
         self.place = place
         self.name = name
         self._database = database
@@ -67,13 +70,14 @@ class CompiledGoal:
             self.code = self._source.call() or Code(self.name, self._first_plain)
 
     def _first_straight(self, *values: Term) -> Any:
-        # Not before it is first called: the predicates that it calls may be defined after it.
-        self.straight = self._source.straight()
+        # Not before it is first called: the predicates that it calls may be defined after it. A goal from outside has
+        # none: an attempt that calls the function does not tell the budget which goal is at work.
+        self.straight = None if self.from_outside else self._source.straight()
         return BAIL if self.straight is None else self.straight(*values)
 
     def prepare(self) -> None:
         """Make the function before the goal is first asked, where all that it calls is there."""
-        if self.straight != self._first_straight:
+        if self.straight != self._first_straight or self.from_outside:
             return
         try:
             self.straight = self._source.straight() or self._first_straight

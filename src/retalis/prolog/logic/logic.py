@@ -21,7 +21,7 @@ from ...foundation import Place, beginning, printable
 from .. import builtins  # noqa: F401  (they register themselves)
 from ..compiler import CALL
 from ..database import COMPILE_AFTER, Clause, CompiledGoal, Predicate, check_body, functor_of, split_clause
-from ..machine import Budget, Frame, Limits, PrologError
+from ..machine import Budget, Frame, Limits, PrologError, permission_error
 from ..syntax import Operators, by_name, write_term
 from ..terms import COLON, CompoundTerm, Functor, Term, Var, copy, deref, functor
 from . import ports  # noqa: F401  (it registers trace/1)
@@ -31,6 +31,7 @@ from .unknown import similar, undefined
 _DIRECTIVE = functor(":-", 1)
 _QUERY = functor("?-", 1)
 _ARROW = functor("-->", 2)
+_FLAGS_LOCKED = "goals of services and the dashboard may not change flags: set the parameter ~allow_flags"
 
 
 class UserStream:
@@ -76,6 +77,8 @@ class Logic(Predicates):
         files: opens the files that goals may open; None where there are none.
         ask: gives the next line that the user types, None at the end; None where nobody is there.
         environment: the variables of the process's environment; None where the program may not know them.
+        from_outside: whether the work at hand is done for others than the program, see `for_others`.
+        allow_flags: whether such work, and goals that it has added to the program, may change flags.
         new_goals: what has been compiled since `preparing` began; None outside of that.
     """
 
@@ -94,6 +97,8 @@ class Logic(Predicates):
         self.state: Dict[str, Any] = {}
         self.now: Callable[[], int] = time_ns
         self.new_goals: Optional[List[CompiledGoal]] = None
+        self.from_outside = False
+        self.allow_flags = False
         self.foreign_modules: Dict[str, None] = {}
         self.environment: Optional[Mapping[str, str]] = None
         self.swi_files: Dict[str, Tuple[Any, ...]] = {}
@@ -108,6 +113,29 @@ class Logic(Predicates):
     @limits.setter
     def limits(self, limits: Limits) -> None:
         self.machine.budget.allow(limits)
+
+    # Others than the program
+
+    @contextmanager
+    def for_others(self) -> Iterator[None]:
+        """Work meanwhile for others than the program: services and the dashboard."""
+        before, self.from_outside = self.from_outside, True
+        try:
+            yield
+        finally:
+            self.from_outside = before
+
+    def require_flags(self, flag: Term) -> None:
+        """Require that the goal at work may change a flag.
+
+        Raises:
+            PrologError: a permission error where others than the program have given the goal.
+        """
+        if self.allow_flags:
+            return
+        goal = self.machine.budget.goal
+        if goal.from_outside if isinstance(goal, CompiledGoal) else self.from_outside:
+            raise permission_error("modify", "flag", flag, _FLAGS_LOCKED)
 
     # Clauses
 
@@ -219,6 +247,7 @@ class Logic(Predicates):
         outputs: Sequence[Term] = (),
         place: Optional[Place] = None,
         name: str = "goal",
+        from_outside: Optional[bool] = None,
     ) -> CompiledGoal:
         """Compile a goal for Python code.
 
@@ -228,6 +257,7 @@ class Logic(Predicates):
             outputs: variables (or terms) whose values are wanted.
             place: where it was read, for tracebacks.
             name: who asks, for tracebacks.
+            from_outside: whether others than the program have given it; by default, whether it is compiled for them.
 
         Raises:
             PrologError: where the term can be no goal.
@@ -235,7 +265,9 @@ class Logic(Predicates):
         goal = deref(goal)
         if goal.__class__ is not Var:
             goal = check_body(goal)
-        compiled = CompiledGoal(self.database, goal, inputs, outputs, place, name)
+        if from_outside is None:
+            from_outside = self.from_outside
+        compiled = CompiledGoal(self.database, goal, inputs, outputs, place, name, from_outside)
         if self.new_goals is not None:
             self.new_goals.append(compiled)
         return compiled
