@@ -110,7 +110,8 @@ def test_what_was_interrupted_is_taken_whole_or_not_at_all(kind):
             work()
         mended = make()
         mended.restore(stream.kept())
-        members = [item for group in getattr(mended, "groups", {}).values() for item in group.members]
+        groups = [group for group in mended.states.values() if hasattr(group, "members")]
+        members = [item for group in groups for item in group.members]
         assert getattr(mended, "number", len(members)) == len(members)
         assert taken(mended, AFTER) in allowed, at
         if injected.left > 0:

@@ -155,6 +155,11 @@ def bindable(node: Pattern) -> List[Var]:
     return pattern_variables(node)
 
 
+def has_steps(pattern: Pattern) -> bool:
+    """Tell whether a window of steps is part of a pattern: the oracle does not define which starts time ends."""
+    return any(isinstance(node, Windowed) and node.window == "steps" for node in walk(pattern))
+
+
 class Generator:
     """Draws rules, streams and cases; every decision goes through ``choice``."""
 
@@ -235,6 +240,8 @@ class Generator:
             return Multiply(below, self.several(below))
         below = self.pattern(depth - 1, left)
         if kind == "within":
+            if has_steps(below):
+                return below
             return Within(below, self.choice([1, 2, 3, 4, 6, Fraction(1, 2), Fraction(5, 2)]))
         if kind == "check":
             return Check(below, self.stamp_goal())
@@ -454,6 +461,7 @@ class Generator:
             shown = shown[:1]
         term = functor(head, len(shown))(*shown) if shown else atom(head)
         window = self.choice([None] * 12 + [1, 2, 4, 8, Fraction(3, 2)])
+        window = None if has_steps(body) else window
         label = self.choice([None, f"r_{head}"]) if window is None else f"r_{head}"
         made = Rule(term, body, label, window, do)
         return with_own(made) if self.chance(50) else made

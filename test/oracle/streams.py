@@ -26,6 +26,8 @@ class Taken:
     values: List[Any]
     now: Any
     """When it came, by the clock."""
+    newest: Any = None
+    """The newest end of all that came to the operator until then."""
     entered: Any = None
     """Of a window that is given on at an instant: at the end of which one it was in for the first time."""
     on: bool = False
@@ -144,7 +146,7 @@ class Streams(Repetitions):
         value = [self._key(instance(term, match.bindings)) for term in list_items(node.value) or []]
         newest = max([match.end, *(one.match.end for one in taken)])
         same = [one for one in taken if one.key == key]
-        one = Taken(match, key, value, self.now)
+        one = Taken(match, key, value, self.now, newest)
         taken.append(one)
         if node.shape == "throttle":
             # none that was let through ends less than N seconds before the newest end
@@ -154,7 +156,8 @@ class Streams(Repetitions):
             one.on = not any(other.match.end > newest - node.seconds for other in same)
         elif node.shape == "change":
             # another value than in the last one
-            one.on = not same or same[-1].values != value
+            before = self._not_idle(node, [*same, one])[:-1]
+            one.on = not before or before[-1].values != value
         elif match.end + node.seconds <= self.now_at(node):
             one.over = True  # debounce: one that comes when its time is over is too late
         else:
@@ -173,9 +176,18 @@ class Streams(Repetitions):
             values = self._values(node, match)
         except GoalError:
             return []
-        one = Taken(match, self._group(node, match), values, self.now_at(node))
         newest = max([match.end, *(other.match.end for other in taken)])
+        one = Taken(match, self._group(node, match), values, self.now_at(node), newest)
         return self._window[node.window](self, node, taken, one, newest)
+
+    def _not_idle(self, node: Pattern, same: List[Taken]) -> List[Taken]:
+        """State of keys: after a time in which a within or a window lets nothing complete, a key begins anew."""
+        for at in range(len(same) - 1, 0, -1):
+            idle = same[at].newest - same[at - 1].newest
+            window = self.rule.window
+            if any(idle >= limit for limit in self.limits[node]) or (window is not None and idle > window):
+                return same[at:]
+        return same
 
     def _last(self, node: Windowed, taken: List[Taken], one: Taken, newest: Any) -> List[Match]:
         """last(N): those that began less than N seconds before the newest end; one that did not is late."""
@@ -185,11 +197,12 @@ class Streams(Repetitions):
 
     def _newest(self, node: Windowed, taken: List[Taken], one: Taken, newest: Any) -> List[Match]:
         taken.append(one)
-        return self._given(node, [other for other in taken if other.key == one.key][-node.span :])
+        same = [other for other in taken if other.key == one.key]
+        return self._given(node, self._not_idle(node, same)[-node.span :])
 
     def _batch(self, node: Windowed, taken: List[Taken], one: Taken, newest: Any) -> List[Match]:
         taken.append(one)
-        same = [other for other in taken if other.key == one.key]
+        same = self._not_idle(node, [other for other in taken if other.key == one.key])
         size = (len(same) - 1) % node.span + 1
         if node.window == "running_batch" or size == node.span:
             return self._given(node, same[-size:])

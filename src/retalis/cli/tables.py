@@ -165,6 +165,10 @@ def _awaited(row: PlainRecord, before: Optional[PlainRecord], look: _StatusTime)
     return ", ".join(memories) + (f", {row['left_out']} more" if row.get("left_out") else "")
 
 
+def _megabytes(size: int) -> str:
+    return f"{size / 1e6:.1f}" if size >= 50_000 else "0"
+
+
 _RATES = {"taken": "events", "fired": "firings"}
 _COUNTS = ("queued", "dropped", "errors", "warnings", "alarms")
 _NOTHING = ("", "-", "0")
@@ -177,6 +181,8 @@ _TABLES = {
             _growth("fired", "firings/s"),
             _since("last_fired", "last"),
             _plain("waiting", rare=True),
+            _plain("keys", rare=True),
+            _Column("MB", lambda row, before, look: _megabytes(row.get("bytes", 0)), rare=True),
             _plain("errors", rare=True),
             _plain("dropped", rare=True),
         ),

@@ -162,6 +162,8 @@ def _rules(
             firings.errors,
             rule.held,
             rule.dropped,
+            rule.keys,
+            rule.bytes,
         )
 
     return tuple([told(rule) for rule in found]), len(rules.rules) - len(found)

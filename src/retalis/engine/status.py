@@ -55,8 +55,10 @@ class RuleStatus(NamedTuple):
         fired: how often its pattern was matched as a whole, whether or not anybody wanted the event.
         last_fired: the end of the last of these matches, in nanoseconds; None before the first.
         errors: how many errors stopped it.
-        waiting: how many partial matches it has.
-        dropped: how many of them were dropped because there were too many.
+        waiting: how many partial matches it has, with the items of windows and other operators on streams.
+        dropped: how many of them, or of keys, were dropped because there were too many.
+        keys: number of keys that have a state: values that partial matches share, or that group what windows hold.
+        bytes: estimate of the memory of all that: the numbers of items and keys, times constants that were measured.
     """
 
     label: str
@@ -67,6 +69,8 @@ class RuleStatus(NamedTuple):
     errors: int
     waiting: int
     dropped: int
+    keys: int
+    bytes: int
 
 
 class MemoryStatus(NamedTuple):

@@ -11,6 +11,8 @@ from .counting import InputStatus, OutputStatus
 
 LISTED = 20
 """Rules, queries and warnings that are named at most."""
+LARGEST = 5
+"""Rules that hold most, which are named with what they hold."""
 
 RECENT = 10.0
 """Seconds for which an error or a loss keeps its level."""
@@ -268,6 +270,8 @@ class EngineHealth:
         values = [(_name_of(rule), counted(rule.errors, "error")) for rule in wrong[:LISTED]]
         if len(wrong) > LISTED:
             values.append(("further rules", str(len(wrong) - LISTED)))
+        largest = sorted(status.rules, key=lambda rule: -rule.bytes)[:LARGEST]
+        values += [(f"held by {_name_of(rule)}", _held_by(rule)) for rule in largest if rule.waiting]
         total = len(status.rules) + status.left_out.rules
         if not wrong:
             return Health("rules", Level.OK, f"{counted(total, 'rule')} without errors", values)
@@ -295,6 +299,10 @@ class EngineHealth:
                 values,
             )
         return Health("waiting queries", Level.OK, f"{number} wait", values)
+
+
+def _held_by(rule: RuleStatus) -> str:
+    return f"{counted(rule.waiting, 'item')}, {counted(rule.keys, 'key')}, about {rule.bytes / 1e6:.1f} MB"
 
 
 def _name_of(rule: RuleStatus) -> str:

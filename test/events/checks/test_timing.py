@@ -4,7 +4,7 @@ import pytest
 
 from retalis.engine import Engine, parts_of
 from retalis.events.checks.overview import Overview
-from retalis.events.checks.timing import cycles, missed_pairs, never_meet
+from retalis.events.checks.timing import cycles, missed_pairs, never_meet, unbounded_keys
 from retalis.events.program import Topics, TopicType
 from retalis.messages import Definitions
 
@@ -81,3 +81,52 @@ def test_pairs_of_messages_under_the_default_policy_are_named():
 )
 def test_other_pairs_are_not_named(rules):
     assert missed(rules) == []
+
+
+def unbounded(rules, flags=()):
+    engine = Engine()
+    for flag, value in flags:
+        assert engine.call(f"set_etalis_flag({flag}, {value})")
+    engine.load(rules=rules)
+    parts = parts_of(engine)
+    program = Overview(parts.rules, parts.knowledge, Definitions(), Topics())
+    return [error.message for error in unbounded_keys(program)]
+
+
+KEYED = [
+    "p(K) <- aggregate(count, q(K, V), _, steps([up where V == 1, down where V == 0])).",
+    "p(K, A) <- aggregate(avg(V), q(K, V), A, last(3, events)).",
+    "p(K, A) <- aggregate(avg(V), q(K, V), A, running(every(3, events))).",
+    "p(K) <- q(K, V) with change(V, f(K)).",
+    "p(K) <- aggregate(count, (q(K, V) with change(V, K)), _, last(3)) within 5.",
+    "p <- s cnot (q(K, V) with change(V, K)) within 5.",
+]
+
+
+@pytest.mark.parametrize("rule", KEYED)
+def test_state_of_keys_that_no_time_ends_is_named(rule):
+    (message,) = unbounded(rule)
+    assert "no time ends the state" in message
+    assert "property(ttl, SECONDS), or property(ttl, 0)" in message
+    assert unbounded(f"l([property(ttl, 5)]) : {rule}") == []
+    assert unbounded(f"l([property(ttl, 0)]) : {rule}") == []
+    assert unbounded(f"l([property(window, 5)]) : {rule}") == []
+    assert unbounded(rule, [("state_ttl", 5)]) == []
+    assert unbounded(rule, [("garbage_control", "general")]) == []
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        "p(A) <- aggregate(avg(V), q(_, V), A, last(3, events)).",
+        "p(A) <- aggregate(avg(V), q(left, V), A, last(3, events)).",
+        "p(K, A) <- aggregate(avg(V), q(K, V), A, last(3)).",
+        "p(K, A) <- aggregate(avg(V), q(K, V), A, every(3)).",
+        "p(K) <- q(K, V) with throttle(3, K).",
+        "p(V) <- q(_, V) with change(V).",
+        "p(K) <- (q(K, V) with change(V, K)) within 5.",
+        "p(K) <- (s(K) seq aggregate(count, q(K, V), _, last(3, events))) within 5.",
+    ],
+)
+def test_state_that_is_bounded_or_not_by_keys_is_not_named(rule):
+    assert unbounded(rule) == []

@@ -116,7 +116,7 @@ def test_what_an_interrupt_leaves_between_ways_and_what_waits_is_found_anew():
         one.on_event(lambda term, *_, one=one, found=found: found.append(one.show(term)))
         for at in range(5):
             one.event("reading(0)", at)
-    (group,) = stepped(engine)._groups.values()  # noqa: SLF001
+    (group,) = stepped(engine).states.values()
     group.whole.popleft()
     parts_of(engine).rules.mend()
     for one in (engine, whole):

@@ -179,7 +179,7 @@ def test_a_refused_value_leaves_no_group():
     window = Sliding(lambda: [MEASURES["sum"].make(0, "sum", None)], 10)
     with pytest.raises(RuleError, match="finite"):
         window.take(item_of(Came(0, "a", 1, 1, float("inf"), 0, 1)), 1, 0)
-    assert (len(window), window.groups) == (0, {})
+    assert (len(window), window.states) == (0, {})
 
 
 def test_what_cannot_be_measured_is_said_and_the_next_is_measured():
@@ -213,4 +213,4 @@ def test_what_has_left_costs_nothing():
     for window in (sliding, hopping):
         assert len(window) <= 5
         assert entries(window) <= 80
-        assert all(len(group.members) <= 80 for group in window.groups.values())
+        assert all(len(group.members) <= 80 for group in window.states.values())

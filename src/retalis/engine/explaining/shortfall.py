@@ -406,6 +406,9 @@ class Shortfall:
     def _shaped(self, pattern: Shaped) -> Part:
         part = self.of(pattern.pattern)
         stream = stream_of_shape(pattern)
+        node = self._rule.stream_node(pattern)
+        if node is not None:
+            stream.set_bounds(node.stream.bounds)
         outputs = []
         for one in part.found:
             by = tuple([self._under(one.values, term) for term in pattern.by])
@@ -569,6 +572,7 @@ class _WindowRun:
     def __init__(self, node: Streaming, steps: int, under: Callable[[Term, Term], Term]):
         self._node = node
         self._stream = node.making.stream(NetworkOptions())
+        self._stream.set_bounds(node.stream.bounds)
         self._under = under
         self._outputs: List[StreamOutput] = []
         self.progress = [0] * steps
@@ -596,8 +600,8 @@ class _WindowRun:
         return [output for output in self._outputs if output.error is None]
 
     def _note_progress(self) -> None:
-        _, _, groups = self._stream.kept()
-        for _, ways, _ in groups:
+        groups = self._stream.kept()[-1]
+        for _, _, ways, _ in groups:
             for _, _, _, _, taken, *_ in ways:
                 counts = [0] * len(self.progress)
                 for _, step in taken:

@@ -12,7 +12,7 @@ from .graph import FIELDS
 
 MAGIC = b"retalis state\n"
 
-FORMAT = 4
+FORMAT = 5
 """Raised where what is kept is arranged in another way."""
 
 

@@ -17,7 +17,7 @@ from .stale_tables import stale_tables
 from .states import unknown_states
 from .style import labels, singletons
 from .timers import timers
-from .timing import cycles, missed_pairs, never_meet, waits_for_ever, windows
+from .timing import cycles, missed_pairs, never_meet, unbounded_keys, waits_for_ever, windows
 from .topicfile import topics
 
 ERROR, WARNING, INFO = "error", "warning", "info"
@@ -62,6 +62,7 @@ CHECKS: Tuple[Check, ...] = (
     Check("never-meets", never_meet, whole=True),
     Check("window", windows),
     Check("waits-for-ever", waits_for_ever),
+    Check("unbounded-keys", unbounded_keys, severity=INFO),
     Check("missed-pairs", missed_pairs, whole=True, severity=INFO),
     Check("timers", timers, whole=True),
     Check("states", unknown_states, whole=True),

@@ -2,26 +2,33 @@
 
 from collections import Counter
 from itertools import combinations_with_replacement
-from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 from ...foundation import Place, RuleError
-from ...prolog.terms import Functor, Term, Trail, atom, copy, deref, functor, term_key, undo, unify
+from ...prolog.terms import Functor, Term, Trail, atom, copy, deref, functor, term_key, undo, unify, variables
 from ..language import (
     ALARMS,
     OPERATORS,
     SPELLINGS,
+    Absent,
     Action,
     Aggregate,
+    Awaited,
     Condition,
     Either,
     Occurs,
     Pair,
     Pattern,
     Repeated,
+    RuleDefinition,
+    Shaped,
     Star,
+    Windowed,
     Within,
+    bound_by,
     children,
     made_by,
+    occurrences,
 )
 from .overview import Overview
 from .written import WrittenRule, held, inners, key_of
@@ -301,6 +308,7 @@ def windows(program: Overview) -> Iterator[RuleError]:
             wrong = ""
             if one.known and one.word is None and "step" not in one.name:
                 wrong = "0: nothing but instants is ever matched" if one.number == 0 else _long(one.number)
+                wrong = "" if one.name == "ttl" else wrong
             if wrong:
                 at = labels.get(key)
                 yield RuleError(f"{one.name} {wrong}", None if at is None else at.definition.place)
@@ -332,6 +340,68 @@ def waits_for_ever(program: Overview) -> Iterator[RuleError]:
                 "write (...) within SECONDS, or turn on garbage_control",
                 _operator_place(rule, operator),
             )
+
+
+def unbounded_keys(program: Overview) -> Iterator[RuleError]:
+    """Yield the operators on streams that keep a state for each value of a variable, which no time ends.
+
+    A rule whose label has a time to live is not reported, also if that is 0: its state is intended.
+    """
+    flags = program.loaded.flags
+    bounds = flags.key_bounds()
+    if flags.get("garbage_control") is not _OFF or bounds.idle is not None:
+        return
+    properties = program.loaded.all_properties()
+    for rule in program.rules:
+        label = rule.definition.label
+        said = () if label is None else properties.get(term_key(label), ())
+        if any(one.name in ("window", "event_rule_window", "ttl") for one in said):
+            continue
+        for part in _not_within(rule.definition.pattern):
+            if _has_unbounded_keys(part, rule.definition):
+                yield RuleError(
+                    f"no time ends the state that is kept here for each key, up to {bounds.keys} keys; write (...) "
+                    "within SECONDS, or give the rule a label with property(ttl, SECONDS), or property(ttl, 0) if "
+                    "the keys are few",
+                    _operator_place(rule, "with") if isinstance(part, Shaped) else _aggregate_place(rule),
+                )
+
+
+def _not_within(pattern: Pattern) -> Iterator[Pattern]:
+    """Yield the operators on streams around which there is no ``within``."""
+    stack: List[Tuple[Any, bool]] = [(pattern, False)]
+    while stack:
+        part, limited = stack.pop()
+        if isinstance(part, (Windowed, Shaped, Awaited)):
+            if not limited:
+                yield part
+            limited = False  # a span is about what an operator gives, not about what comes to it
+        elif isinstance(part, Within):
+            limited = True
+        stack += [(below, limited) for below in reversed(children(part, False))]
+        if isinstance(part, (Absent, Awaited)):
+            stack.append((part.negated, False))
+
+
+def _has_unbounded_keys(part: Pattern, definition: RuleDefinition) -> bool:
+    """Test whether an operator keeps a state for each value of a variable."""
+    if isinstance(part, Shaped):
+        return part.shape == "change" and any(variables(term) for term in part.by)
+    if not isinstance(part, Windowed) or part.window.kind not in ("newest", "batch", "steps"):
+        return False
+    measured = [value for value in part.values if value is not None]
+    inside = occurrences([*measured, *part.window.looked_at], part.collected)
+    head = [] if definition.head is None else [definition.head]
+    everywhere = occurrences(head, definition.pattern)
+    return any(everywhere[var] > inside.get(var, 0) for var in bound_by(part.collected))
+
+
+def _aggregate_place(rule: WrittenRule) -> Optional[Place]:
+    """Return where the first aggregate stands in a rule."""
+    for inner in inners(held(rule.definition.term), 1, rule.spot):
+        if inner.term.__class__ is tuple and inner.term[0].name == "aggregate":
+            return inner.place
+    return rule.definition.place
 
 
 def missed_pairs(program: Overview) -> Iterator[RuleError]:

@@ -7,7 +7,7 @@ from ...prolog.terms import Term, Values, Var
 from ..language import Shaped
 from ..matches import NetworkOptions
 from ..network import Woken, shaping
-from ..streams import StreamItem, StreamOperator, StreamOutput
+from ..streams import KeyBounds, StreamItem, StreamOperator, StreamOutput
 from .recording import Warn
 
 KeptRate = Tuple[Any, int, int]
@@ -24,9 +24,11 @@ class RateClock(Protocol):
 
     Attributes:
         cap: how many events, or keys, a shape may hold.
+        key_bounds: the bounds of the states of keys that flags set.
     """
 
     cap: int
+    key_bounds: KeyBounds
 
     def time(self) -> int:
         """Return the present instant, by which alarms ring."""
@@ -73,12 +75,14 @@ class SubscriptionRate:
         self.place = place
         self.active = True
         self.woken: Optional[int] = None
-        self.late = self.dropped = 0
+        self.late = self.dropped = self._evicted = 0
         self._stream = self._begin()
 
     def _begin(self) -> StreamOperator:
         stream = self._making.stream(NetworkOptions())
         stream.allowed = self._clock.newest_allowed
+        stream.set_bounds(self._clock.key_bounds)
+        self._evicted = 0
         return stream
 
     def __len__(self) -> int:
@@ -102,6 +106,8 @@ class SubscriptionRate:
         now = self._clock.time() if self._making.clocked else 0
         stream = self._stream
         before = stream.late
+        if stream.bounds is not self._clock.key_bounds:
+            stream.set_bounds(self._clock.key_bounds)
         outputs = stream.take(StreamItem(made, start, end, *self._making.item(values)), now, 0)
         if stream.late != before:
             self.late += 1
@@ -112,6 +118,11 @@ class SubscriptionRate:
             what = (
                 f"more than {self._clock.cap} events are held; {self.dropped} of the oldest have been dropped"
             )
+            self._warn(f"{self._name}: {what} so far", ("dropped", self._name))
+        if stream.evicted != self._evicted:
+            self.dropped += stream.evicted - self._evicted
+            self._evicted = stream.evicted
+            what = f"more than {stream.bounds.keys} keys are held; {self.dropped} of the oldest have been dropped"
             self._warn(f"{self._name}: {what} so far", ("dropped", self._name))
         self._wake()
         self._send(outputs)

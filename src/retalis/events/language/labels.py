@@ -17,7 +17,7 @@ WORDS: Dict[str, Tuple[str, ...]] = {
     "after_match": ("keep", "skip_past_last", "skip_to_next"),
 }
 """The properties whose values are words, with these; of those of one name, what was said last holds."""
-KNOWN_PROPERTIES = ("event_rule_window", "window", "window_step", *WORDS)
+KNOWN_PROPERTIES = ("event_rule_window", "window", "window_step", "ttl", *WORDS)
 _FORMS = "a label is an atom, or Label([property(Name, Value), ...])"
 
 

@@ -144,7 +144,7 @@ class RuleCompiler(StreamBuilding):
         elif isinstance(core, Absent):
             built = self._never(core, context, inner)
         elif isinstance(core, (Windowed, Shaped, Awaited)):
-            built = self._streamed(core, context)
+            built = self._streamed(core, context, inner.part)
         else:
             assert isinstance(core, Action)
             below = self._build(core.pattern, context, inner)

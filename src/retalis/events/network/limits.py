@@ -9,14 +9,19 @@ class Limit(NamedTuple):
     Attributes:
         in_order: where first sides of sequences do not come late.
         late: where they may. What must not happen is kept for them then, and so longer than what takes part.
+        part: for a part of the rule's match: the longest interval of it that is of use. None also for what must not
+            happen.
     """
 
     in_order: Optional[int] = None
     late: Optional[int] = None
+    part: Optional[int] = None
 
     def within(self, span: Optional[int]) -> "Limit":
         """Return the limit of what stands below a bound."""
-        return self if span is None else Limit(least(self.in_order, span), least(self.late, span))
+        if span is None:
+            return self
+        return Limit(least(self.in_order, span), least(self.late, span), least(self.part, span))
 
     def of_negated(self, span: Optional[int]) -> "Limit":
         """Return the limit of what is negated between sides that are no longer than ``span`` together."""

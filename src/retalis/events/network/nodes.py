@@ -65,6 +65,14 @@ class NetworkNode:
         """Return how many matches are held in the node itself, beside those that wait in buffers."""
         return 0
 
+    def keys(self) -> int:
+        """Return the number of keys that have a state in the node itself."""
+        return 0
+
+    def bytes(self) -> int:
+        """Return an estimate of the memory of what is held in the node itself."""
+        return 0
+
     def kept(self) -> Any:
         """Return what the node itself knows beside what waits in its buffers; see `restore`."""
 

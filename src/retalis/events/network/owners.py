@@ -8,6 +8,7 @@ from ...prolog.terms import Term
 from ..dispatch import Completion, EventAction, Listener, MakeLane
 from ..history import Fired, Remembered, Tracker
 from ..matches import Match, MatchBuffer, NetworkOptions, Owner
+from ..streams import KeyBounds
 
 
 class Listening(Protocol):
@@ -120,6 +121,13 @@ class Network(Remembered, Protocol):
     def dropped(self, rule: "RuleOwner", ways: int = 0) -> None:
         """Report that a rule has too many partial matches, or more than `ways` ways to take steps from one start."""
 
+    @property
+    def key_bounds(self) -> KeyBounds:
+        """The bounds of the states of keys that flags set for all rules."""
+
+    def dropped_key(self, rule: "RuleOwner") -> None:
+        """Report that an operator of a rule has too many keys."""
+
     def set_alarm(self, rule: "RuleOwner", term: Term, start: int, instant: int, token: Any = None) -> None:
         """Have an event fire when its instant has come."""
 
@@ -139,6 +147,7 @@ class RuleOwner(Owner, Fired, Protocol):
     Attributes:
         mode: how it runs: what the flags say, and the properties of its label.
         window: the longest interval that its label allows, in ns; None for no bound.
+        idle: the time in ns for which what has no new event is kept; None for no bound.
         clock: the newest end among the events that its patterns matched.
         timed: whether its clock has to be kept.
         double: whether one event may be in two parts of a match.
@@ -155,6 +164,7 @@ class RuleOwner(Owner, Fired, Protocol):
 
     mode: NetworkOptions
     window: Optional[int]
+    idle: Optional[int]
     serial: int
     late: int
     clock: int

@@ -39,6 +39,9 @@ from .streaming import Streaming
 _NEVER = -(1 << 63)
 _UNLIMITED = 1 << 62
 
+MATCH_BYTES = 450
+"""Memory of a partial match that waits; measured with tracemalloc."""
+
 _SWEEP_SLICE = 2000
 """Matches that a sweep visits at once."""
 _SWEEP_STEP = 250
@@ -56,6 +59,7 @@ class Rule:
         mode: how it runs, see `configure`.
         skipping: what its matches have skipped; None where they skip nothing.
         window: the longest interval that its label allows, in ns; None for no bound.
+        idle: the time in ns for which the state of a key is kept without a new event; None for no bound.
         listeners: of its leaves.
         sound: whether it is connected for the mode it is to run in; not where that was interrupted.
         waiting: how many partial matches it has.
@@ -82,6 +86,7 @@ class Rule:
         self.mode = NetworkOptions()
         self.skipping: Optional[Skipping] = None
         self.window: Optional[int] = None
+        self.idle: Optional[int] = None
         self.sound = False
         self.waiting = 0
         self.dropped = 0
@@ -120,13 +125,15 @@ class Rule:
         self, mode: NetworkOptions, window: Optional[int], garbage: Optional[Tuple[int, int]]
     ) -> None:
         """Connect the nodes for a mode, a window and a garbage control (window and step, in ns)."""
+        root: Any = self.root
         self.sound = False
         self.settle()
         self.mode = mode
         self.skipping = skipping = skipping_by(self, mode)
         self.window = window
         self._garbage = garbage
-        self.timed = garbage is not None
+        self.idle = None if garbage is None else garbage[0]
+        self.timed = garbage is not None and not root.alone  # operators on streams have clocks of their own
         for node, span, limits in self.nodes:
             limit = limits.late if mode.out_of_order else limits.in_order
             node.set_span(least(span, window) if node.windowed else span, least(limit, window))
@@ -140,7 +147,6 @@ class Rule:
         self._end_sweep()
         self._resettle()
         self.unlisten()
-        root: Any = self.root
         self.completion = completion = self._completing()
         complete = completion.action
 
@@ -284,6 +290,17 @@ class Rule:
     def held(self) -> int:
         """How many matches wait in it, and are held by what looks at streams."""
         return self.waiting + sum(node.held() for node, _, _ in self.nodes)
+
+    @property
+    def keys(self) -> int:
+        """The number of keys under which matches wait, or that have a state in operators on streams."""
+        buffers = [buffer for buffer in self._buffers() if isinstance(buffer, MatchBuffer)]
+        return sum(len(buffer.newest) for buffer in buffers) + sum(node.keys() for node, _, _ in self.nodes)
+
+    @property
+    def bytes(self) -> int:
+        """An estimate of the memory of what it holds: numbers of items and keys times measured constants."""
+        return self.waiting * MATCH_BYTES + sum(node.bytes() for node, _, _ in self.nodes)
 
     @property
     def active(self) -> bool:

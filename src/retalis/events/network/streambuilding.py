@@ -301,8 +301,10 @@ class StreamBuilding:
     def _negated(self, absent: Awaited, context: VarSet, limit: Limit) -> Negated:
         raise NotImplementedError
 
-    def _streamed(self, core: Union[Windowed, Shaped, Awaited], context: VarSet) -> Built:
-        """Build an operator on streams."""
+    def _streamed(
+        self, core: Union[Windowed, Shaped, Awaited], context: VarSet, part: Optional[int]
+    ) -> Built:
+        """Build an operator on streams; ``part`` is the longest interval of its matches that is of use, in ns."""
         if isinstance(core, Awaited):
             return self._awaited(core, context)
         pattern = core.collected if isinstance(core, Windowed) else core.pattern
@@ -314,7 +316,7 @@ class StreamBuilding:
         if isinstance(core, Shaped):
             node = Streaming(self.rule, [below.node], names, shaping(core, names), core)
             built = below if core.shape != "debounce" else Built(node, [], below.leaves, [])
-            return built._replace(node=self._add(node, None, UNLIMITED))
+            return built._replace(node=self._add(node, None, Limit(part, part)))
         if any(var in context and var not in names for goal in core.window.goals for var in variables(goal)):
             raise RuleError(
                 "a condition of a step looks at a pattern to the left of what is measured", self.rule.place
@@ -325,7 +327,7 @@ class StreamBuilding:
         own, result = resulting(core, groups)
         asking = Asking(self.rule)
         making = measuring(core, names, groups, result, asking)
-        node = self._add(Streaming(self.rule, [below.node], own, making, core), None, UNLIMITED)
+        node = self._add(Streaming(self.rule, [below.node], own, making, core), None, Limit(part, part))
         return Built(node, [], below.leaves, [])
 
     def _awaited(self, core: Awaited, context: VarSet) -> Built:

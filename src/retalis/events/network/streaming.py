@@ -24,6 +24,7 @@ from ..matches import (
 )
 from ..streams import (
     MAX_WAYS_PER_START,
+    KeyBounds,
     QuickForm,
     StreamItem,
     StreamOperator,
@@ -31,6 +32,7 @@ from ..streams import (
     WindowGroup,
     quick_sliding,
 )
+from .limits import least
 from .nodes import NetworkNode
 from .owners import Buffer, RuleOwner
 from .postponing import Postponing
@@ -76,6 +78,7 @@ class Streaming(NetworkNode):
     Attributes:
         woken: the instant at which the clock is to wake it; None where none is.
         late: how many matches came too late to be taken.
+        evicted: number of keys that were dropped because there were too many.
         place: its place among the nodes of the rule.
         carried: absences among the conditions of what must not happen, with the nodes of what they negate.
     """
@@ -99,8 +102,9 @@ class Streaming(NetworkNode):
         self._arrivals: Dict[int, Emit] = {}
         self.place = 0
         self.span: Optional[int] = None
+        self._bounds = KeyBounds()
         self.woken: Optional[int] = None
-        self.late = 0
+        self.late = self.evicted = 0
         self._began: Optional[NetworkOptions] = None
         self.stream = self._begin(NetworkOptions(), rule.meter)
         self.replay: Optional[Replay] = None
@@ -111,11 +115,15 @@ class Streaming(NetworkNode):
         stream.meter = meter
         stream.tracked = mode.tracked
         stream.allowed = self.rule.network.newest_allowed
+        stream.set_bounds(self._bounds)
         return stream
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
         """Set the bounds; see `NetworkNode.set_span`."""
         self.span = span
+        rule = self.rule
+        self._bounds = KeyBounds(limit, least(limit, rule.idle), rule.network.key_bounds.keys)
+        self.stream.set_bounds(self._bounds)
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
@@ -192,7 +200,7 @@ class Streaming(NetworkNode):
         kept = self.stream.kept()
         self.stream = self._begin(self._began or NetworkOptions(), self.rule.meter)
         self.stream.restore(kept)
-        self.stream.late = self.late
+        self.stream.late, self.stream.evicted = self.late, self.evicted
 
     def mend(self) -> None:
         """Put right what an interrupt may have left half done: what is held is counted and filed anew."""
@@ -256,10 +264,8 @@ class Streaming(NetworkNode):
             if stream.late != self.late:
                 self.late = stream.late
                 network.came_late(self.rule, self.making.past)
-            # Only what an event itself leaves out is reported: a replay or an explanation runs the same items again.
-            for _ in range(stream.crowded - crowded):
-                self.rule.dropped += 1
-                network.dropped(self.rule, MAX_WAYS_PER_START)
+            if stream.crowded != crowded or stream.evicted != self.evicted:
+                self._report_dropped(stream.crowded - crowded)
             while len(stream) > network.cap:  # an item can add several partial matches to a window of steps
                 outputs = [*outputs, *self._drop()]
             if stream.next is not None:
@@ -273,6 +279,19 @@ class Streaming(NetworkNode):
         self.rule.dropped += 1
         self.rule.network.dropped(self.rule)
         return self.stream.drop_oldest()
+
+    def _report_dropped(self, ways: int = 0) -> None:
+        """Count and report dropped ways, and the keys that the operator has dropped because there were too many.
+
+        Only what an event itself drops is reported: a replay or an explanation runs the same items again.
+        """
+        for _ in range(ways):
+            self.rule.dropped += 1
+            self.rule.network.dropped(self.rule, MAX_WAYS_PER_START)
+        for _ in range(self.stream.evicted - self.evicted):
+            self.rule.dropped += 1
+            self.rule.network.dropped_key(self.rule)
+        self.evicted = self.stream.evicted
 
     def _wake(self) -> None:
         instant = self.stream.next
@@ -293,6 +312,8 @@ class Streaming(NetworkNode):
         else:
             outputs = postponing.while_at_work(lambda: self.stream.ring(instant))
             after = postponing.before(after)
+        if self.stream.evicted != self.evicted:
+            self._report_dropped()
         self._wake()
         came = self.rule.network.tracker.wakes() if self.stream.tracked else 0
         return self._give(outputs, after, came)
@@ -370,7 +391,7 @@ class Streaming(NetworkNode):
         self.stream.meter = meter = self.rule.meter
         if meter is not None:
             meter(len(self.replay))
-        self.late = self.stream.late
+        self.late, self.evicted = self.stream.late, self.stream.evicted
         self._wake()
         return lost
 
@@ -394,11 +415,19 @@ class Streaming(NetworkNode):
         self.stream = self._begin(mode, self.rule.meter)
         self.replay = Replay(lambda: self._begin(mode, None)) if mode.revised else None
         self.woken = None
-        self.late = 0
+        self.late = self.evicted = 0
 
     def held(self) -> int:
         """Return how many matches, or keys, are held."""
         return len(self.stream)
+
+    def keys(self) -> int:
+        """Return the number of keys that have a state."""
+        return self.stream.keys
+
+    def bytes(self) -> int:
+        """Return an estimate of the memory of what is held."""
+        return self.stream.bytes
 
     def kept(self) -> Any:
         """Return what it knows; see `NetworkNode.kept`."""

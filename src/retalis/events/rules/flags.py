@@ -1,21 +1,34 @@
 """Flags of the event language: their values, defaults, and what they do to the network."""
 
 from difflib import get_close_matches
+from math import inf
 from typing import Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from ...foundation import UsageError
 from ...prolog.terms import Atom, Term, atom, from_seconds
 from ..language import STRICTLY, UNDECLARED
 from ..matches import NetworkOptions, Policy
+from ..streams import KeyBounds
 
 _SWITCH = ("off", "on")
 
 
 class Flag(NamedTuple):
-    """A flag: its default, and the names it takes (none: a number)."""
+    """A flag: its default, and the names it takes (none: a number).
+
+    Attributes:
+        default: the default.
+        values: the names.
+        takes: the numbers that it takes, for errors.
+        least: the smallest of these.
+        whole: whether they are whole.
+    """
 
     default: Term
     values: Tuple[str, ...]
+    takes: str = "a number of seconds"
+    least: float = -inf
+    whole: bool = False
 
 
 def _switch(default: str = "off") -> Flag:
@@ -32,6 +45,8 @@ FLAGS: Dict[str, Flag] = {
     "garbage_window": Flag(-1, ()),
     "garbage_window_step": Flag(-1, ()),
     "max_gap": Flag(-1, ()),
+    "state_ttl": Flag(-1, ()),
+    "max_keys": Flag(100_000, (), "a number of keys from 1", 1, True),
     "logging": _switch(),
     "logging_to_file": _switch(),
     "store_fired_events": _switch(),
@@ -84,8 +99,8 @@ class Flags:
         if flag.values:
             if value.__class__ is not Atom or value.name not in flag.values:
                 raise UsageError(f"{name} takes {', '.join(flag.values)}")
-        elif value.__class__ not in (int, float) or value != value:
-            raise UsageError(f"{name} takes a number of seconds")
+        elif not isinstance(value, (int, float)) or not value >= flag.least or (flag.whole and value % 1):
+            raise UsageError(f"{name} takes {flag.takes}")
         if value != self._values[name]:
             self._changing = name
             self._values[name] = value
@@ -141,8 +156,23 @@ class Flags:
             self.is_on("revision_flag"),
         )
 
+    def key_bounds(self) -> KeyBounds:
+        """Return the bounds of the states of keys, for what has no properties."""
+        ttl = self.number("state_ttl")
+        return KeyBounds(None, from_seconds(ttl) if ttl > 0 else None, int(self.number("max_keys")))
+
     def garbage_control(self, properties: Dict[str, List[int]]) -> Optional[Tuple[int, int]]:
-        """Return window and step of the garbage control of a rule with these properties, or None."""
+        """Return window and step of the garbage control of a rule with these properties, or None.
+
+        A time to live is a garbage control of that window: at each event, all goes that is older.
+        """
+        ttl = self.key_bounds().idle
+        if "ttl" in properties:
+            ttl = min([one for one in properties["ttl"] if one], default=None)  # 0 means that nothing ends
+        found = self._garbage_control(properties)
+        return (ttl, 0) if ttl is not None and (found is None or ttl < found[0]) else found
+
+    def _garbage_control(self, properties: Dict[str, List[int]]) -> Optional[Tuple[int, int]]:
         kind = self.get("garbage_control")
         if kind is atom("general"):
             window = self.number("garbage_window")

@@ -28,7 +28,7 @@ log = logging.getLogger("retalis")
 
 _CONFIGURING = frozenset(
     ("event_consumption_policy", "out_of_order", "revision_flag", "etalis_justification", "garbage_control")
-    + ("garbage_window", "garbage_window_step")
+    + ("garbage_window", "garbage_window_step", "state_ttl", "max_keys")
 )
 
 
@@ -51,6 +51,7 @@ class Rules:
         flags: the flags of ``set_etalis_flag/2``.
         declared: the events that have been declared.
         mode: what the flags say about how the network runs.
+        key_bounds: the bounds of the states of keys that flags set.
         fired_before: how many whole matches rules had that were deleted.
     """
 
@@ -78,6 +79,7 @@ class Rules:
         self.flags = Flags(self._flag_changed)
         self.declared = DeclaredEvents(self)
         self.mode: NetworkOptions = self.flags.mode()
+        self.key_bounds = self.flags.key_bounds()
         self.tracker = Tracker(self)
         self.justifier = Justifier(self, self.tracker)
         self.store = Store(self)
@@ -305,6 +307,7 @@ class Rules:
     def _flag_changed(self, name: str) -> None:
         if name in _CONFIGURING:
             self.mode = self.flags.mode()
+            self.key_bounds = self.flags.key_bounds()
             self.tracker.configure()
             for rule in self.rules:
                 self._configure(rule)
@@ -418,6 +421,14 @@ class Rules:
                 f" has more than {ways} ways to take its steps from one start; "
                 f"{rule.dropped} have been dropped so far"
             )
+        self._warn_seldom(rule, rule.dropped, text)
+
+    def dropped_key(self, rule: RuleOwner) -> None:
+        """Report that an operator of a rule has too many keys."""
+        text = (
+            f" has more than {self.key_bounds.keys} keys; {rule.dropped} of the least recently used have been "
+            "dropped so far; flag max_keys sets the number, property(ttl, SECONDS) of a label ends idle keys"
+        )
         self._warn_seldom(rule, rule.dropped, text)
 
     def _warn_seldom(self, rule: RuleOwner, number: int, text: str) -> None:

@@ -2,7 +2,7 @@
 
 from .awaiting import Agreement, Awaiting
 from .groups import WindowGroup
-from .items import KnownState, StreamItem, StreamOperator, StreamOutput
+from .items import KeyBounds, KnownState, StreamItem, StreamOperator, StreamOutput
 from .measures import MEASURES
 from .numbers import ADDING, check_finite, check_ordered, is_number, is_number_expression, unfit
 from .quick import QuickForm, is_quick, quick_sliding
@@ -23,6 +23,7 @@ __all__ = [
     "FromFirst",
     "Hopping",
     "StreamItem",
+    "KeyBounds",
     "KnownState",
     "StepMark",
     "Newest",

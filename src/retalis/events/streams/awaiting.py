@@ -3,8 +3,7 @@
 import heapq
 from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Optional, Tuple
 
-from .items import KnownState, StreamItem, StreamOutput
-from .shapes import StreamShape
+from .items import NEVER, KeyedOperator, KnownState, StreamItem, StreamOutput
 
 _FEW = 32
 
@@ -36,7 +35,7 @@ class _Forbidden:
     def __init__(self) -> None:
         self.items: List[StreamItem] = []  # some may be gone, where they are many
         self.number = 0
-        self.newest = -(1 << 63)
+        self.newest = NEVER
 
     def add(self, item: StreamItem, span: int, thin: bool) -> List[StreamItem]:
         """Add one; returns those that are superfluous now."""
@@ -59,7 +58,7 @@ class _Forbidden:
             self.items = [one for one in self.items if not one.gone]
 
 
-class Awaiting(StreamShape):
+class Awaiting(KeyedOperator):
     """Gives an item on ``span`` ns after its end, if nothing that must not happen lay wholly between.
 
     The key of an item that waits is what it has in common with what must not happen, and its name among those that
@@ -77,13 +76,20 @@ class Awaiting(StreamShape):
         self._waiting: Dict[Hashable, Dict[Hashable, StreamItem]] = {}
         self._absent: Dict[Hashable, _Forbidden] = {}
         self._number = 0
-        self._reached = -(1 << 63)
+        self._reached = NEVER
         self._due: List[Tuple[int, int, StreamItem]] = []
         self._by_start: List[Tuple[int, int, StreamItem]] = []
         self._order = 0
 
+    ITEM_BYTES = 900
+
     def __len__(self) -> int:
         return self._number
+
+    @property
+    def keys(self) -> int:
+        """See `StreamOperator.keys`."""
+        return len(self._waiting) + len(self._absent)
 
     def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`: of those that wait, else of what must not happen."""
@@ -94,7 +100,7 @@ class Awaiting(StreamShape):
         else:
             while self._by_start[0][2].gone:
                 heapq.heappop(self._by_start)
-            self._forget(self._by_start[0][0])
+            self._forget_before(self._by_start[0][0])
         return []
 
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
@@ -103,7 +109,7 @@ class Awaiting(StreamShape):
             self._reached = (
                 now  # an event that an alarm of the past makes finds what was known then forgotten
             )
-        self._forget(self._reached - self.span)
+        self._forget_before(self._reached - self.span)
         self._order += 1
         item.order = self._order
         key = self.agreement.key(item.match, channel)
@@ -224,7 +230,7 @@ class Awaiting(StreamShape):
             self._number -= 1
         _push(self._by_start, item.start, item, self._number)
 
-    def _forget(self, before: int) -> None:
+    def _forget_before(self, before: int) -> None:
         """Forget what must not happen and has begun too long ago to be in the way of anything."""
         while self._by_start and self._by_start[0][0] <= before:
             item = heapq.heappop(self._by_start)[2]

@@ -24,16 +24,21 @@ def measured(results: Callable[[], Optional[Values]]) -> Tuple[Optional[Values],
 
 
 class WindowGroup:
-    """The items of one group that are in a window, and their measures."""
+    """The items of one group that are in a window, and their measures.
 
-    __slots__ = ("members", "number", "measures", "checks", "begin", "_starts", "_ends")
+    Attributes:
+        since: the instant from which its time counts: the clock at its last item, or for windows that begin with an
+            item the end of that item.
+    """
 
-    def __init__(self, measures: Sequence[WindowMeasure], begin: int = 0):
+    __slots__ = ("members", "number", "measures", "checks", "since", "_starts", "_ends")
+
+    def __init__(self, measures: Sequence[WindowMeasure], since: int = 0):
         self.members: Deque[StreamItem] = deque()
         self.number = 0
         self.measures = measures
         self.checks = [measure.check for measure in measures if measure.picky]
-        self.begin = begin
+        self.since = since
         self._starts: Optional[Lowest] = None
         self._ends: Optional[Lowest] = None
 

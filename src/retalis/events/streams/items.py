@@ -1,10 +1,16 @@
-"""What flows through operators on streams: matches as they come, and what is given on."""
+"""Items and outputs of operators on streams, and the state that an operator holds for each key.
 
+An operator holds a state for each key: the values by which its items are grouped. `KeyedOperator` bounds these states
+by time and by number. Keys are ordered by their last use, so that idle keys are found at the front of the order, and
+each event pays for at most one key that is dropped later.
+"""
+
+from collections import OrderedDict
 from typing import Any, Callable, Hashable, List, NamedTuple, Optional, Protocol, Tuple
 
 from ...foundation import RuleError
 from ...prolog.machine import Meter
-from ...prolog.terms import Values, term_key
+from ...prolog.terms import Atom, String, Values, term_key
 
 
 class StreamItem:
@@ -31,7 +37,11 @@ class StreamItem:
         self.values = values
         self.order = 0
         self.gone = False
-        self.key: Hashable = term_key(by[0]) if len(by) == 1 else tuple([term_key(one) for one in by])
+        if len(by) == 1:
+            only = by[0]
+            self.key: Hashable = only if only.__class__ in PLAIN else term_key(only)
+        else:
+            self.key = tuple([term_key(one) for one in by])
 
     def file(self) -> None:
         """Be in, under the key that it has by its values."""
@@ -60,6 +70,24 @@ class StreamOutput(NamedTuple):
 
 KnownState = Tuple[Any, ...]
 """What an operator knows, as numbers, terms, items and lists of them."""
+PLAIN = frozenset((Atom, int, String))
+"""The kinds of terms that are their own keys."""
+NEVER = -(1 << 63)
+"""An instant before all others."""
+
+
+class KeyBounds(NamedTuple):
+    """Bounds of the states of keys.
+
+    Attributes:
+        span: the longest interval of an output that is of use, in ns; None for no bound.
+        idle: the time in ns for which a key is kept without an item of its own; None for no bound.
+        keys: the largest number of keys.
+    """
+
+    span: Optional[int] = None
+    idle: Optional[int] = None
+    keys: int = 1 << 62
 
 
 class StreamOperator(Protocol):
@@ -72,6 +100,10 @@ class StreamOperator(Protocol):
         next: the instant at which `ring` has something to give on; None where only items do.
         late: how many items came too late to be taken.
         crowded: number of alternatives that were not followed, because one start had too many.
+        evicted: number of keys that were dropped because there were too many.
+        bounds: bounds of the states of keys.
+        keys: number of keys that have a state.
+        bytes: estimate of the memory of the states: numbers of keys and items times constants that were measured.
         tracked: whether outputs name the items that they are made of, a hundred at most, else the newest only.
         meter: counts the items that are looked at as pattern work; None if nothing is counted.
         allowed: gives the newest end that moves the time of the stream on; of later ones only the items are taken.
@@ -80,9 +112,22 @@ class StreamOperator(Protocol):
     next: Optional[int]
     late: int
     crowded: int
+    evicted: int
+    bounds: KeyBounds
     tracked: bool
     meter: Optional[Meter]
     allowed: Callable[[], int]
+
+    @property
+    def keys(self) -> int:
+        """See the attributes."""
+
+    @property
+    def bytes(self) -> int:
+        """See the attributes."""
+
+    def set_bounds(self, bounds: KeyBounds, /) -> None:
+        """Bound the states of keys from the next item on."""
 
     def take(self, item: StreamItem, now: int, channel: int, /) -> List[StreamOutput]:
         """Take an item, and return what is given on.
@@ -110,3 +155,82 @@ class StreamOperator(Protocol):
 
     def restore(self, kept: KnownState, /) -> None:
         """Know what another one did that was made in the same way."""
+
+
+class KeyedOperator:
+    """The common part of operators: the newest end, and the states of keys with their bounds. See `StreamOperator`.
+
+    Attributes:
+        clock: the newest end of the items so far. Ends further in the future than stamps may be do not count.
+        states: the state of each key. For operators that drop idle keys the order is that of the last use, and
+            ``since`` of each state is the clock at that use.
+    """
+
+    KEY_BYTES = 400
+    """Memory of a key, without its items; measured with tracemalloc."""
+    ITEM_BYTES = 400
+    """Memory of an item; measured with tracemalloc."""
+
+    def __init__(self) -> None:
+        self.next: Optional[int] = None
+        self.late = self.crowded = self.evicted = 0
+        self.tracked = False
+        self.meter: Optional[Meter] = None
+        self.allowed: Callable[[], int] = lambda: 1 << 64
+        self.set_bounds(KeyBounds())
+        self.clock = self._until = NEVER
+        # The first key of a plain dict is searched for among all that were deleted before it.
+        self.states: OrderedDict[Hashable, Any] = OrderedDict()
+
+    def set_bounds(self, bounds: KeyBounds) -> None:
+        """See `StreamOperator.set_bounds`."""
+        self.bounds = bounds
+        self._longest, self._idle, self._most_keys = bounds  # asked at each item
+
+    def __len__(self) -> int:
+        return len(self.states)
+
+    @property
+    def keys(self) -> int:
+        """See `StreamOperator.keys`."""
+        return len(self.states)
+
+    @property
+    def bytes(self) -> int:
+        """See `StreamOperator.bytes`."""
+        return self.keys * self.KEY_BYTES + len(self) * self.ITEM_BYTES
+
+    def ring(self, instant: int) -> List[StreamOutput]:
+        """See `StreamOperator.ring`."""
+        return []
+
+    def _is_ahead(self, end: int) -> bool:
+        """Tell whether an end is further in the future than stamps may be: others do not wait for its time."""
+        if end > self._until:
+            self._until = self.allowed()  # which rises: it is asked where it may matter
+        return end > self._until
+
+    def _move_on(self, end: int) -> None:
+        if self.clock < end and (end <= self._until or not self._is_ahead(end)):
+            self.clock = end
+
+    def _forget_idle(self) -> None:
+        """Drop the keys whose last use is longer ago than the bound."""
+        if self._idle is None:
+            return
+        states, before = self.states, self.clock - self._idle
+        while states:
+            key = next(iter(states))
+            if states[key].since >= before:
+                return
+            self._forget(key)
+
+    def _make_room(self) -> None:
+        """Drop the least recently used keys if there are too many."""
+        while len(self.states) > self._most_keys:
+            self._forget(next(iter(self.states)))
+            self.evicted += 1
+
+    def _forget(self, key: Hashable) -> None:
+        """Drop the state of a key."""
+        del self.states[key]

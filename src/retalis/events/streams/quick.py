@@ -8,11 +8,8 @@ from heapq import heappush
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence
 
 from ...foundation import shared_function
-from ...prolog.terms import Atom, EventAction, String, term_key
-from .items import StreamItem
-
-_PLAIN = frozenset((Atom, int, String))
-"""The kinds of terms that are their own keys."""
+from ...prolog.terms import EventAction, term_key
+from .items import PLAIN, StreamItem
 
 
 class QuickForm(NamedTuple):
@@ -105,7 +102,7 @@ def made(term, values, start, end, after):
     stream = node.stream
     queue = stream._queue
 {by}
-    groups = stream.groups
+    groups = stream.states
     group = groups.get(key)
     if (
         group is None
@@ -145,7 +142,9 @@ def made(term, values, start, end, after):
     item.values = {taken}
     item.order = stream._order = order = stream._order + 1
     item.gone = False
-    if not group.number:
+    if group.number:
+        groups.move_to_end(key)
+    else:
         groups[key] = group
     group.number = number = group.number + 1
     stream.number += 1
@@ -195,7 +194,7 @@ def quick_sliding(
         "too_large": too_large,
         "new": object.__new__,
         "StreamItem": StreamItem,
-        "PLAIN": _PLAIN,
+        "PLAIN": PLAIN,
         "term_key": term_key,
         "heappush": heappush,
         "OverflowError": OverflowError,

@@ -2,40 +2,13 @@
 
 import heapq
 from collections import OrderedDict
-from typing import Callable, Dict, Hashable, List, Optional, Tuple
+from typing import Dict, Hashable, List, Tuple
 
-from ...prolog.machine import Meter
 from ...prolog.terms import term_key
-from .items import KnownState, StreamItem, StreamOutput
+from .items import NEVER, PLAIN, KeyedOperator, KnownState, StreamItem, StreamOutput
 
 
-class StreamShape:
-    """What these operators have in common; see `StreamOperator`."""
-
-    def __init__(self) -> None:
-        self.next: Optional[int] = None
-        self.late = self.crowded = 0
-        self.tracked = False
-        self.meter: Optional[Meter] = None
-        self.allowed: Callable[[], int] = lambda: 1 << 64
-        self.clock = self._until = -(1 << 63)
-
-    def ring(self, instant: int) -> List[StreamOutput]:
-        """See `StreamOperator.ring`."""
-        return []
-
-    def _is_ahead(self, end: int) -> bool:
-        """Tell whether an end is further in the future than stamps may be: others do not wait for its time."""
-        if end > self._until:
-            self._until = self.allowed()  # which rises: it is asked where it may matter
-        return end > self._until
-
-    def _move_on(self, end: int) -> None:
-        if self.clock < end and not self._is_ahead(end):
-            self.clock = end
-
-
-class Spaced(StreamShape):
+class Spaced(KeyedOperator):
     """Lets an item through where the last one of its key is ``span`` ns back and more, by the newest end.
 
     Args:
@@ -48,19 +21,16 @@ class Spaced(StreamShape):
         super().__init__()
         self.span = span
         self.every = every
-        self.last: Dict[Hashable, StreamItem] = {}
+        self.states: OrderedDict[Hashable, StreamItem] = OrderedDict()
         self._by_end: List[Tuple[int, int, StreamItem]] = []
         self._order = 0
-
-    def __len__(self) -> int:
-        return len(self.last)
 
     def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`."""
         while True:
             item = heapq.heappop(self._by_end)[2]
-            if self.last.get(item.key) is item:
-                del self.last[item.key]
+            if self.states.get(item.key) is item:
+                del self.states[item.key]
                 return []
 
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
@@ -68,8 +38,8 @@ class Spaced(StreamShape):
         if self._is_ahead(item.end):
             return [StreamOutput((item,), item.start, item.end)]
         self._move_on(item.end)
-        self._forget()
-        before = self.last.get(item.key)
+        self._forget_past()
+        before = self.states.get(item.key)
         if before is None or (self.every and item.end > before.end):
             self._note(item)
         return [StreamOutput((item,), item.start, item.end)] if before is None else []
@@ -78,69 +48,94 @@ class Spaced(StreamShape):
         noted = StreamItem(None, item.start, item.end, item.by, ())  # the match itself is not held
         self._order += 1
         noted.order = self._order
-        self.last[noted.key] = noted
+        self.states[noted.key] = noted
+        if len(self.states) > self._most_keys:
+            self.drop_oldest()
+            self.evicted += 1
         heapq.heappush(self._by_end, (noted.end, noted.order, noted))
-        if len(self._by_end) > 2 * len(self.last) + 64:
-            self._by_end = [(one.end, one.order, one) for one in self.last.values()]
+        if len(self._by_end) > 2 * len(self.states) + 64:
+            self._by_end = [(one.end, one.order, one) for one in self.states.values()]
             heapq.heapify(self._by_end)
 
-    def _forget(self) -> None:
+    def _forget_past(self) -> None:
         before = self.clock - self.span
         while self._by_end and self._by_end[0][0] <= before:
             item = heapq.heappop(self._by_end)[2]
-            if self.last.get(item.key) is item:
-                del self.last[item.key]
+            if self.states.get(item.key) is item:
+                del self.states[item.key]
 
     def kept(self) -> KnownState:
         """See `StreamOperator.kept`."""
-        return (self.clock, list(self.last.values()))
+        return (self.clock, list(self.states.values()))
 
     def restore(self, kept: KnownState) -> None:
         """See `StreamOperator.restore`."""
         self.clock, noted = kept
-        self.last, self._by_end = {}, []
+        self.states.clear()
+        self._by_end = []
         for item in noted:
             item.file()
             self._note(item)
 
 
-class Changing(StreamShape):
+class _LastValue:
+    """The value of a key's last item, the item in which it was new, and the clock at the last item."""
+
+    __slots__ = ("value", "item", "since")
+
+    def __init__(self, value: Hashable, item: StreamItem, since: int):
+        self.value = value
+        self.item = item
+        self.since = since
+
+
+class Changing(KeyedOperator):
     """Lets an item through where what is looked at is another term than in the last one of its key, or the first."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        # the first key of a plain dict is looked for among all that have been dropped before it
-        self.last: OrderedDict[Hashable, Tuple[Hashable, StreamItem]] = OrderedDict()
-
-    def __len__(self) -> int:
-        return len(self.last)
+    KEY_BYTES, ITEM_BYTES = 700, 0
 
     def drop_oldest(self) -> List[StreamOutput]:
-        """See `StreamOperator.drop_oldest`: the key that was first there."""
-        self.last.popitem(last=False)
+        """See `StreamOperator.drop_oldest`: the key that was least recently used."""
+        self.states.popitem(last=False)
         return []
 
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
-        value = term_key(item.values[0])
-        before = self.last.get(item.key)
-        if before is not None and before[0] == value:
-            return []
-        self.last[item.key] = (value, StreamItem(None, item.start, item.end, item.by, item.values))
+        looked_at = item.values[0]
+        value: Hashable = looked_at if looked_at.__class__ in PLAIN else term_key(looked_at)
+        end, key, states = item.end, item.key, self.states
+        if self.clock < end and (end <= self._until or not self._is_ahead(end)):
+            self.clock = end
+        if self._idle is not None:
+            self._forget_idle()
+        known = states.get(key)
+        if known is not None:
+            states.move_to_end(key)
+            known.since = self.clock
+            if known.value == value:
+                return []
+        self._note(value, StreamItem(None, item.start, item.end, item.by, item.values))
         return [StreamOutput((item,), item.start, item.end)]
 
+    def _note(self, value: Hashable, item: StreamItem) -> None:
+        self.states[item.key] = _LastValue(value, item, self.clock)
+        if len(self.states) > self._most_keys:
+            self._make_room()
+
     def kept(self) -> KnownState:
-        """See `StreamOperator.kept`."""
-        return ([item for _, item in self.last.values()],)
+        """See `StreamOperator.kept`: clocks of the last uses, and items, the least recently used key first."""
+        found = self.states.values()
+        return ([one.since for one in found], [one.item for one in found])
 
     def restore(self, kept: KnownState) -> None:
         """See `StreamOperator.restore`."""
-        for item in kept[0]:
+        self.states.clear()
+        for self.clock, item in zip(*kept):
             item.file()
-        self.last = OrderedDict((item.key, (term_key(item.values[0]), item)) for item in kept[0])
+            self._note(term_key(item.values[0]), item)
 
 
-class Settled(StreamShape):
+class Settled(KeyedOperator):
     """Gives an item on ``span`` ns after its end, if none of its key has come that ends as late, within these ns.
 
     Of one key more than one may wait where ends are ahead of the clock, each ``span`` after the other at least.
@@ -149,7 +144,7 @@ class Settled(StreamShape):
     def __init__(self, span: int):
         super().__init__()
         self.span = span
-        self._reached = -(1 << 63)
+        self._reached = NEVER
         self.waiting: Dict[Hashable, List[StreamItem]] = {}
         self._number = 0
         self._due: List[Tuple[int, int, StreamItem]] = []
@@ -157,6 +152,11 @@ class Settled(StreamShape):
 
     def __len__(self) -> int:
         return self._number
+
+    @property
+    def keys(self) -> int:
+        """See `StreamOperator.keys`."""
+        return len(self.waiting)
 
     def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`."""

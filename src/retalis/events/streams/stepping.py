@@ -3,15 +3,17 @@
 All ways that a match may go on are followed at once, the preferred ones first. Ways that no further item can tell
 apart are one, so that nothing is tried again. The time for an item grows with the number of ways. Two limits bound
 it: one start has at most `MAX_WAYS_PER_START` ways, and the length of a window, which its rule limits, counts ways.
+
+If the interval of a match is bounded, ways that began too long ago are dropped at the next item of their group, and
+the whole group when it has been idle for that time: then all of its ways began before that.
 """
 
 from collections import OrderedDict, deque
 from typing import Any, Callable, Deque, Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple
 
-from ...prolog.machine import Meter
 from ...prolog.terms import Values
 from .groups import MOST_NAMED, measured
-from .items import KnownState, StreamItem, StreamOutput
+from .items import NEVER, KeyedOperator, KnownState, StreamItem, StreamOutput
 from .measures import WindowMeasure
 from .steps import SCANNING, Marks, StepPlan, ends, passes
 
@@ -49,10 +51,11 @@ class StepWay:
         marks: the items that conditions look back at.
         taken: the items of the match that has begun.
         start: the order of the first of these.
+        begun: the instant at which the first of these starts.
         after: how many matches of its group came before that one, since there was one that waited.
     """
 
-    __slots__ = ("step", "count", "left", "marks", "taken", "start", "after")
+    __slots__ = ("step", "count", "left", "marks", "taken", "start", "begun", "after")
 
     def __init__(
         self,
@@ -62,6 +65,7 @@ class StepWay:
         marks: Marks,
         taken: Optional[_Taken],
         start: int,
+        begun: int,
         after: int,
     ):
         self.step = step
@@ -70,6 +74,7 @@ class StepWay:
         self.marks = marks
         self.taken = taken
         self.start = start
+        self.begun = begun
         self.after = after
 
     def key(self, counted: Hashable) -> Hashable:
@@ -88,14 +93,16 @@ class StepGroup:
         ways: the ways that are followed, the preferred first.
         whole: the matches that wait, the oldest first: those after which the last way comes, but not the first one.
         counted: the number of ways that the window has counted for this group.
+        since: the clock at its last item.
     """
 
-    __slots__ = ("items", "ways", "whole", "counted")
+    __slots__ = ("items", "ways", "whole", "counted", "since")
 
     def __init__(self, ways: List[StepWay]):
         self.items: Deque[StreamItem] = deque()
         self.ways = ways
         self.counted = 0
+        self.since = NEVER
         self.whole: Deque[_Whole] = deque()
 
     def go_on(self, ways: List[StepWay], whole: Optional[_Whole] = None) -> List[_Whole]:
@@ -147,7 +154,7 @@ class _Onward:
         )
 
 
-class SteppedWindow:
+class SteppedWindow(KeyedOperator):
     """Gives on matches of steps, which do not overlap. See `StreamOperator`.
 
     Args:
@@ -156,53 +163,57 @@ class SteppedWindow:
         plan: the steps.
     """
 
+    KEY_BYTES, ITEM_BYTES = 1200, 700
+
     def __init__(
         self,
         make: Callable[[], Sequence[WindowMeasure]],
         scopes: Sequence[Optional[int]],
         plan: StepPlan,
     ):
+        super().__init__()
         self.make = make
         self.scopes = scopes
         self.plan = plan
-        self.crowded = 0
         self._checks: List[_Refusing] = []
         self._checks_of: List[List[_Refusing]] = [[] for _ in plan.steps]
         for measure, scope in zip(make(), scopes):
             if measure.picky:
                 (self._checks if scope is None else self._checks_of[scope]).append(measure.check)
-        self._groups: OrderedDict[Hashable, StepGroup] = OrderedDict()  # whose oldest is found at once
+        self.states: OrderedDict[Hashable, StepGroup] = OrderedDict()
         self._number = 0
         self._ways = 0
         self._order = 0
-        self._end = -(1 << 63)
-        self.tracked = False
-        self.meter: Optional[Meter] = None
-        self.allowed: Callable[[], int] = lambda: 1 << 64
-        self.next: Optional[int] = None
-        self.late = 0
+        self._end = NEVER
 
     def __len__(self) -> int:
         """Return the number of items, or of ways where that is larger."""
         return max(self._number, self._ways)
 
     def _scanning(self, after: int = 0) -> StepWay:
-        return StepWay(SCANNING, 0, None, (None,) * len(self.plan.marks), None, 0, after)
+        return StepWay(SCANNING, 0, None, (None,) * len(self.plan.marks), None, 0, 0, after)
 
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
         for check in self._checks:
             check(item)
-        group = self._groups.get(item.key)
-        if group is None:
+        clock, end, span, idle = self.clock, item.end, self._longest, self._idle
+        if clock < end and (end <= self._until or not self._is_ahead(end)):
+            clock = end
+        group = self.states.get(item.key)
+        if group is None or (idle is not None and group.since < clock - idle):
             group = StepGroup([self._scanning()])
+        ways = group.ways if span is None else self._in_time(group, clock - span)
         meter = self.meter
-        if meter is not None and meter(len(group.ways)):
+        if meter is not None and meter(len(ways)):
             return []
         item.order = self._order + 1
-        onward = self._go_on(group.ways, item)  # conditions may refuse it: nothing has changed until here
+        onward = self._go_on(ways, item)  # conditions may refuse it: nothing has changed until here
         self._order += 1
-        self._end = item.end
+        self.clock, self._end = clock, end
+        if idle is not None:
+            self._forget_idle()
+        group.since = clock
         if onward.holds(item):
             self._number += 1
             group.items.append(item)
@@ -210,23 +221,36 @@ class SteppedWindow:
         self._set(group, item.key)
         return self._outputs(found)
 
-    def ring(self, instant: int) -> List[StreamOutput]:
-        """See `StreamOperator.ring`: the clock decides nothing."""
-        return []
+    def _in_time(self, group: StepGroup, before: int) -> List[StepWay]:
+        """Return the ways of a group without those that began before an instant."""
+        if all(way.begun >= before or way.taken is None for way in group.ways):
+            return group.ways
+        left = [way for way in group.ways if way.begun >= before or way.taken is None]
+        return self._with_scanning(left, group)
+
+    def _with_scanning(self, ways: List[StepWay], group: StepGroup) -> List[StepWay]:
+        """Return ways that are left of a group, with the way in which no match has begun."""
+        if not ways or ways[-1].step != SCANNING:
+            ways.append(self._scanning(group.ways[-1].after))
+        return ways
 
     def drop_oldest(self) -> List[StreamOutput]:
-        """See `StreamOperator.drop_oldest`: of the oldest group go the ways that have begun with its oldest item.
+        """See `StreamOperator.drop_oldest`: of the least recently used group, ways of its oldest item.
 
         Matches that have waited for these are given on.
         """
-        key, group = next(iter(self._groups.items()))
+        key, group = next(iter(self.states.items()))
         oldest = group.items[0].order
         left = [way for way in group.ways if way.taken is None or way.start != oldest]
-        if not left or left[-1].step != SCANNING:
-            left.append(self._scanning(group.ways[-1].after))
-        found = group.go_on(left)
+        found = group.go_on(self._with_scanning(left, group))
         self._set(group, key)
         return self._outputs(found)
+
+    def _forget(self, key: Hashable) -> None:
+        """Drop a group with its items and ways; matches that wait in it are lost."""
+        group = self.states.pop(key)
+        self._number -= len(group.items)
+        self._ways -= group.counted
 
     def _set(self, group: StepGroup, key: Hashable) -> None:
         """Note a group that has gone on; items that are held no more are forgotten."""
@@ -235,13 +259,18 @@ class SteppedWindow:
         self._ways += ways - group.counted
         group.counted = ways
         if first is not None:
-            self._groups[key] = group
+            if key in self.states:
+                self.states.move_to_end(key)
+            else:
+                self.states[key] = group
+                if len(self.states) > self._most_keys:
+                    self._make_room()
             while group.items[0].order < first:
                 group.items.popleft()
                 self._number -= 1
         else:
             self._number -= len(group.items)
-            self._groups.pop(key, None)
+            self.states.pop(key, None)
 
     # ---- one item ------------------------------------------------------------------------------------
 
@@ -256,7 +285,9 @@ class SteppedWindow:
             if way.step == SCANNING:
                 onward.ways.append(way)
             elif not takers and passing:
-                further = StepWay(way.step, way.count, passing, way.marks, way.taken, way.start, way.after)
+                further = StepWay(
+                    way.step, way.count, passing, way.marks, way.taken, way.start, way.begun, way.after
+                )
                 if self._add(further, onward) and self.plan.is_sure(passing):
                     return onward
         return onward
@@ -283,11 +314,11 @@ class SteppedWindow:
         plan = self.plan
         count = plan.counted(at, way.count + 1 if way.step == at else 1)
         taken = _Taken(item, at, way.taken)
-        start = item.order if way.taken is None else way.start
+        start, begun = (item.order, item.start) if way.taken is None else (way.start, way.begun)
         choices, whole, left, _ = plan.choices(at, count)
         if choices:  # where all pass items over, they are left as after one that is passed over
             marks = plan.marked(way.marks, at, item)
-            added = self._add(StepWay(at, count, left, marks, taken, start, way.after), onward)
+            added = self._add(StepWay(at, count, left, marks, taken, start, begun, way.after), onward)
             if added and not whole and plan.is_sure(choices):
                 return True
         if whole:
@@ -348,30 +379,34 @@ class SteppedWindow:
         """See `StreamOperator.kept`: the items of each group, and by their orders its ways and matches that wait."""
         groups = [
             (
+                group.since,
                 list(group.items),
                 tuple([_numbers(way) for way in group.ways]),
                 tuple([_orders(_in_order(one.taken)) for one in group.whole]),
             )
-            for group in self._groups.values()
+            for group in self.states.values()
         ]
-        return (self.late, self._order, groups)
+        return (self.late, self._order, self.clock, groups)
 
     def restore(self, kept: KnownState) -> None:
         """See `StreamOperator.restore`: where items are missing, those that are left are taken again."""
-        self.late, self._order, groups = kept
-        self._groups, self._number, self._ways = OrderedDict(), 0, 0
-        for items, ways, whole in groups:
+        self.late, self._order, self.clock, groups = kept
+        self.states.clear()
+        self._number = self._ways = 0
+        for since, items, ways, whole in groups:
             if items:
-                self._restore_group(items, ways, whole)
+                self._restore_group(since, items, ways, whole)
 
     def _restore_group(
         self,
+        since: int,
         items: List[StreamItem],
         ways: Sequence[Tuple[object, ...]],
         whole: Sequence[Sequence[Tuple[int, int]]],
     ) -> None:
         known = {item.order: item for item in items}
         group = StepGroup([self._scanning()])
+        group.since = since
         for item in items:
             item.file()
             group.items.append(item)
@@ -395,8 +430,9 @@ class SteppedWindow:
         step, count, left, marks, pairs, after = numbers
         found = tuple([None if order is None else known[order] for order in marks])
         if not pairs:
-            return StepWay(step, count, left, found, None, 0, after)
-        return StepWay(step, count, left, found, _taken_of(pairs, known), pairs[0][0], after)
+            return StepWay(step, count, left, found, None, 0, 0, after)
+        order = pairs[0][0]
+        return StepWay(step, count, left, found, _taken_of(pairs, known), order, known[order].start, after)
 
 
 def _taken_of(pairs: Sequence[Tuple[int, int]], known: Dict[int, StreamItem]) -> _Taken:

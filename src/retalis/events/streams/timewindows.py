@@ -34,18 +34,18 @@ class FromFirst(Window):
         if now > self._reached:
             self._reached = now
         outputs = self._close(self.clock)
-        group = self.groups.get(item.key)
+        group = self.states.get(item.key)
         if group is None:
             if item.end + self.span <= max(self.clock, self._reached):  # its window is over before it begins
                 self.late += 1
                 return outputs
             group = WindowGroup(self.make(), item.end)
-        elif not group.begin <= item.end < group.begin + self.span:
+        elif not group.since <= item.end < group.since + self.span:
             self.late += 1
             return outputs
         self._came(item)
         if not group.number:
-            heapq.heappush(self._open, (group.begin, item.order, item.key, group))
+            heapq.heappush(self._open, (group.since, item.order, item.key, group))
         self._enter(item, group)
         self._set_next()
         return [*outputs, *self._given(group)] if self.running else outputs
@@ -54,7 +54,7 @@ class FromFirst(Window):
         """See `StreamOperator.restore`."""
         super().restore(kept)
         (self._reached,) = kept[5:]
-        self._open = [(group.begin, group.members[0].order, key, group) for key, group in self.groups.items()]
+        self._open = [(group.since, group.members[0].order, key, group) for key, group in self.states.items()]
         heapq.heapify(self._open)
 
     def kept(self) -> KnownState:
@@ -66,8 +66,8 @@ class FromFirst(Window):
         return self._close(instant)
 
     def _tidy(self) -> None:
-        if len(self._open) > 2 * len(self.groups) + 64:
-            self._open = [one for one in self._open if self.groups.get(one[2]) is one[3]]
+        if len(self._open) > 2 * len(self.states) + 64:
+            self._open = [one for one in self._open if self.states.get(one[2]) is one[3]]
             heapq.heapify(self._open)
 
     def _close(self, instant: int) -> List[StreamOutput]:
@@ -75,7 +75,7 @@ class FromFirst(Window):
         opened = self._open
         while opened and opened[0][0] + self.span <= instant:
             begin, _, key, group = heapq.heappop(opened)
-            if self.groups.get(key) is group:
+            if self.states.get(key) is group:
                 if not self.running:
                     outputs += self._given(group, begin, begin + self.span)
                 self._empty(group, key)
@@ -102,7 +102,7 @@ class RunningWindow(Window):
             self.late += 1
             return []
         if index > present:
-            for key, group in list(self.groups.items()):
+            for key, group in list(self.states.items()):
                 self._empty(group, key)
         self._move_on(item.end)
         group = self._group_of(item)
@@ -127,7 +127,7 @@ class Hopping(Window):
 
     def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`."""
-        if self.groups:
+        if self.states:
             return super().drop_oldest()
         heapq.heappop(self._ahead)
         return []
@@ -182,12 +182,12 @@ class Hopping(Window):
             self._note(item)
         outputs = [
             output
-            for group in sorted(self.groups.values(), key=lambda one: one.members[0].order)
+            for group in sorted(self.states.values(), key=lambda one: one.members[0].order)
             for output in self._given(group, instant - self.span, instant)
         ]
         after = instant + self.every
         self._leave_before(after - self.span)
-        if self.groups:
+        if self.states:
             self.next = after
         elif self._ahead:
             self.next = max(after, (self._ahead[0][0] // self.every + 1) * self.every)

@@ -8,35 +8,30 @@ import heapq
 from collections import OrderedDict, deque
 from typing import Callable, Deque, Hashable, List, Optional, Sequence, Tuple
 
-from ...prolog.machine import Meter
 from .groups import WindowGroup
-from .items import KnownState, StreamItem, StreamOutput
+from .items import KeyedOperator, KnownState, StreamItem, StreamOutput
 from .measures import WindowMeasure
 
 Make = Callable[[], Sequence[WindowMeasure]]
 
 
-class Window:
-    """What all windows have in common: groups, and the newest end. See `StreamOperator`.
+class Window(KeyedOperator):
+    """The common part of all windows: groups of items, by their keys. See `StreamOperator`.
 
     Args:
         make: makes the measures of a group.
 
     Attributes:
-        clock: the newest end of the items so far.
         number: how many items are in groups.
     """
 
+    KEY_BYTES, ITEM_BYTES = 900, 350
+
     def __init__(self, make: Make):
+        super().__init__()
         self.make = make
-        self.groups: OrderedDict[Hashable, WindowGroup] = OrderedDict()  # whose oldest is found at once
-        self.tracked = False
-        self.meter: Optional[Meter] = None
+        self.states: OrderedDict[Hashable, WindowGroup] = OrderedDict()
         self._lists = any(measure.lists for measure in make())
-        self.allowed: Callable[[], int] = lambda: 1 << 64
-        self.clock = self._until = -(1 << 63)
-        self.next: Optional[int] = None
-        self.late = self.crowded = 0
         self.number = 0
         self._order = 0
 
@@ -44,18 +39,14 @@ class Window:
         return self.number
 
     def drop_oldest(self) -> List[StreamOutput]:
-        """See `StreamOperator.drop_oldest`: of the group that is there for the longest time."""
-        group = next(iter(self.groups.values()))
+        """See `StreamOperator.drop_oldest`: of the group that was least recently used."""
+        group = next(iter(self.states.values()))
         self._leave(next(one for one in group.members if not one.gone))
         self._tidy()
         return []
 
     def _tidy(self) -> None:
         """Drop what has gone before its time from where it is filed, if that is the larger part."""
-
-    def ring(self, instant: int) -> List[StreamOutput]:
-        """See `StreamOperator.ring`."""
-        return []
 
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
@@ -64,16 +55,17 @@ class Window:
     def kept(self) -> KnownState:
         """See `StreamOperator.kept`."""
         groups = [
-            (group.begin, [one for one in group.members if not one.gone]) for group in self.groups.values()
+            (group.since, [one for one in group.members if not one.gone]) for group in self.states.values()
         ]
         return (self.clock, self.next, self.late, self._order, groups)
 
     def restore(self, kept: KnownState) -> None:
         """See `StreamOperator.restore`."""
         self.clock, self.next, self.late, self._order, groups = kept[:5]
-        self.groups, self.number = OrderedDict(), 0
-        for begin, members in groups:
-            group = WindowGroup(self.make(), begin)
+        self.states.clear()
+        self.number = 0
+        for since, members in groups:
+            group = WindowGroup(self.make(), since)
             for item in members:
                 item.file()
                 self._enter(item, group)
@@ -84,7 +76,7 @@ class Window:
 
     def _group_of(self, item: StreamItem) -> WindowGroup:
         """Return the group of an item, made where there is none; nothing is changed where a value is refused."""
-        group = self.groups.get(item.key)
+        group = self.states.get(item.key)
         if group is None:
             group = WindowGroup(self.make())
         for check in group.checks:
@@ -95,31 +87,48 @@ class Window:
         self._order += 1
         item.order = self._order
 
+    def _used_group(self, item: StreamItem) -> WindowGroup:
+        """Return the group of an item that uses it now, after idle groups were dropped."""
+        group = self._group_of(item)
+        end = item.end
+        if self.clock < end and (end <= self._until or not self._is_ahead(end)):
+            self.clock = end
+        if self._idle is not None:
+            self._forget_idle()
+            if group.number and item.key not in self.states:
+                group = WindowGroup(self.make())
+        group.since = self.clock
+        return group
+
     def _enter(self, item: StreamItem, group: WindowGroup) -> None:
-        self.groups[item.key] = group
+        states = self.states
+        if group.number:
+            states.move_to_end(item.key)
+        else:
+            states[item.key] = group
+            if len(states) > self._most_keys:
+                self._make_room()
         self.number += 1
         group.add(item)
 
+    def _forget(self, key: Hashable) -> None:
+        """Drop a group with its items."""
+        self._empty(self.states[key], key)
+        self._tidy()
+
     def _leave(self, item: StreamItem) -> None:
-        group = self.groups[item.key]
+        group = self.states[item.key]
         group.remove(item)
         self.number -= 1
         if not group.number:
-            del self.groups[item.key]
+            del self.states[item.key]
 
     def _empty(self, group: WindowGroup, key: Hashable) -> None:
         """Have all items of a group leave at once, also where an interrupt comes meanwhile."""
-        del self.groups[key]
+        del self.states[key]
         self.number -= group.number
         for item in group.members:
             item.gone = True
-
-    def _move_on(self, end: int) -> None:
-        if self.clock < end:
-            if end > self._until:
-                self._until = self.allowed()  # which rises: it is asked where it may matter
-            if end <= self._until:
-                self.clock = end
 
     def _given(
         self, group: WindowGroup, start: Optional[int] = None, end: Optional[int] = None
@@ -187,7 +196,7 @@ class Newest(Window):
 
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
-        group = self._group_of(item)
+        group = self._used_group(item)
         self._came(item)
         self._enter(item, group)
         while group.number > self.most:  # more than one where an interrupt came before it left
@@ -205,10 +214,10 @@ class Batches(Window):
 
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
-        group = self._group_of(item)
+        group = self._used_group(item)
         if group.number >= self.most:  # it was full when an interrupt came
             self._empty(group, item.key)
-            group = self._group_of(item)
+            group = self._used_group(item)
         self._came(item)
         self._enter(item, group)
         full = group.number >= self.most

@@ -202,9 +202,11 @@ function showRules({ status, rates }) {
     numeric(rate(rates[`rule:${at}`])),
     numeric(one.last_fired === null ? "–" : `${since(status.now, one.last_fired)} ago`, false, true),
     numeric(number(one.waiting) + (one.dropped ? ` (${number(one.dropped)} lost)` : ""), one.dropped > 0, true),
+    numeric(number(one.keys), false, true),
+    numeric((one.bytes / 1e6).toFixed(1), false, true),
     numeric(number(one.errors), one.errors > 0),
   ] }));
-  fill("rules", more(rows, status.left_out.rules, 6), 6, "there are none");
+  fill("rules", more(rows, status.left_out.rules, 8), 8, "there are none");
 }
 
 function showEvents({ events, status, explains }) {
