@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Callable
 
 from .folders import add_direct, add_folders
-from .limits import add_limits
+from .limits import add_chunk_limit, add_limits
 from .manybags import add_many, are_many, play_many
 from .numbers import from_zero
 from .playing import play
@@ -112,6 +112,7 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
         metavar="SECONDS",
         help="interpolate over no gap that is wider than that (0: any gap)",
     )
+    add_chunk_limit(parser)
 
 
 def run(options: argparse.Namespace) -> int:

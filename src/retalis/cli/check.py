@@ -12,7 +12,7 @@ from ..events.checks import ERROR, INFO, Finding
 from ..foundation import MessageError, counted, printable
 from ..messages import Definitions, Installed
 from .folders import add_direct
-from .limits import add_swi
+from .limits import add_chunk_limit, add_swi
 
 DESCRIPTION = """\
 Load a program's folder as a node does, without ROS, or a file of rules, and say all that is wrong with it or hardly
@@ -49,6 +49,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         metavar="FOLDER",
         help="a package with a folder msg, that folder itself, or a folder of packages",
     )
+    add_chunk_limit(parser)
     parser.set_defaults(run=run)
 
 
@@ -56,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     definitions = Definitions(Installed(further=[_package(path) for path in options.msg]))
     for path in options.bag:
-        _learn(definitions, path)
+        _learn(definitions, path, options.max_chunk_megabytes)
     found = check_program(options.folder, definitions, options.direct, Settings(allow_swi=options.allow_swi))
     errors = sum(one.severity == ERROR for one in found)
     infos = sum(one.severity == INFO for one in found)
@@ -83,9 +84,9 @@ def _package(path: Path) -> str:
     return str(path.parent if path.name == "msg" else path)
 
 
-def _learn(definitions: Definitions, path: Path) -> None:
+def _learn(definitions: Definitions, path: Path, max_chunk_megabytes: int) -> None:
     """Add the message types of a bag."""
-    with open_bag(path) as bag:
+    with open_bag(path, max_chunk_megabytes) as bag:
         for topic in bag.topics:
             try:
                 definitions.received(topic.type, topic.type, topic.definition, topic.md5sum)

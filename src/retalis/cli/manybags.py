@@ -35,6 +35,7 @@ _OPTIONS = (
     "direct",
     "max_skew",
     "max_gap",
+    "max_chunk_megabytes",
     "events",
     "times",
     "explain",

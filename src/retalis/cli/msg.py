@@ -7,6 +7,7 @@ from typing import Callable, Dict
 from ..engine.playback import open_bag
 from ..foundation import MessageError, UsageError, plain_type, type_fault
 from ..messages import Definition, Definitions, by_names, positional, zero
+from .limits import add_chunk_limit
 
 FORMATS: Dict[str, Callable[[Definition, Definitions], str]] = {
     "term": lambda found, known: positional(found),
@@ -33,6 +34,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         help="term: a variable for each slot, slots as comments (default); names: slots by name; "
         "zero: with zeros, to be sent",
     )
+    add_chunk_limit(parser)
     parser.set_defaults(run=run)
 
 
@@ -44,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
     if fault is not None:
         raise UsageError(f"{fault}{_meant(definitions, kind)}")
     if options.bag is not None:
-        _learn(definitions, options.bag, kind)
+        _learn(definitions, options.bag, kind, options.max_chunk_megabytes)
     try:
         found = definitions.find(kind)
     except MessageError as error:
@@ -60,9 +62,9 @@ def _meant(definitions: Definitions, kind: str) -> str:
     return f"; did you mean {found}?" if found else ""
 
 
-def _learn(definitions: Definitions, path: Path, kind: str) -> None:
+def _learn(definitions: Definitions, path: Path, kind: str, max_chunk_megabytes: int) -> None:
     """Learn a type from a bag, by which its messages are read."""
-    with open_bag(path) as bag:
+    with open_bag(path, max_chunk_megabytes) as bag:
         topics = sorted(
             bag.topics, key=lambda topic: topic.type != kind
         )  # what lies in others is found in them, too

@@ -44,7 +44,7 @@ def play(
         state: of the program at the end of the part before this one, where it goes on from there.
     """
     with ExitStack() as stack:
-        bags = stack.enter_context(BagSeries(options.bags, options.start, options.duration))
+        bags = stack.enter_context(bags_of(options))
         playback = playback_of(options, report, bags, state)
         if options.explain:
             record_origins(playback.engine)
@@ -58,6 +58,11 @@ def play(
                 writer.write(output)
         show.finish()
     return playback
+
+
+def bags_of(options: argparse.Namespace) -> BagSeries:
+    """Return the bags that the options name, open."""
+    return BagSeries(options.bags, options.start, options.duration, options.max_chunk_megabytes)
 
 
 def playback_of(

@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import Callable
 
 from ..engine.drawing import PICTURES, Timeline, TimelineBuilder, draw_timeline, page, read_run
-from ..engine.playback import BagSeries, RunLook
+from ..engine.playback import RunLook
 from ..engine.runtime import limit_gc_pauses
 from ..foundation import UsageError
 from .bag import add_source
 from .folders import add_folders
 from .limits import add_limits
-from .playing import playback_of, share_of
+from .playing import bags_of, playback_of, share_of
 from .progress import progress
 from .report import Report
 
@@ -85,7 +85,7 @@ def _read(path: Path) -> Timeline:
 def _played(options: argparse.Namespace, report: Report) -> TimelineBuilder:
     """Run the program over the bags and look on."""
     builder = TimelineBuilder()
-    with BagSeries(options.bags, options.start, options.duration) as bags:
+    with bags_of(options) as bags:
         playback = playback_of(options, report)
         look = RunLook(playback, builder.take)
         with progress("messages", share_of(playback, bags)) as bar:

@@ -12,7 +12,7 @@ from .installed import Installed
 from .layout import BARE
 from .open import fault_of
 from .registry import Definitions
-from .ros2 import ros2_type
+from .ros2 import Ros2Type, ros2_type
 from .slotnames import SlotNames
 from .stamps import FrameStamp, frame_text, watched
 from .templates import by_names, positional, zero
@@ -31,6 +31,7 @@ __all__ = [
     "functor_name",
     "Installed",
     "positional",
+    "Ros2Type",
     "ros2_type",
     "SlotNames",
     "text_without",

@@ -1,8 +1,11 @@
+import tracemalloc
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rosbags")
+
+from hostilebags import ros1_bag  # noqa: E402
 
 from retalis.engine.playback import BagReader, BagWriter  # noqa: E402
 from retalis.engine.playback.bags import BagError, Topic  # noqa: E402
@@ -127,6 +130,58 @@ def test_overwritten_bytes_raise_nothing_else(bag, tmp_path):
                 list(reader.records())
         except BagError:
             pass
+
+
+HOSTILE = [
+    ({"stated": 4}, "the none chunk at byte 4109: it has more than the 4 bytes that its header states"),
+    ({"stated": 100}, "the none chunk at byte 4109: it ends after 55 bytes: its header states 100"),
+    (
+        {"stated": 2 << 30},
+        "the none chunk at byte 4109 states 2147483648 bytes: expected at most 512 megabytes",
+    ),
+    (
+        {"compression": "bz2", "packed": b"BZh9"},
+        "the bz2 chunk at byte 4109: it ends after 0 bytes: its header states",
+    ),
+    ({"compression": "xz", "packed": b""}, "compression 'xz' is unknown: expected none, bz2, lz4 or zstd"),
+    ({"entries": [3]}, "."),
+    ({"entries": [1 << 31]}, "."),
+    ({"entries": [0] * 12}, "the index names a message in the chunk at byte 4109 more than once"),
+    ({"index_count": 1 << 30}, "."),
+    ({"connections": 2}, "connection 0 is there twice"),
+    ({"infos": [0, 0]}, "the chunk at byte 4109 is inside another one"),
+    ({"infos": [0] * 3000}, "its index names the same bytes again and again"),
+]
+
+
+@pytest.mark.parametrize(("changes", "expected"), HOSTILE)
+def test_headers_and_indexes_that_claim_too_much(tmp_path, changes, expected):
+    path = tmp_path / "a.bag"
+    path.write_bytes(ros1_bag([[b"hello"]], **changes))
+    with pytest.raises(BagError, match=expected), BagReader(path) as reader:
+        list(reader.records())
+
+
+def test_lengths_beyond_the_end_of_the_file_take_no_memory(tmp_path):
+    """All lengths of the headers, each in its turn, are nearly 4 GB."""
+    content = ros1_bag([[b"hello"], [b"world"]])
+    path = tmp_path / "a.bag"
+    places = [
+        at for at in range(13, len(content) - 4) if 0 < int.from_bytes(content[at : at + 4], "little") < 5000
+    ]
+    tracemalloc.start()
+    try:
+        for at in places:
+            path.write_bytes(content[:at] + b"\xf0\xff\xff\xff" + content[at + 4 :])
+            try:
+                with BagReader(path) as reader:
+                    list(reader.records())
+            except BagError:
+                pass
+        assert tracemalloc.get_traced_memory()[1] < 5_000_000
+    finally:
+        tracemalloc.stop()
+    assert len(places) > 50
 
 
 @pytest.mark.parametrize(

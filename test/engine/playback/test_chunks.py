@@ -2,32 +2,33 @@
 
 import bz2
 import threading
-from collections import namedtuple
 from io import BytesIO
 
 import pytest
 
 from retalis.engine.playback import BagReader
-from retalis.engine.playback.chunks import AHEAD, chunks
+from retalis.engine.playback import chunks as module
+from retalis.engine.playback.chunks import AHEAD, MAX_REPEATS, Chunk, chunks
+from retalis.engine.playback.decompression import ChunkLimit
 
-Chunk = namedtuple("Chunk", "datasize datapos decompressor")
-Reader = namedtuple("Reader", "chunks bio")
+LIMIT = ChunkLimit(1)
 TEXTS = [bytes([number]) * (number * 1000) for number in range(1, 9)]
 
 
-def reader(compress, decompress):
-    made, found = b"", {}
-    for number, text in enumerate(TEXTS):
-        data = compress(text)
-        found[number] = Chunk(len(data), len(made), decompress)
-        made += data
-    return Reader(found, BytesIO(made))
+def packed(kind, texts=TEXTS):
+    """Return a file of packed chunks, and their places."""
+    data, places = b"", {}
+    for number, text in enumerate(texts):
+        part = bz2.compress(text) if kind == "bz2" else text
+        places[number] = Chunk(len(data), len(part), len(text), kind)
+        data += part
+    return BytesIO(data), places
 
 
 @pytest.fixture(params=["none", "bz2"])
 def kept(request, monkeypatch):
     monkeypatch.setattr("os.cpu_count", lambda: 4)
-    return reader(bz2.compress, bz2.decompress) if request.param == "bz2" else reader(bytes, bytes)
+    return packed(request.param)
 
 
 def helpers():
@@ -38,21 +39,28 @@ def helpers():
 def test_they_come_as_they_are_asked_for(kept, cores, monkeypatch):
     monkeypatch.setattr("os.cpu_count", lambda: cores)
     order = [0, 0, 0, 1, 2, 2, 1, 7, 0, 0, 3]
-    assert list(chunks(kept, order)) == [TEXTS[at] for at in (0, 1, 2, 1, 7, 0, 3)]
-    assert list(chunks(kept, [])) == []
+    assert list(chunks(*kept, order, LIMIT)) == [TEXTS[at] for at in (0, 1, 2, 1, 7, 0, 3)]
+    assert list(chunks(*kept, [], LIMIT)) == []
     assert helpers() == []
 
 
 def test_what_is_broken_is_told_when_its_turn_comes(kept):
-    size, place, decompress = kept.chunks[2]
-    beyond = Chunk(size, len(kept.bio.getvalue()) + 10, decompress)
-    for broken in (beyond, Chunk(size, place, lambda raw: 1 // 0), None):
-        kept.chunks[2] = broken
+    file, places = kept
+    good = places[2]
+    for broken in (
+        good._replace(position=len(file.getvalue()) + 10),
+        good._replace(size=good.size + 1),
+        good._replace(size=good.size - 1),
+        good._replace(size=2 << 20),
+        good._replace(compression="xz"),
+        None,
+    ):
+        places[2] = broken
         if broken is None:
-            del kept.chunks[2]
-        found = chunks(kept, [0, 1, 2, 3])
+            del places[2]
+        found = chunks(file, places, [0, 1, 2, 3], LIMIT)
         assert [next(found), next(found)] == TEXTS[:2]
-        with pytest.raises((ValueError, KeyError, ZeroDivisionError)):
+        with pytest.raises(ValueError, match="chunk at byte 2"):
             next(found)
     assert helpers() == []
 
@@ -61,14 +69,14 @@ def test_few_are_decompressed_before_they_are_asked_for(monkeypatch):
     done = threading.Semaphore(0)
     number = []
 
-    def decompress(data, really=bz2.decompress):
+    def unpack(*arguments, really=module.unpack):
         number.append(1)
         done.release()
-        return really(data)
+        return really(*arguments)
 
     monkeypatch.setattr("os.cpu_count", lambda: 4)
-    monkeypatch.setattr(bz2, "decompress", decompress)
-    found = chunks(reader(bz2.compress, decompress), range(8))
+    monkeypatch.setattr(module, "unpack", unpack)
+    found = chunks(*packed("bz2"), range(8), LIMIT)
     assert next(found) == TEXTS[0]
     for _ in range(AHEAD + 1):
         assert done.acquire(timeout=60)
@@ -76,6 +84,29 @@ def test_few_are_decompressed_before_they_are_asked_for(monkeypatch):
     found.close()
     assert len(number) == AHEAD + 1
     assert helpers() == []
+
+
+@pytest.mark.parametrize("cores", [1, 4])
+def test_a_chunk_that_is_asked_for_again_is_held_if_there_is_room(cores, monkeypatch):
+    read = []
+
+    def unpack(kind, data, size, really=module.unpack):
+        read.append(size)
+        return really(kind, data, size)
+
+    monkeypatch.setattr("os.cpu_count", lambda: cores)
+    monkeypatch.setattr(module, "unpack", unpack)
+    texts = [bytes(300_000), bytes(400_000), bytes(900_000)]
+    file, places = packed("bz2", texts)
+    order = [0, 1] * 50
+    assert [len(chunk) for chunk in chunks(file, places, order, LIMIT)] == [300_000, 400_000] * 50
+    assert sorted(read) == [300_000, 400_000]
+    read.clear()
+    found = chunks(file, places, [1, 2] * 50, LIMIT)  # both together are larger than what may be held
+    with pytest.raises(ValueError, match="messages of large chunks alternate in time too often"):
+        for _ in found:
+            pass
+    assert 0 < read.count(900_000) <= MAX_REPEATS * 2 + 1
 
 
 def test_a_compressed_bag_is_read_as_another(tmp_path):

@@ -1,6 +1,7 @@
 """A program over a bag, without ROS: what the nodes give live, from the same messages."""
 
 from .bags import BagError, BagReader, BagWriter, Record, Topic
+from .decompression import MAX_CHUNK_MEGABYTES
 from .looking import Line, RunLook, output_line, recorded
 from .places import (
     FoundBag,
@@ -32,6 +33,7 @@ __all__ = [
     "is_there",
     "is_url",
     "Line",
+    "MAX_CHUNK_MEGABYTES",
     "on_cluster",
     "open_bag",
     "Output",

@@ -1,16 +1,22 @@
 """ROS 1 bags, read and written message by message as raw bytes; the ``rosbags`` package does the work."""
 
+import io
+import os
 from contextlib import closing
 from operator import itemgetter
 from pathlib import Path
 from struct import Struct
-from typing import Any, Collection, Dict, Iterator, List, NamedTuple, Optional, Tuple, Union
+from typing import Any, BinaryIO, Collection, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple, Union
 
 from ...foundation import RetalisError
 from ...messages import Definition
-from .chunks import chunks
+from .chunks import Chunk, chunks
+from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, reason
 
 _SIZE = Struct("<I")
+_LONGEST_LINE = 64
+"""Bytes of the first line that are read; it has 13."""
+
 _IS_MESSAGE, _IS_CONNECTION = (b"\x04\x00\x00\x00op=" + bytes([code]) for code in (2, 7))
 """The field of a record's header that says what it is."""
 
@@ -81,6 +87,10 @@ class BagReader:
     ...         print(topic.name, topic.type, time, data[4:])
     /chatter std_msgs/String 1000000000 b'hello'
 
+    Args:
+        path: the file.
+        max_chunk_megabytes: the size of the largest chunk that is unpacked.
+
     Attributes:
         path: the file.
         topics: its connections; a topic with several publishers is there several times.
@@ -91,14 +101,15 @@ class BagReader:
         BagError: where the file is missing, is not a ROS 1 bag, or is cut off (``rosbag reindex`` helps).
     """
 
-    def __init__(self, path: PathLike):
+    def __init__(self, path: PathLike, max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES):
         self.path = Path(path)
+        self._limit = ChunkLimit(max_chunk_megabytes)
         self._reader = _open(self.path)
         self._topics: Dict[int, Topic] = {
             connection.id: _topic(connection) for connection in self._reader.connections
         }
         self.topics: Tuple[Topic, ...] = tuple(self._topics.values())
-        self.messages: int = self._reader.message_count
+        self.messages: int = sum(topic.messages for topic in self.topics)
         self.start: int = self._reader.start_time if self.messages else 0
         self.end: int = self._reader.end_time - 1 if self.messages else 0
 
@@ -130,7 +141,8 @@ class BagReader:
             return
         try:
             entries = self._entries(connections, start, stop)
-            with closing(chunks(self._reader, [position for _, position, _, _ in entries])) as coming:
+            positions = [position for _, position, _, _ in entries]
+            with closing(chunks(self._reader.bio, self._reader.chunks, positions, self._limit)) as coming:
                 yield from _messages(entries, coming)
         except Exception as error:  # broken bags raise whatever their bytes lead to
             raise BagError(f"{self.path}: the bag is broken: {reason(error)}") from error
@@ -240,21 +252,27 @@ def _messages(entries: List[_MessageEntry], coming: Iterator[bytes]) -> Iterator
     The way of ``rosbags`` reads every field of their headers from a file object, in three times the time.
     """
     size_at = _SIZE.unpack_from
-    current, chunk = None, b""
+    current, chunk, unread = -1, b"", 0
+    rests: Dict[int, int] = {}  # bytes of chunks that no message has taken yet
     for time, position, offset, topic in entries:
         if position != current:
+            rests[current] = unread
             current, chunk = position, next(coming)
+            unread = rests.get(position, len(chunk))
         (size,) = size_at(chunk, offset)
         at = offset + 4 + size
         while chunk.find(_IS_MESSAGE, offset, at) < 0:  # a connection's record that stands before its message
             if chunk.find(_IS_CONNECTION, offset, at) < 0:
-                raise ValueError("the index does not point to a message")
+                raise ValueError(f"the index of the chunk at byte {position} does not point to a message")
             offset = at + 4 + size_at(chunk, at)[0]
             at = offset + 4 + size_at(chunk, offset)[0]
         (size,) = size_at(chunk, at)
         data = chunk[at + 4 : at + 4 + size]
         if len(data) != size:
-            raise ValueError("a message is truncated")
+            raise ValueError(f"a message in the chunk at byte {position} is truncated")
+        unread -= size
+        if unread < 0:  # an index of 12 bytes for each copy of a message of megabytes
+            raise ValueError(f"the index names a message in the chunk at byte {position} more than once")
         yield Record(topic, time, data)
 
 
@@ -263,11 +281,93 @@ def _open(path: Path) -> Any:
     if not path.is_file():
         raise BagError(f"{path}: there is no such file")
     try:
-        reader = rosbag1.Reader(path)
+        reader = _index_reader(rosbag1)(path)
+        reader.path = _BagPath(path)
         reader.open()
+        reader.bio.end_opening()
     except Exception as error:  # broken bags raise whatever their bytes lead to
         raise BagError(f"{path} is not a complete ROS 1 bag: {reason(error)}") from error
     return reader
+
+
+class _BagFile(io.BufferedReader):
+    """A file in which lengths that come from itself are compared with its size.
+
+    While the index is read, no more bytes are read than the file has: an index whose entries name the same bytes
+    again and again would take time and memory that grow with the square of its size.
+    """
+
+    def __init__(self, path: Path):
+        super().__init__(io.FileIO(str(path)))
+        self._size = os.fstat(self.fileno()).st_size
+        self._unread: float = self._size + io.DEFAULT_BUFFER_SIZE
+
+    def end_opening(self) -> None:
+        """Let all bytes be read as often as is needed."""
+        self._unread = float("inf")
+
+    def read(self, size: Optional[int] = -1) -> bytes:
+        """Read what there is, at most a number of bytes, without memory for more."""
+        if size is None or size < 0 or size > io.DEFAULT_BUFFER_SIZE:
+            rest = max(0, self._size - self.tell())
+            size = rest if size is None or size < 0 else min(size, rest)
+        self._unread -= size
+        if self._unread < 0:
+            raise ValueError("its index names the same bytes again and again")
+        return super().read(size)
+
+    def readline(self, size: Optional[int] = -1) -> bytes:
+        """Read the first line, which says that this is a bag."""
+        return super().readline(_LONGEST_LINE)
+
+
+class _BagPath:
+    """The path of a bag, which `rosbags` opens."""
+
+    def __init__(self, path: Path):
+        self._path = path
+
+    def open(self, mode: str) -> BinaryIO:
+        """Open the file for reading."""
+        return _BagFile(self._path)
+
+
+def _index_reader(rosbag1: Any) -> Any:
+    """Return a reader of ``rosbags`` that knows sizes of chunks, and refuses connections and chunks that repeat."""
+    from rosbags.rosbag1.reader import Header, RecordType  # noqa: PLC0415 - an optional package
+
+    class IndexReader(rosbag1.Reader):  # type: ignore[misc]
+        """A reader of the index of a bag."""
+
+        def __init__(self, path: Path):
+            super().__init__(path)
+            self._ids: Set[int] = set()
+            self._records: List[Tuple[int, int]] = []
+
+        def read_connection(self) -> Any:
+            connection = super().read_connection()
+            if connection.id in self._ids:
+                raise ValueError(f"connection {connection.id} is there twice")
+            self._ids.add(connection.id)
+            return connection
+
+        def read_chunk(self) -> Chunk:
+            position = self.bio.tell()
+            header = Header.read(self.bio, RecordType.CHUNK)
+            (packed_size,) = _SIZE.unpack(self.bio.read(_SIZE.size))
+            data = self.bio.tell()
+            self.bio.seek(packed_size, os.SEEK_CUR)
+            self._records.append((position, data + packed_size))
+            return Chunk(data, packed_size, header.get_uint32("size"), header.get_string("compression"))
+
+        def open(self) -> None:
+            super().open()
+            self._records.sort()
+            for (_, end), (position, _) in zip(self._records, self._records[1:]):
+                if position < end:
+                    raise ValueError(f"the chunk at byte {position} is inside another one")
+
+    return IndexReader
 
 
 def _topic(connection: Any) -> Topic:
@@ -282,8 +382,3 @@ def _topic(connection: Any) -> Topic:
         bool(connection.ext.latching),
         connection.ext.callerid or "",
     )
-
-
-def reason(error: BaseException) -> str:
-    """Return what went wrong, without a full stop at its end."""
-    return str(error).rstrip(".") or type(error).__name__

@@ -4,21 +4,20 @@ URLs are the work of the Python package ``fsspec`` and of what it needs for thei
 """
 
 import os
+import shutil
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any, Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 from uuid import uuid4
 
-from .bags import BagError, reason
-from .ros2bags import SUFFIXES
+from .bags import BagError
+from .decompression import copy_up_to, reason
+from .ros2bags import METADATA, SUFFIXES
 
 _KINDS = (".bag", *SUFFIXES)
 _PART = ".part"
 """What a result ends in, and begins with a dot, until it is complete."""
-
-_ROS2 = "metadata.yaml"
-"""What makes a folder a bag of ROS 2."""
 
 
 class FoundBag(NamedTuple):
@@ -55,7 +54,7 @@ def find_bags(places: Sequence[str]) -> List[FoundBag]:
         bags = _bags_of(inside)
         if not bags:
             raise BagError(
-                f"{place} has no bags below it: no {_ROS2}, nothing that ends in {', '.join(_KINDS)}"
+                f"{place} has no bags below it: no {METADATA}, nothing that ends in {', '.join(_KINDS)}"
             )
         found += [FoundBag(f"{place.rstrip('/')}/{name}", _without_kind(name)) for name in bags]
     return found
@@ -97,7 +96,7 @@ def _part_of(name: str) -> Tuple[str, str, int]:
 
 def is_folder_of_bags(place: str) -> bool:
     """Tell whether a path is a folder that is no bag itself."""
-    return os.path.isdir(place) and not os.path.exists(os.path.join(place, _ROS2))
+    return os.path.isdir(place) and not os.path.exists(os.path.join(place, METADATA))
 
 
 def is_there(place: str) -> bool:
@@ -125,8 +124,26 @@ def fetched(place: str, scratch: str) -> Iterator[str]:
     files, path = _filesystem(place)
     with TemporaryDirectory(dir=scratch) as folder:
         local = str(Path(folder) / PurePosixPath(path).name)
-        _asked(place, files.get, path, local, recursive=bool(_asked(place, files.isdir, path)))
+        _asked(place, _fetch, files, path, local)
         yield local
+
+
+def _fetch(files: Any, path: str, local: str) -> None:
+    """Copy a file or a folder, each file up to the size that is stated for it, and half of the free disk space."""
+    names = files.find(path) if files.isdir(path) else [path]
+    for name in names:
+        inside = PurePosixPath(name).relative_to(path)
+        if ".." in inside.parts:
+            raise ValueError(f"'{name}' is outside of the folder")
+        target = Path(local) / inside
+        target.parent.mkdir(parents=True, exist_ok=True)
+        stated, free = files.size(name), shutil.disk_usage(target.parent).free // 2
+        allowed = free if stated is None else min(stated, free)
+        with files.open(name, "rb") as source, target.open("wb") as file:
+            if copy_up_to(source, file, allowed) > allowed:
+                raise ValueError(
+                    f"'{name}' has more than {allowed} bytes, as stated or as half of the disk has"
+                )
 
 
 @contextmanager
@@ -187,7 +204,7 @@ def _names_below(place: str) -> Optional[List[str]]:
             return None
         return [path.relative_to(place).as_posix() for path in Path(place).rglob("*")]
     files, path = _filesystem(place)
-    if not _asked(place, files.isdir, path) or _asked(place, files.exists, f"{path.rstrip('/')}/{_ROS2}"):
+    if not _asked(place, files.isdir, path) or _asked(place, files.exists, f"{path.rstrip('/')}/{METADATA}"):
         return None
     return [PurePosixPath(one).relative_to(path).as_posix() for one in _asked(place, files.find, path)]
 
@@ -195,7 +212,7 @@ def _names_below(place: str) -> Optional[List[str]]:
 def _bags_of(names: Iterable[str]) -> List[str]:
     """Return which of the names below a folder are bags, in their order; what begins with a dot is left out."""
     paths = [path for path in map(PurePosixPath, names) if not any(part[0] == "." for part in path.parts)]
-    folders = {path.parent for path in paths if path.name == _ROS2}
+    folders = {path.parent for path in paths if path.name == METADATA}
     files = {path for path in paths if path.name.endswith(_KINDS) and path.parent not in folders}
     return [path.as_posix() for path in sorted(folders | files, key=lambda path: path.parts)]
 

@@ -9,6 +9,7 @@ from typing import Collection, Dict, Iterator, List, Optional, Sequence, Tuple, 
 from ...foundation import UsageError
 from ...prolog.terms import SECOND
 from .bags import BagError, BagReader, PathLike, Record, Topic
+from .decompression import MAX_CHUNK_MEGABYTES
 from .ros2bags import SUFFIXES, Ros2BagReader
 
 OneBag = Union[BagReader, Ros2BagReader]
@@ -17,15 +18,20 @@ Bag = Union[OneBag, "BagSeries"]
 """Whatever a program can be run over."""
 
 
-def open_bag(path: PathLike) -> OneBag:
+def open_bag(path: PathLike, max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES) -> OneBag:
     """Open a bag of ROS 1 (a file) or of ROS 2 (a folder, or a file that ends as one of `SUFFIXES`).
+
+    Args:
+        path: the bag.
+        max_chunk_megabytes: the size of the largest chunk or compressed message that is unpacked. A compressed file
+            may have a hundred times its own size unpacked, if that is more.
 
     Raises:
         BagError: where it cannot be read.
     """
     path = Path(path)
     is_of_ros2 = path.is_dir() or (path.is_file() and path.name.endswith(SUFFIXES))
-    return Ros2BagReader(path) if is_of_ros2 else BagReader(path)
+    return (Ros2BagReader if is_of_ros2 else BagReader)(path, max_chunk_megabytes)
 
 
 class BagSeries:
@@ -39,6 +45,7 @@ class BagSeries:
         paths: bags of ROS 1 or of ROS 2.
         start: how many seconds after the first message of all to begin.
         duration: how many seconds to go on; by default up to the end.
+        max_chunk_megabytes: as for `open_bag`.
 
     Attributes:
         path: what to call them in messages.
@@ -50,12 +57,18 @@ class BagSeries:
         UsageError: where one is given twice, or none of them has a message after ``start``.
     """
 
-    def __init__(self, paths: Sequence[PathLike], start: float = 0.0, duration: Optional[float] = None):
+    def __init__(
+        self,
+        paths: Sequence[PathLike],
+        start: float = 0.0,
+        duration: Optional[float] = None,
+        max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES,
+    ):
         _refuse_twice(paths)
         with ExitStack() as stack:
             self._bags: List[OneBag] = []
             for path in paths:
-                self._bags.append(open_bag(path))
+                self._bags.append(open_bag(path, max_chunk_megabytes))
                 stack.callback(self._bags[-1].close)
             self._part(start, duration)
             self._stack = stack.pop_all()

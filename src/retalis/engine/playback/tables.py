@@ -2,7 +2,8 @@
 
 from typing import Any, Dict, List
 
-from .bags import BagError, PathLike, reason
+from .bags import BagError, PathLike
+from .decompression import reason
 from .looking import Line
 
 _ROWS = 10_000

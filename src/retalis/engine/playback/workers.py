@@ -24,7 +24,7 @@ from typing import (
 )
 
 from ...foundation import UsageError
-from .bags import reason
+from .decompression import reason
 
 MOST_DEATHS = 4
 """Workers that a task may take with it; of a cluster its scheduler says it, by default the same."""
