@@ -63,6 +63,17 @@ def test_the_console_goes_on_behind_a_goal_without_end(option, capsys, monkeypat
     assert "Not enough resources" in shown.err
 
 
+def test_output_has_a_limit_on_request_only(files, capsys):
+    goals = ["-g", "forall(between(1, 1100, _), format('~*c', [1000, 0'x]))", "-g", "write('\\e[2J')"]
+    assert main(["console", *goals]) == 0
+    shown = capsys.readouterr()
+    assert shown.out == f"{'x' * 1_100_000}\ntrue.\n\\x1b[2J\ntrue.\n"
+    assert main(["console", "--max-output-megabytes", "0.5", *goals]) == 1
+    shown = capsys.readouterr()
+    assert shown.out == f"{'x' * 500_000}\n\\x1b[2J\ntrue.\n"
+    assert shown.err.count("error: Not enough resources: output") == 1
+
+
 def make_bag(path, number):
     definition = Definitions().find("std_msgs/Int32")
     with BagWriter(path) as writer:
@@ -95,7 +106,10 @@ def test_a_bag_goes_on_behind_a_goal_without_end(files, option, capsys):
 @pytest.mark.parametrize("command", [["console"], ["events"], ["bag", "x.bag", "--program", "x"]])
 @pytest.mark.parametrize(
     ("option", "value"),
-    [("--max-seconds", "-1"), ("--max-inferences", "1.5"), ("--watchdog", "nan"), ("--max-depth", "0")],
+    [
+        *(("--max-seconds", "-1"), ("--max-inferences", "1.5"), ("--watchdog", "nan"), ("--max-depth", "0")),
+        *(("--max-megabytes", "inf"), ("--max-output-megabytes", "x")),
+    ],
 )
 def test_what_is_no_limit_is_refused(command, option, value, capsys):
     with pytest.raises(SystemExit) as ended:
