@@ -21,14 +21,12 @@ class Known(NamedTuple):
 
 
 LIMITS = "one step of a built-in does not check the limits while it works"
-PATTERNS = "pattern work does not count against the limits of an event"
 ANSWERS = "the values of an answer are copied outside of the limits of the query"
 STATES = "values of a state are not all checked before they are used"
 
 TOO_MUCH = "time|growth|hang|died.*"
 
 KNOWN = (
-    Known("joins", TOO_MUCH, "^unrestricted ", PATTERNS),
     Known(
         "limits",
         TOO_MUCH,

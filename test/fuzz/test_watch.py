@@ -96,7 +96,7 @@ def test_the_same_number_makes_the_same_input():
         ("limits", "time", "ord_union/3 2.1 s", True),
         ("limits", "time", "append/3 2.1 s", False),
         ("limits", "exception", "ord_union/3 KeyError", False),
-        ("joins", "growth", "unrestricted 60 MB", True),
+        ("joins", "growth", "unrestricted 60 MB", False),
         ("joins", "time", "other policies 5.0 s", False),
         ("states", "action", "open", False),
     ],

@@ -20,7 +20,7 @@ SETTINGS = Settings(
     limits=Limits(seconds=0.05, inferences=10_000, megabytes=30), max_depth=20, queue=100, folders=()
 )
 
-POLICIES = ("recent", "recent_2", "chronological", "chronological_2") * 2 + ("unrestricted",)
+POLICIES = ("recent", "recent_2", "chronological", "chronological_2", *("unrestricted",) * 4)
 JOINS = (
     "seq",
     "seq",
@@ -59,6 +59,10 @@ FLAGS = (
     "set_etalis_flag(etalis_justification, on)",
     "set_etalis_flag(garbage_control, off)",
 )
+CHAIN = tuple(zip("cdefgijk", "acdefgij"))
+"""Heads and events of rules of which each takes what the one before it gives."""
+ALIVE = "\nalive_(X) <- ping_(X).\n"
+"""Added to each program: whatever its events have used up, the next event works."""
 VALUES = ("0", "1", "1", "2", "-1", "2.5", "x", "_", "f(Z, Z)", "nan", "[1, 2]", "'\"t\"'")
 
 
@@ -80,6 +84,10 @@ class Inputs(Kind):
         lines = [f":- set_etalis_flag(event_consumption_policy, {policy})."]
         lines += [f":- {flag}." for flag in FLAGS if chance.random() < 0.15]
         lines += [self.rule(chance) for _ in range(chance.choice((1, 1, 2, 3)))]
+        if chance.random() < 0.1:  # as many events as limits allow
+            lines += [
+                f"{one}(X) <- {other}(X) {chance.choice(('and', 'seq'))} {other}(_)." for one, other in CHAIN
+            ]
         return to_bytes("\n".join(lines) + MARK + "\n".join(self.events(chance)))
 
     def rule(self, chance):
@@ -141,7 +149,10 @@ class Inputs(Kind):
 
     def run(self, data):
         program, _, events = to_text(data).partition(MARK)
-        self.attempt(self.engine.load, program)
+        self.attempt(self.engine.load, program + ALIVE)
+        seen = []
+        self.engine.on_event(lambda term, start, end: seen.append(term))
+        is_loaded = any("alive_" in rule.text for rule in self.engine.status().rules)
         for line in events.splitlines()[:MAX_EVENTS]:
             time, _, event = line.partition(" ")
             try:
@@ -153,5 +164,9 @@ class Inputs(Kind):
             taken = process_time() - before
             if taken > MAX_EVENT_SECONDS:
                 raise Finding("time", f"{taken:.1f} s for {event[:80]}", "one event")
+        del seen[:]
+        self.attempt(self.engine.event, "ping_(1)", 1000.0)
+        if is_loaded and self.engine.query("X = alive_(1)")[0]["X"] not in seen:
+            raise Finding("difference", "the event after the others fires no rule", "next event")
         self.attempt(self.engine.query, "memory_size(_, _)")
         LOGGED.check()
