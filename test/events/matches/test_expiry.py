@@ -1,11 +1,12 @@
 """When waiting matches go: in time, whatever the order in which they came, and without hoarding those that left."""
 
 import random
+from collections import deque
 
 import pytest
 
-from retalis.events.matches import Expiries
-from retalis.events.matches.expiry import ByStart
+from retalis.events.matches import Expiries, drop_gone
+from retalis.events.matches.expiry import SLICE, ByStart
 
 
 class Waiting:
@@ -32,6 +33,64 @@ def test_all_go_after_their_instant_and_none_before(late):
         expiries.expire(order - 50)
         assert all((match.buffer is None) == (instant < order - 50) for instant, match in matches)
     assert len(expiries) == sum(match.buffer is not None for _, match in matches)
+
+
+class Counted(Waiting):
+    """Counts how often any of them is asked whether it waits."""
+
+    asked = 0
+
+    @property
+    def buffer(self):
+        Counted.asked += 1
+        return self.waits
+
+    @buffer.setter
+    def buffer(self, buffer):
+        self.waits = buffer
+
+
+def add_to_expiries(expiries, match, waiting):
+    expiries.add(match.order, match, waiting)
+
+
+def add_by_start(expiries, match, waiting):
+    match.start = match.order
+    expiries.add(10, match, waiting)
+
+
+@pytest.mark.parametrize(("expiries", "add"), [(Expiries(), add_to_expiries), (ByStart(10), add_by_start)])
+def test_those_that_left_are_dropped_a_part_at_a_time(expiries, add):
+    number = 20 * SLICE
+    matches = [Counted(order) for order in range(number)]
+    for match in matches:
+        add(expiries, match, number)
+    for match in matches[::2] + matches[1::4]:  # those that stay lie among them
+        match.leave()
+    waiting = len(matches) // 4
+    Counted.asked = 0
+    for order in range(number, number + 100):
+        before = Counted.asked
+        waiting += 1
+        add(expiries, Counted(order), waiting)
+        assert Counted.asked - before <= SLICE
+    assert len(expiries) <= 2 * waiting + 1000
+    expiries.expire(number // 2 + 11)
+    assert [match.order for match in matches if match.waits][0] == pytest.approx(number // 2, abs=12)
+    expiries.expire(number * 2)
+    assert len(expiries) == 0
+    assert not any(match.waits for match in matches)
+
+
+@pytest.mark.parametrize("number", [0, 1, SLICE - 1, SLICE, SLICE + 1, 3 * SLICE + 7])
+def test_slices_keep_the_order_and_reach_all(number):
+    matches = deque(Waiting(order) for order in range(number))
+    for match in list(matches)[::3]:
+        match.leave()
+    start = 0
+    for _ in range(number // SLICE + 1):
+        start = drop_gone(matches, start)
+    assert [match.order for match in matches] == [order for order in range(number) if order % 3]
 
 
 @pytest.mark.parametrize("step", [1, -1])

@@ -1,12 +1,21 @@
-"""When waiting matches are to go."""
+"""When waiting matches are to go.
+
+Matches that have left their buffers stay in these queues until they are the larger part. They are then removed in
+slices, one for each match that is added, so that no event waits while a long queue is searched.
+"""
 
 import heapq
 from collections import deque
-from typing import Deque, Dict, List, Optional, Tuple
+from typing import Deque, Dict, List, Optional, Tuple, TypeVar
 
 from .matches import Match
 
 _SPARE = 1000
+
+SLICE = 5000
+"""Entries of a queue that are visited at once: about half a millisecond."""
+
+_EntryT = TypeVar("_EntryT")
 
 
 class Expiries:
@@ -16,10 +25,11 @@ class Expiries:
     are a heap.
     """
 
-    __slots__ = ("_queue", "_heap")
+    __slots__ = ("_queue", "_heap", "_visited")
 
     def __init__(self) -> None:
         self._queue: Deque[Tuple[int, Match]] = deque()
+        self._visited = 0
         self._heap: List[Tuple[int, int, Match]] = []
 
     def __len__(self) -> int:
@@ -39,9 +49,12 @@ class Expiries:
         else:
             heapq.heappush(self._heap, (instant, match.order, match))
         if len(self) > 2 * waiting + _SPARE:
-            self._queue = deque(entry for entry in queue if entry[1].buffer is not None)
-            self._heap = [entry for entry in self._heap if entry[2].buffer is not None]
-            heapq.heapify(self._heap)
+            start, entries = _take_slice(queue, self._visited)
+            left = [entry for entry in entries if entry[1].buffer is not None]
+            self._visited = _put_slice(queue, start, left)
+            if len(self._heap) > waiting + _SPARE:
+                self._heap = [entry for entry in self._heap if entry[2].buffer is not None]
+                heapq.heapify(self._heap)
 
     def expire(self, clock: int) -> None:
         """Let all leave whose instant is before ``clock``."""
@@ -78,13 +91,15 @@ class ByStart:
         heap: those that were added out of order, with their instants.
     """
 
-    __slots__ = ("span", "queue", "others", "heap")
+    __slots__ = ("span", "queue", "others", "heap", "_visited")
 
     def __init__(self, span: Optional[int]) -> None:
         self.span = span
         self.queue: Deque[Match] = deque()
         self.others: Dict[int, Deque[Match]] = {}
         self.heap: List[Tuple[int, int, Match]] = []
+        self._visited: Dict[Optional[int], int] = {}
+        """By span: how many matches of its queue have been visited by `forget_gone`."""
 
     def __len__(self) -> int:
         return len(self.queue) + sum(len(queue) for queue in self.others.values()) + len(self.heap)
@@ -95,6 +110,7 @@ class ByStart:
         self.queue.clear()
         self.others.clear()
         self.heap.clear()
+        self._visited.clear()
 
     def of(self, span: int) -> Deque[Match]:
         """Return the queue of a span."""
@@ -113,14 +129,15 @@ class ByStart:
         else:
             heapq.heappush(self.heap, (match.start + span, match.order, match))
         if len(self) > 2 * waiting + _SPARE:
-            self.forget_gone()
+            self.forget_gone(waiting)
 
-    def forget_gone(self) -> None:
-        """Drop those that have left."""
-        for queue in (self.queue, *self.others.values()):
-            drop_gone(queue)
-        self.heap = [entry for entry in self.heap if entry[2].buffer is not None]
-        heapq.heapify(self.heap)
+    def forget_gone(self, waiting: int) -> None:
+        """Drop some of those that have left; ``waiting`` is how many have not, altogether."""
+        for span, queue in [(self.span, self.queue), *self.others.items()]:
+            self._visited[span] = drop_gone(queue, self._visited.get(span, 0))
+        if len(self.heap) > waiting + _SPARE:
+            self.heap = [entry for entry in self.heap if entry[2].buffer is not None]
+            heapq.heapify(self.heap)
 
     def expire(self, clock: int) -> None:
         """Let all leave that go before ``clock``."""
@@ -132,8 +149,31 @@ class ByStart:
             heapq.heappop(heap)[2].leave()
 
 
-def drop_gone(matches: Deque[Match]) -> None:
-    """Take those out that do not wait any more."""
-    waiting = [one for one in matches if one.buffer is not None]
-    matches.clear()
-    matches.extend(waiting)
+def drop_gone(matches: Deque[Match], start: int) -> int:
+    """Remove the matches that do not wait any more from a slice of a queue.
+
+    Args:
+        matches: the queue, whose order stays.
+        start: where the slice begins; the queue begins anew at its end.
+
+    Returns:
+        Where the next slice begins.
+    """
+    start, found = _take_slice(matches, start)
+    return _put_slice(matches, start, [match for match in found if match.buffer is not None])
+
+
+def _take_slice(entries: Deque[_EntryT], start: int) -> Tuple[int, List[_EntryT]]:
+    """Rotate a queue so that it begins at ``start``, or at 0 past its end, and take entries out; see `_put_slice`."""
+    if start >= len(entries):
+        start = 0
+    number = min(SLICE, len(entries) - start)
+    entries.rotate(-start)
+    return start, [entries.popleft() for _ in range(number)]
+
+
+def _put_slice(entries: Deque[_EntryT], start: int, left: List[_EntryT]) -> int:
+    """Put back what is left of a slice, and undo the rotation; return where the slice ends."""
+    entries.extendleft(reversed(left))
+    entries.rotate(start)
+    return start + len(left)

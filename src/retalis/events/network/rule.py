@@ -101,6 +101,7 @@ class Rule:
         self.completion: Optional[Completion] = None
         self.order = 0
         self.arrivals: Deque[Match] = deque()
+        self._visited = 0
         self.expiries = ByStart(None)
         self.sweep_at = _UNLIMITED
         self._sweeping = False
@@ -395,18 +396,20 @@ class Rule:
             self.look_through()
 
     def look_through(self) -> None:
-        """Drop the oldest of too many that wait; forget those that have left, where they are the larger part."""
+        """Drop the oldest of too many that wait; if those that have left are the larger part, forget some of them."""
         if self.waiting > self.sweep_at:
             self._sweep()
         if self.waiting > self.network.cap:
             self._drop_oldest()
         many = 2 * self.waiting + SPARE
         if len(self.arrivals) > many:
-            drop_gone(self.arrivals)
-            if not self._sweeping and self._sweeps:
-                self._end_sweep()  # much has left, so that the next pass is to begin earlier
+            self._visited = drop_gone(self.arrivals, self._visited)
+            if (
+                not self._sweeping and self._sweeps
+            ):  # much has left, so that the next pass is to begin earlier
+                self.sweep_at = min(self.sweep_at, 2 * (self.waiting + SPARE))
         if len(self.expiries) > many:
-            self.expiries.forget_gone()
+            self.expiries.forget_gone(self.waiting)
 
     def _sweep(self) -> None:
         """Drop some of the matches that are ruled out; see `RuledOutSweep`.
