@@ -214,6 +214,15 @@ def test_a_goal_opens_files_in_allowed_folders_only(tmp_path, goal):
     assert len(parts_of(engine).rules.rules) == 1
 
 
+@pytest.mark.parametrize("mode", ["write", "append"])
+def test_a_name_that_no_file_can_have_is_not_written_to(tmp_path, mode):
+    engine = Engine(settings=Settings(write_folders=(str(tmp_path),)))
+    for name, error in (("'a\\0\\b'", "Domain error: `source_sink'"), ("x" * 256, "max_path_length")):
+        with pytest.raises(PrologError, match=error):
+            engine.query(f"open({name}, {mode}, _)")
+    assert list(tmp_path.iterdir()) == []
+
+
 def _persistent(write_folders=(), **settings):
     engine = Engine(clock=StreamClock(), settings=Settings(write_folders=write_folders, **settings))
     warnings = []

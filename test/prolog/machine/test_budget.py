@@ -75,6 +75,12 @@ def test_memory_may_grow_by_just_its_limit(budget, monkeypatch):
         budget.look(1)
 
 
+def test_what_is_left_of_memory_is_counted_from_now(budget, monkeypatch):
+    monkeypatch.setattr(_budget, "resident_bytes", lambda: 50 * MEGABYTE)
+    budget.allow(Limits(megabytes=2))
+    assert budget.left() == Left(None, None, 52 * MEGABYTE)
+
+
 def test_past_its_seconds_an_entry_gets_as_many_again_once(budget, monkeypatch):
     now = [100.0]
     monkeypatch.setattr(_budget, "monotonic", lambda: now[0])
