@@ -1,15 +1,20 @@
 """Long work inside one step counts as inferences and ends with a resource error, as endless goals do."""
 
+import random
+
 import pytest
 from prolog.support import prolog
 
 from retalis.foundation import watched_by
-from retalis.prolog.builtins.strings import _split
+from retalis.prolog.builtins import ordering
+from retalis.prolog.builtins.ordering import order_of
+from retalis.prolog.builtins.strings import _split, _words
 from retalis.prolog.builtins.text import each
-from retalis.prolog.machine import Limits, PrologError
+from retalis.prolog.compiler import CALL
+from retalis.prolog.machine import Limits, PrologError, type_error
 from retalis.prolog.syntax import read_term, writeq
 from retalis.prolog.syntax.numerals import integer, integer_text
-from retalis.prolog.terms import Var, atom, compare, copy, functor, is_ground, make_list, unify
+from retalis.prolog.terms import String, Var, atom, compare, copy, functor, is_ground, make_list, unify
 
 PROGRAM = """
 wide(T, N) :- length(L, 60), foldl([_,A,f(A,A)]>>true, L, N, T).
@@ -92,6 +97,18 @@ def test_a_term_that_contains_itself_is_walked_once(logic):
         "cells(L), again(copy_term(L, _))",
         "cells(L), subtract(L, L, _)",
         "cells(L), again(atomic_list_concat(L, _))",
+        "X = [a|X], ord_union(X, X, _)",
+        "cells(L), again(ord_union(L, L, _))",
+        "cells(L), again(sort(0, @>, L, _))",
+        "cells(L), again(list_to_set(L, _))",
+        "cells(L), again(random_permutation(L, _))",
+        "cells(L), again(must_be(list(integer), L))",
+        "nth0(I, _, _), I < 0",
+        "nth1(4000000, _, _)",
+        "wide(T, _), write_canonical(T)",
+        'again(format(atom(_), "~`-t~30|", []))',
+        "same(A, B), A \\= B",
+        "pair(A, B), A \\= B",
         "cells(L), atomic_list_concat(L, A), sub_atom(A, N, N, M, _), M < 0",
         "cells(L), atomic_list_concat(L, ' ', A), term_to_atom(_, A)",
         "shift(1)",
@@ -121,6 +138,7 @@ def test_work_inside_a_step_is_counted(logic, goal):
         ("square(3)", "memory"),
         ("power(3)", "memory"),
         ("X is 1 << 60000000", "memory"),
+        ("X is 1 << 1048576", "memory"),
         ("X is 3 ** 60000000", "memory"),
         ("functor(_, f, 90000000)", "memory"),
         ("X is gcd((1 << 1000000) - 1, (1 << 999999) - 1)", "integer_size"),
@@ -129,6 +147,8 @@ def test_work_inside_a_step_is_counted(logic, goal):
         ("X is ((1 << 1000000) - 1) mod ((1 << 500000) - 1)", "integer_size"),
         ("X is ((1 << 1000000) - 1) / ((1 << 500000) - 1)", "integer_size"),
         ("X is powm(3, (1 << 10000) - 1, (1 << 10000) - 1)", "integer_size"),
+        ("X is powm(3, (1 << 1000000) - 1, 5)", "integer_size"),
+        ("length(L, 5000), maplist(=(0'9), L), atom_codes(A, [0'~|L]), format(A)", "memory"),
         ("X is (1 << 1000000) - 1, format(atom(_), '~8r', [X])", "integer_size"),
     ],
 )
@@ -195,7 +215,7 @@ def test_conversions_are_looked_at_while_they_last(work):
     """Not only behind them: what was made since the last look is never much."""
     made, most, looks = [], [0], [0]
 
-    def ask(pieces):
+    def ask(pieces, size):
         most[0] = max(most[0], len(made))
         looks[0] += 1
         made.clear()
@@ -215,9 +235,92 @@ def test_conversions_are_looked_at_while_they_last(work):
 )
 def test_the_arguments_of_a_wide_term_count(walk):
     asked = []
-    before = watched_by(asked.append)
+    before = watched_by(lambda work, size: asked.append(work))
     try:
         walk((functor("wide", 5000), *[Var() for _ in range(5000)]))
     finally:
         watched_by(before)
     assert 5000 <= sum(asked) < 11_000
+
+
+@pytest.mark.parametrize(
+    "goal",
+    [
+        "cells(L), msort(L, _)",
+        "cells(L), sort(0, @>=, L, _)",
+        "atom_codes(A, C)",
+        "atom_chars(A, C)",
+        "atom_concat(A, A, _)",
+        "atomic_list_concat([A, A, A], _)",
+        "atomic_list_concat(L, a, A)",
+        "upcase_atom(A, _)",
+        "writeq(A)",
+        "writeq(f(A, A))",
+        'format(atom(_), "~*c", [90000, 0\'a])',
+        'format(atom(_), "~t~90000|", [])',
+        "tab(90000)",
+        "functor(_, f, 90000)",
+        "numlist(1, 90000, L), T =.. [f|L]",
+    ],
+)
+def test_what_is_allocated_in_one_piece_is_announced(logic, goal):
+    """Who limits the memory can refuse it before it is there."""
+    logic.limits = Limits()
+    setup = "" if "A" not in goal else "length(Cs, 300000), maplist(=(0'a), Cs), atom_codes(A, Cs), "
+    asked = []
+    work = read_term(f"{setup}nb_setval(begins, 1), {goal}", logic.operators).term
+
+    before = watched_by(lambda pieces, size: asked.append(size))
+    try:
+        logic.output = lambda text: None
+        assert logic.machine.run((logic.control.code, (CALL, work), 0, logic.machine.done))
+    finally:
+        watched_by(before)
+    assert max(asked) >= 90_000
+
+
+@pytest.mark.parametrize("make", [int, str])
+@pytest.mark.parametrize("distinct", [1, 7, 10**9])
+def test_a_long_list_is_sorted_in_chunks(monkeypatch, make, distinct):
+    monkeypatch.setattr(ordering, "_CHUNK", 64)
+    chance = random.Random(distinct)
+    for size in (0, 1, 63, 64, 65, 640, 3000):
+        keys = [make(chance.randrange(distinct)) for _ in range(size)]
+        for reverse in (False, True):
+            assert order_of(keys, reverse) == sorted(range(size), key=keys.__getitem__, reverse=reverse)
+
+
+def test_sorting_is_looked_at_while_it_lasts(monkeypatch):
+    monkeypatch.setattr(ordering, "_CHUNK", 64)
+    looks = []
+    before = watched_by(lambda work, size: looks.append(work))
+    try:
+        order_of(random.Random(1).sample(range(6400), 6400))
+    finally:
+        watched_by(before)
+    assert len(looks) > 200
+
+
+def test_the_text_of_an_error_does_not_grow_with_its_term(logic):
+    deep = atom("x")
+    for _ in range(100_000):
+        deep = (functor("f", 1), deep)
+    terms = [deep, make_list(range(100_000)), (functor("f", 100_000), *range(100_000)), 3**600_000]
+    terms += [atom("a" * 100_000), String("é" * 100_000)]
+    asked = []
+    before = watched_by(lambda work, size: asked.append(work))
+    try:
+        for term in terms:
+            text = type_error("list", term).message
+            assert text.startswith("Type error: `list' expected, found `")
+            assert len(text) <= 4003
+    finally:
+        watched_by(before)
+    assert not asked
+    assert type_error("list", 3**600_000).message.endswith("found `an integer of 950978 bits'")
+
+
+def test_white_space_is_found_across_pieces():
+    for size in range(1015, 1030):
+        text = " " + "a" * size + " b  " + "c" * size + "\t\n"
+        assert _words(text) == text.split()

@@ -72,7 +72,8 @@ def ask(
                     if len(found) >= most:
                         return Answer(found, False)
                     try:
-                        values = _values(engine, names, left)
+                        with logic.machine.budget.watching():
+                            values = _values(engine, names, left)
                     except UsageError:
                         if not found:
                             raise

@@ -189,8 +189,10 @@ class EngineCore:
         found: List[Dict[str, Term]] = []
         with closing(self._logic.solutions(term)) as solutions:
             for _ in solutions:
-                shared: Dict[Var, Term] = {}  # a variable in two values stays one variable
-                found.append({name: copy(value, shared) for name, value in names.items()})
+                # A variable in two values stays one variable. The copies count for the goal.
+                shared: Dict[Var, Term] = {}
+                with self._logic.machine.budget.watching():
+                    found.append({name: copy(value, shared) for name, value in names.items()})
                 if most is not None and len(found) >= most:
                     break
         return found

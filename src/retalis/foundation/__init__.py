@@ -39,7 +39,7 @@ from .interpreter import (
     text_size,
 )
 from .rosnames import plain_fault, plain_type, topic_fault, type_fault
-from .watching import BULK, WATCH, look, unwatched, watch_for, watched_by
+from .watching import BULK, WATCH, in_bulks, look, unwatched, watch_for, watched, watched_by
 
 __all__ = [
     "beginning",
@@ -51,6 +51,7 @@ __all__ = [
     "LARGEST",
     "LONG_DECIMALS",
     "LONGEST",
+    "in_bulks",
     "look",
     "MessageError",
     "O_PATH",
@@ -86,6 +87,7 @@ __all__ = [
     "UsageError",
     "WATCH",
     "watch_for",
+    "watched",
     "watched_by",
     "YoungCollector",
 ]

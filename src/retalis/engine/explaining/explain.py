@@ -145,10 +145,10 @@ def explain(
     return engine.do(work)
 
 
-def _until(end: float, seconds: float) -> Callable[[int], None]:
+def _until(end: float, seconds: float) -> Callable[[int, int], None]:
     """Return what ends work, once in a while asked, when its time is up."""
 
-    def ask(work: int) -> None:
+    def ask(work: int, size: int) -> None:
         if monotonic() > end:
             raise UsageError(f"there is too much to look through: no explanation within {seconds:g} s")
 

@@ -42,14 +42,14 @@ F = TypeVar("F", bound=Callable[..., Number])
 EVALUABLE: Dict[Functor, Callable[..., Number]] = {}
 """Functions of numbers, by name and arity."""
 
-HUGE = 1 << 22
-"""Bits of the largest integer that an operation may make (1.2 million digits): it takes less than a second."""
+HUGE = 1 << 20
+"""Bits of the largest integer that an operation may make (315,652 digits): a product takes 30 ms."""
 
 LARGEST = 1 << HUGE
 LEAST = -LARGEST
 
-SLOW = 1 << 37
-"""Product of the bits of two integers from which on an operation that is quadratic in them takes too long."""
+SLOW = 1 << 35
+"""Product of the bits of two integers from which on an operation that is quadratic in them takes more than 50 ms."""
 
 
 def evaluable(name: str, arity: int) -> Callable[[F], F]:

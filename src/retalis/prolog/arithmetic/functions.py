@@ -148,7 +148,8 @@ def _float_power(base: Number, exponent: Number) -> float:
 @evaluable("powm", 3)
 def _powm(base: Number, exponent: Number, modulus: Number) -> int:
     size = not_less(1, modulus).bit_length()
-    if not_less(0, exponent).bit_length() * size * size > SLOW:
+    # A bit of the exponent costs a product of the modulus's size, and as much again as one of 400 bits.
+    if not_less(0, exponent).bit_length() * (size * size + 400 * 400) > SLOW:
         raise resource_error("integer_size")
     return pow(integer(base), integer(exponent), integer(modulus))
 

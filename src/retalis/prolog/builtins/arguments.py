@@ -2,6 +2,7 @@
 
 from typing import List, Optional
 
+from ...foundation import watched
 from ..arithmetic import Number
 from ..machine import domain_error, instantiation_error, type_error
 from ..terms import FALSE, NIL, SLASH, TRUE, Atom, Functor, Term, Var, deref, functor, list_parts
@@ -127,8 +128,8 @@ def indicator_of(term: Term) -> Functor:
 
 def option_values(term: Term) -> List[Term]:
     """Return the options of an option list, dereferenced."""
-    found = [deref(item) for item in items(term)]
-    for item in found:
+    found = [deref(item) for item in watched(items(term))]
+    for item in watched(found):
         if item.__class__ is Var:
             raise instantiation_error()
     return found

@@ -7,7 +7,7 @@ The other predicates are in the library (library/assoc.pl).
 
 from typing import Any, Callable, List, Optional, Tuple
 
-from ...foundation import BULK, TermTooLarge, look
+from ...foundation import BULK, TermTooLarge, look, watched
 from ..machine import instantiation_error, no_matching_rule, type_error
 from ..terms import MINUS, ROUNDS, CompoundTerm, Term, Var, atom, compare, deref, functor, make_list, unify
 from .arguments import items
@@ -272,9 +272,9 @@ deterministic("assoc_to_values/2", locked=False)(_listing(lambda node: node[2]))
 @deterministic("$pairs_to_assoc/2")
 def pairs_to_assoc(machine: Machine, pairs: Term, result: Term) -> bool:
     """Make a balanced tree of pairs; fail unless their keys increase."""
-    found: List[Any] = [deref(pair) for pair in items(pairs)]
+    found: List[Any] = [deref(pair) for pair in watched(items(pairs))]
     keys: List[Any] = []
-    for pair in found:
+    for pair in watched(found):
         if pair.__class__ is not tuple or pair[0] is not MINUS:
             return False
         key = deref(pair[1])
@@ -289,6 +289,8 @@ def _balanced(keys: List[Term], values: List[Term], start: int, end: int) -> Tup
     """Return a tree of some of the pairs and its depth; its left side is as large as the right one, or one larger."""
     if start == end:
         return _EMPTY, 0
+    if not start & 1023:
+        look()
     middle = start + (end - start) // 2
     left, depth = _balanced(keys, values, start, middle)
     right, right_depth = _balanced(keys, values, middle + 1, end)

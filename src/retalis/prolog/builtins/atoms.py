@@ -2,7 +2,7 @@
 
 from typing import Callable, Iterator, List, Optional, Tuple
 
-from ...foundation import look
+from ...foundation import in_bulks, look, watched
 from ..machine import LAST, domain_error, instantiation_error, representation_error, type_error
 from ..terms import Atom, String, Term, Var, atom, deref, is_ground, list_items, make_list, unify
 from .arguments import atom_of, integer_or_var, is_iso, items, partial_items
@@ -40,6 +40,12 @@ def atom_length(machine: Machine, text: Term, length: Term) -> bool:
             raise domain_error("not_less_than_zero", size)
     return unify(size, value, machine.trail)
 
+
+_LONG = 1 << 16
+"""Characters that are changed in one piece."""
+
+_PART = 64
+"""Bytes of a short text."""
 
 Make = Callable[[str], Term]
 """What makes a term of a text."""
@@ -184,7 +190,7 @@ def _concat(machine: Machine, left: Term, right: Term, whole: Term, make: Make) 
         text = constant_text(found)
         if text is None and found.__class__ is not Var:
             raise type_error("atomic", found)
-        long_text(len(start) + len(end))
+        long_text(len(start) + len(end), start, end)
         return text == start + end if text is not None else unify(whole, make(start + end), machine.trail)
     if deref(whole).__class__ is Var:
         raise instantiation_error()
@@ -320,7 +326,9 @@ def _many(machine: Machine, whole: str, wanted: str, before: Term, length: Term,
 @deterministic("atomic_list_concat/2")
 def atomic_list_concat(machine: Machine, parts: Term, whole: Term) -> bool:
     """Join texts to an atom."""
-    return unify(whole, atom(joined([atomic_text(item, "text") for item in items(parts)])), machine.trail)
+    return unify(
+        whole, atom(joined([atomic_text(item, "text") for item in watched(items(parts))])), machine.trail
+    )
 
 
 @deterministic("atomic_list_concat/3")
@@ -335,7 +343,9 @@ def atomic_list_concat_separated(machine: Machine, parts: Term, separator: Term,
         raise instantiation_error()
     if not between:
         raise domain_error("non_empty_atom", separator)
-    return unify(parts, make_list(each(atom, atomic_text(whole).split(between))), machine.trail)
+    text = atomic_text(whole)
+    look(size=_PART * text.count(between))
+    return unify(parts, make_list(each(atom, text.split(between))), machine.trail)
 
 
 def _join(parts: Term, between: str) -> Optional[str]:
@@ -344,7 +354,7 @@ def _join(parts: Term, between: str) -> Optional[str]:
     if list_items(parts) is None:
         partial_items(parts)  # raises for what is not a list
         return None
-    for item in items(parts):
+    for item in watched(items(parts)):
         item = deref(item)
         text = constant_text(item)
         if text is None:
@@ -357,7 +367,12 @@ def _join(parts: Term, between: str) -> Optional[str]:
 
 def _case(change: Callable[[str], str], make: Make, kind: str) -> Callable[[Machine, Term, Term], bool]:
     def run(machine: Machine, text: Term, result: Term) -> bool:
-        changed = change(atomic_text(text))
+        given = atomic_text(text)
+        long_text(len(given), given)
+        if len(given) > _LONG and "Σ" not in given:  # how that changes depends on what is around it
+            changed = "".join([change(some) for some in in_bulks(given)])
+        else:
+            changed = change(given)
         no_compound(result, kind)
         return unify(result, make(changed), machine.trail)
 

@@ -2,9 +2,11 @@
 
 import random
 
+from ...foundation import watched
 from ..machine import domain_error, instantiation_error
 from ..terms import Term, Var, deref, make_list, unify
 from .arguments import integer, items
+from .ordering import order_of
 from .program import Machine
 from .registry import deterministic
 
@@ -35,7 +37,8 @@ def random_member(machine: Machine, value: Term, given: Term) -> bool:
 def random_permutation(machine: Machine, given: Term, result: Term) -> bool:
     """Give the items of a list in another order."""
     found = items(given)
-    return unify(result, make_list(random.sample(found, len(found))), machine.trail)
+    ranks = [random.random() for _ in watched(found)]
+    return unify(result, make_list([found[at] for at in order_of(ranks)]), machine.trail)
 
 
 @deterministic("set_random/1")

@@ -2,7 +2,7 @@
 
 from typing import Callable, Dict, Optional
 
-from ...foundation import TermTooLarge
+from ...foundation import TermTooLarge, watched
 from ..arithmetic import evaluate
 from ..machine import (
     PrologError,
@@ -103,7 +103,7 @@ _SIMPLE: Dict[str, Callable[[Term], bool]] = {
 
 def _each(term: Term, test: Callable[[Term], bool]) -> bool:
     found = list_items(term)
-    return found is not None and all(test(deref(item)) for item in found)
+    return found is not None and all(test(deref(item)) for item in watched(found))
 
 
 def _is_partial_list(term: Term) -> bool:
@@ -131,7 +131,7 @@ def holds(kind: Term, term: Term) -> Optional[bool]:
 
 def _parametric(name: str, kind: CompoundTerm, term: Term) -> Optional[bool]:
     if name == "oneof" and len(kind) == 2:
-        return is_ground(term) and any(not compare(item, term) for item in items(kind[1]))
+        return is_ground(term) and any(not compare(item, term) for item in watched(items(kind[1])))
     if name == "between" and len(kind) == 3:
         low, high = deref(kind[1]), deref(kind[2])
         if low.__class__ is int:
@@ -139,7 +139,7 @@ def _parametric(name: str, kind: CompoundTerm, term: Term) -> Optional[bool]:
         return term.__class__ in _NUMBERS and evaluate(low) <= term <= evaluate(high)
     if name in ("list", "list_of") and len(kind) == 2:
         found = list_items(term)
-        return found is not None and all(holds(deref(kind[1]), deref(item)) for item in found)
+        return found is not None and all(holds(deref(kind[1]), deref(item)) for item in watched(found))
     return None
 
 
@@ -172,7 +172,7 @@ def _no_list(kind: Term, term: Term) -> Optional[PrologError]:
     found = list_items(term)
     if found is None or kind.__class__ is not tuple:
         return instantiation_error() if _is_partial_list(term) else type_error_of(kind, term)
-    errors = (check(kind[1], item) for item in found)
+    errors = (check(kind[1], item) for item in watched(found))
     return next((error for error in errors if error is not None), None)
 
 

@@ -2,7 +2,7 @@
 
 from typing import Any, Callable, Dict
 
-from ...foundation import TermTooLarge, codegen, look
+from ...foundation import TermTooLarge, codegen, look, watched
 from ..arithmetic import measure, plain
 from ..compiler import COMPARISONS, ORDERS
 from ..machine import domain_error, instantiation_error, type_error
@@ -57,7 +57,7 @@ def unify_with_occurs_check(machine: Machine, left: Term, right: Term) -> bool:
     trail = machine.trail
     mark = len(trail)
     return unify(left, right, trail) and not any(
-        _is_cyclic(var) for var in trail[mark:] if var.__class__ is Var
+        _is_cyclic(var) for var in watched(trail[mark:]) if var.__class__ is Var
     )
 
 
@@ -214,7 +214,7 @@ def subsumes_term(machine: Machine, general: Term, specific: Term) -> bool:
     before = variables(specific)
     found = unify(general, specific, trail)
     if found:
-        after = [deref(var) for var in before]
+        after = [deref(var) for var in watched(before)]
         found = all(var.__class__ is Var for var in after) and len(set(after)) == len(before)
         # A variable of the specific term may be bound to one of the general term, not the other way round.
         found = found and variables((CONS, *before)) == after

@@ -1,17 +1,21 @@
 """Interpretation of format strings, with column stops, as SWI-Prolog's ``format/2``."""
 
+from itertools import count
 from typing import Callable, Dict, List, Optional, Tuple
 
+from ...foundation import look
 from ..arithmetic import bounded, evaluate
 from ..machine import domain_error, error, existence_error, resource_error
 from ..terms import Atom, String, Term, atom, deref, functor
 from .portraying import caught, printed
 from .program import Machine
-from .text import LARGEST_CODE, constant_text, is_text_list, long_text, number_text, text_of
+from .text import LARGEST_CODE, constant_text, is_text_list, joined, long_text, number_text, text_of
 
 _FORMAT = functor("format", 1)
 _ARGUMENT_TYPE = functor("format_argument_type", 2)
 _WIDEST = 10_000_000
+_NUMERAL = 20
+"""Digits of the longest number of a directive."""
 
 
 def argument_error(letter: str, argument: Term) -> Exception:
@@ -33,8 +37,7 @@ class ColumnLine:
 
     def __init__(self, column: int):
         self.done: List[str] = []
-        self.segment: List[str] = []
-        self.fills: List[Tuple[int, str]] = []
+        self._begin()
         self.start = column
         self.column = column
         self.size = 0
@@ -44,20 +47,20 @@ class ColumnLine:
         if not text:
             return
         self.size += len(text)
-        long_text(self.size)
+        long_text(self.size, text)
         self.segment.append(text)
+        self.width += len(text)
         newline = text.rfind("\n")
         if newline >= 0:
             self.done += self.segment
-            self.segment = []
-            self.fills = []
+            self._begin()
             self.column = self.start = len(text) - newline - 1
         else:
             self.column += len(text)
 
     def fill(self, char: str) -> None:
         """Note that blanks of the column go here."""
-        self.fills.append((sum(map(len, self.segment)), char))
+        self.fills.append((self.width, char))
 
     def stop(self, target: int) -> None:
         """End the segment at a column, putting the missing characters where the fills are."""
@@ -69,13 +72,18 @@ class ColumnLine:
             text = _spread(text, self.fills or [(len(text), " ")], missing)
             self.column = target
         self.done.append(text)
-        self.segment = []
-        self.fills = []
+        self._begin()
         self.start = self.column
+
+    def _begin(self) -> None:
+        """Begin a segment."""
+        self.segment: List[str] = []
+        self.fills: List[Tuple[int, str]] = []
+        self.width = 0  # of the segment
 
     def text(self) -> str:
         """Return everything."""
-        return "".join(self.done) + "".join(self.segment)
+        return joined(self.done + self.segment)
 
 
 def _spread(text: str, fills: List[Tuple[int, str]], missing: int) -> str:
@@ -113,7 +121,9 @@ class Formatter:
         self.arguments = arguments[::-1]
         at = 0
         line = self.line
-        while True:
+        for directive in count(1):
+            if not directive & 255:
+                look()
             tilde = text.find("~", at)
             if tilde < 0:
                 line.add(text[at:])
@@ -160,6 +170,8 @@ class Formatter:
         start = at
         while text[at : at + 1].isdigit():
             at += 1
+            if at - start > _NUMERAL:
+                raise resource_error("memory")
         return (int(text[start:at]) if at > start else None), at
 
     def _lay_out(self, letter: str, number: Optional[int]) -> None:
@@ -178,13 +190,17 @@ class Formatter:
         if letter == "~":
             return "~"
         if letter == "n":
-            return "\n" * times
+            return self._repeated("\n", times)
         if letter == "c":
-            return _code(self._next()) * times
+            return self._repeated(_code(self._next()), times)
         convert = _CONVERSIONS.get(letter)
         if convert is None:
             raise existence_error("format_character", atom(letter))
         return convert(self.machine, self._next(), number)
+
+    def _repeated(self, character: str, times: int) -> str:
+        long_text(self.line.size + times, character)
+        return character * times
 
 
 def _code(term: Term) -> str:

@@ -1,8 +1,9 @@
 """Lists: what wants speed; the rest is in the library (library/lists.pl)."""
 
+from itertools import compress
 from typing import Callable, Optional
 
-from ...foundation import BULK, TermTooLarge, look
+from ...foundation import BULK, TermTooLarge, look, watched
 from ..arithmetic import EVALUABLE, Number, add, evaluate
 from ..machine import (
     LAST,
@@ -117,9 +118,9 @@ def sort_by(machine: Machine, key: Term, order: Term, unsorted: Term, result: Te
     if direction not in ("<", "=<", ">", ">="):
         raise domain_error("order", order)
     found = by_age(items(unsorted))
-    pairs = by_keys(found, [_argument(item, at) for item in found], direction[0] == ">")
+    pairs = by_keys(found, [_argument(item, at) for item in watched(found)], direction[0] == ">")
     if "=" not in direction:
-        pairs = [pair for n, pair in enumerate(pairs) if n == 0 or compare(pairs[n - 1][0], pair[0])]
+        pairs = [pair for n, pair in enumerate(watched(pairs)) if n == 0 or compare(pairs[n - 1][0], pair[0])]
     return unify(result, make_list([item for _, item in pairs]), machine.trail)
 
 
@@ -153,10 +154,10 @@ def _argument(item: Term, at: Optional[int]) -> Term:
 @deterministic("keysort/2")
 def keysort(machine: Machine, pairs: Term, result: Term) -> bool:
     """Sort pairs ``Key-Value`` by key, keeping the order of equal keys."""
-    found = [_pair(item) for item in items(pairs)]
+    found = [_pair(item) for item in watched(items(pairs))]
     found = [pair for _, pair in by_keys(found, [pair[1] for pair in found])]
     if is_iso(machine):
-        for item in partial_items(result):
+        for item in watched(partial_items(result)):
             if deref(item).__class__ is not Var:
                 _pair(item)
     return unify(result, make_list(found), machine.trail)
@@ -216,10 +217,8 @@ def _folded(
     def run(machine: Machine, given: Term, result: Term) -> bool:
         found, tail = list_parts(given)
         value: Optional[Term] = start
-        for at, item in enumerate(found):
+        for item in watched(found):
             value = item if value is None else step(value, item)
-            if not at & 1023:
-                look()
         if tail is not NIL:
             goal = (outer, tail, result) if value is None else (inner, tail, value, result)
             raise no_matching_rule("lists", goal)
@@ -265,8 +264,10 @@ def list_to_set(machine: Machine, given: Term, result: Term) -> bool:
     """Drop duplicates (by ``==``), keeping the first."""
     found = items(given)
     pairs = by_keys(range(len(found)), found)  # stable: of equal ones the first comes first
-    kept = sorted(at for n, (item, at) in enumerate(pairs) if n == 0 or compare(pairs[n - 1][0], item))
-    return unify(result, make_list([found[at] for at in kept]), machine.trail)
+    kept = bytearray(len(found))
+    for n, (item, at) in enumerate(watched(pairs)):
+        kept[at] = n == 0 or compare(pairs[n - 1][0], item) != 0
+    return unify(result, make_list(compress(found, kept)), machine.trail)
 
 
 @deterministic("list_to_ord_set/2", locked=False)
@@ -319,6 +320,7 @@ def _numbered(machine: Machine, index: Term, base: int, given: Term, item: Term)
                 raise TermTooLarge
     known = at
     while tail.__class__ is Var and tail is not index:  # no list is a number
+        look()
         if machine.unify_all((tail, _behind(at - known, item)), (index, at)):
             yield None
         at += 1
@@ -329,8 +331,10 @@ def _numbered(machine: Machine, index: Term, base: int, given: Term, item: Term)
 def _behind(count: int, item: Term) -> Term:
     """Return a partial list with an item behind some unknown ones."""
     cells: Term = (CONS, item, Var())
-    for _ in range(count):
+    for at in range(count):
         cells = (CONS, Var(), cells)
+        if not at & 1023:
+            look()
     return cells
 
 

@@ -3,6 +3,7 @@
 from typing import Dict
 from zlib import crc32
 
+from ...foundation import watched
 from ..arithmetic import evaluate
 from ..machine import LAST
 from ..terms import Term, Var, atom, deref, functor, is_ground, make_list, unify, variables
@@ -19,7 +20,7 @@ _NUMBERED = functor("$VAR", 1)
 def numbervars(machine: Machine, term: Term, start: Term, end: Term) -> bool:
     """Bind the variables of a term to ``'$VAR'(N)`` with rising numbers."""
     number = integer(start)
-    for var in variables(term):
+    for var in watched(variables(term)):
         unify(var, (_NUMBERED, number), machine.trail)
         number += 1
     return unify(end, number, machine.trail)

@@ -2,6 +2,7 @@
 
 from typing import Any, Callable, Dict, List, Optional
 
+from ...foundation import look
 from ..arithmetic import evaluate
 from ..machine import (
     Code,
@@ -22,7 +23,7 @@ from .portraying import portray_of, printed
 from .program import Machine
 from .registry import control, deterministic
 from .streams import OutputCapture, is_stream_term, streams_of
-from .text import LARGEST_CODE, fill_sink, is_sink, make_text, whole_text
+from .text import LARGEST_CODE, fill_sink, is_sink, joined, long_text, make_text, whole_text
 
 _WIDEST = 10_000_000
 
@@ -47,7 +48,11 @@ def letter_names(term: Term) -> Dict[Var, str]:
     """Return names for the variables of a term: A, B, ..., and ``_`` for those that occur once."""
     counts: Dict[Var, int] = {}
     stack = [resolve(term)]
+    steps = 0
     while stack:
+        steps += 1
+        if not steps & 1023:
+            look()
         item = stack.pop()
         if item.__class__ is Var:
             counts[item] = counts.get(item, 0) + 1
@@ -118,6 +123,7 @@ def _blanks(count: Term) -> str:
         raise type_error("integer_expression", deref(count))
     if number > _WIDEST:
         raise resource_error("memory")
+    long_text(number)
     return " " * number
 
 
@@ -355,7 +361,7 @@ def _release(frame: Frame) -> Optional[Frame]:
     _, machine, height, sink, captured, after = frame
     _give_back(machine.choices[height])
     del machine.choices[height:]
-    return after if fill_sink(machine, sink, "".join(captured)) else None
+    return after if fill_sink(machine, sink, joined(captured)) else None
 
 
 _CAUGHT = Guard("with_output_to", _give_back)

@@ -7,6 +7,7 @@ from ..syntax import write_term
 from ..terms import Term, functor
 from .program import Machine
 from .streams import OutputCapture
+from .text import joined
 
 _PORTRAY = functor("portray", 1)
 
@@ -19,7 +20,7 @@ def caught(machine: Machine, goal: Term) -> Tuple[bool, str]:
         succeeded = logic.once(goal)
     finally:
         capture.end()
-    return succeeded, "".join(capture.texts)
+    return succeeded, joined(capture.texts)
 
 
 def portray_of(machine: Machine) -> Optional[Callable[[Term], Optional[str]]]:

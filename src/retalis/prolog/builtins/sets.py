@@ -3,10 +3,9 @@
 As for the single-sided rules of SWI-Prolog's library, arguments that fit no clause are an error.
 """
 
-from itertools import repeat
 from typing import TYPE_CHECKING, Callable, Iterator, Optional
 
-from ...foundation import TermTooLarge
+from ...foundation import BULK, TermTooLarge, look
 from ..machine import no_matching_rule
 from ..terms import (
     CONS,
@@ -35,14 +34,20 @@ _SUBSET = functor("subset", 2)
 _ORD_UNION, _ORD_UNION_ALL, _UNION2 = functor("ord_union", 3), functor("ord_union", 2), functor("union2", 4)
 
 
+_ITEMS = BULK[:32]
+"""Items between two looks at the limits: for each, another list of up to a thousand items may be searched."""
+
+
 def is_cons(term: Term) -> "TypeGuard[CompoundTerm]":
     """Tell whether a dereferenced term is a list cell."""
     return term.__class__ is tuple and term[0] is CONS
 
 
 def bounded() -> Iterator[None]:
-    """Count the items of a list, which may contain itself."""
-    yield from repeat(None, MOST)
+    """Count the items of a list, which may contain itself, with a look at the limits of the goal now and then."""
+    for _ in range(MOST // len(_ITEMS)):
+        yield from _ITEMS
+        look(len(_ITEMS))
     raise TermTooLarge
 
 

@@ -1,8 +1,8 @@
 """Strings: conversions and parts."""
 
-from typing import Callable, Dict, Iterator, Optional
+from typing import Callable, Dict, Iterator, List, Optional
 
-from ...foundation import BULK, look
+from ...foundation import BULK, in_bulks, look, watched
 from ..machine import LAST, domain_error, existence_error, instantiation_error, type_error
 from ..terms import NIL, Atom, String, Term, Var, atom, deref, functor, is_ground, make_list, unify
 from .arguments import integer_or_var, partial_items
@@ -19,6 +19,7 @@ from .text import (
     fill_sink,
     is_sink,
     is_text_list,
+    joined,
     long_text,
     number_text,
     parse_number,
@@ -139,7 +140,7 @@ def text_concat(machine: Machine, left: Term, right: Term, whole: Term) -> Outco
     make: Callable[[str], Term] = String if any(term.__class__ is String for term in given) else atom
     start, end, text = (None if term.__class__ is Var else text_of(term) for term in given)
     if start is not None and end is not None:
-        long_text(len(start) + len(end))
+        long_text(len(start) + len(end), start, end)
         return unify(whole, make(start + end), machine.trail) if text is None else text == start + end
     if text is None:
         raise instantiation_error()
@@ -155,9 +156,15 @@ def text_concat(machine: Machine, left: Term, right: Term, whole: Term) -> Outco
 def split_string(machine: Machine, text: Term, separators: Term, pad: Term, parts: Term) -> bool:
     """Split a text at any of the separators and strip the pad characters from each part."""
     whole, between, strip = (text_of(given, numbers=False) for given in (text, separators, pad))
-    long_text(len(whole))
+    between, strip = _different(between), _different(strip)
+    long_text(len(whole), whole)
     partial_items(parts)
     return unify(parts, make_list(each(String, list(_split(whole, between, strip)))), machine.trail)
+
+
+def _different(text: str) -> str:
+    """Return each character of a text once."""
+    return text if len(text) < 2 else "".join(dict.fromkeys(watched(text)))
 
 
 def _split(text: str, separators: str, pad: str) -> Iterator[str]:
@@ -187,7 +194,20 @@ def normalize_space(machine: Machine, sink: Term, text: Term) -> bool:
         raise instantiation_error()
     if not is_sink(sink):
         raise existence_error("stream", sink) if sink.__class__ is Atom else type_error("output", sink)
-    return fill_sink(machine, sink, " ".join(atomic_text(text).split()))
+    return fill_sink(machine, sink, joined(_words(atomic_text(text)), " "))
+
+
+def _words(text: str) -> List[str]:
+    """Return what stands between white space."""
+    words: List[str] = []
+    whole = True  # the last word ends where a piece ends
+    for piece in in_bulks(text):
+        found = piece.split()
+        if not whole and found and not piece[0].isspace():
+            words[-1] += found.pop(0)
+        words += found
+        whole = piece[-1].isspace()
+    return words
 
 
 # Characters

@@ -11,6 +11,9 @@ from .registry import deterministic, function, nondeterministic
 
 _MOST_ARGUMENTS = 1_000_000
 
+_ARGUMENT = 64
+"""Bytes of an argument that is a new variable."""
+
 
 @deterministic("functor/3")
 def functor_of(machine: Machine, term: Term, name: Term, arity: Term) -> bool:
@@ -49,7 +52,7 @@ def _arity(count: int) -> int:
     if count > _MOST_ARGUMENTS:
         raise resource_error("memory")
     if count > len(BULK):
-        look(count)
+        look(count, _ARGUMENT * count)
     return count
 
 

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Any, Callable, List, Optional, Sequence
 
-from ...foundation import BULK, SyntaxFault, look
+from ...foundation import SyntaxFault, in_bulks, look, watched
 from ..arithmetic import Number
 from ..machine import (
     PrologError,
@@ -41,33 +41,37 @@ LONGEST = 33_000_000
 
 _LOOK_FROM = 1 << 15
 
+LONGEST_NUMBER = 1 << 20
+"""Characters of the longest text that is read as a number: it has more digits than any, in base 2 as well."""
 
-def long_text(size: int) -> None:
+
+def long_text(size: int, *parts: str) -> None:
     """Check the length of a text that is about to be made; where it is long, look at the goal's limits.
 
+    Args:
+        size: characters of the text.
+        parts: texts that it is made of, by which the bytes of a character are known.
+
     Raises:
-        PrologError: a resource error where the text would be too long.
+        PrologError: a resource error where the text would be too long, or the goal has no room for it.
     """
     if size > _LOOK_FROM:
         if size > LONGEST:
             raise resource_error("memory")
-        look()
+        look(size=size if all(map(str.isascii, parts)) else 4 * size)
 
 
 def each(make: Callable[[str], Term], parts: Sequence[str]) -> List[Term]:
     """Return what is made of each part, of a character of a text say; look at the goal's limits meanwhile."""
-    if len(parts) <= len(BULK):
-        return list(map(make, parts))
     made: List[Term] = []
-    for at in range(0, len(parts), len(BULK)):
-        look()
-        made += map(make, parts[at : at + len(BULK)])
+    for some in in_bulks(parts):
+        made += map(make, some)
     return made
 
 
 def joined(parts: Sequence[str], between: str = "") -> str:
     """Return texts joined, unless they are too long together."""
-    long_text(sum(map(len, parts)) + len(between) * len(parts))
+    long_text(sum(map(len, parts)) + len(between) * len(parts), between, *parts[:1])
     return between.join(parts)
 
 
@@ -141,27 +145,34 @@ def _checked_list(term: Term, kind: str) -> str:
     if tail is not NIL and tail.__class__ is not Var:
         raise type_error(kind, term)
     long_text(len(found))
-    items: List[Any] = [deref(item) for item in found]
-    culprit = wrong_item(items)
+    culprit = wrong_item(found)
     if culprit is not None:
         raise culprit
-    if tail is not NIL or any(item.__class__ is Var for item in items):
+    if tail is not NIL:
         raise instantiation_error()
-    return "".join([chr(item) if item.__class__ is int else item.name for item in items])
+    text = []
+    for some in in_bulks(found):
+        items: List[Any] = [deref(item) for item in some]
+        if any(item.__class__ is Var for item in items):
+            raise instantiation_error()
+        text.append("".join([chr(item) if item.__class__ is int else item.name for item in items]))
+    return "".join(text)
 
 
 def wrong_item(items: List[Term]) -> Optional[PrologError]:
     """Return the error for the first item that is not a code among codes, or no character among characters."""
     of_characters = None
-    for item in items:
-        if item.__class__ is Var:
-            continue
-        is_character = item.__class__ is Atom and len(item.name) == 1
-        is_code = item.__class__ is int and 0 <= item <= LARGEST_CODE
-        if of_characters is None:
-            of_characters = is_character
-        if not (is_character if of_characters else is_code):
-            return type_error("character" if of_characters else "character_code", item)
+    for some in in_bulks(items):
+        for item in some:
+            item = deref(item)
+            if item.__class__ is Var:
+                continue
+            is_character = item.__class__ is Atom and len(item.name) == 1
+            is_code = item.__class__ is int and 0 <= item <= LARGEST_CODE
+            if of_characters is None:
+                of_characters = is_character
+            if not (is_character if of_characters else is_code):
+                return type_error("character" if of_characters else "character_code", item)
     return None
 
 
@@ -185,7 +196,7 @@ def _check_standard(items: List[Term], as_codes: bool) -> None:
     """Raise the standard's error for an item that is none of a list of codes, or of characters."""
     first = deref(items[0]) if items else None
     are_codes = as_codes if first is None else first.__class__ is int
-    for item in map(deref, items):
+    for item in map(deref, watched(items)):
         if item.__class__ is int and are_codes and not 0 <= item <= LARGEST_CODE:
             raise representation_error("character_code")
         is_part = item.__class__ is int if are_codes else item.__class__ is Atom and len(item.name) == 1
@@ -201,7 +212,7 @@ def check_parts(term: Term) -> None:
     found, tail = list_parts(term)
     if tail is not NIL and tail.__class__ is not Var:
         raise type_error("list", term)
-    error = wrong_item([deref(item) for item in found])
+    error = wrong_item(found)
     if error is not None:
         raise error
 
@@ -237,6 +248,8 @@ def chars(text: str) -> Term:
 def parse_number(text: str, operators: Operators) -> Optional[Term]:
     """Return the number that a text is, with white space before it and a sign allowed; None for no number."""
     stripped = text.lstrip()
+    if len(stripped) > LONGEST_NUMBER:
+        return None
     body = stripped[1:] if stripped[:1] in ("-", "+") else stripped
     if not body or not (body[0].isdigit() or body[:3] in ("inf", "nan")) or body[-1].isspace():
         return None

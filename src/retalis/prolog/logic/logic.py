@@ -17,7 +17,7 @@ from typing import (
     Tuple,
 )
 
-from ...foundation import Place, beginning, printable
+from ...foundation import SHOWN, Place, printable
 from .. import builtins  # noqa: F401  (they register themselves)
 from ..compiler import CALL
 from ..database import COMPILE_AFTER, Clause, CompiledGoal, Predicate, check_body, functor_of, split_clause
@@ -335,6 +335,7 @@ class Logic(Predicates):
         quoted: bool = True,
         names: Optional[Mapping[Var, str]] = None,
         made: bool = False,
+        longest: Optional[int] = None,
     ) -> str:
         """Return a term as text that reads back with the program's operators.
 
@@ -343,15 +344,16 @@ class Logic(Predicates):
             quoted: whether atoms and strings are quoted where they have to be.
             names: of variables.
             made: whether the term is made and not matched, see `ReadFlags`.
+            longest: characters after which the text ends with ``...``.
         """
-        options = {"quoted": quoted, "numbervars": True, "variable_names": names}
+        options = {"quoted": quoted, "numbervars": True, "variable_names": names, "longest": longest}
         named = [var for var, name in (names or {}).items() if name != "_"]
         portray = by_name(term, self.operators, named, made, **options) if quoted else None
         return write_term(term, self.operators, portray=portray, **options)
 
     def brief(self, term: Term, names: Optional[Mapping[Var, str]] = None, made: bool = False) -> str:
         """Return the beginning of a term's text, as reports show it."""
-        return beginning(self.show(term, names=names, made=made))
+        return self.show(term, names=names, made=made, longest=SHOWN)
 
     # Internals
 

@@ -8,6 +8,9 @@ from ..machine import CONTEXT, Frame, existence_error, indicator
 from ..terms import FALSE, Atom, CompoundTerm, Functor, Trail, atom, copy, deref, undo, unify
 from .predicates import Predicates
 
+_COMPARED = 200
+"""Characters of a name that are compared with those of other names."""
+
 
 def undefined(logic: Predicates, predicate: Predicate, frame: Frame) -> Optional[Frame]:
     """Raise the existence error of a procedure, or fail, as the flag ``unknown`` says; with a first warning."""
@@ -89,5 +92,5 @@ def similar(logic: Predicates, key: Functor) -> List[str]:
     for other in logic.names():
         if other is not key and not other.name.startswith("$"):
             names.setdefault(other.name, []).append(other)
-    close = [key.name] if key.name in names else get_close_matches(key.name, names, 1, 0.8)
+    close = [key.name] if key.name in names else get_close_matches(key.name[:_COMPARED], names, 1, 0.8)
     return [str(other) for name in close for other in sorted(names[name], key=lambda found: found.arity)][:3]

@@ -16,7 +16,7 @@ _MEASURE_EVERY = 0.005
 
 T = TypeVar("T")
 
-Ask = Optional[Callable[[int], None]]
+Ask = Optional[Callable[[int, int], None]]
 """Whom long steps ask, see `Watch`."""
 
 
@@ -139,6 +139,16 @@ class Budget:
         WATCH.ask = saved
         if self.used:
             self.start_anew()
+
+    @contextmanager
+    def watching(self) -> Iterator[None]:
+        """Have long work on a solution of a goal count for the goal."""
+        before = WATCH.ask
+        WATCH.ask = self._ask
+        try:
+            yield
+        finally:
+            WATCH.ask = before
 
     def start_anew(self) -> None:
         """Forget what an entry has used."""
@@ -316,10 +326,10 @@ class Budget:
         if self._steps >= len(SLICE):
             self._enforce()
 
-    def look(self, work: int) -> None:
-        """Count pieces of work inside a step and enforce the limits."""
+    def look(self, work: int, size: int = 0) -> None:
+        """Count pieces of work inside a step and enforce the limits, with room for so many more bytes."""
         self._steps += work
-        self._enforce()
+        self._enforce(size)
 
     def ended(self, steps: int) -> None:
         """Count the steps of a run that is over; past a limit the next goal is not begun."""
@@ -380,7 +390,7 @@ class Budget:
         self.inferences += steps
         self._spent += steps
 
-    def _enforce(self) -> None:
+    def _enforce(self, size: int = 0) -> None:
         self._count()
         if self.ceilings:
             for ceiling, error in self.ceilings.items():
@@ -392,7 +402,7 @@ class Budget:
         for at, error in self.alarms:
             if now > at:
                 raise error
-        past = self._past(now)
+        past = self._past(now, size)
         if past is None:
             return
         if self.goal is None and self.at_work:
@@ -401,8 +411,8 @@ class Budget:
         else:
             raise self._exceeded(past)
 
-    def _past(self, now: float) -> Optional[str]:
-        """Return the limit that the entry is past, or None."""
+    def _past(self, now: float, size: int = 0) -> Optional[str]:
+        """Return the limit that the entry is past, or would be with so many more bytes; None for none."""
         self._use()
         limits = self.limits
         if limits.inferences is not None and self._spent > limits.inferences:
@@ -414,12 +424,12 @@ class Budget:
                 return "seconds"
             if self._expired is not None and self.turn is not None and self._expired is self.turn.entry:
                 return "seconds"
-        if limits.megabytes is not None and now > self._measured + _MEASURE_EVERY:
+        if limits.megabytes is not None and (size or now > self._measured + _MEASURE_EVERY):
             self._measured = now
             used = resident_bytes()
             if self._memory is None:
                 self._memory = used + int(limits.megabytes * MEGABYTE)
-            elif used > self._memory:
+            if used + size > self._memory:
                 return "memory"
         return None
 

@@ -4,10 +4,12 @@ import re
 import unicodedata
 from typing import Callable, Match
 
-from ...foundation import Texts
+from ...foundation import Texts, look
 
 _PLAIN = re.compile(r"[^\W\d_]\w*\Z|[-+*/\\^<>=~:.?@#&$]+\Z|\[\]\Z|\{\}\Z|[!;]\Z")
 _ESCAPED = re.compile(r"""[^ -&(-\[\]-~]|[\\'"`]""")
+_LONG = 1 << 14
+"""Characters that are escaped between two looks at the limits of a goal."""
 _NAMED = {"\a": "\\a", "\b": "\\b", "\f": "\\f", "\n": "\\n", "\t": "\\t", "\v": "\\v", "\r": "\\r"}
 
 
@@ -33,7 +35,15 @@ def quote(text: str, mark: str) -> str:
             return named
         return char if char.isprintable() else f"\\x{ord(char):X}\\"
 
-    return f"{mark}{_ESCAPED.sub(escape, text)}{mark}"
+    if len(text) <= _LONG:
+        return f"{mark}{_ESCAPED.sub(escape, text)}{mark}"
+    look(size=len(text))
+    pieces = []
+    for start in range(0, len(text), _LONG):
+        pieces.append(_ESCAPED.sub(escape, text[start : start + _LONG]))
+        look()
+    look(size=sum(map(len, pieces)))
+    return f"{mark}{''.join(pieces)}{mark}"
 
 
 def _atom_text(name: str) -> str:

@@ -14,8 +14,8 @@ _SAFE = 4000
 
 _SAFE_BITS = 4096
 
-_LONGEST = 1_000_000
-"""Digits of the longest number that is read: a second's work."""
+_LONGEST = 315_653
+"""Digits of the longest number that is read: those of the largest integer that arithmetic makes."""
 
 _MOST = 10**_SAFE
 _LEAST = -_MOST

@@ -16,9 +16,9 @@ from ..terms import (
     String,
     Term,
     Var,
+    atom,
     deref,
     functor,
-    list_parts,
     resolve,
     serial,
 )
@@ -32,6 +32,10 @@ _LONG = 64 * len(BULK)
 _MASK = len(BULK) - 1
 _LONGEST = 1 << 26
 """Characters of the longest text that is written."""
+_BULKY = 1 << 18
+"""Characters from which on there is a check for room before the text of a term is put together."""
+_FEW = 64
+"""Arguments or items of a list that lie on the stack together."""
 _SYMBOLS = frozenset("-+*/\\^<>=~:.?@#&$")
 
 
@@ -48,6 +52,7 @@ class WriteOptions(NamedTuple):
         variable_names: variable -> name; others are ``_G1`` and so on.
         priority: a term of a higher priority is put in brackets.
         portray: gives the text of a term that is written in a way of its own, and None for others.
+        longest: characters after which the text ends with ``...``; None for the whole text.
     """
 
     quoted: bool = True
@@ -59,13 +64,16 @@ class WriteOptions(NamedTuple):
     variable_names: Optional[Mapping[Var, str]] = None
     priority: int = 1200
     portray: Optional[Callable[[Term], Optional[str]]] = None
+    longest: Optional[int] = None
 
 
-Piece = Union[str, "_PrefixOperator", Tuple[Term, int], Tuple[Term, int, bool]]
+Piece = Union[str, "_PrefixOperator", "_Arguments", "_Cells", Tuple[Term, int], Tuple[Term, int, bool]]
 """What is to be written, see `_TermWriter.write`."""
 
 
 class _TermWriter:
+    check_mask = _MASK
+
     def __init__(self, operators: Operators, options: WriteOptions):
         self.operators = operators
         self.options = options
@@ -83,16 +91,18 @@ class _TermWriter:
     def write(self, term: Term) -> str:
         """Return the text of ``term``.
 
-        An entry of the stack is a token (a str), a prefix operator, or a term and the priority that it may
-        have, with a third item where it is the argument of an operator.
+        An entry of the stack is a token (a str), a prefix operator, the items that remain of a list or of many
+        arguments, or a term and the priority that it may have, with a third item where it is the argument of an
+        operator.
         """
         stack = self.stack
         stack.append((term, self.options.priority))
         steps = 0
+        mask = self.check_mask
         while stack:
             steps += 1
-            if not steps & _MASK:
-                self._check(term, steps)
+            if not steps & mask and self._is_full(term, steps):
+                break
             entry: Any = stack.pop()
             kind = entry.__class__
             if kind is str:
@@ -100,18 +110,28 @@ class _TermWriter:
             elif kind is _PrefixOperator:
                 entry.parted = self._put(entry.text)
                 self.after = entry
+            elif kind is _Cells or kind is _Arguments:
+                entry.put_next(stack)
             else:
                 self._term(deref(entry[0]), entry[1], len(entry) == 3)
         return "".join(self.out)
 
-    def _check(self, term: Term, steps: int) -> None:
+    def _is_full(self, term: Term, steps: int) -> bool:
+        """Look at the limits; tell whether no more is to be written."""
         look()
         if steps == _LONG:
             resolve(term)  # raises for a term that contains itself
+        self._measure(0)
+        return False
+
+    def _measure(self, following: int) -> None:
+        """Count the characters so far, and check that there is room for them and those that follow in one text."""
         self.size += sum(map(len, self.out[self.counted :]))
         self.counted = len(self.out)
-        if self.size > _LONGEST:
+        if self.size + following > _LONGEST:
             raise TermTooLarge
+        if self.size + following > _BULKY:
+            look(size=self.size + following)
 
     def _put(self, token: str) -> bool:
         """Add a token, with a blank before it where it would run into the one before; tell whether so."""
@@ -143,11 +163,15 @@ class _TermWriter:
         elif term.__class__ is float:
             self._put(float_text(term))
         elif term.__class__ is String:
+            if len(term.text) > _BULKY:
+                self._measure(len(term.text))
             self._put(quote(term.text, '"') if self.options.quoted else term.text)
         elif term.__class__ is Var:
             self._put(self.names.get(term) or f"_G{serial(term)}")
 
     def _atom_term(self, name: str, is_operand: bool) -> None:
+        if len(name) > _BULKY:
+            self._measure(len(name))
         if is_operand and (name in self.operators or name == "."):
             self._put("(")
             self._put(self.atom(name))
@@ -179,25 +203,22 @@ class _TermWriter:
     def _canonical(self, term: CompoundTerm, found: Functor) -> None:
         stack = self.stack
         stack.append(")")
-        for argument in term[:1:-1]:
-            stack.append((argument, 999))
-            stack.append(self.comma)
+        if len(term) > _FEW:
+            stack.append(_Arguments(term, self.comma))
+        else:
+            for argument in term[:1:-1]:
+                stack.append((argument, 999))
+                stack.append(self.comma)
         if found.arity:
             stack.append((term[1], 999))
         self._put(self.atom(found.name))
         self._put("(")
 
     def _list(self, term: CompoundTerm) -> None:
-        entries: List[Piece] = ["["]
-        items, rest = list_parts(term)
-        for item in items:
-            entries += ((item, 999), self.comma)
-        entries.pop()
-        if rest is not NIL:
-            entries += ("|", (rest, 999))
-        entries.append("]")
-        entries.reverse()
-        self.stack += entries
+        stack = self.stack
+        stack.append(_Cells(term[2], self.comma))
+        stack.append((term[1], 999))
+        self._put("[")
 
     def _operator(self, term: CompoundTerm, found: Functor, limit: int) -> bool:
         """Write a term with its operator; False where its functor is none."""
@@ -262,6 +283,75 @@ class _TermWriter:
         return found.right
 
 
+class _Arguments:
+    """The arguments of a compound term from the second one on; all of them on the stack would take much memory."""
+
+    __slots__ = ("rest", "comma")
+
+    def __init__(self, term: CompoundTerm, comma: str):
+        self.rest = iter(term[2:])
+        self.comma = comma
+
+    def put_next(self, stack: List[Piece]) -> None:
+        """Put the next argument on the stack."""
+        for argument in self.rest:
+            stack += (self, (argument, 999), self.comma)
+            return
+
+
+class _Cells:
+    """The rest of a list."""
+
+    __slots__ = ("rest", "comma")
+
+    def __init__(self, rest: Term, comma: str):
+        self.rest = rest
+        self.comma = comma
+
+    def put_next(self, stack: List[Piece]) -> None:
+        """Put the next items on the stack, or the end of the list."""
+        rest: Any = deref(self.rest)
+        entries: List[Piece] = []
+        while rest.__class__ is tuple and rest[0] is CONS and len(entries) < _FEW:
+            entries += (self.comma, (rest[1], 999))
+            rest = deref(rest[2])
+        if rest.__class__ is tuple and rest[0] is CONS:
+            self.rest = rest
+            entries.append(self)
+        elif rest is NIL:
+            entries.append("]")
+        else:
+            entries += ("|", (rest, 999), "]")
+        entries.reverse()
+        stack += entries
+
+
+class _BeginningWriter(_TermWriter):
+    """Writes the beginning of a term; what is left out takes no time."""
+
+    check_mask = 0
+
+    def write(self, term: Term) -> str:
+        text = super().write(term)
+        longest = self.options.longest
+        return text if longest is None or len(text) <= longest else f"{text[:longest]}..."
+
+    def _is_full(self, term: Term, steps: int) -> bool:
+        self._measure(0)
+        return self.size > (self.options.longest or 0)
+
+    def _term(self, term: Term, limit: int, is_operand: bool) -> None:
+        longest = self.options.longest or 0
+        if term.__class__ is Atom and len(term.name) > longest:
+            term = atom(term.name[: longest + 1])
+        elif term.__class__ is String and len(term.text) > longest:
+            term = String(term.text[: longest + 1])
+        elif term.__class__ is int and term.bit_length() > 4 * longest:
+            self._put(f"an integer of {term.bit_length()} bits")
+            return
+        super()._term(term, limit, is_operand)
+
+
 _WIDE = 700
 _AFTER_A_LABEL = frozenset(("do", "<-"))
 
@@ -314,12 +404,19 @@ def write_term(term: Term, operators: Optional[Operators] = None, **options: Any
         operators: the table to write with; Prolog's by default.
         **options: see `WriteOptions`.
     """
-    return _TermWriter(operators or _usual(), WriteOptions(**options)).write(term)
+    found = WriteOptions(**options)
+    writer = _TermWriter if found.longest is None else _BeginningWriter
+    return writer(operators or _usual(), found).write(term)
 
 
 def writeq(term: Term, operators: Optional[Operators] = None) -> str:
     """Return the text of a term as ``writeq/1`` writes it: quoted, with operators and ``'$VAR'``."""
     return _TermWriter(operators or _usual(), _QUOTED).write(term)
+
+
+def beginning_of(term: Term, longest: int) -> str:
+    """Return what `writeq` returns, or its first characters and ``...``: an error may be about a term of any size."""
+    return _BeginningWriter(_usual(), _QUOTED._replace(longest=longest)).write(term)
 
 
 def add_full_stop(text: str) -> str:

@@ -7,6 +7,11 @@ from .cycles import LATE_ROUND, refuse_cycles
 from .kinds import COMMA, CONS, NIL, TRUE, Term, deref
 from .steps import ROUNDS
 
+_CELL = 64
+"""Bytes of a list cell."""
+_LONG = 1 << 14
+"""Items from which on there is a check for room before a list is made."""
+
 
 def make_list(items: Iterable[Term], tail: Term = NIL) -> Term:
     """Return the Prolog list of ``items``.
@@ -15,6 +20,8 @@ def make_list(items: Iterable[Term], tail: Term = NIL) -> Term:
     '[1,b]'
     """
     left = list(items)
+    if len(left) > _LONG:
+        look(size=_CELL * len(left))
     while len(left) > len(BULK):
         for item in reversed(left[-len(BULK) :]):
             tail = (CONS, item, tail)
