@@ -20,21 +20,11 @@ class Known(NamedTuple):
     why: str
 
 
-LIMITS = "one step of a built-in does not check the limits while it works"
-ANSWERS = "the values of an answer are copied outside of the limits of the query"
 STATES = "values of a state are not all checked before they are used"
 
 TOO_MUCH = "time|growth|hang|died.*"
 
 KNOWN = (
-    Known(
-        "limits",
-        TOO_MUCH,
-        r"^(ord_union|union|msort|sort|predsort|atomic_list_concat|number_codes|nth0|nth1)/",
-        LIMITS,
-    ),
-    Known("limits", TOO_MUCH, r"^(\\=|@=<|@<|@>|@>=|compare|==|\\==|format|print|writeq)/", LIMITS),
-    Known("limits", TOO_MUCH, "^answer of ", ANSWERS),
     Known("states", "exception|logged", "", STATES),
     Known("states", "time|growth", "keeping/coding.py", STATES),
 )

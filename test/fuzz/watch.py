@@ -100,6 +100,10 @@ class Watch:
         """Begin to watch; an audit hook stays for the life of the process."""
         sys.addaudithook(self._audit)
         signal.signal(signal.SIGPROF, self._look)
+        self.start_timer()
+
+    def start_timer(self):
+        """Look at the input now and then; a process that was forked needs a timer of its own."""
         signal.setitimer(signal.ITIMER_PROF, LOOKS, LOOKS)
 
     @contextmanager

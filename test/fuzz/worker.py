@@ -10,6 +10,7 @@ import json
 import os
 import random
 import resource
+import signal
 import struct
 import sys
 import time
@@ -29,6 +30,9 @@ WARM = 2000
 
 LEAK = 50 << 20
 """Bytes by which it may all the same."""
+
+LONGEST = 8
+"""Seconds of CPU time after which a process for one input is ended."""
 
 COLLECT = 16
 """Blocks from one collection of garbage to the next."""
@@ -120,6 +124,35 @@ class Worker:
 
     def problem(self, data):
         """Work on an input; return what it did that it must not, or None."""
+        return self._apart(data) if self.kind.apart else self._problem(data)
+
+    def _apart(self, data):
+        """Do the same in a process of its own."""
+        read, write = os.pipe()
+        child = os.fork()
+        if not child:
+            resource.setrlimit(resource.RLIMIT_CPU, (LONGEST, LONGEST))
+            self.watch.start_timer()
+            before = self.kind.taken, self.kind.refused
+            problem = self._problem(data)
+            steps = self.kind.taken - before[0], self.kind.refused - before[1]
+            told = None if problem is None else problem.args
+            os.write(write, json.dumps((told, steps, self.watch.slowest)).encode())
+            os._exit(0)
+        os.close(write)
+        with os.fdopen(read, "rb") as answer:
+            text = answer.read()
+        status = os.waitpid(child, 0)[1]
+        if not text:
+            what = "time" if os.WTERMSIG(status) == signal.SIGXCPU else "died"
+            return Finding(what, f"status {status}", self.kind.subject(data))
+        told, (taken, refused), slowest = json.loads(text)
+        self.kind.taken += taken
+        self.kind.refused += refused
+        self.watch.slowest = max(self.watch.slowest, slowest)
+        return None if told is None else Finding(*told)
+
+    def _problem(self, data):
         kind = self.kind
         kind.prepare(data)
         self.watch.mark = kind.marked(data)

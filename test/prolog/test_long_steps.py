@@ -11,7 +11,7 @@ from retalis.prolog.builtins.ordering import order_of
 from retalis.prolog.builtins.strings import _split, _words
 from retalis.prolog.builtins.text import each
 from retalis.prolog.compiler import CALL
-from retalis.prolog.machine import Limits, PrologError, type_error
+from retalis.prolog.machine import NO_LIMITS, Limits, PrologError, type_error
 from retalis.prolog.syntax import read_term, writeq
 from retalis.prolog.syntax.numerals import integer, integer_text
 from retalis.prolog.terms import String, Var, atom, compare, copy, functor, is_ground, make_list, unify
@@ -265,7 +265,7 @@ def test_the_arguments_of_a_wide_term_count(walk):
 )
 def test_what_is_allocated_in_one_piece_is_announced(logic, goal):
     """Who limits the memory can refuse it before it is there."""
-    logic.limits = Limits()
+    logic.limits = NO_LIMITS
     setup = "" if "A" not in goal else "length(Cs, 300000), maplist(=(0'a), Cs), atom_codes(A, Cs), "
     asked = []
     work = read_term(f"{setup}nb_setval(begins, 1), {goal}", logic.operators).term

@@ -39,12 +39,15 @@ class Kind:
         seconds: CPU time that an input may take.
         growth: bytes by which the resident memory may grow while an input is worked on.
         warm: whether the corpus may be worked on before the watch begins.
+        apart: whether each input is worked on in a process of its own, so that memory that was freed before hides
+            no growth.
         taken, refused: how many steps ended well, and how many with a documented error.
     """
 
     block = 50
     reads = False
     warm = True
+    apart = False
     seconds = SECONDS
     growth = GROWTH
 

@@ -1,11 +1,18 @@
-"""Single built-ins with adversarial arguments: far beyond the limits of time and memory is a finding."""
+"""Single built-ins with adversarial arguments: far beyond the limits of time and memory is a finding.
 
+The first inputs are systematic: each predicate with each kind of value at each argument, the others bound to
+something small, and with the same value at all arguments. They are shuffled in a fixed order, so that the first ones
+are a sample. Random inputs follow.
+"""
+
+import os
+import random
 import re
 
 from retalis.engine import Settings, parts_of
 from retalis.prolog.machine import Limits
 from retalis.prolog.syntax import write_term
-from retalis.prolog.terms import atom
+from retalis.prolog.terms import MINUS, NIL, String, Var, atom, functor, make_list
 
 from ..mutate import to_bytes, to_text
 from .base import LOGGED, Kind, silent_engine
@@ -13,22 +20,10 @@ from .goals import PAGE
 
 SETTINGS = Settings(limits=Limits(seconds=0.2, megabytes=50), limit_start=False, folders=())
 
-VALUES = r"""
-numlist(1, 100000, L), nb_setval(long, L).
-numlist(1, 20000, L), pairs_keys_values(P, L, L), reverse(P, R), nb_setval(pairs, R).
-numlist(1, 10000, L), atomic_list_concat(L, ' ', T), atomic_list_concat(A, ' ', T), nb_setval(atoms, A).
-format(atom(T), "~*c", [100000, 0'7]), atom_codes(T, L), nb_setval(codes, L).
-findall([I], between(1, 5000, I), L), nb_setval(lists, L).
-format(atom(T), "~*c", [100000, 0'a]), nb_setval(text, T).
-format(string(T), "~*c", [100000, 0'7]), nb_setval(string, T).
-format(atom(T), "~*c", [1000000, 0'9]), nb_setval(digits, T).
-deep(20000, x, T), nb_setval(deep, T).
-numlist(1, 2000, L), pairs_keys_values(P, L, L), list_to_assoc(P, T), nb_setval(assoc, T).
-"""
+SLACK = float(os.environ.get("FUZZ_SLACK", "1"))
+"""Factor on what an input may use, for machines that are busy with other work."""
 
 PROGRAM = """
-deep(0, T, T) :- !.
-deep(N, A, T) :- M is N - 1, deep(M, f(A), T).
 wide(0, T, T) :- !.
 wide(N, A, T) :- M is N - 1, wide(M, f(A, A), T).
 sum(0, T, T) :- !.
@@ -36,71 +31,115 @@ sum(N, A, T) :- M is N - 1, sum(M, A + A, T).
 p(X) :- q(X). p(1). q(2). yes(_). yes(_, _). yes(_, _, _). loop :- loop. grow(X) :- grow(f(X)).
 """
 
+MANY = 900_000
+DEPTH = 1_000_000
+
+
+def _nested(depth, item):
+    wrap = functor("f", 1)
+    for _ in range(depth):
+        item = (wrap, item)
+    return item
+
+
+def _assoc(low, high):
+    if low > high:
+        return atom("t")
+    middle = (low + high) // 2
+    sides = (_assoc(low, middle - 1), _assoc(middle + 1, high))
+    return (functor("t", 5), middle, middle, atom("<"), *sides)
+
+
+def large_values():
+    """Return terms that are made once, by the name of the global variable that holds them."""
+    chance = random.Random(1)
+    numbers = list(range(MANY))
+    shuffled = chance.sample(numbers, MANY)
+    some = shuffled[: MANY // 3]
+    names = [atom(f"item{number % 5000}") for number in shuffled]
+    return {
+        "long": make_list(numbers),
+        "mixed": make_list([names[at] if at % 2 else at for at in some]),
+        "pairs": make_list([(MINUS, at, at) for at in some]),
+        "atoms": make_list(names),
+        "open": make_list(names[: MANY // 3], Var()),
+        "vars": make_list([Var() for _ in some]),
+        "codes": make_list([55] * MANY),
+        "lists": make_list([(functor("[|]", 2), at, NIL) for at in some]),
+        "text": atom("ab c," * (1 << 20)),
+        "string": String("7é" * (1 << 21)),
+        "digits": atom("9" * 1_000_000),
+        "deep": _nested(DEPTH, atom("x")),
+        "deep_open": _nested(DEPTH, Var()),
+        "flat": (functor("f", MANY), *numbers),
+        "assoc": _assoc(1, 100_000),
+        "huge": (1 << 1_040_000) // 7,
+    }
+
+
 # A value is a goal that binds V, so that a text of few characters stands for a large term.
 LISTS = (
     "nb_getval(long, V)",
+    "nb_getval(mixed, V)",
     "nb_getval(pairs, V)",
     "nb_getval(atoms, V)",
+    "nb_getval(open, V)",
+    "nb_getval(vars, V)",
     "nb_getval(codes, V)",
     "nb_getval(lists, V)",
     "V = [a|V]",
-    "V = [a, b|_]",
-    "(nb_getval(long, W), append(W, _, V))",
-    "(V = [X1, X2], wide(40, X1, X2))",
+    "(V = [X1, X2], wide(60, X1, X2))",
     "(length(V, 3), wide(60, a, X3), maplist(=(X3), V))",
-    "length(V, 30000)",
-    "V = []",
 )
 NUMBERS = (
     "V = 1000000000",
-    "V = -1",
-    "V is 7 ** 5000",
-    "V is 1 << 100000",
     "V = 16777216",
-    "V = 1.0e308",
-    "V = 0",
-    "V = 100000",
+    "nb_getval(huge, V)",
     "(sum(60, 1, X4), V = X4)",
-    "V = 10 ** 1000000",
-    "V = 1 << (1 << 40)",
+    "V = 3 ** 2600000",
 )
 TEXTS = (
     "nb_getval(text, V)",
     "nb_getval(string, V)",
     "nb_getval(digits, V)",
-    "nb_getval(codes, V)",
-    "V = ''",
+    "V = '~q~w~p~a~s~e~t~16777216|~100000000c'",
 )
-TEXTS += ("V = '~q~w~p'", "V = '~16777216|~t~w'", "V = '~100000000c'", "V = '%s'", "V = a")
 TERMS = (
     "wide(60, _, V)",
     "wide(60, a, V)",
     "nb_getval(deep, V)",
+    "nb_getval(deep_open, V)",
     "V = f(V)",
     "nb_getval(assoc, V)",
-    "V = f(_, g(_))",
-    "(functor(V, f, 1000))",
-    "V = _",
-    "V = X0",
+    "nb_getval(flat, V)",
 )
-GOALS = (
-    "V = loop",
-    "V = grow(a)",
-    "V = yes",
-    "V = between(1, 1000000000)",
-    "V = repeat",
-    "V = p(_)",
-    "V = succ_or",
-)
+GOALS = ("V = loop", "V = grow(a)", "V = between(1, 1000000000)")
+SMALL = ("V = _", "V = [a, b|_]", "V = [1-a, 2-b]", "V = []", "V = ''", "V = 0", "V = 3", "V = a", "V = yes")
 SORTS = {
-    "List Set Pairs Rest Graph Keys Values Lists Items Sorted Arguments Options Numbers Vertices Codes": LISTS,
-    "Number Count Length Low High Index Expression X Y Size Arity Code Priority Seconds": NUMBERS,
-    "Text Atom String Name Format Whole Part Separator Character": TEXTS,
-    "Goal Condition Predicate Head Closure": GOALS,
+    "List Set Pairs Rest Graph Keys Values Lists Items Sorted Arguments Options Numbers Vertices Codes": (
+        *LISTS,
+        "V = [a, b|_]",
+        "V = []",
+    ),
+    "Number Count Length Low High Index Expression X Y Size Arity Code Priority Seconds": (*NUMBERS, "V = 3"),
+    "Text Atom String Name Format Whole Part Separator Character": (*TEXTS, "nb_getval(codes, V)", "V = a"),
+    "Goal Condition Predicate Head Closure": (*GOALS, "V = yes", "V = p(_)"),
     "Assoc Tree Heap": ("nb_getval(assoc, V)", "V = t", "V = t(V, V)", "V = heap(V, 3)"),
 }
 BY_NAME = {name: values for names, values in SORTS.items() for name in names.split()}
-ALL = LISTS + NUMBERS + TEXTS + TERMS + GOALS
+LARGE = LISTS + NUMBERS + TEXTS + TERMS + GOALS
+ALL = LARGE + SMALL
+USUAL = {
+    "List": "V = [b, a]",
+    "Pairs": "V = [2-b, 1-a]",
+    "Number": "V = 3",
+    "Text": "V = ab",
+    "Goal": "V = yes",
+    "Assoc": "V = t",
+}
+"""A small value for arguments whose names are in a line of `SORTS`, by the first of them."""
+
+SMALL_BY_NAME = {name: USUAL.get(names.split()[0], "V = _") for names in SORTS for name in names.split()}
 SIGNATURE = re.compile(r"([a-z]\w*)\(([^()]*)\)")
 LEFT_OUT = frozenset(("halt", "sleep", "nb_getval", "nb_setval"))
 
@@ -111,7 +150,7 @@ def signatures():
     for line in PAGE.read_text(encoding="utf-8").splitlines():
         if line.startswith("| ``"):
             for name, arguments in SIGNATURE.findall(line.split("|")[2]):
-                names = [argument.strip(" +-?:") for argument in arguments.split(",")]
+                names = [argument.strip(" +-?:@[]") for argument in arguments.split(",")]
                 found[name, len(names)] = names
     return found
 
@@ -119,39 +158,65 @@ def signatures():
 class Inputs(Kind):
     """An input is the name of a built-in and its arity, then a goal that calls it."""
 
-    block = 50
-    seconds = 2.0
-    growth = 200 << 20
+    block = 1 << 30
+    apart = True
+    warm = False
+    seconds = 0.4 * SLACK
+    growth = int(SLACK * (100 << 20))
 
     def setup(self):
         keys = parts_of(silent_engine()).logic.names()
         self.keys = sorted((key.name, key.arity) for key in keys if key.arity and key.name not in LEFT_OUT)
         self.quoted = {name: write_term(atom(name), None, quoted=True) for name, _ in self.keys}
         self.signatures = signatures()
+        self.values = large_values()
+        self.corpus += self.systematic()
 
     def begin(self):
         self.engine = silent_engine(SETTINGS)
         self.engine.load(PROGRAM)
-        self.engine.load(goals=VALUES.replace(").\n", ")\n"))
+        parts_of(self.engine).logic.globals.update(self.values)
+
+    def systematic(self):
+        """Return the inputs of all predicates with all kinds of values."""
+        found = []
+        for name, arity in self.keys:
+            names = self.signatures.get((name, arity), [""] * arity)
+            small = [SMALL_BY_NAME.get(kind, "V = _") for kind in names]
+            for value in LARGE:
+                for at in range(arity):
+                    found.append(self.goal(name, [*small[:at], value, *small[at + 1 :]]))
+                if arity > 1:
+                    found.append(self.goal(name, [value], [0] * arity))
+        random.Random(2).shuffle(found)
+        return found
+
+    def goal(self, name, values, places=None, head=""):
+        """Return the input that calls a predicate with some values, or with those at some places."""
+        places = range(len(values)) if places is None else places
+        parts = [re.sub(r"\b([VWX]\d?)\b", rf"\g<1>_{at}", value) for at, value in enumerate(values)]
+        goal = f"{self.quoted[name]}({', '.join(f'V_{place}' for place in places)})"
+        text = ", ".join((*parts, goal))
+        if head:
+            return to_bytes(f"{head}{name}/{len(places)}\n{text}")
+        return to_bytes(
+            f"{name}/{len(places)}\n\\+ \\+ ({text})"
+        )  # without copying the values into the answer
 
     def make(self, chance):
         name, arity = chance.choice(self.keys)
         names = self.signatures.get((name, arity), [""] * arity)
-        parts, arguments = [], []
-        for at, kind in enumerate(names):
-            if arguments and chance.random() < 0.15:  # one term twice: the walk meets itself
-                arguments.append(chance.choice(arguments))
+        values, places = [], []
+        for kind in names:
+            if places and chance.random() < 0.15:  # one term twice: the walk meets itself
+                places.append(chance.choice(places))
                 continue
-            values = BY_NAME.get(kind, ALL) if chance.random() < 0.75 else ALL
+            choice = BY_NAME.get(kind, ALL) if chance.random() < 0.75 else ALL
             if kind and chance.random() < 0.15:
-                values = ("V = _",)
-            parts.append(re.sub(r"\b([VWX]\d?)\b", rf"\g<1>_{at}", chance.choice(values)))
-            arguments.append(f"V_{at}")
-        goal = f"{self.quoted[name]}({', '.join(arguments)})"
-        text = ", ".join((*parts, goal))
-        if chance.random() < 0.05:
-            return to_bytes(f"answer of {name}/{arity}\n{text}")
-        return to_bytes(f"{name}/{arity}\n\\+ \\+ ({text})")  # without copying the values into the answer
+                choice = ("V = _",)
+            places.append(len(values))
+            values.append(chance.choice(choice))
+        return self.goal(name, values, places, "answer of " if chance.random() < 0.05 else "")
 
     def subject(self, data):
         return to_text(data).partition("\n")[0][:60]
