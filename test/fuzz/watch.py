@@ -165,6 +165,11 @@ class Watch:
             allowed = self._may_run(event, arguments)
         elif event == "open":
             allowed = self._may_open(*arguments[:3])
+        elif event in ("sqlite3.connect", "sqlite3.connect/handle"):
+            name = str(arguments[0])  # of the second one, the database that the first has allowed
+            allowed = event != "sqlite3.connect" or (
+                name.startswith(f"file://{self._scratch}/") and "mode=ro" in name
+            )
         else:
             allowed = (
                 event in ("os.scandir", "os.listdir")

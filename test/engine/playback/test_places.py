@@ -158,3 +158,18 @@ def test_what_dead_workers_left_is_removed_and_nothing_else(tmp_path):
         (tmp_path / name).touch()
     remove_parts([str(tmp_path / "a.bag"), "s3://bucket/b.bag", str(tmp_path / "none" / "c.bag")])
     assert sorted(path.name for path in tmp_path.iterdir()) == [".a.bag.03.parts", ".b.bag.02.part", "a.bag"]
+
+
+def test_a_url_that_sends_more_than_it_states_is_an_error(tmp_path, monkeypatch):
+    memory = pytest.importorskip("fsspec.implementations.memory").MemoryFileSystem
+    with memory().open("/sent.bag", "wb") as file:
+        file.write(bytes(9_000_000))
+    with fetched("memory://sent.bag", str(tmp_path)) as path:
+        assert Path(path).stat().st_size == 9_000_000
+    monkeypatch.setattr(memory, "size", lambda self, path: 1000)
+    with pytest.raises(
+        BagError, match=r"memory://sent\.bag: .* has more than 1000 bytes, as stated or as half of"
+    ), fetched("memory://sent.bag", str(tmp_path)):
+        pass
+    assert list(tmp_path.iterdir()) == []
+    memory().rm("/sent.bag")

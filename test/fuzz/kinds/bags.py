@@ -1,8 +1,8 @@
-"""Bytes of bags, and a program that is fed from them."""
+"""Bytes of bags of ROS 1, databases and mcap files of ROS 2, and a program that is fed from them."""
 
 import os
 
-from retalis.engine.playback import BagReader, Playback
+from retalis.engine.playback import BagSeries, Playback
 
 from ..mutate import changed_bytes
 from .base import LOGGED, SETTINGS, Kind
@@ -16,12 +16,22 @@ memorize(fuzz__0__B(_,X), [], X, bs, 10)
 """
 
 
+ENDINGS = ((b"SQLite", ".db3"), (b"\x89MCAP", ".mcap"), (b"", ".bag"))
+"""Which file takes an input, by its first bytes."""
+
+MEGABYTES = 8
+"""The largest chunk; bombs of the corpus have 200 MB."""
+
+
 class Inputs(Kind):
     block = 20
 
     def setup(self):
-        self.path = self.scratch / "fuzz.bag"
-        self.file = os.open(str(self.path), os.O_RDWR | os.O_CREAT)
+        self.paths = {ending: self.scratch / f"fuzz{ending}" for _, ending in ENDINGS}
+        self.files = {
+            ending: os.open(str(path), os.O_RDWR | os.O_CREAT) for ending, path in self.paths.items()
+        }
+        self.path = self.paths[".bag"]
         for name, text in (("pub_sub.xml", TOPICS), ("goalPredicates.txt", GOALS)):
             (self.scratch / name).write_text(text)
 
@@ -35,14 +45,16 @@ class Inputs(Kind):
         return changed_bytes(chance, chance.choice(self.corpus), self.corpus)
 
     def prepare(self, data):
-        os.ftruncate(self.file, 0)
-        os.pwrite(self.file, data, 0)
+        ending = next(ending for begin, ending in ENDINGS if data.startswith(begin))
+        self.path = self.paths[ending]
+        os.ftruncate(self.files[ending], 0)
+        os.pwrite(self.files[ending], data, 0)
 
     def run(self, data):
         self.attempt(self.play)
         LOGGED.check()
 
     def play(self):
-        with BagReader(self.path) as bag:
+        with BagSeries([self.path], max_chunk_megabytes=MEGABYTES) as bag:
             for _ in self.playback.run(bag):
                 pass

@@ -110,13 +110,13 @@ def copy_up_to(source: BinaryIO, target: BinaryIO, size: int) -> int:
 
 
 def zstd_reader(packed: BinaryIO) -> Any:
-    """Return a reader of what zstd has packed, by the package that this version of ``rosbags`` needs."""
-    try:
-        import zstandard  # noqa: PLC0415 - an optional package
-    except ImportError:
-        from rosbags.rosbag2.reader import zstd  # type: ignore[attr-defined]  # noqa: PLC0415
+    """Return a reader of what zstd has packed, by the package that this version of ``rosbags`` imports."""
+    from rosbags.rosbag2 import reader  # noqa: PLC0415 - an optional package
 
+    zstd = getattr(reader, "zstd", None)
+    if zstd is not None:
         return zstd.open(packed, "rb")
+    zstandard: Any = vars(reader)["zstandard"]  # before version 0.11
     return zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
 
 
