@@ -230,21 +230,26 @@ def _flattened(parent: CompoundTerm, side: Any, order: int) -> Optional[Tuple[Co
     return (_NODE, top_key, top_value, _RIGHT, inner_left, lower), False
 
 
-def _walk(tree: Term, item: Callable[[CompoundTerm], Term]) -> Optional[Term]:
-    """Return the list of an item of each node in the order of keys; None for a term that is no tree."""
-    items: List[Term] = []
+def _nodes(tree: Term) -> Optional[List[CompoundTerm]]:
+    """Return the nodes of a tree in the order of keys; None for a term that is no tree."""
+    found: List[CompoundTerm] = []
     path: List[CompoundTerm] = []
     node: Any = deref(tree)
     for _ in ROUNDS:
         for _ in BULK:
             if node.__class__ is tuple and node[0] is _NODE:
-                path.append(node)
-                node = node[4]
+                left = node[4]
+                if left is _EMPTY:
+                    found.append(node)
+                    node = node[5]
+                else:
+                    path.append(node)
+                    node = left
             elif node is _EMPTY:
                 if not path:
-                    return make_list(items)
+                    return found
                 node = path.pop()
-                items.append(item(node))
+                found.append(node)
                 node = node[5]
             elif node.__class__ is Var:
                 raise instantiation_error()
@@ -256,17 +261,19 @@ def _walk(tree: Term, item: Callable[[CompoundTerm], Term]) -> Optional[Term]:
     raise TermTooLarge
 
 
-def _listing(item: Callable[[CompoundTerm], Term]) -> Callable[[Machine, Term, Term], bool]:
+def _listing(items: Callable[[List[CompoundTerm]], List[Term]]) -> Callable[[Machine, Term, Term], bool]:
     def run(machine: Machine, tree: Term, result: Term) -> bool:
-        found = _walk(tree, item)
-        return found is not None and unify(result, found, machine.trail)
+        nodes = _nodes(tree)
+        return nodes is not None and unify(result, make_list(items(nodes)), machine.trail)
 
     return run
 
 
-deterministic("assoc_to_list/2", locked=False)(_listing(lambda node: (MINUS, node[1], node[2])))
-deterministic("assoc_to_keys/2", locked=False)(_listing(lambda node: node[1]))
-deterministic("assoc_to_values/2", locked=False)(_listing(lambda node: node[2]))
+deterministic("assoc_to_list/2", locked=False)(
+    _listing(lambda nodes: [(MINUS, node[1], node[2]) for node in nodes])
+)
+deterministic("assoc_to_keys/2", locked=False)(_listing(lambda nodes: [node[1] for node in nodes]))
+deterministic("assoc_to_values/2", locked=False)(_listing(lambda nodes: [node[2] for node in nodes]))
 
 
 @deterministic("$pairs_to_assoc/2")
