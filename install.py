@@ -89,7 +89,9 @@ OWN_PYTHON = "RETALIS_INSTALLED"
 
 CERTIFICATES = "/etc/ssl/certs/ca-certificates.crt"
 
-_COMMON = "ca-certificates cmake g++ make python3-numpy python3-setuptools python3-tornado python3-venv"
+_COMMON = """
+    ca-certificates cmake g++ make python3-msgpack python3-numpy python3-setuptools python3-tornado python3-venv
+    """
 
 _DEBIAN = """
     catkin librostest-dev libstd-msgs-dev python3-diagnostic-msgs python3-geometry-msgs python3-lark
@@ -112,6 +114,7 @@ DEPENDENCIES = {
     "message_runtime": "ros-message-runtime",
     "python3-hypothesis": "pip",
     "python3-lark-parser": "python3-lark",
+    "python3-msgpack": "python3-msgpack",
     "python3-numpy": "python3-numpy",
     "python3-pytest": "pip",
     "python3-rosbags-pip": "pip",

@@ -7,12 +7,14 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from zlib import crc32
 
 import pytest
 
 from retalis import Reports, Settings, StreamClock
 from retalis.engine import CheckpointFile, Checkpoints, Engine, parts_of, put_aside, resume
 from retalis.engine.checkpoints import read_checkpoint
+from retalis.engine.keeping import from_bytes, to_bytes
 from retalis.foundation import UsageError
 
 from .checkpoint_victim import GOALS, RULES
@@ -204,6 +206,59 @@ def test_a_file_that_is_just_being_made_holds_nothing(folder, monkeypatch):
     assert any("application_id" in one for one in statements)
     assert any("CREATE TABLE" in one for one in statements)
     assert [result for _, result in found] == [None] * len(found)
+
+
+@pytest.mark.parametrize(
+    ("statements", "message"),
+    [
+        ("CREATE TABLE more (x)", "its tables are not those of a checkpoint"),
+        ("CREATE INDEX more ON records (number)", "its tables are not those of a checkpoint"),
+        (
+            "CREATE TRIGGER t AFTER INSERT ON sections "
+            "BEGIN INSERT INTO records VALUES (1, 1, 1, zeroblob(9), 1); END",
+            "its tables are not those of a checkpoint",
+        ),
+        (
+            "DROP TABLE records; CREATE VIEW records AS WITH RECURSIVE x(memory, first, number, data, checked) AS "
+            "(SELECT 1, 1, 1, x'00', 1 UNION ALL SELECT memory, first + 1, 1, data, 1 FROM x) SELECT * FROM x",
+            "its tables are not those of a checkpoint",
+        ),
+        ("PRAGMA application_id = 5", "a database of something else"),
+        ("UPDATE sections SET data = 'text'", "data of another type"),
+        ("DELETE FROM sections WHERE name = 'program'", "no section program"),
+        ("UPDATE sections SET data = x'800495' WHERE name = 'about'", "not what was written"),
+    ],
+)
+def test_a_database_that_is_another_one_is_refused(folder, statements, message):
+    kept = checkpoints(begun(folder), folder)
+    kept.end()
+    base = sqlite3.connect(str(folder / "state.db"), isolation_level=None)
+    base.executescript(statements)
+    base.close()
+    with pytest.raises(UsageError, match=message):
+        resumed(folder)
+
+
+@pytest.mark.parametrize(
+    ("about", "message"),
+    [
+        (lambda old: b"\x80\x04}\x94.", "format 5 or older, a pickle, which is never read"),
+        (lambda old: to_bytes({**old, "made": "abc"}), "made: 'abc': expected a number of seconds"),
+        (lambda old: to_bytes({**old, "files": [["x"]]}), "files: .*expected 2 items"),
+        (lambda old: to_bytes({**old, "format": 7}), "format 7: this version reads format 6"),
+        (lambda old: to_bytes({**old, "memories": old["memories"] * 2}), "two memories"),
+    ],
+)
+def test_what_it_says_of_itself_is_checked(folder, about, message):
+    kept = checkpoints(begun(folder), folder)
+    kept.end()
+    base = sqlite3.connect(str(folder / "state.db"), isolation_level=None)
+    ((old,),) = base.execute("SELECT data FROM sections WHERE name = 'about'").fetchall()
+    data = about(dict(from_bytes(old)))
+    base.execute("UPDATE sections SET data = ?, checked = ? WHERE name = 'about'", (data, crc32(data)))
+    base.close()
+    with pytest.raises(UsageError, match=message):
+        resumed(folder)
 
 
 def test_what_is_no_checkpoint_is_refused(folder):

@@ -10,7 +10,15 @@ from retalis.foundation import PYPY
 
 pytestmark = pytest.mark.skipif(PYPY, reason="an input is watched by audit events, and PyPy has few of them")
 
-INPUTS = {"rules": 4000, "joins": 300, "limits": 300, "states": 400, "ros2": 4000, "tables": 200}
+INPUTS = {
+    "rules": 4000,
+    "joins": 300,
+    "limits": 300,
+    "states": 400,
+    "checkpoints": 400,
+    "ros2": 4000,
+    "tables": 200,
+}
 """Of each kind 20,000, but where they take too long for that."""
 
 USUAL = 20_000 if sys.version_info >= (3, 9) else 5000

@@ -163,6 +163,8 @@ class Watch:
             return
         if event in ("exec", "compile"):
             allowed = self._may_run(event, arguments)
+        elif event in ("sqlite3.connect", "sqlite3.connect/handle"):
+            allowed = event.endswith("handle") or self._may_connect(str(arguments[0]))
         elif event == "open":
             allowed = self._may_open(*arguments[:3])
         elif event in ("sqlite3.connect", "sqlite3.connect/handle"):
@@ -184,6 +186,10 @@ class Watch:
         if self.mark and event == "compile" and self.mark in str(arguments[0]):
             return False
         return module in CODE_MAKERS or (event == "compile" and module in PARSERS)
+
+    def _may_connect(self, name):
+        """Tell whether a database may be opened: one in memory, or a file of the input's own that is only read."""
+        return name == ":memory:" or (name.startswith(f"file:{self._scratch}/") and name.endswith("?mode=ro"))
 
     def _may_open(self, path, mode, flags):
         if (mode and set(mode) & set("wax+")) or (flags or 0) & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):

@@ -12,7 +12,19 @@ from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Tuple
 from zlib import crc32
 
 from ..foundation import UsageError
-from .keeping import FORMAT, LAYOUT, check_version, from_bytes
+from .keeping import (
+    FORMAT,
+    LAYOUT,
+    SECTIONS,
+    about,
+    anything,
+    check_version,
+    dict_of,
+    from_bytes,
+    read_records,
+    read_section,
+    text,
+)
 
 APPLICATION = 0x72746C73
 """What tells such a file from other databases of SQLite."""
@@ -31,6 +43,15 @@ ProgramFiles = List[Tuple[str, str]]
 
 
 MOST_ASIDE = 9
+
+MAX_FILE_BYTES = 2 << 30
+"""The largest file that is read."""
+
+_STEP, _STEPS, _BYTES_PER_STEP = 1000, 200, 250
+"""Reading ends after so many times so many instructions of SQLite, and as many more for so many bytes of the file."""
+
+_PICKLED = b"\x80\x04"
+"""What the sections of older files begin with."""
 
 
 class FileTaken(UsageError):
@@ -89,7 +110,9 @@ class CheckpointFile:
             _value(self._base, "PRAGMA journal_mode = WAL")
             self._base.execute("PRAGMA synchronous = NORMAL")
             # At once, so that whoever reads the file meanwhile, or after a kill, finds nothing or all of it.
+            self._base.execute("PRAGMA trusted_schema = OFF")
             self._base.executescript(f"BEGIN; PRAGMA application_id = {APPLICATION}; {_TABLES} COMMIT;")
+            _check_schema(self._base)
             newest = _value(self._base, "SELECT max(memory) FROM records")
             self.next_number: int = 0 if newest is None else newest + 1
             self._owner = secrets.randbelow(1 << 31)
@@ -154,17 +177,22 @@ class CheckpointFile:
 def read_checkpoint(path: Path) -> Optional[Checkpoint]:
     """Return what a file holds; None where there is no file, or nothing was written to it yet.
 
+    Nothing is written to the file, and nothing in it is executed.
+
     Raises:
         UsageError: where it is no checkpoint, is damaged, or comes from another version.
     """
+    size = sum(one.stat().st_size for one in (path, Path(f"{path}-wal")) if one.is_file())
     if not path.exists() or (path.is_file() and not path.stat().st_size):
         return None
+    if size > MAX_FILE_BYTES:
+        raise UsageError(f"it has {size} bytes: the limit is {MAX_FILE_BYTES}")
     try:
-        base = sqlite3.connect(f"file:{_quoted(path)}?mode=rw", uri=True)
+        base = sqlite3.connect(f"file:{_quoted(path)}?mode=ro", uri=True)
     except sqlite3.Error as error:
         raise UsageError(f"it cannot be opened: {error}") from error
     try:
-        return _read(base)
+        return _read(base, size)
     except sqlite3.Error as error:
         raise UsageError(f"it is no checkpoint, or damaged: {error}") from error
     finally:
@@ -175,20 +203,91 @@ def _quoted(path: Path) -> str:
     return str(path.absolute()).replace("%", "%25").replace("?", "%3f").replace("#", "%23")
 
 
-def _read(base: sqlite3.Connection) -> Optional[Checkpoint]:
+def _limit(base: sqlite3.Connection, size: int) -> None:
+    """Have the reading of a database end after as many steps, and at as many bytes, as its file can need."""
+    steps = iter(range(_STEPS + size // _BYTES_PER_STEP))
+    base.set_progress_handler(lambda: next(steps, None) is None, _STEP)
+    if hasattr(base, "setlimit"):  # since Python 3.11
+        base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(size, 1_000_000))
+    base.execute("PRAGMA trusted_schema = OFF")
+    base.execute("PRAGMA cell_size_check = ON")
+
+
+def _schema(base: sqlite3.Connection) -> List[Tuple[Any, ...]]:
+    return base.execute("SELECT type, name, tbl_name, sql FROM sqlite_master ORDER BY name").fetchall()
+
+
+def _check_schema(base: sqlite3.Connection) -> None:
+    """Check that a database has the tables of a checkpoint, and no views, triggers, indexes or further tables.
+
+    Raises:
+        UsageError: where it has not.
+    """
+    ours = sqlite3.connect(":memory:")
+    try:
+        ours.executescript(_TABLES)
+        if _schema(ours) != _schema(base):
+            raise UsageError("it is a database of something else: its tables are not those of a checkpoint")
+    finally:
+        ours.close()
+
+
+def _check_lengths(base: sqlite3.Connection, size: int) -> None:
+    """Check that what the tables say they contain fits into the file, before any of it is read."""
+    total = 0
+    for table, *columns in (("sections", "name", "data"), ("records", "data")):
+        for column in columns:
+            total += _value(base, f"SELECT total(length({column})) FROM {table}")
+        if _value(base, f"SELECT count(*) FROM {table} WHERE typeof(data) <> 'blob'"):
+            raise UsageError(f"it is damaged: the table {table} has data of another type")
+    if not total <= size:
+        raise UsageError("it is damaged: it says that it contains more than the file has")
+
+
+def _read(base: sqlite3.Connection, size: int) -> Optional[Checkpoint]:
+    _limit(base, size)
     base.execute("BEGIN")  # all of one moment
     if not _value(base, "SELECT count(*) FROM sqlite_master"):
         return None  # it has just been made
     if _value(base, "PRAGMA application_id") != APPLICATION:
         raise UsageError("it is a database of something else")
-    found = {name: _whole(data, check) for name, data, check in base.execute("SELECT * FROM sections")}
+    _check_schema(base)
+    _check_lengths(base, size)
+    found = {
+        name: _whole(data, check)
+        for name, data, check in base.execute("SELECT name, data, checked FROM sections")
+    }
     if not found:
         return None
-    about = from_bytes(found.pop("about"))
-    check_version(about["format"], about["layout"])
-    records = [_records(base, *memory) for memory in about["memories"]]
-    sections = {name: from_bytes(data) for name, data in found.items()}
-    return Checkpoint(sections, records, [tuple(one) for one in about["files"]], about["made"])
+    if "about" not in found:
+        raise UsageError("it is damaged: it does not say what it is")
+    said = _about(found.pop("about"))
+    missing = SECTIONS.keys() - found.keys()
+    if missing:
+        raise UsageError(f"it is damaged: it has no section {', '.join(sorted(missing))}")
+    sections = {name: read_section(name, data) for name, data in found.items()}
+    if len({number for number, _, _ in said["memories"]}) != len(said["memories"]):
+        raise UsageError("it is damaged: two memories have the same records")
+    records = [_records(base, *memory) for memory in said["memories"]]
+    return Checkpoint(sections, records, said["files"], said["made"])
+
+
+def _about(data: bytes) -> Dict[str, Any]:
+    """Return what a file says of itself.
+
+    Raises:
+        UsageError: where it comes from another version, or is damaged.
+    """
+    if data.startswith(_PICKLED):
+        raise UsageError(
+            "it was written by an older version of the package: it has format 5 or older, a pickle, which is never "
+            f"read; this version reads format {FORMAT}"
+        )
+    found = from_bytes(data)
+    said = dict_of(text, anything)(found)
+    check_version(said.get("format"), said.get("layout"))
+    checked: Dict[str, Any] = about(found)
+    return checked
 
 
 def _value(base: sqlite3.Connection, query: str) -> Any:
@@ -207,7 +306,7 @@ def _records(base: sqlite3.Connection, number: int, oldest: int, end: Any) -> Li
         end: what comes after its last one.
     """
     query = "SELECT data, checked FROM records WHERE memory = ? ORDER BY first"
-    parts = [from_bytes(_whole(*row)) for row in base.execute(query, (number,))]
+    parts = [read_records(_whole(*row)) for row in base.execute(query, (number,))]
     first = parts[0][0] if parts else end[0]
     if first > oldest:
         raise UsageError("it is damaged: records of a memory are missing")

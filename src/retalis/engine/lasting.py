@@ -7,7 +7,7 @@ from ..messages import Definitions
 from ..prolog.foreign import define_foreign
 from ..prolog.terms import Functor
 from .holdings import Holdings
-from .keeping import from_bytes, pack, unpack
+from .keeping import pack, read_records, unpack
 from .ownfiles import REQUEST
 from .runtime import Clock, Reports
 from .settings import Settings
@@ -83,8 +83,7 @@ class Lasting(Holdings):
             engine = cls(clock or clock_for(sections["run"]), settings, reports, definitions)
             if foreign:
                 engine.add_foreign(*foreign)
-            names = [name for name in found if name.startswith("memory ")]
-            records = [from_bytes(found[name]) for name in names]
+            records = [[read_records(data)] for name, data in found.items() if name.startswith("memory ")]
             StateKeeper(engine).take_up(sections, records, folder)
             return engine
 

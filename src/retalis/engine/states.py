@@ -11,7 +11,7 @@ from ..prolog.swi import SwiFile, use_swi
 from .core import EngineCore, parts_of
 from .inputtopics import AskedTopic
 from .keeping import (
-    from_bytes,
+    SECTIONS,
     keep_matches,
     keep_memories,
     keep_records,
@@ -19,6 +19,7 @@ from .keeping import (
     keep_sent,
     keep_subscriptions,
     new_records,
+    read_section,
     restore_matches,
     restore_memories,
     restore_records,
@@ -152,6 +153,8 @@ class StateKeeper:
             restore_subscriptions(knowledge, program["subscriptions"], run["sent"])
             for definition in program["declared"]:
                 knowledge.states.declare(definition)
+        if len(run["sent"]) != len(knowledge.subscriptions.items()):
+            raise UsageError("there are not as many subscriptions as counts of what they have sent")
         if len(memories) != len(records):
             raise UsageError("there are not as many memories as records of them")
         for instance, found in zip(memories, records):
@@ -210,25 +213,16 @@ def clock_for(run: Dict[str, Any]) -> Optional[StreamClock]:
 def coded(sections: Sections, records: Sequence[Any]) -> Dict[str, bytes]:
     """Return sections and the records of memories as bytes by name."""
     made = {name: to_bytes(data) for name, data in sections.items()}
-    made.update({f"memory {at}": to_bytes([one]) for at, one in enumerate(records)})
+    made.update({f"memory {at}": to_bytes(one) for at, one in enumerate(records)})
     return made
 
 
 def decoded(found: Dict[str, bytes]) -> Sections:
     """Return the sections of bytes, without records."""
-    return {name: from_bytes(data) for name, data in found.items() if not name.startswith("memory ")}
-
-
-_WRONG = (
-    ArithmeticError,
-    AttributeError,
-    LookupError,
-    MemoryError,
-    OSError,
-    RecursionError,
-    TypeError,
-    ValueError,
-)
+    missing = SECTIONS.keys() - found.keys()
+    if missing:
+        raise UsageError(f"the state is damaged: it has no section {', '.join(sorted(missing))}")
+    return {name: read_section(name, data) for name, data in found.items() if not name.startswith("memory ")}
 
 
 def checked(work: Callable[[], Result]) -> Result:
@@ -241,5 +235,5 @@ def checked(work: Callable[[], Result]) -> Result:
         return work()
     except RetalisError as error:
         raise UsageError(error.message) from error
-    except _WRONG as error:
+    except Exception as error:  # of whatever kind: nothing that was begun is kept
         raise UsageError(f"the state is damaged ({type(error).__name__}: {error})") from error

@@ -16,6 +16,7 @@ NAMES = (
     "joins",
     "limits",
     "states",
+    "checkpoints",
     "ros2",
     "tables",
 )

@@ -1,10 +1,11 @@
-"""States with changed values and right checksums, changed bytes, and pieces left out."""
+"""States with changed values, references, and lengths and right checksums, changed bytes, and pieces left out."""
 
 from retalis import Engine
 from retalis.engine import parts_of
 from retalis.engine.keeping import from_bytes, pack, to_bytes, unpack
+from retalis.engine.keeping.coding import Ref
 from retalis.foundation import RetalisError, UsageError
-from retalis.prolog.terms import atom, functor
+from retalis.prolog.terms import Functor, String, Var, WholeSeconds, atom, functor
 
 from ..mutate import NUMBERS, changed_bytes
 from ..watch import Finding
@@ -42,9 +43,42 @@ pose(X) <- prev(as, X, _, _, [1, 0]) where true.
         "set_etalis_flag(revision_flag, on)\nset_etalis_flag(event_consumption_policy, chronological)\n"
         "memorize(a(X), [], X, as, 5)\nsubscribe(q(_), [], _, t, s)",
     ),
+    (
+        """
+w(N, S) <- aggregate([count, sum(X)], a(X) where number(X), [N, S], last(30)).
+e(X, N) <- aggregate(count, a(X), N, every(4)).
+g(N) <- aggregate(max(X), a(X) where number(X), N, every(6, first)).
+h(N) <- aggregate(median(X), a(X) where number(X), N, last(6, every(2))).
+z(X) <- (a(X) with debounce(3, X)).
+k(X, Y) <- (a(X) with change(X)) seq b(Y).
+l(X, Y) <- (b(X) seq c(Y)) fnot a(X).
+r(X) <- (a(X) ntimes 3) within 30.
+o(X) <- a(X) or b(X).
+ask(X) <- c(X) seq b(_).
+syncronized(found(X, Y), prev(as, Y, _, _, 99), [[as, 99]]) <- c(X).
+x(L) <- c(_) seq aggregate(list(X), b(X), L).
+""",
+        "memorize(a(X), [], X, as, 5)\nsubscribe((a(X) with throttle(5, X)), [], _, t, s)\n"
+        "subscribe((b(X) with debounce(5)), [], _, t, u)",
+    ),
+    (
+        """
+w(N, S) <- aggregate([count, sum(X)], a(X) where number(X), [N, S], last(30)).
+r(X) <- a(X) ntimes 3.
+x(L) <- c(_) seq aggregate(list(X), b(X), L).
+z(X) <- (a(X) with debounce(3, X)).
+t(N) <- aggregate(count, a(X), N, steps([up where X > 0, later(dn) where X < 0])).
+n(X, Y) <- (c(X) seq b(Y)) cnot a(X).
+alarm(X) <- a(X) seq absent(b(X), 4).
+""",
+        "set_etalis_flag(revision_flag, on)\nmemorize(a(X), [], X, as, 5)",
+    ),
 )
 EVENTS = ("a(1)", "b(2)", "a(-1)", "c(1)", "a(f(Z, Z))", "b(1)", "a(2)")
-AFTER = ("b(7)", "c(2)", "a(1)", "rev(b(7))", "b(2)")
+AFTER = ("b(7)", "c(2)", "a(1)", "rev(b(7))", "b(2)", "a(f(_))", "a(3)", "rev(a(2))", "c(1)", "a(-2)")
+TIMES = 100
+"""Events that a restored engine takes."""
+
 QUERIES = (
     "memory_size(M, N)",
     "r(X, Y)",
@@ -53,6 +87,14 @@ QUERIES = (
     "nb_getval(k, X)",
     "e(X, Y), assertz(e(Y, 5))",
 )
+
+
+def deep(number):
+    """Return sequences in one another."""
+    found = []
+    for _ in range(number):
+        found = [found]
+    return found
 
 
 class Inputs(Kind):
@@ -74,6 +116,18 @@ class Inputs(Kind):
         self.sections = [(state, name) for state in self.states for name in state]
         self.values = [1, -1, 1 << 70, 0.5, float("nan"), None, True, "", "text", b"", [], (), {}, atom("a")]
         self.values += [(functor("f", 1), 1), (functor("f", 2), 1), [1], (1, 2, 3), *NUMBERS]
+        self.values += [Var(), String("s"), functor("f", 1), WholeSeconds(5), float("inf"), -1e300, 10**400]
+        self.values += [
+            Ref(0),
+            Ref(1),
+            Ref(1 << 20),
+            1 << 63,
+            -(1 << 63),
+            1 << 80,
+            [[]] * 50,
+            deep(100),
+            "\0",
+        ]
         self.shared = {(name, arity): functor(name, arity) for name in "abcf" for arity in range(3)}
 
     def make(self, chance):
@@ -117,11 +171,15 @@ class Inputs(Kind):
         what = chance.random()
         if old.__class__ is int and what < 0.5:
             return old + chance.choice((-1, 1, 1000, -old - 1))
+        if old.__class__ is Ref and what < 0.7:
+            return Ref(max(0, old.number + chance.choice((-2, -1, 1, 2, -old.number, 5))))
+        if old.__class__ is Functor and what < 0.5:
+            return chance.choice((functor(old.name, old.arity + 1), functor("f", 1), functor("a", 1)))
         if old.__class__ is str and what < 0.5:
             return chance.choice((old + "x", old[1:], "no_such", "'"))
         if isinstance(old, (list, dict)) and old and what < 0.5:
             if isinstance(old, list):
-                return chance.choice((old[1:], old + old[:1], old[::-1]))
+                return chance.choice((old[1:], old[:-1], old + old[:1], old + old, old[::-1], old[:1] * 1000))
             return dict(list(old.items())[1:])
         return chance.choice(self.values)
 
@@ -144,17 +202,19 @@ class Inputs(Kind):
 
     def run(self, data):
         try:
-            engine = Engine.restore(data, settings=SETTINGS)
+            engine = self.restored(data)
         except UsageError as error:
             str(error)
             self.refused += 1
             self.check_shared()
             LOGGED.found = None
             return
+        if engine is None:
+            return
         parts_of(engine).logic.output = parts_of(engine).logic.error_output = lambda text: None
         self.check_shared()
-        for now, event in enumerate(AFTER, 10):
-            self.attempt(engine.event, event, now)
+        for now in range(TIMES):
+            self.attempt(engine.event, AFTER[now % len(AFTER)], 10 + now / 4)
         for query in QUERIES:
             self.attempt(engine.query, query, 5)
         engine.status()
@@ -167,6 +227,10 @@ class Inputs(Kind):
                 "difference", f"the state of the restored engine: {error}"[:300], "states"
             ) from error
         LOGGED.check()
+
+    def restored(self, data):
+        """Return an engine with the state that an input is, or None where it has none."""
+        return Engine.restore(data, settings=SETTINGS)
 
     def check_shared(self):
         """Check that the process is as before: all engines share functors."""

@@ -14,8 +14,17 @@ from .holdings import (
     restore_subscriptions,
 )
 from .network import keep_matches, keep_rules, restore_matches, restore_rules
+from .schema import anything, dict_of, text
+from .sections import SECTIONS, about, read_records, read_section
 
 __all__ = [
+    "about",
+    "read_records",
+    "read_section",
+    "anything",
+    "dict_of",
+    "SECTIONS",
+    "text",
     "check_version",
     "FORMAT",
     "LAYOUT",

@@ -1,41 +1,63 @@
-"""Bytes of plain data and terms, and back: nothing that is read is ever called but what makes terms.
+"""Bytes of plain data and terms, and back: nothing in the bytes is ever called, and no attribute is ever set by them.
 
-What is written is Python's pickle, protocol 4: all Pythons read it, and it is made at the speed of C. It is read by a
-reader of our own that knows the names of `MAKERS` and no others. None is ever looked up in a module, so a file can
-name no code. What it makes are numbers, texts, bytes, lists, tuples, dictionaries and terms.
+The bytes are a stream of MessagePack objects: a table (names of atoms, names and arities of functors, how many nodes
+follow), the nodes, and the data. Atoms, functors, variables and the like are extension types with an index into the
+table or with their own bytes. A node is a sequence that is used more than once, or that lies too deep in others to be
+written in its place: an extension type refers to it by its number. References point backwards only, so nothing read
+contains itself, and the size of what is read is bounded by the number of bytes.
+
+What is read consists of numbers, texts, bytes, lists, and terms. A tuple is always a well-formed compound term, so
+that a `schema` need not look into it. All other sequences are lists, but for keys of terms (`FlatKey`).
 """
 
-import io
-import pickle
-from typing import Any, Callable, Dict, List, Optional, Tuple
+from itertools import chain
+from typing import Any, Callable, Dict, List, Tuple
 
-from ...events.language import PATTERNS, Property, RuleDefinition, StepForm, WindowForm
-from ...events.matches import Found
-from ...foundation import Place, UsageError
+import msgpack
+
+from ...events.network import ITEM
+from ...foundation import UsageError
 from ...prolog.terms import (
     Atom,
     Functor,
     Lazy,
     Stamp,
     String,
-    Term,
     Var,
     WholeSeconds,
     atom,
     deref,
     functor,
 )
+from .schema import FlatKey
 
-PROTOCOL = 4
-"""The newest that Python 3.8 reads as well as all later ones."""
+_ATOM, _FUNCTOR, _VARIABLE, _STRING, _REF, _NODE, _BIG, _KIND, _INSTANT, _STAMP = range(10)
+"""The extension types."""
 
-_DEEP = 50
-"""How deep tuples may lie in each other where they have to be written flat."""
+_MARKS = (float, Var)
+"""Classes that keys of terms contain, as `term_key` makes them."""
 
-_TUPLES: Dict[str, Any] = {
-    kind.__name__: kind for kind in (*PATTERNS, Found, Place, Property, RuleDefinition, StepForm, WindowForm)
-}
-"""Tuples with names for their items that are written as such."""
+_DEEPEST = 40
+"""How deep sequences may lie in each other in the bytes: MessagePack's reader has a limit of 512."""
+
+_SAMPLE = 4000
+"""Sequences of a level among which those are counted that are used twice."""
+
+_OUTER = 4
+"""Levels of sequences that the engine makes around terms."""
+
+_MOST_SIMPLE = 100_000
+"""Items of a level that may always be written as they are."""
+
+_MAX_ARITY = 10_000_000
+
+_TERMS = frozenset((int, float, Atom, String, Var, tuple))
+_VALUES = _TERMS | {WholeSeconds, Stamp}
+_IN_KEYS = frozenset((int, str, Atom, Functor, String, FlatKey, type, type(None)))
+_IN_PAIRS = frozenset((str, int))
+
+
+_SIGNED: Dict[int, Callable[[int], int]] = {_BIG: int, _INSTANT: WholeSeconds}
 
 
 class Ref:
@@ -46,280 +68,341 @@ class Ref:
     def __init__(self, number: int):
         self.number = number
 
-
-class _Flat:
-    """A tuple that is too deep to be written as it is, as steps that make it from the inside out."""
-
-    __slots__ = ("steps",)
-
-    def __init__(self, steps: List[Tuple[Any, ...]]):
-        self.steps = steps
+    def __repr__(self) -> str:
+        return f"Ref({self.number})"
 
 
-def make_atom(name: str) -> Atom:
-    """Return an atom."""
-    return atom(name)
+_PLAIN = frozenset((type(None), bool, int, float, str, bytes, tuple, list, Atom, Functor, String, type, Ref))
+"""Classes that MessagePack writes as they are, or that the table knows."""
+
+_LEAVES = _PLAIN - {tuple, list}
+_IN_TERMS = _LEAVES | {tuple}
 
 
-def make_functor(name: str, arity: int) -> Functor:
-    """Return a functor."""
-    return functor(name, arity)
+def _index(number: int) -> bytes:
+    width = 1 if number < 1 << 8 else 2 if number < 1 << 16 else 4
+    return number.to_bytes(width, "little")
 
 
-def make_string(text: str) -> String:
-    """Return a string."""
-    return String(text)
+def _signed(number: int) -> bytes:
+    return number.to_bytes(number.bit_length() // 8 + 1, "little", signed=True)
 
 
-def make_variable() -> Var:
-    """Return a variable."""
-    return Var()
+# ---- to bytes ----------------------------------------------------------------------------------------
 
 
-def make_same(term: Term) -> Term:
-    """Return what a bound variable or a lazy term stands for."""
-    return term
+class _SymbolTable(Dict[Any, Any]):
+    """Extension types of atoms, functors and the like, made where they are first looked up."""
 
+    def __init__(self) -> None:
+        super().__init__()
+        self.atoms: List[str] = []
+        self.names: List[str] = []
+        self.arities: List[int] = []
+        self._variables = 0
 
-def make_instant(nanoseconds: int) -> WholeSeconds:
-    """Return an instant that shows with whole seconds."""
-    return WholeSeconds(nanoseconds)
-
-
-def make_stamp(nanoseconds: int, term: Term) -> Stamp:
-    """Return an instant that shows as a term."""
-    return Stamp.of(nanoseconds, term)
-
-
-def make_ref(number: int) -> Ref:
-    """Return what stands for an object."""
-    return Ref(number)
-
-
-def make_named(kind: str, items: Tuple[Any, ...]) -> Any:
-    """Return a tuple with names for its items."""
-    return _TUPLES[kind](*items)
-
-
-def make_float_kind() -> type:
-    """Return what marks a float in keys."""
-    return float
-
-
-def make_deep(steps: List[Tuple[Any, ...]]) -> Any:
-    """Return a deep tuple from its steps; see `_flat`."""
-    made: List[Any] = []
-    for kind, *rest in steps:
-        if kind == 0:
-            made.append(rest[0])
-        else:
-            items = [made[at] for at in rest[0]]
-            made.append(tuple(items) if kind == 1 else _TUPLES[kind](*items))
-    return made[-1]
-
-
-MAKERS: Dict[str, Callable[..., Any]] = {
-    one.__name__: one
-    for one in (
-        make_atom,
-        make_functor,
-        make_string,
-        make_variable,
-        make_same,
-        make_instant,
-        make_stamp,
-        make_ref,
-        make_named,
-        make_float_kind,
-        make_deep,
-    )
-}
-"""All that a text of bytes can have called when it is read, by the names that it uses."""
-
-
-class _StateWriter(pickle.Pickler):
-    """Writes data and terms; anything else is an error of ours."""
-
-    def reducer_override(self, obj: Any) -> Any:
-        kind = obj.__class__
+    def __missing__(self, value: Any) -> Any:
+        kind = value.__class__
         if kind is Atom:
-            return make_atom, (obj.name,)
-        if kind is Functor:
-            return make_functor, (obj.name, obj.arity)
-        found = _REDUCED.get(kind)
-        if found is not None:
-            return found(obj)
-        if kind in _PLAIN:
-            return NotImplemented
-        if kind.__name__ in _TUPLES and _TUPLES[kind.__name__] is kind:
-            return make_named, (kind.__name__, tuple(obj))
-        if obj is float:
-            return make_float_kind, ()
-        if obj in _WRITTEN:
-            return NotImplemented
-        raise TypeError(f"{kind.__name__} cannot be kept")
+            made = msgpack.ExtType(_ATOM, _index(len(self.atoms)))
+            self.atoms.append(value.name)
+        elif kind is Functor:
+            made = msgpack.ExtType(_FUNCTOR, _index(len(self.names)))
+            self.names.append(value.name)
+            self.arities.append(value.arity)
+        elif kind is Ref:
+            made = msgpack.ExtType(_REF, _index(value.number))
+        elif kind is Var and value.ref is None:
+            made = msgpack.ExtType(_VARIABLE, _index(self._variables))
+            self._variables += 1
+        elif kind is String:
+            return msgpack.ExtType(_STRING, value.text.encode("utf-8", "surrogatepass"))
+        elif kind is int:
+            return msgpack.ExtType(_BIG, _signed(value))
+        elif kind is Var or kind is Lazy:
+            return self.of(deref(value))
+        elif value in _MARKS:
+            made = msgpack.ExtType(_KIND, _index(_MARKS.index(value)))
+        else:
+            raise TypeError(f"{kind.__name__} cannot be kept")
+        self[value] = made
+        return made
 
-
-_REDUCED: Dict[type, Callable[[Any], Any]] = {
-    String: lambda one: (make_string, (one.text,)),
-    Var: lambda one: (make_variable, ()) if one.ref is None else (make_same, (deref(one),)),
-    Lazy: lambda one: (make_same, (deref(one),)),
-    WholeSeconds: lambda one: (make_instant, (int(one),)),
-    Stamp: lambda one: (make_stamp, (int(one), one.term)),
-    Ref: lambda one: (make_ref, (one.number,)),
-    _Flat: lambda one: (make_deep, (one.steps,)),
-}
-_PLAIN = frozenset((None.__class__, bool, int, float, str, bytes, tuple, list, dict, set, frozenset))
-"""What a pickler that is written in C never asks about; one in Python, as PyPy has it, does."""
-
-_WRITTEN = frozenset(MAKERS.values())
+    def of(self, value: Any) -> Any:
+        """Return what MessagePack writes for a value that no variable stands for."""
+        if value.__class__ in (Atom, Functor, String, Var) or (
+            value.__class__ is int and value.bit_length() > 63
+        ):
+            return self[value]
+        return value
 
 
 def to_bytes(data: Any) -> bytes:
-    """Return data as bytes."""
-    try:
-        return _written(data)
-    except RecursionError:  # a long list of Prolog's lies as deep as it is long
-        return _written(_shallow(data))
+    """Return data as bytes.
+
+    Raises:
+        UsageError: for a term that contains itself.
+    """
+    nodes: List[Any] = []
+    if isinstance(data, dict):
+        data = list(data.items())
+    if not _is_simple(data):
+        data = _split(data, nodes)
+    table = _SymbolTable()
+    packer = msgpack.Packer(default=table.__getitem__, use_bin_type=True, unicode_errors="surrogatepass")
+    body = [packer.pack(one) for one in (*nodes, data)]
+    return b"".join((packer.pack((table.atoms, table.names, table.arities, len(nodes))), *body))
 
 
-def _written(data: Any) -> bytes:
-    out = io.BytesIO()
-    _StateWriter(out, PROTOCOL).dump(data)
-    return out.getvalue()
+def _is_simple(data: Any) -> bool:
+    """Tell whether data can be written as it is: shallow, hardly anything used twice, no instants with a form.
+
+    Looks at many items at once, by functions that are written in C: records of memories come by the thousand. Whether
+    sequences are used twice is seen by the first thousands of each level.
+    """
+    level: List[Any] = [[data]]
+    most = _MOST_SIMPLE
+    for depth in range(_DEEPEST):
+        size = sum(map(len, level))
+        if depth <= _OUTER:
+            most = max(most, 40 * size)
+        elif size > most:  # most of it is perhaps the same again and again
+            return False
+        kinds = set(map(type, chain.from_iterable(level)))
+        if kinds <= _LEAVES:
+            return True
+        if kinds <= _IN_TERMS:
+            level = [one for one in chain.from_iterable(level) if one.__class__ is tuple and one]
+        else:
+            every: Any = chain.from_iterable(level)
+            if Var in kinds or Lazy in kinds:
+                every = [deref(one) if one.__class__ in (Var, Lazy) else one for one in every]
+                kinds = set(map(type, every)) - {Var}
+            if not all(issubclass(kind, tuple) for kind in kinds - _PLAIN):
+                return False
+            level = [one for one in every if isinstance(one, (tuple, list)) and one]
+        first = level if depth < _OUTER else level[:_SAMPLE]
+        if 10 * len(set(map(id, first))) < 9 * len(first):
+            return False
+    return False
 
 
-class _StateReader(pickle.Unpickler):
-    """Reads what a `_StateWriter` has written, and calls nothing but makers of this one reading."""
+def _children(one: Any) -> List[Any]:
+    """Return what lies in a sequence, a mapping, or a stamp."""
+    if isinstance(one, dict):
+        found: List[Any] = [[key, value] for key, value in one.items()]
+    elif one.__class__ is Stamp:
+        found = [one.term]
+    else:
+        found = one
+    return [deref(item) if item.__class__ in (Var, Lazy) else item for item in found]
 
-    def __init__(self, data: bytes):
-        super().__init__(io.BytesIO(data))
-        self.atoms: Dict[str, Atom] = {}
-        self.functors: Dict[Tuple[str, int], Functor] = {}
 
-    def find_class(self, module: str, name: str) -> Any:
-        if name == "make_atom":
-            return self._atom
-        if name == "make_functor":
-            return self._functor
-        maker = MAKERS.get(name)
-        if maker is None:
-            raise UsageError(f"it names {module}.{name}, which no state has")
-        return lambda *items: maker(
-            *items
-        )  # another one each time: what a file may do to it is of no account
+def _holds(one: Any) -> bool:
+    return (isinstance(one, (tuple, list)) and bool(one)) or isinstance(one, dict) or one.__class__ is Stamp
 
-    def _atom(self, name: str) -> Atom:
-        made = self.atoms[name] = atom(name)
-        return made
 
-    def _functor(self, name: str, arity: int) -> Functor:
-        made = self.functors[name, arity] = functor(name, arity)
-        return made
+def _split(data: Any, nodes: List[Any]) -> Any:
+    """Return data in which sequences that are used more than once, or too deep, are references to nodes.
 
-    def check(self) -> None:
-        """Check that nothing that all programs share was changed: a pickle can set attributes.
+    Args:
+        data: the data.
+        nodes: takes the nodes, each after those that it refers to.
 
-        Raises:
-            UsageError: where it was; it is put right.
-        """
-        changed = False
-        for key, kind in self.functors.items():
-            if (kind.name, kind.arity) != key:
-                (kind.name, kind.arity), changed = key, True
-        for name, one in self.atoms.items():
-            if one.name != name:
-                one.name, changed = name, True
-            if one.functor is not functor(name, 0):
-                one.functor, changed = functor(name, 0), True
-        if changed:
-            raise UsageError("it changes what it does not own")
+    Raises:
+        UsageError: for a term that contains itself.
+    """
+    if not _holds(data):
+        return data
+    made: Dict[int, Any] = {}  # what each sequence has become; None while its parts are being done
+    depths: Dict[int, int] = {}
+    uses, parts_of = _uses(data)
+    stack: List[Tuple[Any, bool]] = [(data, False)]
+    while stack:
+        one, done = stack.pop()
+        parts = parts_of[id(one)]
+        if not done:
+            if id(one) in made:
+                if made[id(one)] is None:
+                    raise UsageError("the state has a term that contains itself: such a term cannot be kept")
+                continue
+            made[id(one)] = None
+            stack.append((one, True))
+            stack += [(part, False) for part in parts if _holds(part)]
+            continue
+        found = _replaced(one, parts, made)
+        depth = max((depths[id(part)] for part in parts if _holds(part)), default=0)
+        depths[id(one)] = 0
+        if one.__class__ is Stamp:
+            nodes.append(found[0])
+            number = len(nodes) - 1
+            made[id(one)] = msgpack.ExtType(_STAMP, number.to_bytes(4, "little") + _signed(int(one)))
+        elif uses[id(one)] > 1 or depth >= _DEEPEST:
+            nodes.append(found)
+            made[id(one)] = msgpack.ExtType(_NODE, _index(len(nodes) - 1))
+        else:
+            made[id(one)], depths[id(one)] = found, depth + 1
+    return made[id(data)]
+
+
+def _replaced(one: Any, parts: List[Any], made: Dict[int, Any]) -> List[Any]:
+    """Return the parts of a sequence with what they have become in their place; in terms instants are integers."""
+    if one.__class__ is tuple and parts[0].__class__ is Functor and parts[0].name != ITEM:
+        parts = [int(part) if part.__class__ in (WholeSeconds, Stamp) else part for part in parts]
+    return [
+        made[id(part)]
+        if _holds(part)
+        else msgpack.ExtType(_INSTANT, _signed(int(part)))
+        if part.__class__ is WholeSeconds
+        else part
+        for part in parts
+    ]
+
+
+def _uses(data: Any) -> Tuple[Dict[int, int], Dict[int, List[Any]]]:
+    """Return how often each sequence is used, and what lies in it, by its id."""
+    uses: Dict[int, int] = {}
+    parts: Dict[int, List[Any]] = {}
+    stack = [data]
+    while stack:
+        one = stack.pop()
+        if id(one) in uses:
+            uses[id(one)] += 1
+            continue
+        uses[id(one)] = 1
+        parts[id(one)] = found = _children(one)
+        stack += [part for part in found if _holds(part)]
+    return uses, parts
+
+
+# ---- from bytes --------------------------------------------------------------------------------------
+
+
+class _StateReader:
+    """Reads one text of bytes."""
+
+    def __init__(self) -> None:
+        self._atoms: Dict[bytes, Atom] = {}
+        self._functors: Dict[bytes, Functor] = {}
+        self._variables: Dict[int, Var] = {}
+        self._refs: Dict[int, Ref] = {}
+        self._nodes: List[Any] = []
+
+    def read(self, data: bytes) -> Any:
+        """Return the data of bytes."""
+        number = _number_of_objects(data)
+        unpacker = _unpacker(data, self._sequence, self._extension)
+        unpacker.feed(data)
+        head = unpacker.unpack()
+        atoms, names, arities, nodes = head
+        if not (
+            all(one.__class__ is list for one in (atoms, names, arities))
+            and all(one.__class__ is str for one in (*atoms, *names))
+            and all(one.__class__ is int and 0 <= one <= _MAX_ARITY for one in arities)
+            and len(names) == len(arities)
+            and nodes.__class__ is int
+            and number == nodes + 2
+        ):
+            raise UsageError("its table is malformed")
+        self._atoms = {_index(at): atom(name) for at, name in enumerate(atoms)}
+        self._functors = {_index(at): functor(*one) for at, one in enumerate(zip(names, arities))}
+        for _ in range(nodes):
+            self._nodes.append(unpacker.unpack())
+        return unpacker.unpack()
+
+    def _sequence(self, items: Any) -> Any:
+        """Return a compound term as a tuple, and any other sequence as a list."""
+        if not items:
+            return []
+        first = items[0].__class__
+        if first is Functor:
+            if len(items) == items[0].arity + 1 and (
+                _TERMS.issuperset(map(type, items[1:]))
+                or (items[0].name == ITEM and _VALUES.issuperset(map(type, items[1:])))
+            ):
+                return tuple(items)
+            if _IN_KEYS.issuperset(map(type, items)):
+                return FlatKey(items)
+        elif first is type and (
+            _IN_KEYS.issuperset(map(type, items)) if items[0] is Var else len(items) == 2
+        ):
+            return FlatKey(items)
+        return list(items)
+
+    def _extension(self, code: int, data: bytes) -> Any:
+        """Return what an extension type stands for."""
+        if code == _ATOM:
+            return self._atoms[data]
+        if code == _FUNCTOR:
+            return self._functors[data]
+        if code == _STRING:
+            return String(str(data, "utf-8", "surrogatepass"))
+        if code in _SIGNED:
+            return _SIGNED[code](int.from_bytes(data, "little", signed=True))
+        if code == _STAMP:
+            shown: Any = self._nodes[int.from_bytes(data[:4], "little")]
+            kind = shown.__class__
+            if kind not in _TERMS:
+                raise UsageError("an instant is shown as what is no term")
+            return Stamp.of(int.from_bytes(data[4:], "little", signed=True), shown)
+        return self._numbered(code, int.from_bytes(data, "little"))
+
+    def _numbered(self, code: int, number: int) -> Any:
+        """Return what an extension type stands for that has a number."""
+        if code == _NODE:
+            return self._nodes[number]
+        if code == _KIND:
+            return _MARKS[number]
+        if code == _VARIABLE:
+            return self._variables.get(number) or self._variables.setdefault(number, Var())
+        if code == _REF:
+            return self._refs.get(number) or self._refs.setdefault(number, Ref(number))
+        raise UsageError(f"it has something of the unknown type {code}")
+
+
+def _unpacker(data: bytes, sequence: Any = None, extension: Any = None) -> Any:
+    most = max(len(data), 1)
+    return msgpack.Unpacker(
+        use_list=False,
+        raw=False,
+        strict_map_key=False,
+        unicode_errors="surrogatepass",
+        list_hook=sequence,
+        ext_hook=extension or msgpack.ExtType,
+        read_size=min(most, 1 << 16),
+        max_buffer_size=most,
+        max_str_len=most,
+        max_bin_len=most,
+        max_ext_len=most,
+        max_array_len=most,
+        max_map_len=0,
+    )
+
+
+def _number_of_objects(data: bytes) -> int:
+    """Return how many objects bytes are, without making any.
+
+    A sequence says how many items it has before these come. Read at once, a few bytes could have memory set aside for
+    many; skipped first, it is known that all of them are there.
+    """
+    unpacker = _unpacker(data)
+    unpacker.feed(data)
+    number = 0
+    while unpacker.tell() < len(data):
+        unpacker.skip()
+        number += 1
+    return number
 
 
 def from_bytes(data: bytes) -> Any:
-    """Return the data of bytes.
+    """Return the data of bytes: see the text of this module for what it consists of.
 
     Raises:
         UsageError: where they are damaged, or were never made by `to_bytes`.
     """
-    reader = _StateReader(data)
     try:
-        return reader.load()
+        return _StateReader().read(data)
     except UsageError:
         raise
-    except Exception as error:  # whatever pickle stumbles over
+    except Exception as error:  # of whatever kind: MessagePack has several
         raise UsageError(f"it does not read ({type(error).__name__}: {error})") from error
-    finally:
-        reader.check()
-
-
-# ---- what is deep ------------------------------------------------------------------------------------
-
-
-def _shallow(data: Any) -> Any:
-    """Return data in which tuples that lie too deep in each other are written flat."""
-    kind = data.__class__
-    if kind is list:
-        return [_shallow(item) for item in data]
-    if kind is dict:
-        return {_shallow(key): _shallow(value) for key, value in data.items()}
-    if kind in (Var, Lazy):
-        data = deref(data)
-    if not isinstance(data, tuple):
-        return data
-    if not _is_deep(data):
-        return data
-    if data.__class__ is tuple and not (data and data[0].__class__ is Functor):
-        return tuple([_shallow(item) for item in data])
-    return _Flat(_flat(data))
-
-
-def _is_deep(data: Any) -> bool:
-    """Tell whether tuples lie deeper in each other than can be written."""
-    level, depth = [data], 0
-    seen: Dict[int, None] = {}
-    while level:
-        depth += 1
-        if depth > _DEEP:
-            return True
-        below = []
-        for one in level:
-            if isinstance(one, (list, dict)):
-                return True
-            for item in one:
-                item = deref(item) if item.__class__ in (Var, Lazy) else item
-                if isinstance(item, (tuple, list, dict)) and id(item) not in seen:
-                    seen[id(item)] = None
-                    below.append(item)
-        level = below
-    return False
-
-
-def _flat(data: Any) -> List[Tuple[Any, ...]]:
-    """Return the steps that make a tuple: ``(0, item)``, ``(1, places)``, ``(name of a kind, places)``.
-
-    What stands in it more than once is made once.
-    """
-    steps: List[Tuple[Any, ...]] = []
-    places: Dict[int, int] = {}
-    kept: List[Any] = []  # so that no id is given to another meanwhile
-    stack: List[Tuple[Any, Optional[List[Any]]]] = [(data, None)]
-    while stack:
-        one, items = stack.pop()
-        one = deref(one) if one.__class__ in (Var, Lazy) else one
-        if id(one) in places:
-            continue
-        if isinstance(one, tuple):
-            if items is None:
-                items = [deref(item) if item.__class__ in (Var, Lazy) else item for item in one]
-                stack.append((one, items))
-                stack += [(item, None) for item in items]
-                continue
-            kind = 1 if one.__class__ is tuple else one.__class__.__name__
-            steps.append((kind, [places[id(item)] for item in items]))
-            kept.append(items)
-        else:
-            steps.append((0, _shallow(one) if isinstance(one, (list, dict)) else one))
-        kept.append(one)
-        places[id(one)] = len(steps) - 1
-    return steps

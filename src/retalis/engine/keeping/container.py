@@ -4,7 +4,6 @@ import json
 from typing import Any, Dict, Tuple
 from zlib import crc32
 
-from ...events.language import PATTERNS, RuleDefinition, StepForm, WindowForm
 from ...events.network import RuleState
 from ...foundation import UsageError
 from ...prolog.logic import KeptLogic, KeptValues
@@ -12,17 +11,17 @@ from .graph import FIELDS
 
 MAGIC = b"retalis state\n"
 
-FORMAT = 5
+_LONGEST_HEAD = 16_000_000
+"""Bytes of the first lines, at most: there is a name for each memory."""
+
+FORMAT = 6
 """Raised where what is kept is arranged in another way."""
 
 
 def _layout() -> int:
     """Return a number of what is kept of objects: it is another one where that has changed."""
     kinds = [(name, *fields) for name, (_, fields) in FIELDS.items()]
-    kinds += [
-        (kind.__name__, *kind._fields)
-        for kind in (*PATTERNS, StepForm, WindowForm, RuleDefinition, RuleState, KeptLogic, KeptValues)
-    ]
+    kinds += [(kind.__name__, *kind._fields) for kind in (RuleState, KeptLogic, KeptValues)]
     return crc32(repr(kinds).encode())
 
 
@@ -61,11 +60,18 @@ def _head(data: bytes) -> Tuple[Dict[str, Any], int]:
     end = data.find(b"\n", len(MAGIC), len(MAGIC) + 20)
     try:
         length = int(data[len(MAGIC) : end])
-        head = json.loads(data[end + 1 : end + 1 + length])
-        sections = head["sections"]
-        if not all(isinstance(name, str) and length >= 0 for name, length, _ in sections):
+        if not 0 <= length <= _LONGEST_HEAD:
             raise ValueError
-    except (ValueError, TypeError, KeyError) as error:
+        head = json.loads(data[end + 1 : end + 1 + length])
+        names = [name for name, length, check in head["sections"] if length >= 0 and check >= 0]
+        memories = [name for name in names if name.startswith("memory ")]
+        if (
+            not all(one.__class__ is int for _, *numbers in head["sections"] for one in numbers)
+            or len(set(names)) != len(head["sections"])
+            or memories != [f"memory {at}" for at in range(len(memories))]
+        ):
+            raise ValueError
+    except Exception as error:  # of whatever kind: JSON that is deep, or has other types
         raise UsageError("the state is damaged: its first lines do not read") from error
     return head, end + 1 + length
 
@@ -77,6 +83,8 @@ def check_version(form: object, layout: object) -> None:
         UsageError: where it is not.
     """
     if form != FORMAT:
-        raise UsageError(f"the state is of format {form}; this is format {FORMAT}")
+        older = form.__class__ is int and form < FORMAT
+        why = ", a pickle of an older version of the package, which is never read" if older else ""
+        raise UsageError(f"the state is of format {form}{why}: this version reads format {FORMAT}")
     if layout != LAYOUT:
         raise UsageError("the state was kept by another version of the package")

@@ -6,12 +6,28 @@ These objects know one another in circles, so each is a row, in which others sta
 from typing import Any, Callable, Dict, List, Sequence, Tuple
 
 from ...events.history import Occurrence, Suppressed
-from ...events.matches import NOTHING_HELD, Chain, Held, Log, Match, Run, Token, Train
-from ...events.network import NetworkNode, Rule
+from ...events.matches import NOTHING_HELD, Chain, Found, Held, Log, Match, Run, Token, Train
+from ...events.network import NetworkNode, Repeating, Rule, Running, Streaming
 from ...events.streams import StreamItem
 from ...foundation import UsageError
 from ...prolog.terms import Functor
 from .coding import Ref
+from .schema import (
+    ValueCheck,
+    boolean,
+    count,
+    each,
+    fixed,
+    instant,
+    integer,
+    items,
+    key,
+    optional,
+    term,
+    value_of_match,
+    variable,
+    wrong,
+)
 
 _MATCH = ("values", "start", "end", "event", "term", "parts", "used")
 _TRACKED = ("derived", "held", "gone", "reported", "suppressed")
@@ -38,6 +54,8 @@ FIELDS: Dict[str, Tuple[Any, Tuple[str, ...]]] = {
 
 _KINDS = {kind: name for name, (kind, _) in FIELDS.items()}
 
+_AS_IT_IS = frozenset((int, bool, type(None)))
+
 ObjectRow = List[Any]
 
 
@@ -51,7 +69,7 @@ class GraphWriter:
     def __init__(self, rules: Sequence[Rule]):
         self.rules = list(rules)
         self.rows: List[ObjectRow] = []
-        self._numbers: Dict[int, int] = {}
+        self._refs: Dict[int, Ref] = {}
         self._objects: List[Any] = []
         self._places: Dict[int, int] = {}
         self._nodes: Dict[int, Tuple[int, int]] = {}
@@ -80,11 +98,11 @@ class GraphWriter:
         return data
 
     def _ref(self, data: Any) -> Ref:
-        number = self._numbers.get(id(data))
-        if number is None:
-            number = self._numbers[id(data)] = len(self._objects)
+        found = self._refs.get(id(data))
+        if found is None:
+            found = self._refs[id(data)] = Ref(len(self._objects))
             self._objects.append(data)
-        return Ref(number)
+        return found
 
     def _rule(self, rule: Rule) -> int:
         number = self._places.get(id(rule))
@@ -103,58 +121,255 @@ class GraphWriter:
         if id(one) in self._nodes:
             return ["node", *self._nodes[id(one)]]
         name = _KINDS[kind]
-        found = [self._attribute(one, field) for field in FIELDS[name][1]]
-        return [name, *found]
+        row: ObjectRow = [name]
+        for field in FIELDS[name][1]:
+            value = getattr(one, field)
+            if value.__class__ not in _AS_IT_IS:
+                value = _changed(list(value) if field == "tokens" else value, self._plain)
+            row.append(value)
+        return row
 
-    def _attribute(self, one: Any, field: str) -> Any:
-        value = getattr(one, field)
-        if field == "tokens":
-            value = list(value)
-        return _changed(value, self._plain)
+
+_MATCHES = ("match", "run", "token")
 
 
 class GraphReader:
-    """Makes objects of rows.
+    """Makes objects of rows, each attribute checked.
+
+    An attribute names other objects by their numbers; what it may name is checked by the kinds of these. No object is
+    made of itself (`_sources`): else what walks over it would not end.
 
     Args:
         rows: theirs.
         rules: in the order in which the rows name them.
+
+    Raises:
+        UsageError: for a row that no `GraphWriter` writes.
     """
 
-    def __init__(self, rows: Sequence[ObjectRow], rules: Sequence[Rule]):
+    def __init__(self, rows: Any, rules: Sequence[Rule]):
         self._rules = rules
-        self._objects = [self._empty(*row) for row in rows]
-        for one, row in zip(self._objects, rows):
+        self._kinds: List[str] = []
+        self._objects: List[Any] = []
+        self._sources: List[List[int]] = []
+        self._current: List[int] = []
+        checks = self._checks()
+        rows = [items(row) for row in items(rows)]
+        for row in rows:
+            self._kinds.append(row[0] if row and row[0].__class__ is str else "")
+            self._objects.append(self._empty(row))
+        for number, (one, row) in enumerate(zip(self._objects, rows)):
+            self._current = []
+            self._sources.append(self._current)
             if row[0] in FIELDS:
-                self._fill(one, row)
+                try:
+                    self._fill(one, row, checks[row[0]])
+                except UsageError as error:
+                    raise UsageError(f"object {number}, a {row[0]}: {error.message}") from None
+        self._check_order()
+        for one in self._objects:
+            self._finish(one)
 
-    def _empty(self, name: str, *rest: Any) -> Any:
-        if name == "nothing":
+    def _empty(self, row: Sequence[Any]) -> Any:
+        name = row[0] if row else None
+        if name == "nothing" and len(row) == 1:
             return NOTHING_HELD
-        if name == "rule":
-            return self._rules[rest[0]]
-        if name == "node":
-            return self._rules[rest[0]].nodes[rest[1]][0]
+        if name == "rule" and len(row) == 2:
+            return self._rules[integer(0, len(self._rules) - 1)(row[1])]
+        if name == "node" and len(row) == 3:
+            nodes = self._rules[integer(0, len(self._rules) - 1)(row[1])].nodes
+            return nodes[integer(0, len(nodes) - 1)(row[2])][0]
+        if name.__class__ is not str or name not in FIELDS or len(row) != len(FIELDS[name][1]) + 1:
+            raise wrong(row, "the row of an object")
         kind = FIELDS[name][0]
         return kind.__new__(kind)
 
-    def _fill(self, one: Any, row: ObjectRow) -> None:
-        kind, fields = FIELDS[row[0]]
-        if len(row) != len(fields) + 1:
-            raise UsageError(f"a {row[0]} has {len(row) - 1} parts")
+    def _fill(self, one: Any, row: Sequence[Any], checks: Sequence[ValueCheck]) -> None:
         if isinstance(one, Match):
             one.buffer = None
-        for field, value in zip(fields, row[1:]):
-            setattr(one, field, self.read(value))
+        for field, check, value in zip(FIELDS[row[0]][1], checks, row[1:]):
+            setattr(one, field, check(value))
+
+    def ref(self, *kinds: str) -> ValueCheck:
+        """Return a check of a reference to an object of some kinds; the result is the object."""
+        wanted = frozenset(kinds)
+        every, objects = self._kinds, self._objects
+
+        def check(value: Any) -> Any:
+            if value.__class__ is not Ref or value.number >= len(every) or every[value.number] not in wanted:
+                raise wrong(value, f"a reference to {' or '.join(kinds)}")
+            return objects[value.number]
+
+        return check
+
+    def _source(self, *kinds: str) -> ValueCheck:
+        """Return the same of what an object was made of."""
+        refer = self.ref(*kinds)
+
+        def check(value: Any) -> Any:
+            found = refer(value)
+            self._current.append(value.number)
+            return found
+
+        return check
+
+    def token(self, value: Any) -> Any:
+        """Check what tells an event from others: a number, or where events are tracked the event."""
+        return self._event(value) if value.__class__ is Ref else optional(count)(value)
+
+    def token_key(self, value: Any) -> Any:
+        """Check a key that is made of terms, or of what tells events from others."""
+        if value.__class__ is Ref:
+            return self._event(value)
+        if value.__class__ is list and any(item.__class__ is Ref for item in value):
+            return tuple([self.token_key(item) for item in value])
+        return key(value)
+
+    def _event(self, value: Any) -> Any:
+        found = self.ref("event")(value)
+        self._current.append(value.number)
+        return found
+
+    def match(self, value: Any) -> Any:
+        """Check a reference to a match of any kind."""
+        return self.ref(*_MATCHES)(value)
+
+    def _of_item(self, value: Any) -> Any:
+        """Check what an item of a stream was made of: a match, the event that a subscription sends, or nothing."""
+        return self.match(value) if value.__class__ is Ref else optional(term)(value)
+
+    def _checks(self) -> Dict[str, List[ValueCheck]]:
+        """Return the checks of the attributes of each kind, in the order of `FIELDS`."""
+        below = self._source(*_MATCHES)
+        held = self._source("held", "nothing")
+        of_parts = self._source(*_MATCHES, "held", "nothing", "chain")
+        values = each(value_of_match, tuple)
+        found = fixed(values)
+
+        def part(value: Any) -> Any:
+            if value.__class__ is Ref:
+                return of_parts(value)
+            return count(value) if value.__class__ is int else Found(*found(value))
+
+        match_ref = self.ref(*_MATCHES)
+        of_node = fixed(
+            self.ref("node"),
+            self.ref("run", "node", "train"),
+            lambda value: match_ref(value) if value.__class__ is Ref else count(value),
+        )
+
+        def holder(value: Any) -> Any:
+            if value.__class__ is Ref:
+                return match_ref(value)
+            node, of, what = of_node(value)
+            by_number = isinstance(node, Repeating) and of.__class__ is Train and what.__class__ is int
+            by_match = (of is node and isinstance(node, Streaming)) or (
+                isinstance(node, Running) and of.__class__ is Run
+            )
+            if not by_number and not (by_match and isinstance(what, Match)):
+                raise wrong(value, "what a node is to forget")
+            return node, of, what
+
+        tried = fixed(match_ref, match_ref)
+        match = [
+            *(values, instant, instant, self.token, optional(term), optional(each(part, tuple))),
+            optional(match_ref),
+        ]
+        tracked = [
+            *(each(self.ref("event", "held")), each(holder), boolean, boolean),
+            each(self.ref("suppressed")),
+        ]
+        piece = fixed(self._source("log"), count, count)
+        return {
+            "match": match,
+            "run": [
+                *match,
+                *(below, instant, optional(values), _state, term, each(match_ref), held),
+                *(each(fixed(values, values)), count, each(variable, tuple)),
+            ],
+            "token": [
+                *match,
+                *(below, count, self.ref("log"), count, count, optional(self.ref("train"))),
+            ],
+            "train": [
+                *(self.ref("node"), key, each(optional(self.ref("token")))),
+                *(instant, count, self.ref("log"), count, count),
+            ],
+            "log": [each(below)],
+            "chain": [each(piece, tuple), count],
+            "held": [optional(below), optional(held), count, boolean, *tracked],
+            "event": [
+                *(count, term, instant, instant, optional(self.ref("rule")), optional(below), boolean),
+                *(optional(each(self.ref("event"))), *tracked),
+            ],
+            "item": [
+                *(self._of_item, instant, instant, values),
+                *(each(optional(term), tuple), count),
+            ],
+            "suppressed": [
+                self.ref("node"),
+                lambda value: self.match(value) if value.__class__ is Ref else tried(value),
+                count,
+                boolean,
+            ],
+        }
+
+    def _check_order(self) -> None:
+        """Check that nothing was made of itself."""
+        done = bytearray(len(self._objects))  # 1 while what it was made of is looked at, then 2
+        for number in range(len(done)):
+            stack = [number]
+            while stack:
+                one = stack[-1]
+                if done[one]:
+                    done[one] = 2
+                    stack.pop()
+                    continue
+                done[one] = 1
+                for other in self._sources[one]:
+                    if done[other] == 1:
+                        raise UsageError(f"object {other}, a {self._kinds[other]}, was made of itself")
+                    if not done[other]:
+                        stack.append(other)
+
+    def _finish(self, one: Any) -> None:
+        """Check what attributes of several objects have to do with one another, and make those that are not kept."""
+        kind = one.__class__
+        if isinstance(one, Match) and one.parts is None and one.term is None:
+            raise UsageError("a match is neither of an event nor of others")
+        if kind is Train:
+            if not isinstance(one.node, Repeating):
+                raise UsageError("sequences go on in a node of other kind")
+            one.alive = sum(token is not None and token.buffer is one for token in one.tokens)
+        elif kind is Chain:
+            if not all(begin <= end <= len(log.items) for log, begin, end in one.pieces):
+                raise UsageError("a piece of repetitions is longer than they are")
+            one.length = sum(end - begin for _, begin, end in one.pieces)
+        elif kind is Token and one.at > len(one.log.items):
+            raise UsageError("a sequence has more repetitions than there are")
+        elif kind is Held and (one.earlier is None) != (one.match is None):
+            raise UsageError("what is held of repetitions has no beginning")
+        elif kind is Suppressed and not hasattr(one.node, "retry"):
+            raise UsageError("a node of other kind cannot try a match again")
         if kind in (Train, Log, Run):
             one.begin_again()
 
-    def read(self, data: Any) -> Any:
-        """Return data with the objects in the place of `Ref`."""
-        return _changed(data, self._object)
 
-    def _object(self, data: Any) -> Any:
-        return self._objects[data.number] if data.__class__ is Ref else data
+def _state(value: Any) -> Any:
+    """Check what an aggregate has collected: a number, nothing, or pairs of what was collected before and a term."""
+    pairs = []
+    while value.__class__ is list and len(value) == 2:
+        pairs.append(term(value[1]))
+        value = value[0]
+    if value.__class__ is list:
+        if value:
+            raise wrong(value, "what an aggregate has collected")
+        value = ()
+    elif value is not None:
+        term(value)
+    for one in reversed(pairs):
+        value = (value, one)
+    return value
 
 
 def _changed(data: Any, change: Callable[[Any], Any]) -> Any:

@@ -1,6 +1,7 @@
 """Memories with their records, and subscriptions."""
 
 from array import array
+from operator import is_
 from typing import Any, Dict, List, NamedTuple, Sequence, Tuple
 
 from ...events.knowledge import Instance, Knowledge
@@ -58,14 +59,15 @@ def keep_records(new: NewRecords) -> KeptRecords:
     terms = [record[0] for record in records]
     ends = [record[2] for record in records]
     starts = [record[1] for record in records]
-    same = all(start is end for start, end in zip(starts, ends))
+    same = all(map(is_, starts, ends))
     return new.first, new.late, new.open, terms, _instants(ends), None if same else _instants(starts)
 
 
 def _instants(found: Sequence[Any]) -> Any:
     """Return instants by their columns: nanoseconds as 64-bit integers where they fit, forms, terms of stamps."""
-    forms = bytes([_FORMS[one.__class__] for one in found])
-    stamps = [one.term for one in found if one.__class__ is Stamp]
+    plain = set(map(type, found)) == {int}
+    forms = bytes(len(found)) if plain else bytes([_FORMS[one.__class__] for one in found])
+    stamps = [] if plain else [one.term for one in found if one.__class__ is Stamp]
     try:
         return array("q", found).tobytes(), forms, stamps
     except OverflowError:
@@ -78,8 +80,6 @@ def _read_instants(column: Any) -> List[int]:
         read = array("q")
         read.frombytes(numbers)
         numbers = read.tolist()
-    if len(numbers) != len(forms):
-        raise UsageError("a memory's records have not as many instants as forms")
     if not any(forms):
         return list(numbers)
     if forms.count(1) == len(forms):
@@ -107,8 +107,6 @@ def restore_records(instance: Instance, parts: Sequence[KeptRecords]) -> None:
         instance.open = instance.open or is_open
         last = _read_instants(ends)
         first = last if starts is None else _read_instants(starts)
-        if not len(terms) == len(first) == len(last):
-            raise UsageError("a memory's records have not as many instants as terms")
         if not records:
             gone = before
         elif before > gone + len(records):
@@ -117,7 +115,10 @@ def restore_records(instance: Instance, parts: Sequence[KeptRecords]) -> None:
         records += zip(terms, first, last)
     over = max(0, len(records) - max(instance.memory.size, 1))
     records = records[over:]
-    instance.memory.restore(gone + over, late, [int(end) for _, _, end in records], records)
+    kept_ends = [int(end) for _, _, end in records]
+    if kept_ends != sorted(kept_ends) or any(start > end for _, start, end in records):
+        raise UsageError("the records of a memory are not in the order of their ends")
+    instance.memory.restore(gone + over, late, kept_ends, records)
 
 
 def keep_subscriptions(knowledge: Knowledge) -> List[Term]:

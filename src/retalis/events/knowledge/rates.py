@@ -60,6 +60,7 @@ class SubscriptionRate:
         woken: the instant at which it is to be woken; None where it is not.
         late: how many events came too late to be taken.
         dropped: how many were dropped because there were too many.
+        widths: how many values group its events, and how many are looked at.
     """
 
     serial = 0
@@ -68,6 +69,7 @@ class SubscriptionRate:
         self, part: Shaped, names: Sequence[Var], name: str, clock: RateClock, warn: Warn, place: int
     ):
         self._making = shaping(part, names)
+        self.widths = (len(part.by), int(part.value is not None))
         self._name = name
         self._clock = clock
         self._warn = warn
@@ -88,6 +90,11 @@ class SubscriptionRate:
     def __len__(self) -> int:
         """Return how many events, or keys, are held."""
         return len(self._stream)
+
+    @property
+    def stream(self) -> StreamOperator:
+        """The operator that lets events through."""
+        return self._stream
 
     @property
     def rule(self) -> "SubscriptionRate":

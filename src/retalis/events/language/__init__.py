@@ -19,13 +19,12 @@ from .declarations import (
 from .definition import RuleDefinition
 from .eventnames import event_fault
 from .heads import SYNCHRONIZED, check_head
-from .labels import RULE, Property, is_rule, label_error, labelled
+from .labels import RULE, Property, is_plain_rule, is_rule, label_error, labelled
 from .made import NEW_EVENT, made_by, makes_event
 from .meant import gap_doubt
 from .occurrences import occurrences
 from .operators import ARROWS, NO_FACTS, OPERATORS, SPELLINGS, names_of_kind
 from .pattern import (
-    PATTERNS,
     SEQ,
     Absent,
     Action,
@@ -91,6 +90,7 @@ __all__ = [
     "has_branches",
     "head_event",
     "is_absolute",
+    "is_plain_rule",
     "is_rule",
     "label_error",
     "labelled",
@@ -106,7 +106,6 @@ __all__ = [
     "own_terms",
     "Pair",
     "Pattern",
-    "PATTERNS",
     "Property",
     "PatternReader",
     "query_goals",

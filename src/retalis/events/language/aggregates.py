@@ -121,6 +121,27 @@ class Collector:
         self._value = value
         self._evaluate = evaluate
 
+    def is_state(self, state: Any) -> bool:
+        """Tell whether a value is what the aggregate may have collected."""
+        try:
+            if self.kind.check is None:
+                if self.name == "count":
+                    return state.__class__ is int
+                while state.__class__ is tuple and len(state) == 2:
+                    state = state[0]
+                return state == ()  # type: ignore[no-any-return]
+            if self.start == (0, 0):
+                if state.__class__ is not tuple or len(state) != 2:
+                    return False
+                state, number = state
+                if number.__class__ is not int or number < 0:
+                    return False
+            if state is not self.start:
+                self.kind.check(state, self.name)
+        except RuleError:
+            return False
+        return True
+
     def add(self, state: Any, values: Values) -> Any:
         """Return the state with the value of one more match.
 

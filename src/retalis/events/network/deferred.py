@@ -9,7 +9,8 @@ from .nodes import Leaf, NetworkNode
 from .owners import RuleOwner
 
 _ITEMS = functor("items", 2)
-_ITEM = functor("item", 1)
+ITEM = "item of a run"
+"""The name of the terms that have the values of one repetition after a zero, since they may be none."""
 
 
 class Carrying(Protocol):
@@ -165,7 +166,7 @@ def ready_where(
 
 def with_item(items: Term, values: Values) -> Term:
     """Return what is carried of repetitions with one more."""
-    return (_ITEMS, (_ITEM, *values), items)
+    return (_ITEMS, (functor(ITEM, len(values) + 1), 0, *values), items)
 
 
 def deferred_test(rule: RuleOwner, node: Carrying, one: Deferred, names: List[Var]) -> Tuple[Test, List[Var]]:
@@ -229,7 +230,7 @@ def _test_of_each(
             return base
         oldest_first = []
         while rest.__class__ is tuple:  # until NO_ITEMS
-            oldest_first.append(rest[1][1:])
+            oldest_first.append(rest[1][2:])
             rest = rest[2]
         tested: Term = NO_ITEMS
         for item in reversed(oldest_first):

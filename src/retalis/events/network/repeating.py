@@ -157,6 +157,14 @@ class Repeating(NetworkNode):
         self.trains = {train.key: train for train in trains}
         self._apart = {key: dict.fromkeys(found) for key, found in apart}
 
+    def number_of_buffers(self, kept: Any) -> int:
+        """Return how many buffers it has once it has restored what another node knew."""
+        together, numbers, _, _ = kept
+        known = {*self._buffers, *numbers}
+        if self._together and together:
+            return 1 + len(known)
+        return 1 + len(known.union(range(1, self.times))) + self.times - 1
+
     def values_of(self, token: Token) -> Values:
         """Return the values of a sequence."""
         return token.values if token.apart > 1 else tuple([token.values[at] for at in self._kept])

@@ -1,6 +1,6 @@
 """A program as files: its folder, topics, goals and rules, read, checked and loaded."""
 
-from .clauses import FileChecker, nowhere
+from .clauses import FileChecker, nowhere, reread_rule
 from .files import Files
 from .folder import (
     ATTRIBUTES,
@@ -41,6 +41,7 @@ __all__ = [
     "read_goals",
     "read_text",
     "read_topics",
+    "reread_rule",
     "RULES",
     "topic_type",
     "TOPICS",

@@ -46,6 +46,7 @@ from ..language import (
     check_window,
     gap_doubt,
     head_event,
+    is_plain_rule,
     is_rule,
     label_error,
     labelled,
@@ -257,13 +258,20 @@ class FileChecker:
         self.rules.append(self.definition(rule, label, spot, place))
 
     def definition(
-        self, rule: Any, label: Optional[Term], spot: Spot, place: Optional[Place]
+        self,
+        rule: Any,
+        label: Optional[Term],
+        spot: Spot,
+        place: Optional[Place],
+        names: Optional[Dict[Var, str]] = None,
     ) -> RuleDefinition:
         """Return what a rule says; rules inside its pattern go to `inner`.
 
         Raises:
             RuleError: where it cannot fire.
         """
+        if names is not None:
+            self._names = names
         once = (var for var, number in occurrences([rule], None).items() if number == 1)
         anonymous = frozenset(var for var in once if var not in self._names)
         reader = PatternReader(
@@ -366,6 +374,19 @@ def _bound_later(head: Term) -> List[Var]:
     if head.__class__ is tuple and head[0] in SYNCHRONIZED:
         return variables(head[2])
     return []
+
+
+def reread_rule(
+    term: Term, label: Optional[Term], place: Optional[Place], names: Dict[Var, str]
+) -> RuleDefinition:
+    """Return the definition of a rule from its term, for a program that was accepted before.
+
+    Raises:
+        RuleError: if the term is not a rule, or the rule cannot fire.
+    """
+    if not is_plain_rule(term):
+        raise RuleError("expected an event rule", place)
+    return FileChecker().definition(term, label, nowhere, place, names)
 
 
 def nowhere(part: Term, number: int = 0) -> Optional[Place]:

@@ -44,7 +44,7 @@ from .program import StreamFiles
 from .recorded import records_of
 from .registry import ENTRIES, control
 from .singlesided import SINGLE_SIDED, is_behind, translate_single_sided
-from .state import default_flags
+from .state import default_flags, flags_from
 from .streams import end_captures
 from .tabled import declare_as
 from .tabling import tables_of
@@ -58,6 +58,7 @@ __all__ = [
     "SINGLE_SIDED",
     "translate_single_sided",
     "default_flags",
+    "flags_from",
     "end_captures",
     "ENTRIES",
     "instant_of",

@@ -54,6 +54,22 @@ _CHANGEABLE: Dict[str, Tuple[str, ...]] = {
 }
 
 
+def flags_from(kept: Dict[str, Term]) -> Dict[str, Term]:
+    """Return flags that were kept, with the values at start of those that were not.
+
+    Raises:
+        UsageError: for a value that the flag does not take.
+    """
+    found = default_flags()
+    for name, value in kept.items():
+        allowed = _CHANGEABLE.get(name, ())
+        changed = value.__class__ is not found.get(name, value).__class__ or value != found.get(name, value)
+        if name in found and changed and not (isinstance(value, Atom) and value.name in allowed):
+            raise UsageError(f"the flag {name} has a value that it does not take")
+        found[name] = value
+    return found
+
+
 @deterministic("set_prolog_flag/2")
 def set_prolog_flag(machine: Machine, flag: Term, value: Term) -> bool:
     """Set a flag."""

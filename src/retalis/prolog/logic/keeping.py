@@ -3,7 +3,7 @@
 from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
 from ...foundation import Place
-from ..builtins import declare_as, records_of, tables_of
+from ..builtins import declare_as, flags_from, records_of, tables_of
 from ..database import Clause, Predicate
 from ..syntax import Operators
 from ..terms import Functor, Term
@@ -116,8 +116,7 @@ def restore_logic(logic: Logic, kept: KeptLogic) -> None:
 
 def restore_values(logic: Logic, kept: KeptValues) -> None:
     """Have a logic with the program of another one know what goals had left there."""
-    logic.flags.clear()
-    logic.flags.update(kept.flags)
+    logic.flags.update(flags_from(kept.flags))
     logic.globals.update(kept.values)
     logic.column = kept.column
     for name in _COUNTED:

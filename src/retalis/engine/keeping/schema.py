@@ -1,0 +1,270 @@
+"""Checks of decoded data: each takes a value, and returns it in the form that the engine uses.
+
+A check raises a `UsageError` that quotes the value. `fields`, `fixed`, and `each` make checks of sequences from
+checks of their items, and put the name or the position in front of the message.
+"""
+
+from math import isfinite
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, cast
+
+from ...foundation import UsageError
+from ...prolog.terms import Atom, Functor, Stamp, String, Term, Var, WholeSeconds
+
+ValueCheck = Callable[[Any], Any]
+"""Returns a value as the engine uses it, or raises a `UsageError`."""
+
+MAX_INSTANT = 1 << 80
+"""Bound of instants, in ns: larger than any that the engine sets itself, as a mark for "never"."""
+
+MAX_COUNT = (1 << 63) - 1
+"""The largest number of a count."""
+
+MAX_KEY_DEPTH = 8
+"""How deep keys may be nested: hashing a deep tuple would overflow the stack of the process."""
+
+
+class FlatKey(tuple):  # type: ignore[type-arg]
+    """A dictionary key of a term, see `term_key`, that is no term itself."""
+
+    __slots__ = ()
+
+
+_SEQUENCES = frozenset((list, tuple, FlatKey))
+_TERMS = frozenset((int, float, Atom, String, Var, tuple))
+_INSTANTS = frozenset((int, WholeSeconds, Stamp))
+_FORMS = frozenset((WholeSeconds, Stamp))
+_KEYS = frozenset((int, Atom, String, Functor))
+
+
+def wrong(value: object, expected: str) -> UsageError:
+    """Return the error of a value."""
+    try:
+        said = value if isinstance(value, str) else repr(value)
+    except (ValueError, RecursionError):  # an integer of too many digits, or a deep sequence
+        said = type(value).__name__
+    return UsageError(f"'{said[:80]}': expected {expected}")
+
+
+def anything(value: Any) -> Any:
+    """Return a value that is checked later, when it is known what it belongs to."""
+    return value
+
+
+def nothing(value: Any) -> None:
+    """Check None."""
+    if value is not None:
+        raise wrong(value, "nothing")
+
+
+def integer(least: int = -MAX_COUNT, most: int = MAX_COUNT) -> ValueCheck:
+    """Return a check of an integer in a range."""
+
+    def check(value: Any) -> int:
+        if value.__class__ is not int or not least <= value <= most:
+            raise wrong(value, f"an integer from {least} to {most}")
+        return value
+
+    return check
+
+
+count = integer(0)
+"""Check of a number of things."""
+
+
+def instant(value: Any) -> int:
+    """Check an instant in ns, in any of its forms."""
+    if value.__class__ not in _INSTANTS or not -MAX_INSTANT <= value <= MAX_INSTANT:
+        raise wrong(value, "an instant")
+    return value
+
+
+def seconds(value: Any) -> float:
+    """Check a finite number of seconds."""
+    if value.__class__ not in (int, float) or not isfinite(value):
+        raise wrong(value, "a number of seconds")
+    return value
+
+
+def boolean(value: Any) -> bool:
+    """Check True or False."""
+    if value.__class__ is not bool:
+        raise wrong(value, "true or false")
+    return value
+
+
+def text(value: Any) -> str:
+    """Check a text."""
+    if value.__class__ is not str:
+        raise wrong(value, "a text")
+    return value
+
+
+def path(value: Any) -> str:
+    """Check the path of a file."""
+    if value.__class__ is not str or "\0" in value:
+        raise wrong(value, "a path")
+    return value
+
+
+def term(value: Any) -> Term:
+    """Check a term; its arguments were checked when it was read."""
+    if value.__class__ not in _TERMS:
+        raise wrong(value, "a term")
+    return cast(Term, value)
+
+
+def value_of_match(value: Any) -> Term:
+    """Check the value of a variable of a match: a term, or an instant at which a part of the match began or ended."""
+    return instant(value) if value.__class__ in _FORMS else term(value)
+
+
+def callable_term(value: Any) -> Term:
+    """Check a term that can be an event or a goal."""
+    if value.__class__ is not tuple and value.__class__ is not Atom:
+        raise wrong(value, "an atom or a compound term")
+    return value
+
+
+def atom(value: Any) -> Atom:
+    """Check an atom."""
+    if value.__class__ is not Atom:
+        raise wrong(value, "an atom")
+    return value
+
+
+def functor(value: Any) -> Functor:
+    """Check a functor."""
+    if value.__class__ is not Functor:
+        raise wrong(value, "a functor")
+    return value
+
+
+def variable(value: Any) -> Var:
+    """Check a variable."""
+    if value.__class__ is not Var:
+        raise wrong(value, "a variable")
+    return value
+
+
+def key(value: Any, depth: int = MAX_KEY_DEPTH) -> Any:
+    """Check a dictionary key that was made of terms: constants, terms of constants, and tuples of such keys."""
+    kind = value.__class__
+    if kind in _KEYS or value is None or kind is str or kind is FlatKey:
+        return tuple(value) if kind is FlatKey else value
+    if kind is tuple:
+        if all(item.__class__ in _KEYS for item in value):
+            return value
+    elif kind is list and depth:
+        return tuple([key(item, depth - 1) for item in value])
+    raise wrong(value, "a key")
+
+
+def optional(check: ValueCheck) -> ValueCheck:
+    """Return a check that lets None through."""
+    return lambda value: None if value is None else check(value)
+
+
+def one_of(*values: Any) -> ValueCheck:
+    """Return a check of one of some texts, or other constants."""
+
+    def check(value: Any) -> Any:
+        for known in values:
+            if value.__class__ is known.__class__ and value == known:
+                return known
+        raise wrong(value, f"one of {', '.join(map(str, values))}")
+
+    return check
+
+
+def items(value: Any) -> Sequence[Any]:
+    """Return the items of a sequence."""
+    if value.__class__ not in _SEQUENCES:
+        raise wrong(value, "a sequence")
+    return value
+
+
+def each(
+    check: ValueCheck, make: Callable[[List[Any]], Any] = list, most: Optional[int] = None
+) -> ValueCheck:
+    """Return a check of a sequence whose items are all alike.
+
+    Args:
+        check: that of an item.
+        make: makes the result of the list of items.
+        most: the largest number of items.
+    """
+
+    def check_each(value: Any) -> Any:
+        if most is not None and len(items(value)) > most:
+            raise wrong(value, f"at most {most} items")
+        found = []
+        try:
+            for item in items(value):
+                found.append(check(item))
+        except UsageError as error:
+            raise UsageError(f"item {len(found)}: {error.message}") from None
+        return found if make is list else make(found)
+
+    return check_each
+
+
+def fixed(*checks: ValueCheck) -> ValueCheck:
+    """Return a check of a sequence of so many items, each with a check of its own; the result is a tuple."""
+    number = len(checks)
+
+    def check(value: Any) -> Tuple[Any, ...]:
+        if len(items(value)) != number:
+            raise wrong(value, f"{number} items")
+        return tuple([check(item) for check, item in zip(checks, value)])
+
+    return check
+
+
+def fields(**checks: ValueCheck) -> ValueCheck:
+    """Return a check of a mapping of exactly these names; the result is a dictionary."""
+
+    def check(value: Any) -> Dict[str, Any]:
+        found = dict_of(text, anything)(value)
+        if list(found) != list(checks):
+            raise wrong(list(found), f"the fields {', '.join(checks)}")
+        return {name: named(name, check)(found[name]) for name, check in checks.items()}
+
+    return check
+
+
+def record(make: Callable[..., Any], /, **checks: ValueCheck) -> ValueCheck:
+    """Return a check of the items of a named tuple, in their order; the result is one."""
+    number = len(checks)
+
+    def check(value: Any) -> Any:
+        if len(items(value)) != number:
+            raise wrong(value, f"{number} items")
+        return make(*[named(name, check)(item) for (name, check), item in zip(checks.items(), value)])
+
+    return check
+
+
+def named(name: str, check: ValueCheck) -> ValueCheck:
+    """Return a check that puts a name in front of its message."""
+
+    def check_named(value: Any) -> Any:
+        try:
+            return check(value)
+        except UsageError as error:
+            raise UsageError(f"{name}: {error.message}") from None
+
+    return check_named
+
+
+def dict_of(key_check: ValueCheck, value_check: ValueCheck) -> ValueCheck:
+    """Return a check of a mapping, which is read as a sequence of pairs; no key stands there twice."""
+    pairs = each(fixed(key_check, value_check))
+
+    def check(value: Any) -> Dict[Any, Any]:
+        found = pairs(value)
+        made = dict(found)
+        if len(made) != len(found):
+            raise wrong(value, "each key once")
+        return made
+
+    return check

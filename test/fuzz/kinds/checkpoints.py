@@ -1,0 +1,92 @@
+"""Databases of checkpoints: changed bytes, other tables, views, triggers, and sections with changed values."""
+
+import sqlite3
+from zlib import crc32
+
+from retalis.engine import CheckpointFile, Checkpoints, resume
+from retalis.engine.checkpoints import read_checkpoint
+from retalis.engine.keeping import from_bytes, to_bytes
+from retalis.engine.runtime import Reports, StreamClock
+
+from ..mutate import changed_bytes
+from . import states
+from .base import LOGGED, SETTINGS, silent_engine
+
+SCHEMAS = (
+    "DROP TABLE records; CREATE VIEW records AS WITH RECURSIVE x(memory, first, number, data, checked) AS "
+    "(SELECT 1, 1, 1, x'00', 1 UNION ALL SELECT memory, first + 1, 1, data, 1 FROM x) SELECT * FROM x",
+    "CREATE TRIGGER t AFTER INSERT ON sections BEGIN INSERT INTO records VALUES (1, 1, 1, zeroblob(1000), 1); END",
+    "CREATE INDEX i ON records (number)",
+    "CREATE TABLE more (x)",
+    "DROP TABLE records",
+    "ALTER TABLE sections ADD COLUMN more",
+    "ALTER TABLE records RENAME COLUMN number TO x",
+    "PRAGMA application_id = 5",
+    "DELETE FROM sections WHERE name = 'about'",
+    "DELETE FROM sections WHERE name = 'program'",
+    "DELETE FROM sections",
+    "DELETE FROM records",
+    "UPDATE records SET first = first + 1000000",
+    "UPDATE records SET memory = memory + 1000",
+    "UPDATE sections SET data = 'text'",
+    "UPDATE sections SET checked = 'x'",
+    "UPDATE sections SET data = zeroblob(100000)",
+    "UPDATE records SET data = x'80049500'",
+    "INSERT INTO sections VALUES ('more', x'00', 0)",
+    "INSERT INTO records SELECT 7, first, number, data, checked FROM records",
+)
+
+
+class Inputs(states.Inputs):
+    """An input is the bytes of a database, whole: without a log beside it."""
+
+    def setup(self):
+        super().setup()
+        self.folder = self.scratch / "program"
+        self.folder.mkdir(exist_ok=True)
+        (self.folder / "goalPredicates.txt").write_text("memorize(a(X), [], X, as, 5)\n")
+        (self.folder / "pub_sub.xml").write_text("<xml></xml>\n")
+        self.path = self.scratch / "state.db"
+        engine = silent_engine()
+        engine.load_program(self.folder)
+        engine.load(states.PROGRAMS[0][0])
+        kept = Checkpoints(engine, CheckpointFile(self.path), self.folder, Reports(), 0.5)
+        for now, event in enumerate(states.EVENTS, 1):
+            engine.event(event, now)
+            kept.write()
+        kept.end()
+        self.database = self.path.read_bytes()
+        LOGGED.found = None
+
+    def make(self, chance):
+        what = chance.random()
+        if what < 0.3:
+            return changed_bytes(chance, self.database, [self.database])
+        self.path.write_bytes(self.database)
+        base = sqlite3.connect(str(self.path), isolation_level=None)
+        base.execute("PRAGMA journal_mode = DELETE")
+        if what < 0.4:
+            base.executescript(chance.choice(SCHEMAS))
+        else:
+            table = chance.choice(("sections", "sections", "records"))
+            rows = base.execute(f"SELECT rowid, data FROM {table} ORDER BY rowid").fetchall()
+            at, data = chance.choice(rows)
+            if what < 0.55:
+                data = changed_bytes(chance, data, [data])
+            else:
+                found = from_bytes(data)
+                data = to_bytes(self.changed(chance, found, self.places(found)))
+            base.execute(f"UPDATE {table} SET data = ?, checked = ? WHERE rowid = ?", (data, crc32(data), at))
+        base.close()
+        return self.path.read_bytes()
+
+    def prepare(self, data):
+        for ending in ("-wal", "-shm", "-journal"):
+            self.path.with_name(f"{self.path.name}{ending}").unlink(missing_ok=True)
+        self.path.write_bytes(data)
+
+    def restored(self, data):
+        if self.attempt(read_checkpoint, self.path) is None:
+            return None
+        found = resume(self.path, self.folder, StreamClock(), SETTINGS, Reports())
+        return None if found is None else found[0]
