@@ -33,7 +33,7 @@ class Head(NamedTuple):
 
 
 _METERED = """
-budget.pattern_steps = steps_left = budget.pattern_steps - 1
+pattern_steps[0] = steps_left = pattern_steps[0] - 1
 if steps_left < 0 and stops(fired):
     return after
 """
@@ -73,17 +73,17 @@ def firing_source(head: Head, known: Mapping[Var, str], names: codegen.Names) ->
         Onlookers=Onlookers,
         UsageError=UsageError,
     )
-    metered = ""
-    if head.budget is not None:
-        metered = _METERED
-        names.values.update(budget=head.budget, stops=head.budget.stops, fired=head.rule)
-    return metered + _FIRE.format(lines="\n".join(lines), event=event)
+    return _FIRE.format(lines="\n".join(lines), event=event)
 
 
 def firing_action(head: Head, order: Sequence[Var]) -> EventAction:
     """Return what takes the values of a match, in the order of their variables, and fires."""
     names = codegen.Names({})
     lines = firing_source(head, {var: f"values[{at}]" for at, var in enumerate(order)}, names)
+    if head.budget is not None:
+        # Not in a lane, whose event follows from no other: as many of these fire as rules listen.
+        lines = _METERED + lines
+        names.values.update(pattern_steps=head.budget.pattern_steps, stops=head.budget.stops, fired=head.rule)
     source = "".join(f"    {line}\n" for line in lines.splitlines() if line.strip())
     made: EventAction = shared_function(
         f"def made(term, values, start, end, after):\n{source}", names.values, "head of a rule"

@@ -60,7 +60,8 @@ class Budget:
         rounds: how often the entry may use its seconds: once more when a program may have caught the first error.
         refused: how many goals of the entry were refused.
         metered: whether rules count their pattern work: not in an engine that has no limits.
-        pattern_steps: steps of pattern work until the limits are checked again; negative from then on.
+        pattern_steps: the number of steps of pattern work until the limits are checked again, negative from then on;
+            one item of a list that never changes, as code has bound it.
         stopped: the rule that was at work when a limit stopped the pattern work of the entry, and the limit; or None.
         left_out: steps of pattern work that the entry has not done since then.
         on_new: called where what an entry has used is forgotten.
@@ -77,6 +78,7 @@ class Budget:
         self.on_refused: Callable[[int, str, object], None] = lambda number, what, entry: None
         self.on_stopped: Callable[[object, str, int, object], None] = lambda rule, what, steps, entry: None
         self.metered = False
+        self.pattern_steps = [0]
         self.allow(NO_LIMITS)
         self.running = False
         self._ask = self.look
@@ -97,7 +99,7 @@ class Budget:
         self._bounded = limits[:3] != NO_LIMITS[:3]
         # Steps since the last check may be those of earlier entries: a small part of the limit, at most.
         most = len(SLICE) if limits.inferences is None else int(limits.inferences) // 8
-        self._pattern_slice = self.pattern_steps = min(len(SLICE), max(1, most))
+        self._pattern_slice = self.pattern_steps[0] = min(len(SLICE), max(1, most))
         self.limited = limits != NO_LIMITS and self.turn is None
 
     def count_for(self, turn: Turn) -> None:
@@ -186,8 +188,8 @@ class Budget:
         self.closed = False
         self.stopped: Optional[Tuple[object, str]] = None
         self.left_out = 0
-        if self.pattern_steps < 0:
-            self.pattern_steps = self._pattern_slice
+        if self.pattern_steps[0] < 0:
+            self.pattern_steps[0] = self._pattern_slice
 
     def end(self) -> None:
         """End an entry: report what was refused and left out, and forget what it has used."""
@@ -220,6 +222,8 @@ class Budget:
             if kept is not None:
                 for name, value in zip(_OF_ENTRY, kept):
                     setattr(self, name, value)
+                if self.stopped is not None:
+                    self.pattern_steps[0] = -1
 
     @contextmanager
     def paused(self) -> Iterator[None]:
@@ -260,7 +264,7 @@ class Budget:
         self._expired = entry
         self.closed = True
         if self.goal is None:  # else the goal at work is over first
-            self.pattern_steps = -1
+            self.pattern_steps[0] = -1
 
     # Pattern work of entries
 
@@ -273,8 +277,10 @@ class Budget:
         if not self.metered:
             return None
 
+        pattern_steps = self.pattern_steps
+
         def count(steps: int) -> bool:
-            self.pattern_steps = left = self.pattern_steps - steps
+            pattern_steps[0] = left = pattern_steps[0] - steps
             return left < 0 and self.stops(rule)
 
         return count
@@ -282,15 +288,15 @@ class Budget:
     def stops(self, rule: object) -> bool:
         """Check the limits, the steps until the next check being used up; return True if pattern work has to stop."""
         if self.stopped is None:
-            self._steps += max(0, self._pattern_slice - self.pattern_steps)
+            self._steps += max(0, self._pattern_slice - self.pattern_steps[0])
             self._count()
             past = self._past(monotonic()) if self._bounded else None
             if past is None:
-                self.pattern_steps = self._pattern_slice
+                self.pattern_steps[0] = self._pattern_slice
                 return False
             self.stopped = rule, past
             self.close(self._error(past))
-            self.pattern_steps = -1
+            self.pattern_steps[0] = -1
         self.left_out += 1
         return True
 
@@ -407,7 +413,7 @@ class Budget:
             return
         if self.goal is None and self.at_work:
             self.close(self._error(past))  # patterns are at work: they stop where they count
-            self.pattern_steps = -1
+            self.pattern_steps[0] = -1
         else:
             raise self._exceeded(past)
 
@@ -480,7 +486,6 @@ _OF_ENTRY = (
     "_out",
     "stopped",
     "left_out",
-    "pattern_steps",
 )
 """The attributes of a budget that tell what an entry has used."""
 
