@@ -94,7 +94,7 @@ _COMMON = """
     """
 
 _DEBIAN = """
-    catkin librostest-dev libstd-msgs-dev python3-diagnostic-msgs python3-geometry-msgs python3-lark
+    catkin librostest-dev libstd-msgs-dev python3-diagnostic-msgs python3-geometry-msgs
     python3-rosbag python3-roslaunch python3-rosmaster python3-rosmsg python3-rosnode python3-rosparam
     python3-rospy python3-rosservice python3-rostest python3-rostopic python3-std-msgs python3-std-srvs
     python3-tf python3-tf2 python3-tf2-msgs ros-message-generation ros-message-runtime rosbash rosout
@@ -113,7 +113,6 @@ DEPENDENCIES = {
     "message_generation": "ros-message-generation",
     "message_runtime": "ros-message-runtime",
     "python3-hypothesis": "pip",
-    "python3-lark-parser": "python3-lark",
     "python3-msgpack": "python3-msgpack",
     "python3-numpy": "python3-numpy",
     "python3-pytest": "pip",

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
-KINDS = ("*.lark", "*.pl", "*.bash", "page/*.*", "py.typed")
+KINDS = ("*.pl", "*.bash", "page/*.*", "py.typed")
 DATA = [path for kind in KINDS for path in sorted(Path("src/retalis").rglob(kind))]
 LAYOUT = {
     "packages": find_packages("src"),

@@ -255,7 +255,7 @@ CASES: Dict[str, Case] = {
         ("1", "T", "-", "+"),
     ),
     r"%(\d{0,2})f": Case("search", "three characters at each", ("", "%"), ("%", "1", "%1", "%12")),
-    # prolog/syntax/tokens.lark, by the name of the terminal
+    # prolog/syntax/tokens.py, by the name of the token
     "LAYOUT": Case("match", "one run", ("",), BLANKS),
     "LINE_COMMENT": Case("match", "one run", ("%",), ("%", "a", " ")),
     "BLOCK_COMMENT": Case(
@@ -281,8 +281,8 @@ CASES: Dict[str, Case] = {
 }
 
 USES = frozenset(("compile", "match", "fullmatch", "search", "sub", "subn", "split", "findall", "finditer"))
-IN_THE_GRAMMAR = "prolog/syntax/tokens.py"
-"""It compiles the terminals of the grammar, which are looked at one by one."""
+TOKENS = "prolog/syntax/tokens.py"
+"""It compiles the patterns of the tokens as one; here each is tested alone."""
 
 
 def calls_of_re(path: str) -> List[ast.Call]:
@@ -336,15 +336,15 @@ def patterns_of(path: str) -> Set[str]:
 
 
 def all_patterns() -> Dict[str, Any]:
-    """Return every pattern of the package by its text, or by its name where it is a terminal."""
+    """Return every pattern of the package by its text, or by its name if it is that of a token."""
     found: Dict[str, Any] = {}
     for path in sorted(FILES):
-        if path != IN_THE_GRAMMAR:
+        if path != TOKENS:
             for text in patterns_of(path):
                 verbose = re.VERBOSE if "\n " in text else 0
                 found[text] = re.compile(text, verbose | (re.MULTILINE if text[0] == "^" else 0))
-    for terminal in tokens.grammar().terminals:
-        found[terminal.name] = re.compile(terminal.pattern.to_regexp())
+    for name, pattern in tokens.TOKEN_PATTERNS.items():
+        found[name] = re.compile(pattern)
     return found
 
 
@@ -355,8 +355,8 @@ def test_each_pattern_is_looked_at():
     assert set(PATTERNS) == set(CASES)
 
 
-def test_the_grammar_is_compiled_nowhere_else():
-    assert len(calls_of_re(IN_THE_GRAMMAR)) == 1
+def test_the_patterns_of_tokens_are_compiled_nowhere_else():
+    assert len(calls_of_re(TOKENS)) == 1
 
 
 def texts(case: Case, size: int) -> Iterator[str]:

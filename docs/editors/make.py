@@ -3,7 +3,7 @@
 
     PYTHONPATH=src docs/editors/make.py    # writes docs/editors/vim and docs/editors/vscode
 
-What is a word, a number, a quoted text or a comment is as in ``src/retalis/prolog/syntax/tokens.lark``.
+What is a word, a number, a quoted text or a comment is as in ``src/retalis/prolog/syntax/tokens.py``.
 """
 
 import json

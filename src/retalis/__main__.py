@@ -8,12 +8,8 @@ def main() -> int:
     default = signal.signal(
         signal.SIGINT, signal.SIG_DFL
     )  # while it imports there is nothing to be ended well
-    try:
-        from .cli import main as command_line  # noqa: PLC0415
-    except ModuleNotFoundError as missing:
-        if missing.name != "lark":
-            raise
-        raise SystemExit("retalis: the Python package lark is missing: pip install lark") from None
+    from .cli import main as command_line  # noqa: PLC0415
+
     signal.signal(signal.SIGINT, default)
     return command_line()
 

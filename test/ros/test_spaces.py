@@ -12,8 +12,8 @@ SERVICES = {
     "delete_memory",
     "delete_output_subscription",
 }
-KINDS = ("*.py", "*.lark", "*.pl", "*.html", "*.css", "*.js", "*.svg")
-IMPORTS = "import retalis.srv, retalis.msg, rosbags, lark; print(retalis.srv.AddMemory, retalis.msg.Radar)"
+KINDS = ("*.py", "*.pl", "*.html", "*.css", "*.js", "*.svg")
+IMPORTS = "import retalis.srv, retalis.msg, rosbags; print(retalis.srv.AddMemory, retalis.msg.Radar)"
 
 
 def test_generated_and_written_modules_are_one_package(space):
@@ -25,7 +25,7 @@ def test_everything_in_the_sources_is_there(space):
         "import pkgutil, retalis, pathlib\n"
         "for place in retalis.__path__:\n"
         "    for path in sorted(pathlib.Path(place).rglob('*')):\n"
-        "        kinds = ('.py', '.lark', '.pl', '.html', '.css', '.js', '.svg')\n"
+        "        kinds = ('.py', '.pl', '.html', '.css', '.js', '.svg')\n"
         "        if path.suffix in kinds and path.parent.name not in ('srv', 'msg'):\n"
         "            print(path.relative_to(place))\n"
     )

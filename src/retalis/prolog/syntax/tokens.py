@@ -1,12 +1,13 @@
-"""Text to tokens: lark reads their grammar, this module splits and gives each its value or its message."""
+"""Tokens of Prolog text: their patterns, and the value or error message of each token.
+
+The tokens are those of ISO 13211-1, section 6.4, and what SWI-Prolog users write. Which token may follow which
+depends on operators that programs declare, so terms are built by operator precedence (`parser.py`).
+"""
 
 import re
 import unicodedata
 from bisect import bisect_right
-from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, Match, NamedTuple, Optional, Tuple
-
-from lark import Lark
 
 from ...foundation import BULK, Place, SyntaxFault, look, place_on
 from ..terms import String, Term, atom, make_list
@@ -73,23 +74,59 @@ class Source:
         return SyntaxFault(message, self.place(min(offset, len(self.text))))
 
 
+TOKEN_PATTERNS: Dict[str, str] = {
+    "LAYOUT": r"[\s\ufeff]+",
+    "LINE_COMMENT": r"%[^\n]*",
+    "BLOCK_COMMENT": r"/\*[\s\S]*?\*/",
+    # A comment that is never closed reaches to the end of the text.
+    "BAD_COMMENT": r"/\*[\s\S]*",
+    # The full stop: only before layout, a comment or the end.
+    "END": r"\.(?=[\s%]|\Z)",
+    # A word is an atom or, by its first character, a variable.
+    "WORD": r"[^\W\d]\w*",
+    # Groups of digits may be separated by "_". SWI-Prolog's blank between groups is not accepted, because it
+    # would turn a forgotten comma, [1 2], into [12].
+    "NUMBER": "|".join(
+        (
+            # character code, radix, hexadecimal, octal, binary, float, integer
+            r"0'(?:\\x[0-9a-fA-F]+\\?|\\[0-7]+\\?|\\u[0-9a-fA-F]{4}|\\U[0-9a-fA-F]{8}|\\[^\n]|''|[^\\\n])",
+            r"[0-9]+'[0-9a-zA-Z]+",
+            r"0x[0-9a-fA-F]+(?:_[0-9a-fA-F]+)*",
+            r"0o[0-7]+(?:_[0-7]+)*",
+            r"0b[01]+(?:_[01]+)*",
+            r"[0-9]+\.[0-9]+(?:[eE][+-]?[0-9]+|Inf|NaN)?",
+            r"[0-9]+[eE][+-]?[0-9]+",
+            r"[0-9]+(?:_\s*[0-9]+)*",
+        )
+    ),
+    # Atoms, strings and back-quoted text without escapes and doubled quotes. Others begin with QUOTE, and
+    # quoted.py finds their end: a regular expression takes a kilobyte of memory for every escape.
+    "QUOTED": r"""'[^'\\\n]*'(?!')|"[^"\\\n]*"(?!")|`[^`\\\n]*`(?!`)""",
+    "QUOTE": r"""['"`]""",
+    "SYMBOL": r"[-+*/\\^<>=~:.?@#&$]+",
+    "SOLO": r"[!;]",
+    "PUNCTUATION": r"[()\[\]{},|]",
+    "BAD_CHAR": r"[\s\S]",
+}
+"""The first pattern that fits is the token, not the longest; one of them fits everywhere.
+
+The BAD_... patterns take text that is not a token, so that the reader can report it and continue. No pattern can
+match the same characters in two ways, so that text that does not fit costs no more than text that does.
+"""
+
+
 _EVERY = len(BULK) // 16 - 1
 """A token costs as much as some 16 inferences."""
 
 _match: Optional[Callable[[str, int], Optional[Match[str]]]] = None
 
 
-def grammar() -> Lark:
-    """Return the grammar of the tokens."""
-    return Lark(Path(__file__).with_name("tokens.lark").read_text(encoding="utf-8"), parser="lalr")
-
-
 def _matcher() -> Callable[[str, int], Any]:
-    """Return what matches the token at an offset; made at first use, which takes some milliseconds."""
+    """Return the function that matches the token at an offset; compile it at first use, which takes 5 ms."""
     global _match
     if _match is None:
-        terminals = sorted(grammar().terminals, key=lambda terminal: -terminal.priority)
-        _match = re.compile("|".join(f"(?P<{one.name}>{one.pattern.to_regexp()})" for one in terminals)).match
+        groups = (f"(?P<{name}>{pattern})" for name, pattern in TOKEN_PATTERNS.items())
+        _match = re.compile("|".join(groups)).match
     return _match
 
 
