@@ -223,3 +223,16 @@ def test_the_lag_is_that_of_a_message_with_a_stamp(monkeypatch):
     assert (counts.lag, counts.wanted) == (2_000, False)
     counts.look(lambda data: None, b"")
     assert counts.lag is None
+
+
+def test_the_rules_that_hold_most_are_named_with_what_they_hold():
+    engine = Engine()
+    engine.load(rules="few : a(K) <- b(K) with change(K, K).")
+    engine.load(rules="many : c(K, A) <- aggregate(avg(V), d(K, V), A, last(3, events)).")
+    engine.event("b(1)", 1)
+    for at in range(100):
+        engine.event(f"d({at}, 1)", at + 1)
+    values = dict(engine_levels(engine)["rules"].values)
+    assert list(values)[0].startswith("held by many")
+    assert "100 items, 100 keys, about 0.2 MB" in list(values.values())[0]
+    assert list(values)[1].startswith("held by few")

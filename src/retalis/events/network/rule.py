@@ -39,8 +39,8 @@ from .streaming import Streaming
 _NEVER = -(1 << 63)
 _UNLIMITED = 1 << 62
 
-MATCH_BYTES = 450
-"""Memory of a partial match that waits; measured with tracemalloc."""
+MATCH_BYTES = 930
+"""Memory of a partial match with two small arguments; measured with tracemalloc on CPython 3.11."""
 
 _SWEEP_SLICE = 2000
 """Matches that a sweep visits at once."""

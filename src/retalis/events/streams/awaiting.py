@@ -81,7 +81,7 @@ class Awaiting(KeyedOperator):
         self._by_start: List[Tuple[int, int, StreamItem]] = []
         self._order = 0
 
-    ITEM_BYTES = 900
+    KEY_BYTES, ITEM_BYTES = 300, 1100
 
     def __len__(self) -> int:
         return self._number

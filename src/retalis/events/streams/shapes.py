@@ -92,7 +92,7 @@ class _LastValue:
 class Changing(KeyedOperator):
     """Lets an item through where what is looked at is another term than in the last one of its key, or the first."""
 
-    KEY_BYTES, ITEM_BYTES = 700, 0
+    KEY_BYTES, ITEM_BYTES = 950, 0
 
     def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`: the key that was least recently used."""

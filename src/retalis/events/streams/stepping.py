@@ -163,7 +163,7 @@ class SteppedWindow(KeyedOperator):
         plan: the steps.
     """
 
-    KEY_BYTES, ITEM_BYTES = 1200, 700
+    KEY_BYTES, ITEM_BYTES = 1600, 1100
 
     def __init__(
         self,

@@ -25,7 +25,7 @@ class Window(KeyedOperator):
         number: how many items are in groups.
     """
 
-    KEY_BYTES, ITEM_BYTES = 900, 350
+    KEY_BYTES, ITEM_BYTES = 1350, 800
 
     def __init__(self, make: Make):
         super().__init__()
