@@ -158,13 +158,13 @@ def signatures():
 class Inputs(Kind):
     """An input is the name of a built-in and its arity, then a goal that calls it."""
 
-    block = 1 << 30
     apart = True
     warm = False
     seconds = 0.4 * SLACK
     growth = int(SLACK * (100 << 20))
 
     def setup(self):
+        self.engine = None
         keys = parts_of(silent_engine()).logic.names()
         self.keys = sorted((key.name, key.arity) for key in keys if key.arity and key.name not in LEFT_OUT)
         self.quoted = {name: write_term(atom(name), None, quoted=True) for name, _ in self.keys}
@@ -173,6 +173,8 @@ class Inputs(Kind):
         self.corpus += self.systematic()
 
     def begin(self):
+        if self.engine is not None:  # an input changes only its own process
+            return
         self.engine = silent_engine(SETTINGS)
         self.engine.load(PROGRAM)
         parts_of(self.engine).logic.globals.update(self.values)
