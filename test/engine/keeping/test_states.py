@@ -75,8 +75,11 @@ def test_unchanged_it_is_taken(state):
         ("matches", ["timers", 0], lambda old: old + old, "alarms with orders of their own"),
         ("matches", ["timers", 0, 0, 1], functor("no", 1)(1), "expected every"),
         ("matches", ["waiting"], [[0, atom("x"), atom("y"), 1, 2, [], None]], "waits for a memory"),
-        ("memory 0", [3], [None, None], "expected a term"),
-        ("memory 0", [3], [], "not as many instants as terms"),
+        ("memory 0", [3, 1], [None, None], "expected a term"),
+        ("memory 0", [3, 1], [], "expected 2 terms"),
+        ("memory 0", [3], ["floats", bytes(8)], "expected 2 terms"),
+        ("memory 0", [3], ["columns", functor("a", 1), []], "expected 2 terms"),
+        ("memory 0", [3], ["columns", functor("a", 1), [["terms", [1, []]]]], "expected a term"),
         ("memory 0", [4, 0], b"", "expected 2 instants"),
         ("memory 0", [4, 1], b"\x07\0", "the forms of instants"),
         ("memory 0", [4, 0], [9, 3], "not in the order of their ends"),
@@ -103,3 +106,14 @@ def test_an_older_state_is_refused_by_its_format(state):
     data = pack(state).replace(b'"format": 6', b'"format": 5')
     with pytest.raises(UsageError, match="format 5, a pickle .* never read: this version reads format 6"):
         Engine.restore(data)
+
+
+def test_records_come_back_by_columns():
+    engine = Engine(StreamClock())
+    engine.load(goals="memorize(tf(_, _, _, _), [], _, m, 200)")
+    for at in range(150):
+        engine.event(f'tf(a{at % 3}, v({at}.5, {at / 7!r}), x(y({at}), [{at}]), "s")', at + 1)
+    other = Engine.restore(engine.snapshot())
+    query = "access_mem(m, R, I)"
+    assert [str(one) for one in other.query(query)] == [str(one) for one in engine.query(query)]
+    assert len(other.query(query)) == 150

@@ -71,7 +71,7 @@ t(N) <- aggregate(count, a(X), N, steps([up where X > 0, later(dn) where X < 0])
 n(X, Y) <- (c(X) seq b(Y)) cnot a(X).
 alarm(X) <- a(X) seq absent(b(X), 4).
 """,
-        "set_etalis_flag(revision_flag, on)\nmemorize(a(X), [], X, as, 5)",
+        "set_etalis_flag(revision_flag, on)\nmemorize(a(X), [], X, as, 5)\nmemorize(tf(_, _), [], _, tfs, 100)",
     ),
 )
 EVENTS = ("a(1)", "b(2)", "a(-1)", "c(1)", "a(f(Z, Z))", "b(1)", "a(2)")
@@ -110,6 +110,8 @@ class Inputs(Kind):
             engine.load(rules, goals)
             for now, event in enumerate(EVENTS, 1):
                 engine.event(event, now)
+            for number in range(60 if "tfs" in goals else 0):  # so many are kept by columns
+                engine.event(f"tf(a{number % 3}, v({number}.5, {number}))", 8 + number / 100)
             self.states.append(unpack(engine.snapshot()))
         LOGGED.found = None
         self.whole = [pack(state) for state in self.states]

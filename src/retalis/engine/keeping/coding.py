@@ -46,7 +46,7 @@ _SAMPLE = 4000
 _OUTER = 4
 """Levels of sequences that the engine makes around terms."""
 
-_MOST_SIMPLE = 100_000
+_MOST_SIMPLE = 2_000_000
 """Items of a level that may always be written as they are."""
 
 _MAX_ARITY = 10_000_000

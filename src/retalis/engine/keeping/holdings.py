@@ -1,16 +1,18 @@
 """Memories with their records, and subscriptions."""
 
 from array import array
-from operator import is_
-from typing import Any, Dict, List, NamedTuple, Sequence, Tuple
+from itertools import repeat
+from operator import is_, itemgetter
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...events.knowledge import Instance, Knowledge
 from ...foundation import UsageError
 from ...prolog.terms import Stamp, Term, WholeSeconds
+from .schema import each, functor, items, term, wrong
 
 _FORMS: Dict[Any, int] = {int: 0, WholeSeconds: 1, Stamp: 2}
 
-KeptRecords = Tuple[int, int, bool, List[Term], Any, Any]
+KeptRecords = Tuple[int, int, bool, Any, Any, Any]
 """How many records there were before these, how many were refused, whether there may be variables; their terms; ends,
 and starts where these are others, see `_instants`."""
 
@@ -60,7 +62,66 @@ def keep_records(new: NewRecords) -> KeptRecords:
     ends = [record[2] for record in records]
     starts = [record[1] for record in records]
     same = all(map(is_, starts, ends))
-    return new.first, new.late, new.open, terms, _instants(ends), None if same else _instants(starts)
+    return (
+        new.first,
+        new.late,
+        new.open,
+        _keep_terms(terms),
+        _instants(ends),
+        None if same else _instants(starts),
+    )
+
+
+_FEW, _DEEP, _WIDE = 50, 4, 64
+"""Terms are kept by columns from so many on; those of their arguments to that depth, and so many at most."""
+
+
+_SAMPLE = 2000
+"""Terms among which those are counted that are the same."""
+
+
+def _keep_terms(terms: List[Term], depth: int = 0, left: Optional[List[None]] = None) -> List[Any]:
+    """Return terms as data: by the columns of their arguments where all have the same functor.
+
+    Columns are made and read by functions that are written in C, and columns of floats are packed.
+    """
+    left = [None] * _WIDE if left is None else left
+    compounds: Any = terms
+    kinds = set(map(type, terms)) if len(terms) >= _FEW else set()
+    if kinds == {float}:
+        return ["floats", array("d", compounds).tobytes()]
+    first = terms[:_SAMPLE]
+    if kinds == {tuple} and depth < _DEEP and 10 * len(set(map(id, first))) >= 9 * len(first):
+        functors = set(map(itemgetter(0), compounds))
+        arity = next(iter(functors)).arity
+        if len(functors) == 1 and arity <= len(left):
+            del left[:arity]
+            columns = [list(map(itemgetter(at), compounds)) for at in range(1, arity + 1)]
+            return ["columns", *functors, [_keep_terms(one, depth + 1, left) for one in columns]]
+    return ["terms", terms]
+
+
+def read_terms(value: Any, number: int, depth: int = 0) -> List[Term]:
+    """Return so many terms from data, checked.
+
+    Raises:
+        UsageError: where it is not what `keep_records` returns.
+    """
+    form, *rest = items(value) or [None]
+    if form == "floats" and len(rest) == 1 and rest[0].__class__ is bytes and len(rest[0]) == 8 * number:
+        floats = array("d")
+        floats.frombytes(rest[0])
+        return floats.tolist()  # type: ignore[return-value]
+    if form == "columns" and len(rest) == 2 and depth <= _DEEP:
+        of = functor(rest[0])
+        columns = [read_terms(one, number, depth + 1) for one in items(rest[1])]
+        if len(columns) == of.arity > 0:
+            return list(zip(repeat(of, number), *columns))
+    if form == "terms" and len(rest) == 1:
+        found: List[Term] = each(term)(rest[0])
+        if len(found) == number:
+            return found
+    raise wrong(form, f"{number} terms")
 
 
 def _instants(found: Sequence[Any]) -> Any:

@@ -8,6 +8,7 @@ from ...foundation import Place, UsageError
 from ...prolog.logic import KeptLogic, KeptValues
 from ...prolog.terms import Atom, Functor
 from .coding import from_bytes
+from .holdings import read_terms
 from .schema import (
     ValueCheck,
     anything,
@@ -201,8 +202,16 @@ def _column(value: Any) -> Any:
     return numbers, forms, stamps
 
 
-records = fixed(count, count, boolean, each(term), _column, optional(_column))
-"""Check of some records of a memory, one after the other."""
+_records = fixed(count, count, boolean, anything, _column, optional(_column))
+
+
+def records(value: Any) -> Any:
+    """Check some records of a memory, one after the other."""
+    before, late, is_open, terms, ends, starts = _records(value)
+    number = len(ends[1])
+    if starts is not None and len(starts[1]) != number:
+        raise wrong(len(starts[1]), f"{number} instants")
+    return before, late, is_open, named("terms", lambda one: read_terms(one, number))(terms), ends, starts
 
 
 def read_records(data: bytes) -> Any:
@@ -211,11 +220,7 @@ def read_records(data: bytes) -> Any:
     Raises:
         UsageError: where they are damaged.
     """
-    found = records(from_bytes(data))
-    number = len(found[3])
-    if any(column is not None and len(column[1]) != number for column in found[4:]):
-        raise UsageError("the records of a memory have not as many instants as terms")
-    return found
+    return records(from_bytes(data))
 
 
 about = fields(
