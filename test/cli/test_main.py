@@ -1,10 +1,12 @@
 import argparse
+import subprocess
+import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
-from retalis.cli import main, version
+from retalis.cli import COMMANDS, main, version
 
 SOURCES = Path(__file__).resolve().parents[2] / "src"
 
@@ -15,10 +17,58 @@ def test_the_version_is_that_of_the_manifest(capsys, monkeypatch, tmp_path):
     manifest = ElementTree.parse(SOURCES.parent / "package.xml").getroot()
     assert (ended.value.code, capsys.readouterr().out) == (0, f"retalis {manifest.findtext('version')}\n")
     monkeypatch.setattr(version, "MANIFEST", tmp_path / "package.xml")
-    monkeypatch.setattr(version.metadata, "version", lambda name: f"9 of {name}")
+    monkeypatch.setattr("importlib.metadata.version", lambda name: f"9 of {name}")
     assert version.version() == "9 of retalis"
     (tmp_path / "package.xml").write_text("<package><name>other</name><version>5</version></package>")
     assert version.version() == "9 of retalis"
+
+
+def imported(*arguments):
+    """Return the modules of the package that a command imports in a process of its own."""
+    code = """import sys
+from retalis.cli import main
+try:
+    main(sys.argv[1:])
+except SystemExit:
+    pass
+print(*(name for name in sys.modules if name.startswith("retalis.")), file=sys.stderr)
+"""
+    result = subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        env={"PYTHONPATH": str(SOURCES), "PATH": "/usr/bin:/bin"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert result.returncode == 0, result.stderr
+    return set(result.stderr.split())
+
+
+def test_the_version_imports_no_engine():
+    found = imported("--version")
+    assert {name.split(".")[1] for name in found} == {"cli", "foundation"}
+
+
+def test_a_command_imports_no_other_command_and_bags_only_if_it_reads_them():
+    found = imported("events", "--help")
+    assert "retalis.cli.events" in found
+    assert not [name for name in found if name.startswith("retalis.engine.playback")]
+    assert not found & {f"retalis.cli.{module}" for module in COMMANDS.values() if module != "events"}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_help_of_a_command_is_the_same_without_the_others(name, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([name, "--help"])
+    assert (ended.value.code, capsys.readouterr().out) == (0, parsers()[name].format_help())
+
+
+def test_the_help_lists_all_commands(capsys):
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    text = capsys.readouterr().out
+    assert set(parsers()) == set(COMMANDS)
+    assert all(f"\n    {name} " in text for name in COMMANDS)
 
 
 def parsers():

@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.cli import report, status_page
+from retalis.cli.tables import report, status_page
 
 
 def test_plain_values_and_tables():

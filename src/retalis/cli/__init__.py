@@ -1,35 +1,46 @@
 """The command line: ``retalis COMMAND``. Each command is a module with ``add_parser`` and ``run``;
-those for a node that runs share one.
+those for a node that runs share one. Only the module of the command that is called is imported.
 """
 
 import argparse
 import os
 import sys
-from typing import List, Optional
+from importlib import import_module
+from typing import Iterable, List, Optional
 
 from ..foundation import RetalisError
-from . import bag, check, completion, console, demo, events, graph, live, msg, plot
-from .printing import join_times
-from .prompt import LEAVE, Lines, Terminal, read_clause
+from .numbers import join_times
 from .report import NobodyReads, leave
-from .tables import report, status_page
 from .version import ShowVersion
 
-COMMANDS = (bag, check, console, demo, events, graph, live, msg, plot, completion)
+COMMANDS = {
+    "bag": "bag",
+    "check": "check",
+    "console": "console",
+    "demo": "demo",
+    "events": "events",
+    "graph": "graph",
+    "query": "live",
+    "explain": "live",
+    "list": "live",
+    "status": "live",
+    "watch": "live",
+    "reload": "live",
+    "msg": "msg",
+    "plot": "plot",
+    "complete": "completion",
+}
+"""The module of each command."""
 
-__all__ = [
-    "LEAVE",
-    "Lines",
-    "main",
-    "read_clause",
-    "report",
-    "status_page",
-    "Terminal",
-]
+_NEEDS_ALL = "complete"
+"""The command that looks through the parsers of all others."""
+
+__all__ = ["main", "prompt", "tables"]
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
     """Run a command; return its exit status: 0 done, 1 with errors, 2 wrongly called."""
+    words = sys.argv[1:] if arguments is None else arguments
     parser = argparse.ArgumentParser(
         prog="retalis",
         description="Event rules and a knowledge base for robots.",
@@ -39,10 +50,10 @@ def main(arguments: Optional[List[str]] = None) -> int:
     parser.add_argument("--version", action=ShowVersion, help="print the version and exit")
     parser.set_defaults(whole=parser)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for command in COMMANDS:
-        command.add_parser(commands.add_parser)
-    options = parser.parse_args(join_times(sys.argv[1:] if arguments is None else arguments))
     try:
+        for module in _modules_for(words):
+            import_module(f"{__name__}.{module}").add_parser(commands.add_parser)
+        options = parser.parse_args(join_times(words))
         status: int = options.run(options)
         return status
     except RetalisError as error:
@@ -55,3 +66,11 @@ def main(arguments: Optional[List[str]] = None) -> int:
         return 1
     finally:
         leave()
+
+
+def _modules_for(words: List[str]) -> Iterable[str]:
+    """Return the modules whose commands the parser needs, in the order of the help."""
+    first = words[0] if words else ""
+    if first in COMMANDS and first != _NEEDS_ALL:
+        return (COMMANDS[first],)
+    return () if first == "--version" else dict.fromkeys(COMMANDS.values())

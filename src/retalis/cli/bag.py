@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Callable
 
 from .folders import add_direct, add_folders
-from .limits import add_chunk_limit, add_limits
+from .limits import add_limits
 from .manybags import add_many, are_many, play_many
-from .numbers import from_zero
-from .playing import play
-from .printing import JSON, RELATIVE, RELATIVE_TIMES, STAMPS
+from .numbers import RELATIVE, RELATIVE_TIMES, STAMPS, from_zero
+from .playing import add_chunk_limit, play
+from .printing import JSON
 from .report import Report
 
 DESCRIPTION = """\

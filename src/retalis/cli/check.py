@@ -12,7 +12,8 @@ from ..events.checks import ERROR, INFO, Finding
 from ..foundation import MessageError, counted, printable
 from ..messages import Definitions, Installed
 from .folders import add_direct
-from .limits import add_chunk_limit, add_swi
+from .limits import add_swi
+from .playing import add_chunk_limit
 
 DESCRIPTION = """\
 Load a program's folder as a node does, without ROS, or a file of rules, and say all that is wrong with it or hardly

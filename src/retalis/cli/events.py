@@ -17,7 +17,8 @@ from ..prolog.syntax import Operators, ReadTerm, read_term
 from ..prolog.terms import Term, deref, rebuild, timestamps, variables
 from .folders import add_folders, allow_folders
 from .limits import add_limits, limited
-from .printing import JSON, RELATIVE, RELATIVE_TIMES, Printer
+from .numbers import RELATIVE, RELATIVE_TIMES
+from .printing import JSON, Printer
 from .report import Report, to_reader
 from .stream import Read, ReadLine, is_left_unread, read_stream
 

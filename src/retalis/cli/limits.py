@@ -4,7 +4,6 @@ import argparse
 from typing import Callable, Optional, Tuple
 
 from ..engine import Settings
-from ..engine.playback import MAX_CHUNK_MEGABYTES
 from ..prolog.machine import Limits
 from .numbers import from_one, from_zero
 
@@ -61,18 +60,6 @@ def add_swi(parser: argparse.ArgumentParser) -> None:
     """Add the option that lets a program use SWI-Prolog."""
     text = "let the program have SWI-Prolog load files with use_swi/1"
     parser.add_argument("--allow-swi", action="store_true", help=text)
-
-
-def add_chunk_limit(parser: argparse.ArgumentParser) -> None:
-    """Add the option that bounds what is unpacked of bags."""
-    parser.add_argument(
-        "--max-chunk-megabytes",
-        type=from_one,
-        default=MAX_CHUNK_MEGABYTES,
-        metavar="N",
-        help="refuse chunks and compressed messages of bags that are larger unpacked, and compressed files that "
-        f"would become larger than this and 100 times their size ({MAX_CHUNK_MEGABYTES})",
-    )
 
 
 def limited(settings: Settings, options: argparse.Namespace) -> Settings:

@@ -7,7 +7,7 @@ from typing import Callable, Dict
 from ..engine.playback import open_bag
 from ..foundation import MessageError, UsageError, plain_type, type_fault
 from ..messages import Definition, Definitions, by_names, positional, zero
-from .limits import add_chunk_limit
+from .playing import add_chunk_limit
 
 FORMATS: Dict[str, Callable[[Definition, Definitions], str]] = {
     "term": lambda found, known: positional(found),

@@ -1,9 +1,13 @@
-"""How options read numbers, and what they say of what is none."""
+"""Values of options: numbers with their errors, and the two forms of ``--times``."""
 
 import argparse
-from typing import Callable, Optional
+from typing import Callable, List, Optional
 
 Reader = Callable[[str], float]
+
+STAMPS, RELATIVE = "stamps", "relative"
+RELATIVE_TIMES = "--times=relative"
+"""Option for times relative to the start of a run; ``--times relative`` is the same."""
 
 
 def from_zero(kind: Callable[[str], float]) -> Reader:
@@ -33,3 +37,17 @@ from_one = _reader(int, lambda number: number >= 1, "a whole number of 1 or more
 whole = _reader(int, lambda number: True, "a whole number")
 any_number = _reader(float, lambda number: True, "a number")
 seconds = _reader(float, lambda number: 0 < number < float("inf"), "a positive number of seconds")
+
+
+def join_times(arguments: List[str]) -> List[str]:
+    """Write ``--times relative`` as one argument.
+
+    The plain ``--times`` takes no value, so that a bag may follow it; argparse cannot tell the two apart.
+    """
+    joined: List[str] = []
+    for argument in arguments:
+        if argument == RELATIVE and joined and joined[-1] == "--times":
+            joined[-1] = RELATIVE_TIMES
+        else:
+            joined.append(argument)
+    return joined

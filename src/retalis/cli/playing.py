@@ -8,7 +8,16 @@ from typing import Callable, Dict, List, Optional
 
 from ..engine import Settings
 from ..engine.explaining import explain, record_origins
-from ..engine.playback import BagSeries, BagWriter, Line, Output, Playback, RunLook, output_line
+from ..engine.playback import (
+    MAX_CHUNK_MEGABYTES,
+    BagSeries,
+    BagWriter,
+    Line,
+    Output,
+    Playback,
+    RunLook,
+    output_line,
+)
 from ..engine.runtime import limit_gc_pauses
 from ..events.program import TopicType, topic_type
 from ..foundation import UsageError, shortened
@@ -16,7 +25,8 @@ from ..prolog.syntax import read_term, to_text
 from ..prolog.terms import Term, atom, functor, timestamps
 from .folders import allow_folders
 from .limits import limited
-from .printing import RELATIVE, Printer
+from .numbers import RELATIVE, from_one
+from .printing import Printer
 from .progress import Bar, progress
 from .report import Report, to_reader
 
@@ -25,6 +35,18 @@ TIMED_OUTPUT = functor("output", 3)
 
 
 Tell = Callable[[Line], None]
+
+
+def add_chunk_limit(parser: argparse.ArgumentParser) -> None:
+    """Add the option that bounds what is unpacked of bags."""
+    parser.add_argument(
+        "--max-chunk-megabytes",
+        type=from_one,
+        default=MAX_CHUNK_MEGABYTES,
+        metavar="N",
+        help="refuse chunks and compressed messages of bags that are larger unpacked, and compressed files that "
+        f"would become larger than this and 100 times their size ({MAX_CHUNK_MEGABYTES})",
+    )
 
 
 def print_line(line: Line) -> None:

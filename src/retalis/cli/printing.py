@@ -5,35 +5,18 @@ import sys
 from typing import IO, Dict, List, Optional
 
 from ..engine.explaining import Explanation, ExplanationLine
-from ..engine.playback import recorded as text
 from ..events.knowledge import OF_MEMORIES
 from ..prolog.syntax import add_full_stop
+from ..prolog.syntax import canonical_text as text
 from ..prolog.terms import Term, atom, functor, timestamps
 
 EVENT = functor("event", 2)
 MEMORY_EVENT = functor("memory_event", 2)
 OUTPUT = functor("output", 3)
-STAMPS, RELATIVE = "stamps", "relative"
-RELATIVE_TIMES = "--times=relative"
-"""Option for times relative to the start of a run; ``--times relative`` is the same."""
 JSON = """\
 with --json each line is one object. Terms are strings that read back; T, T1 and T2 are whole nanoseconds since
 the epoch, whatever form the stamps have in terms:
 """
-
-
-def join_times(arguments: List[str]) -> List[str]:
-    """Write ``--times relative`` as one argument.
-
-    The plain ``--times`` takes no value, so that a bag may follow it; argparse cannot tell the two apart.
-    """
-    joined: List[str] = []
-    for argument in arguments:
-        if argument == RELATIVE and joined and joined[-1] == "--times":
-            joined[-1] = RELATIVE_TIMES
-        else:
-            joined.append(argument)
-    return joined
 
 
 class Printer:

@@ -1,7 +1,6 @@
 """``--version``."""
 
 import argparse
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -16,6 +15,8 @@ def version() -> str:
         manifest = ElementTree.parse(MANIFEST).getroot()
         if manifest.findtext("name") == "retalis":
             return str(manifest.findtext("version"))
+    from importlib import metadata  # noqa: PLC0415  takes 30 ms
+
     try:
         return metadata.version("retalis")
     except metadata.PackageNotFoundError:  # the folder alone was copied

@@ -17,7 +17,7 @@ from std_msgs.msg import String
 
 from retalis import srv
 
-from ..cli import report, status_page
+from ..cli import tables
 from ..foundation import RetalisError, UsageError, printable
 from ..prolog.syntax import Operators, read_term, write_term, writeq
 from ..prolog.terms import deref
@@ -121,7 +121,7 @@ def _listed(node: LiveNode) -> Dict[str, Any]:
 
 def _list(options: argparse.Namespace) -> int:
     found = _listed(LiveNode(options.node, interfaces=True))
-    print(json.dumps(found) if options.json else "\n".join(map(printable, report(found))))
+    print(json.dumps(found) if options.json else "\n".join(map(printable, tables.report(found))))
     return 0
 
 
@@ -181,7 +181,7 @@ def _ros_node(name: str) -> Iterator[IO[str]]:
 def _page(node: LiveNode, before: Dict[str, Any], found: Dict[str, Any], seconds: float) -> Iterator[str]:
     """Yield the status of a node in lines that are no longer than those of the terminal."""
     columns = shutil.get_terminal_size().columns
-    for line in status_page(before, found, seconds, columns, node.has_engine):
+    for line in tables.status_page(before, found, seconds, columns, node.has_engine):
         yield printable(line)[:columns]
 
 

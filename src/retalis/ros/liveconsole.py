@@ -7,7 +7,7 @@ from typing import Union
 
 from retalis import srv
 
-from ..cli import LEAVE, Lines, Terminal, read_clause
+from ..cli import prompt
 from ..foundation import SyntaxFault, UsageError, printable
 from ..prolog.logic import Logic
 from ..prolog.syntax import ReadTerm, write_term
@@ -25,13 +25,13 @@ def run(options: argparse.Namespace) -> int:
     console = LiveConsole(LiveNode(options.node), options.most)
     if options.goal:
         for goal in options.goal:
-            console.goals(Lines(StringIO(goal if goal.rstrip().endswith(".") else f"{goal} .\n")))
+            console.goals(prompt.Lines(StringIO(goal if goal.rstrip().endswith(".") else f"{goal} .\n")))
     elif sys.stdin.isatty():
         print(f"% {console.node.name}: goals end with a full stop; quit. or ctrl-D ends the console")
-        console.goals(Terminal(list))
+        console.goals(prompt.Terminal(list))
         return 0
     else:
-        console.goals(Lines(sys.stdin))
+        console.goals(prompt.Lines(sys.stdin))
     return 1 if console.errors else 0
 
 
@@ -52,18 +52,18 @@ class LiveConsole:
         self._most = most
         self._logic = Logic()
 
-    def goals(self, lines: Union[Lines, Terminal]) -> None:
+    def goals(self, lines: Union[prompt.Lines, prompt.Terminal]) -> None:
         """Read goals and answer them until the end of the input or ``halt``."""
         while True:
             try:
-                read = read_clause(lines, self._logic, "?- ")
+                read = prompt.read_clause(lines, self._logic, "?- ")
                 if read is None:
                     return
                 if isinstance(read, SyntaxFault):
                     self._say(str(read))
                     continue
                 goal = deref(read.term)
-                if isinstance(goal, Atom) and goal.name in LEAVE:
+                if isinstance(goal, Atom) and goal.name in prompt.LEAVE:
                     return
                 self._ask(read, lines)
             except UsageError as error:
@@ -76,7 +76,7 @@ class LiveConsole:
         self.errors += 1
         print(text, file=sys.stderr, flush=True)
 
-    def _ask(self, read: ReadTerm, lines: Union[Lines, Terminal]) -> None:
+    def _ask(self, read: ReadTerm, lines: Union[prompt.Lines, prompt.Terminal]) -> None:
         names = {var: name for name, var in read.names.items()}
         goal = write_term(read.term, self._logic.operators, quoted=True, variable_names=names)
         most = _MOST_AT_A_TERMINAL if lines.is_terminal else self._most

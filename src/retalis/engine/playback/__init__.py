@@ -2,7 +2,7 @@
 
 from .bags import BagError, BagReader, BagWriter, Record, Topic
 from .decompression import MAX_CHUNK_MEGABYTES
-from .looking import Line, RunLook, output_line, recorded
+from .looking import Line, RunLook, output_line
 from .places import (
     FoundBag,
     fetched,
@@ -40,7 +40,6 @@ __all__ = [
     "output_line",
     "Playback",
     "Record",
-    "recorded",
     "remove_parts",
     "result_file",
     "RunLook",

@@ -4,8 +4,8 @@ from itertools import islice
 from typing import Callable, Dict, List, NamedTuple, Union
 
 from ...events.knowledge import OF_MEMORIES
-from ...prolog.syntax import write_term
-from ...prolog.terms import Term, Var, variables
+from ...prolog.syntax import canonical_text
+from ...prolog.terms import Term
 from .. import parts_of
 from .playback import Output, Playback
 
@@ -44,7 +44,7 @@ class RunLook:
 
     def _event(self, term: Term, start: int, end: int) -> None:
         if term.__class__ is not tuple or term[0] not in OF_MEMORIES:
-            self._tell({"event": recorded(term), "start": int(start), "end": int(end)})
+            self._tell({"event": canonical_text(term), "start": int(start), "end": int(end)})
 
     def output(self, output: Output) -> None:
         """Tell of an output."""
@@ -61,8 +61,8 @@ class RunLook:
             self._end(self._waits.pop(order), now)
         for order, (_, question, values, _, _, missing) in there.items():
             if order not in self._waits:
-                memories = [recorded(instance.id) for instance, _ in missing]
-                self._waits[order] = _Wait(recorded(question.event(values)), memories, now)
+                memories = [canonical_text(instance.id) for instance, _ in missing]
+                self._waits[order] = _Wait(canonical_text(question.event(values)), memories, now)
 
     def _end(self, wait: _Wait, now: int) -> None:
         self._tell({"wait": wait.event, "memories": wait.memories, "start": wait.start, "end": now})
@@ -89,13 +89,10 @@ class RunLook:
 
 def output_line(output: Output) -> Line:
     """Return what is told of an output."""
-    name = None if output.id is None else recorded(output.id)
-    return {"output": recorded(output.term), "topic": output.topic, "id": name, "time": int(output.time)}
-
-
-def recorded(term: Term) -> str:
-    """Return a term as it stands in recorded streams: quoted, operators ignored, variables A, B, ..."""
-    names: Dict[Var, str] = {}
-    for number, var in enumerate(variables(term)):
-        names[var] = f"{chr(65 + number % 26)}{number // 26 or ''}"
-    return write_term(term, quoted=True, ignore_ops=True, variable_names=names)
+    name = None if output.id is None else canonical_text(output.id)
+    return {
+        "output": canonical_text(output.term),
+        "topic": output.topic,
+        "id": name,
+        "time": int(output.time),
+    }

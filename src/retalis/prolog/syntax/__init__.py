@@ -32,11 +32,12 @@ from .reader import OF_FILES, Program, ReadTerm, read_program, read_term
 from .shownslots import by_name
 from .slots import Meant, MessageSlot, NamedForm
 from .tokens import ReadFlags
-from .writer import add_full_stop, beginning_of, write_term, writeq
+from .writer import add_full_stop, beginning_of, canonical_text, write_term, writeq
 
 __all__ = [
     "add_full_stop",
     "beginning_of",
+    "canonical_text",
     "by_name",
     "DECLARE_EVENT",
     "EVENT_OPERATOR",

@@ -21,6 +21,7 @@ from ..terms import (
     functor,
     resolve,
     serial,
+    variables,
 )
 from .atoms import atom_text, quote
 from .numerals import float_text, integer_text
@@ -412,6 +413,14 @@ def write_term(term: Term, operators: Optional[Operators] = None, **options: Any
 def writeq(term: Term, operators: Optional[Operators] = None) -> str:
     """Return the text of a term as ``writeq/1`` writes it: quoted, with operators and ``'$VAR'``."""
     return _TermWriter(operators or _usual(), _QUOTED).write(term)
+
+
+def canonical_text(term: Term) -> str:
+    """Return the text of a term that reads back everywhere: quoted, without operators, variables as A, B, ..."""
+    names = {
+        var: f"{chr(65 + number % 26)}{number // 26 or ''}" for number, var in enumerate(variables(term))
+    }
+    return write_term(term, quoted=True, ignore_ops=True, variable_names=names)
 
 
 def beginning_of(term: Term, longest: int) -> str:
