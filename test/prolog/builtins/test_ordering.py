@@ -147,6 +147,25 @@ def test_deletions_from_a_large_tree_take_few_inferences():
     assert found["Left"] == "!"
 
 
+def test_balances_may_be_bound_variables():
+    tree = "t(d,1,<,t(b,2,X,t,t(c,3,Y,t,t)),t(e,4,-,t,t))"
+    (found,) = answers(prolog(), f"X = (>), Y = (-), del_assoc(e, {tree}, _, A)")
+    assert found["A"] == "t(c,3,-,t(b,2,-,t,t),t(d,1,-,t,t))"
+    (found,) = answers(prolog(), "X = (<), del_assoc(c, t(b,1,<,t(a,1,X,t(0,1,-,t,t),t),t(c,1,-,t,t)), _, A)")
+    assert found["A"] == "t(a,1,-,t(0,1,-,t,t),t(b,1,-,t,t))"
+
+
+def test_a_deep_term_in_place_of_a_balance_is_not_hashed():
+    """Python hashes tuples by recursion in C: a tuple that is deep enough ends the process."""
+    deep = NIL
+    for _ in range(300_000):
+        deep = (functor("f", 1), deep)
+    logic = prolog()
+    logic.globals["deep"] = deep
+    tree = "t(d,1,<,t(b,2,>,t,t(c,3,X,t,t)),t(e,4,<,t,t))"
+    assert first(logic, f"nb_getval(deep, X), copy_term({tree}, T), del_assoc(e, T, _, _)") is None
+
+
 def test_trees_that_are_none():
     logic = prolog()
     assert answers(logic, "put_assoc(a, t(b,1,x,t,t), 2, A)") == []
@@ -159,6 +178,8 @@ def test_trees_that_are_none():
     assert answers(logic, "del_assoc(a, t(b,1,>,t(a,1,-,t,t),foo), 1, A)") == []
     assert answers(logic, "del_assoc(a, t(b,1,>,t(a,1,-,t,t),t(c,1,<,t,t)), 1, A)") == []
     assert answers(logic, "del_assoc(b, t(b,1,x,t(a,1,-,t,t),t(c,1,-,t,t)), 1, A)") == []
+    assert answers(logic, "del_assoc(c, t(b,1,<,t(a,1,x,t,t),t(c,1,-,t,t)), 1, A)") == []
+    assert answers(logic, "put_assoc(a, t(b,1,<,t,t), 2, A)") == []
     assert answers(logic, "assoc_to_list(t(b,1,<,foo,t), L)") == []
     assert answers(logic, "assoc_to_list(t(b,1,<,X,t), L)") == ["instantiation_error"]
     assert answers(logic, "A = t(b,1,<,A,t), assoc_to_list(A, L)") == ["resource_error(term_size)"]

@@ -34,6 +34,11 @@ def _is_node(term: Term) -> bool:
     return term.__class__ is tuple and term[0] is _NODE
 
 
+def _is_balance(term: Term) -> bool:
+    """Tell whether a dereferenced term is a balance: no term is hashed, whose depth can be any."""
+    return term is _EVEN or term is _LEFT or term is _RIGHT
+
+
 @deterministic("get_assoc/3", locked=False)
 def get_assoc(machine: Machine, key: Term, tree: Term, value: Term) -> bool:
     """Look a key up."""
@@ -104,13 +109,15 @@ def _deepened(parent: CompoundTerm, side: CompoundTerm, order: int) -> Optional[
         return (_NODE, key, value, deeper, left, right), True
     if balance is other:
         return (_NODE, key, value, _EVEN, left, right), False
-    return (_rotated(key, value, left, right, order), False) if balance is deeper else None
+    if balance is not deeper or side[3] is _EVEN:  # a new leaf makes no side too deep
+        return None
+    return _rotated(key, value, left, right, order), False
 
 
 def _rotated(key: Term, value: Term, left: Any, right: Any, order: int) -> CompoundTerm:
     """Return a node one of whose sides has become too deep, balanced: the left side where ``order`` is negative."""
     _, child_key, child_value, balance, inner_left, inner_right = left if order < 0 else right
-    if balance is (_LEFT if order < 0 else _RIGHT):  # a single rotation: the child goes up
+    if deref(balance) is (_LEFT if order < 0 else _RIGHT):  # a single rotation: the child goes up
         if order < 0:
             return (
                 *(_NODE, child_key, child_value, _EVEN, inner_left),
@@ -123,7 +130,8 @@ def _rotated(key: Term, value: Term, left: Any, right: Any, order: int) -> Compo
     # A double rotation: the child's inner side goes up.
     top: Any = deref(inner_right if order < 0 else inner_left)
     _, top_key, top_value, balance, top_left, top_right = top
-    left_balance, right_balance = _AFTER_DOUBLE_ROTATION[balance]
+    of_top: Any = deref(balance)
+    left_balance, right_balance = _AFTER_DOUBLE_ROTATION[of_top]
     if order < 0:
         lower = (_NODE, child_key, child_value, left_balance, inner_left, top_left)
         upper = (_NODE, key, value, right_balance, top_right, right)
@@ -217,8 +225,10 @@ def _flattened(parent: CompoundTerm, side: Any, order: int) -> Optional[Tuple[Co
     lean = deref(sibling[3])
     if lean is flatter:
         inner: Any = deref(sibling[4] if order < 0 else sibling[5])
-        if not _is_node(inner) or inner[3] not in _AFTER_DOUBLE_ROTATION:
+        if not _is_node(inner) or not _is_balance(deref(inner[3])):
             return None
+    elif not _is_balance(lean):
+        return None
     if lean is not _EVEN:
         return _rotated(key, value, left, right, -order), True
     # A single rotation; the node keeps its depth, and both levels lean.
