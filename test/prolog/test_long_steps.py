@@ -324,3 +324,7 @@ def test_white_space_is_found_across_pieces():
     for size in range(1015, 1030):
         text = " " + "a" * size + " b  " + "c" * size + "\t\n"
         assert _words(text) == text.split()
+
+
+def test_an_empty_text_has_no_words():
+    assert _words("") == []

@@ -206,7 +206,7 @@ def _words(text: str) -> List[str]:
         if not whole and found and not piece[0].isspace():
             words[-1] += found.pop(0)
         words += found
-        whole = piece[-1].isspace()
+        whole = piece[-1:].isspace()  # the only piece of an empty text is empty
     return words
 
 
