@@ -109,6 +109,12 @@ def test_only_json_of_some_size_is_taken(visitor):
     assert visitor.ask("/", "DELETE")[0] == 405
 
 
+def test_a_method_that_http_does_not_have_is_refused_without_a_traceback(visitor, caplog):
+    status, _, body = visitor.ask("/", "FOO")
+    assert (status, body) == (405, b"405: Method Not Allowed\n")
+    assert caplog.text == ""
+
+
 def test_it_is_on_the_loopback_address_only(page):
     with pytest.raises(OSError):  # what listens on all addresses of the machine answers on this one too
         socket.create_connection(("127.0.0.2", page.port), timeout=5)

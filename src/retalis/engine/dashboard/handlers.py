@@ -64,9 +64,11 @@ class LocalHandler(RequestHandler):
     browser tells (``Origin``, ``Sec-Fetch-Site``), or by a name that was made to lead to it (``Host``).
     """
 
+    _stream: Any = None  # a request with an unknown method is answered without `prepare`
+
     def prepare(self) -> None:
         """Refuse what a foreign page may have sent."""
-        self._stream: Any = getattr(self.request.connection, "stream", None)
+        self._stream = getattr(self.request.connection, "stream", None)
         if self._stream is not None:
             self.settings[BUSY].add(self._stream)
         headers = self.request.headers
@@ -80,7 +82,8 @@ class LocalHandler(RequestHandler):
 
     def on_finish(self) -> None:
         """Note that the connection waits for its next request."""
-        self.settings[BUSY].discard(self._stream)
+        if self._stream is not None:
+            self.settings[BUSY].discard(self._stream)
 
     def set_default_headers(self) -> None:
         """Have the browser run, load and tell others nothing that is not the page's own."""
