@@ -1,5 +1,6 @@
 """Files of ROS 2 bags: as another reader reads them, and those that would take too much."""
 
+import os
 import sqlite3
 import struct
 from contextlib import closing
@@ -228,6 +229,14 @@ def test_a_database_is_read_in_the_order_of_time_without_its_index(tmp_path):
     file = SqliteFile(path, ChunkLimit(1))
     assert [time // SECOND for _, time, _ in file.read([1], 2 * SECOND, 3 * SECOND)] == [2]
     assert list(file.read([2], None, None)) == []
+    file.close()
+
+
+def test_a_large_database_is_read_with_a_large_limit(tmp_path):
+    path = sqlite_bag(tmp_path / "a.db3")
+    os.truncate(path, 3 << 30)  # a sparse file: its last pages are holes
+    file = SqliteFile(path, ChunkLimit(4096))
+    assert [time for _, time, _ in file.read([1], None, None)] == [SECOND]
     file.close()
 
 

@@ -61,6 +61,9 @@ _TOO_MANY_BYTES = "its rows have more bytes than the file: some name the same pa
 _LIMIT_LENGTH = 0
 """``SQLITE_LIMIT_LENGTH`` of ``sqlite3.h``: the largest text, blob or row."""
 
+_MAX_LENGTH = (1 << 31) - 1
+"""The largest value of a limit, which is an ``int`` of C."""
+
 
 class SqliteFile:
     """A ``.db3`` file.
@@ -84,7 +87,7 @@ class SqliteFile:
             self._database.execute("PRAGMA trusted_schema = OFF")
             set_limit = getattr(self._database, "setlimit", None)  # from Python 3.11
             if set_limit is not None:
-                set_limit(_LIMIT_LENGTH, min(limit.bytes, self._size) + 1)
+                set_limit(_LIMIT_LENGTH, min(limit.bytes + 1, self._size + 1, _MAX_LENGTH))
             self._database.set_progress_handler(self._count_steps, _STEPS_AT_A_TIME)
             self.connections = self._read_connections()
             self.start, self.end = self._read_times()
