@@ -185,7 +185,7 @@ def test_taking_events_back_counts_and_leaves_nothing_of_what_is_gone(caplog):
     assert is_alive(engine)
 
 
-def test_many_events_are_taken_back_from_a_long_history_in_linear_time():
+def test_many_events_are_taken_back_from_a_long_history():
     engine = make(REVISED + "s(S) <- aggregate(sum(X), p(X), S, last(5000, events)).\n", limits=Limits())
     send(engine, *[f"a({at})" for at in range(300)], "b(1)")
     seen = send(engine, "rev(b(1))")
@@ -213,7 +213,7 @@ def test_memories_and_subscriptions_have_all_that_was_derived():
     seen = send(engine, "e0(3)")
     number = sum(one.startswith("e30(") for one in seen)
     assert number == len(sent) > 10
-    assert engine.query("memory_size(m, N)") == [{"N": number}] or engine.query("memory_counter(m, N)")
+    assert engine.query("memory_counter(m, N)") == [{"N": number}]
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ from fuzz.mutate import changed_bytes  # noqa: E402
 from harness import Collector, open_the_way, service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
-from retalis.ros.connection_limits import HANDSHAKE_SECONDS  # noqa: E402
+from retalis.ros.connection_limits import HANDSHAKE_SECONDS, REPORT_SECONDS  # noqa: E402
 
 HOST = "127.0.0.1"
 NODES = {"/retalis": "/retalisOutputEvents", "/retalis_ros_interface": "/retalisInputEvents"}
@@ -284,6 +284,7 @@ class Attacks(unittest.TestCase):
         numbers = [int(word) for word in sys.argv[1:] if word.isdigit()]
         cls.seconds, cls.requests, cls.seed = numbers if len(numbers) == 3 else (10, 1000, 1)
         open_the_way()
+        cls.began = time.monotonic()
         cls.log = Collector("/rosout", Log)
         wait_until(cls.log.connected, "the nodes' log")
         cls.nodes = [Node(*node) for node in NODES.items()]
@@ -328,7 +329,8 @@ class Attacks(unittest.TestCase):
                 "the report of closed connections",
             )
             lines = [one.msg for one in self.log.messages if one.msg.startswith(place)]
-            self.assertLess(len(lines), 4, lines)
+            # One line in an interval, however many connections were closed; a busy machine takes longer.
+            self.assertLess(len(lines), 4 + (time.monotonic() - self.began) / REPORT_SECONDS, lines)
 
     def test_slow_clients_take_a_bounded_part_of_the_node(self):
         clients = [

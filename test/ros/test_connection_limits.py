@@ -424,13 +424,14 @@ def test_idle_xmlrpc_connections_take_a_bounded_number_of_threads(requests):
             sock.close()
 
 
-def test_a_request_that_never_ends_is_closed_at_its_deadline(requests):
-    seconds = Seconds()
+def test_a_request_that_never_ends_is_closed_at_its_deadline(requests, monkeypatch):
+    seconds, renewed = Seconds(), threading.Event()
     requests.connections._now = seconds  # noqa: SLF001
+    renew = requests.connections.renew
+    monkeypatch.setattr(requests.connections, "renew", lambda sock: (renew(sock), renewed.set()))
     with socket.create_connection(requests.server_address, timeout=PATIENCE) as sock:
         sock.sendall(b"POST / HTTP/1.1\r\nContent-Length: 100\r\n\r\n<")
-        while not len(requests.connections):
-            pass
+        assert renewed.wait(PATIENCE)  # a later renewal would be given a deadline after the time set here
         seconds.time = 1e9
         assert sock.recv(1) == b""
     assert requests.closed.total == 0  # a connection that a client keeps for later ends in the same way
