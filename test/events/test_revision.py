@@ -71,6 +71,13 @@ def test_what_a_memory_or_subscription_makes_of_an_event_of_a_rule_with_a_goal_s
     assert program.feed("rev(a)@2") == "rev(m)@2-2 rev(c)@2-2"
 
 
+@pytest.mark.parametrize("last", ["fail", "X is foo"])
+def test_an_event_after_a_goal_without_a_solution_does_not_follow_from_its_match(last):
+    program = Program(f"c do (new_event(m,[5,5]), {last}) <- a. d <- b.", ["revision_flag"])
+    assert program.feed("a@1 b@2") == "m@5-5 d@2-2"
+    assert program.feed("rev(a)@3") == "rev(m)@3-3"
+
+
 @pytest.mark.parametrize("flags", [(), ("revision_flag",)])
 def test_what_a_first_side_leads_to_before_it_waits_is_no_partner_of_it(flags):
     rules = "null_event do new_event(y,[9,9]) <- x. c <- (x cnot z) seq y."

@@ -101,6 +101,7 @@ _writer = text_writer(_decoder)
     [
         ("bool on\nstring name\n", b"\1" + packed(b"x")),
         ("string name\nuint8[3] code\n", packed(b"x") + b"abc"),
+        ("string name\nint16[3] counts\n", packed(b"x") + struct.pack("<3h", -1, 0, 300)),
         ("string name\nfloat64[6] values\n", packed(b"x") + struct.pack("<6d", *range(6))),
         ("string[] names\n", struct.pack("<I", 2) + packed(b"x") + packed(b"y")),
         ("Part[] parts\n" + "=" * 80 + "\nMSG: pkg/Part\nstring name\nfloat64 x\n", struct.pack("<I", 0)),

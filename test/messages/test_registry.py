@@ -217,6 +217,13 @@ def test_types_that_rosbags_brings():
     assert "pkg/Type" not in registry
 
 
+def test_types_that_rosbags_brings_are_listed():
+    pytest.importorskip("rosbags")
+    installed = Installed([], [])
+    assert {"geometry_msgs", "sensor_msgs", "std_msgs"} <= set(installed.packages())
+    assert {"Point", "Pose"} <= set(installed.types("geometry_msgs"))
+
+
 @pytest.mark.parametrize("name", ["tf/tfMessage", "tf2_msgs/TFMessage"])
 def test_tf_by_both_names_wherever_geometry_is(name):
     pytest.importorskip("rosbags")

@@ -267,6 +267,19 @@ def test_an_absent_event_stays_for_a_first_side_with_variables_that_it_rules_out
     assert program.feed("b@50").startswith("o(2,")
 
 
+def test_after_many_matches_have_left_the_next_sweep_begins_earlier(monkeypatch):
+    monkeypatch.setattr("retalis.events.matches.absence.MAX_RULED_OUT", 5)
+    for name, value in (("SPARE", 10), ("_SWEEP_SLICE", 20), ("_SWEEP_STEP", 1)):
+        monkeypatch.setattr(f"retalis.events.network.rule.{name}", value)
+    program = Program("o(X) <- (a(X) seq b(X)) cnot c.", policy="chronological")
+    for at in range(600):
+        program.engine.event(f"a({at})" if at < 300 else f"b({at - 300})", at)
+    assert parts_of(program.engine).rules.waiting < 20
+    for at in range(600, 1000):
+        program.engine.event("c" if at % 2 else f"a({at})", at)
+        assert parts_of(program.engine).rules.waiting < 150
+
+
 def test_the_newest_that_are_ruled_out_wait_for_a_second_side_that_overlaps_or_is_late():
     program = Program("o(X, Y) <- (a(X) seq b(Y)) cnot c.", policy="recent_2")
     for at in range(0, 20_000, 2):

@@ -1,8 +1,12 @@
-"""Identities of matches: equal for the same event terms only."""
+"""Identities of matches, equal for the same event terms only, and their arrival numbers."""
+
+import sys
 
 import pytest
 
+from retalis.events.matches import Match, arrival, identity
 from retalis.events.matches.matches import Identity
+from retalis.prolog.terms import atom
 
 
 @pytest.mark.parametrize(
@@ -25,3 +29,25 @@ def test_identities_of_the_same_parts_are_equal():
     first, second = (Identity((1, Identity((2, "a")))) for _ in range(2))
     assert first == second
     assert hash(first) == hash(second)
+
+
+def nested(depth, name):
+    """Return a match whose first part has a first part, and so on, ``depth`` levels deep."""
+    match = Match((), 0, 0, 1, atom(name), None)
+    for at in range(1, depth):
+        match = Match((), 0, at, None, None, (match, Match((), at, at, 1, atom("b"), None)))
+    return match
+
+
+def test_the_identity_of_a_deeply_nested_match_is_computed_without_recursion():
+    depth = 2 * sys.getrecursionlimit()
+    assert identity(nested(depth, "a")) == identity(nested(depth, "a"))
+    assert identity(nested(depth, "a")) != identity(nested(depth, "c"))
+
+
+def test_a_match_without_parts_has_an_identity():
+    assert identity(Match((), 0, 0, None, None, ())) == Identity(())
+
+
+def test_a_match_of_events_that_are_not_tracked_has_the_arrival_number_0():
+    assert arrival(nested(3, "a")) == 0

@@ -153,8 +153,10 @@ def test_what_is_opened_is_checked_where_it_is(door, tmp_path, monkeypatch, limi
         lambda opened, *rest, **more: os_open(other if opened == path else opened, *rest, **more),
     )
     if limited:
+        before = os.listdir("/proc/self/fd")
         with pytest.raises(PrologError, match="No permission to open source_sink `a'"):
             door.read(path, "a")
+        assert os.listdir("/proc/self/fd") == before
     else:
         assert door.read(path, "a") == "one\ntwo\nthree\n"
 

@@ -117,6 +117,19 @@ def turn():
     made.thread = None  # what comes after is no work of this entry
 
 
+def test_each_step_of_pattern_work_that_is_left_out_is_counted_once(budget, turn):
+    reports = []
+    budget.on_stopped = lambda rule, limit, steps, entry: reports.append((rule, limit, steps))
+    budget.allow(Limits(inferences=100))
+    budget.count_for(turn)
+    meter = budget.meter("rule")
+    while not meter(10):
+        pass
+    assert meter(10) and meter(10)
+    budget.end()
+    assert reports == [("rule", "inferences", 3)]
+
+
 def test_an_entry_inside_of_another_has_limits_of_its_own(budget, turn):
     budget.count_for(turn)
     budget.allow(Limits(inferences=1000))

@@ -1,0 +1,36 @@
+"""Chains of repetitions: equal for the same event terms, however they are divided into pieces."""
+
+import pytest
+
+from retalis.events.matches import Chain, Log, Match
+from retalis.prolog.terms import atom
+
+
+def repetitions(names):
+    """Return a match for each of some event names."""
+    return [Match((), at, at, at, atom(name), None) for at, name in enumerate(names)]
+
+
+def chain(*pieces):
+    """Return a chain of pieces, each ``(names, begin, end)``."""
+    return Chain(tuple((Log(repetitions(names)), begin, end) for names, begin, end in pieces))
+
+
+@pytest.mark.parametrize(
+    "pieces", [[("ab", 0, 2)], [("xab", 1, 3)], [("abx", 0, 2)], [("xax", 1, 2), ("b", 0, 1)]]
+)
+def test_chains_of_the_same_terms_are_equal_in_any_pieces(pieces):
+    assert chain(*pieces) == chain(("ab", 0, 2))
+    assert hash(chain(*pieces)) == hash(chain(("ab", 0, 2)))
+
+
+@pytest.mark.parametrize("pieces", [[("ba", 0, 2)], [("ab", 0, 1)], [("abc", 1, 3)]])
+def test_chains_of_other_terms_differ(pieces):
+    assert chain(*pieces) != chain(("ab", 0, 2))
+
+
+def test_the_hash_of_a_log_that_has_grown_is_that_of_its_repetitions():
+    log = Log(repetitions("a"))
+    assert hash(Chain(((log, 0, 1),))) == hash(chain(("a", 0, 1)))
+    log.items += repetitions("bc")
+    assert Chain(((log, 1, 3),)) == chain(("bc", 0, 2))
