@@ -126,6 +126,17 @@ def test_pattern_garbage_control_removes_what_no_window_does():
     assert waiting == [100, 11, 20]  # with a step of 30 s last at the 90th second
 
 
+@pytest.mark.parametrize("name", [name for name, flag in FLAGS.items() if not flag.values])
+@pytest.mark.parametrize("number", ["inf", "nan"])
+def test_a_number_that_is_not_finite_is_refused_and_not_stored(name, number):
+    engine = Engine()
+    before = value(engine, name)
+    with pytest.raises(PrologError, match=f"{name} takes a number of"):
+        engine.query(f"X is {number}, set_etalis_flag({name}, X)")
+    assert value(engine, name) == before
+    assert engine.call("set_etalis_flag(max_keys, 3)")
+
+
 # ---- kept events, sharing -------------------------------------------------------------------------------
 
 

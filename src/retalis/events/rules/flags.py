@@ -99,7 +99,11 @@ class Flags:
         if flag.values:
             if value.__class__ is not Atom or value.name not in flag.values:
                 raise UsageError(f"{name} takes {', '.join(flag.values)}")
-        elif not isinstance(value, (int, float)) or not value >= flag.least or (flag.whole and value % 1):
+        elif (
+            not isinstance(value, (int, float))
+            or not flag.least <= value < inf  # nan is neither
+            or (flag.whole and value % 1)
+        ):
             raise UsageError(f"{name} takes {flag.takes}")
         if value != self._values[name]:
             self._changing = name
