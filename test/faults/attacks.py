@@ -199,7 +199,7 @@ SLOW_WAYS = (
     (b"POST / HTTP/1.1\r\nContent-Length: 200000\r\n\r\n", b"<methodCall>"),
     (b"GET /events HTTP/1.1\r\nHost: localhost\r\n", b"X"),
 )
-"""What slow clients send at once, and byte by byte."""
+"""Bytes that slow clients send at once, and those that they send one by one."""
 
 METHODS = (
     "getBusStats",

@@ -264,7 +264,7 @@ def test_the_arguments_of_a_wide_term_count(walk):
     ],
 )
 def test_what_is_allocated_in_one_piece_is_announced(logic, goal):
-    """Who limits the memory can refuse it before it is there."""
+    """A limit of memory can refuse an allocation before it is made."""
     logic.limits = NO_LIMITS
     setup = "" if "A" not in goal else "length(Cs, 300000), maplist(=(0'a), Cs), atom_codes(A, Cs), "
     asked = []

@@ -1,4 +1,4 @@
-"""What the node's log and the lines of its goals show of texts from outside. Needs rospy, no master."""
+"""Texts from outside in the node's log and in lines that goals print. Needs rospy, no master."""
 
 import io
 import logging

@@ -292,7 +292,7 @@ class EstablishedConnections:
 
 
 class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignore[misc]
-    """rospy's server of the TCPROS port, with handshakes that wait for nobody.
+    """rospy's server of the TCPROS port, with handshakes that do not delay each other.
 
     One thread accepts connections and reads headers as their bytes come. A complete header is answered by rospy's
     handler, in a thread that ends with the handshake.
@@ -504,7 +504,7 @@ _EXPECTED = (
     (rosgraph.xmlrpc, "SilenceableXMLRPCRequestHandler", ("do_POST", "decode_request_content")),
     (rosgraph.xmlrpc, "ThreadingXMLRPCServer", ("service_actions", "process_request", "shutdown_request")),
 )
-"""What the subclasses need of rospy: modules, their names, and the attributes of these."""
+"""Parts of rospy that the subclasses use: modules, their names, and the attributes of these."""
 
 
 def _fits() -> bool:

@@ -1,4 +1,4 @@
-"""What is packed is unpacked up to what its header states, and to what is allowed; bombs of each format."""
+"""Decompression up to the stated size and up to the limit; bombs of each format."""
 
 import io
 import os

@@ -17,7 +17,7 @@ memorize(fuzz__0__B(_,X), [], X, bs, 10)
 
 
 ENDINGS = ((b"SQLite", ".db3"), (b"\x89MCAP", ".mcap"), (b"", ".bag"))
-"""Which file takes an input, by its first bytes."""
+"""Endings of the file for an input, by the first bytes of the input."""
 
 MEGABYTES = 8
 """The largest chunk; bombs of the corpus have 200 MB."""

@@ -1,4 +1,4 @@
-"""What goals write to the user's streams: control characters shown, and no more than the limit of output."""
+"""Output of goals to ``user_output`` and ``user_error``: escapes for control characters, and the limit of output."""
 
 import pytest
 

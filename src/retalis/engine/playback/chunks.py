@@ -28,7 +28,7 @@ _MAX_AHEAD_BYTES = 16 << 20
 """Size of a chunk up to which it is decompressed before it is asked for."""
 
 MAX_REPEATS = 8
-"""How often all chunks of a bag may be read again, on average, because their messages alternate in time."""
+"""Average number of times that a chunk of a bag may be read again because messages of chunks alternate in time."""
 
 
 class Chunk(NamedTuple):

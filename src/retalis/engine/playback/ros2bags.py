@@ -27,9 +27,9 @@ METADATA = "metadata.yaml"
 """The file that makes a folder a bag of ROS 2."""
 
 MAX_UNPACKED_RATIO = 100
-"""How many times as large as it is a compressed file may become, if that is more than the limit of a chunk.
+"""Largest ratio of a compressed file's size unpacked to its own, if that is more than the limit of a chunk.
 
-It may also take half of the free disk space at most.
+An unpacked file may also take at most half of the free disk space.
 """
 
 MAX_METADATA_BYTES = 4_000_000
