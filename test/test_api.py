@@ -116,6 +116,18 @@ def test_names_cost_nothing_before_somebody_asks():
     assert loaded.stdout.split() == []
 
 
+def test_an_engine_needs_neither_bags_nor_openssl_and_leaves_the_collector_as_it_was():
+    script = (
+        "import gc, sys, retalis\n"
+        "assert retalis.Engine and gc.isenabled()\n"
+        "retalis.Engine()\n"
+        "assert not {'hashlib', 'multiprocessing', 'retalis.engine.playback'} & set(sys.modules)\n"
+        "gc.disable()\n"
+        "assert retalis.Playback and not gc.isenabled()\n"
+    )
+    subprocess.run([sys.executable, "-c", script], cwd=Path(retalis.__file__).parent.parent, check=True)
+
+
 def test_names_are_sorted_and_there():
     assert retalis.__all__ == sorted(retalis.__all__, key=str.lower)
     with pytest.raises(AttributeError, match="has no attribute 'Nothing'"):

@@ -47,7 +47,7 @@ ORDER = (
 MOST_NAMES = 10
 """Names that `src/retalis` shows, folders and files alike; `__init__.py`, `__main__.py` and `py.typed` are three."""
 
-STARTED = {"cli": {"main"}}
+STARTED = {"cli": {"import_commands", "main"}}
 """What is used by nobody but those who start a program: in `__main__.py`."""
 
 USERS = (

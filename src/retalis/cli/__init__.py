@@ -6,7 +6,7 @@ import argparse
 import os
 import sys
 from importlib import import_module
-from typing import Iterable, List, Optional
+from typing import Any, Iterable, List, Optional
 
 from ..foundation import RetalisError
 from .numbers import join_times
@@ -35,7 +35,7 @@ COMMANDS = {
 _NEEDS_ALL = "complete"
 """The command that looks through the parsers of all others."""
 
-__all__ = ["main", "prompt", "tables"]
+__all__ = ["import_commands", "main", "prompt", "tables"]
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
@@ -51,8 +51,8 @@ def main(arguments: Optional[List[str]] = None) -> int:
     parser.set_defaults(whole=parser)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     try:
-        for module in _modules_for(words):
-            import_module(f"{__name__}.{module}").add_parser(commands.add_parser)
+        for module in import_commands(words):
+            module.add_parser(commands.add_parser)
         options = parser.parse_args(join_times(words))
         status: int = options.run(options)
         return status
@@ -68,9 +68,12 @@ def main(arguments: Optional[List[str]] = None) -> int:
         leave()
 
 
-def _modules_for(words: List[str]) -> Iterable[str]:
-    """Return the modules whose commands the parser needs, in the order of the help."""
+def import_commands(words: List[str]) -> List[Any]:
+    """Return the modules of the commands that the parser of a command line needs, in the order of the help."""
     first = words[0] if words else ""
+    names: Iterable[str] = dict.fromkeys(COMMANDS.values())
     if first in COMMANDS and first != _NEEDS_ALL:
-        return (COMMANDS[first],)
-    return () if first == "--version" else dict.fromkeys(COMMANDS.values())
+        names = (COMMANDS[first],)
+    elif first == "--version":
+        names = ()
+    return [import_module(f"{__name__}.{name}") for name in names]

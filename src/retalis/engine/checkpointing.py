@@ -1,6 +1,5 @@
 """Keeping the state of a running engine in a file, and taking it up from there."""
 
-import hashlib
 import threading
 import time
 from itertools import count
@@ -204,8 +203,10 @@ def own_files(folder: Path, loaded: Sequence[str]) -> List[str]:
 
 def digest(name: str) -> str:
     """Return a digest of what a file says; "none" where it is not there."""
+    from hashlib import sha256  # noqa: PLC0415 - loads OpenSSL, and only nodes have checkpoints
+
     try:
-        return hashlib.sha256(Path(name).read_bytes()).hexdigest()
+        return sha256(Path(name).read_bytes()).hexdigest()
     except OSError:
         return "none"
 

@@ -5,9 +5,9 @@ Each time is one transaction, in write-ahead mode: a process that is killed leav
 """
 
 import os
-import secrets
 import sqlite3
 from pathlib import Path
+from random import SystemRandom
 from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Tuple
 from zlib import crc32
 
@@ -115,7 +115,7 @@ class CheckpointFile:
             _check_schema(self._base)
             newest = _value(self._base, "SELECT max(memory) FROM records")
             self.next_number: int = 0 if newest is None else newest + 1
-            self._owner = secrets.randbelow(1 << 31)
+            self._owner = SystemRandom().randrange(1 << 31)
             self._base.execute(f"PRAGMA user_version = {self._owner}")
         except sqlite3.Error as error:
             raise UsageError(f"cannot write a checkpoint to {path}: {error}") from error

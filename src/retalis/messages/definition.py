@@ -1,6 +1,5 @@
 """ROS 1 message definitions: their slots, how large they are, and the checksum of all that."""
 
-import hashlib
 from dataclasses import dataclass, field, replace
 from struct import calcsize
 from typing import Dict, Iterable, List, NamedTuple, Optional, Tuple, Union
@@ -145,11 +144,13 @@ class Definition:
     measure: Measure = field(init=False, default=Measure())
 
     def __post_init__(self) -> None:
+        from hashlib import md5  # noqa: PLC0415 - loads OpenSSL, and many programs have no messages
+
         fault = type_fault(self.name)
         if fault is not None:
             raise MessageError(fault)
         object.__setattr__(self, "measure", measured(self.fields))
-        object.__setattr__(self, "md5sum", hashlib.md5(_checksum_text(self).encode()).hexdigest())
+        object.__setattr__(self, "md5sum", md5(_checksum_text(self).encode()).hexdigest())
 
     @property
     def functor_name(self) -> str:
