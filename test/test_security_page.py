@@ -50,7 +50,7 @@ FIXED = {
     "errors of one file that are kept and shown": f"{errors.MOST_ERRORS}, and how many more",
     "characters of a text from outside that are kept and shown": f"{SHOWN}; of a whole error {LONGEST:,}",
     "streams that are open at once": f"{streams.MOST};",
-    "integers": f"{evaluation.HUGE:,} bits ({int(evaluation.HUGE * log10(2) / 100_000) / 10} million digits)",
+    "integers": f"{evaluation.HUGE:,} bits ({int(evaluation.HUGE * log10(2)) + 1:,} digits)",
     "texts that goals make": f"{millions(text.LONGEST)} characters",
     "terms that goals walk through": f"{millions(steps.MOST)} parts",
     "timers": f"{timers.MOST:,}, each every millisecond at most; {timers.MOST_AT_ONCE:,} times at once",

@@ -4,6 +4,7 @@
 rostest retalis attacks.test seconds:=300 requests:=20000 seed:=2
 """
 
+import os
 import random
 import socket
 import statistics
@@ -67,7 +68,7 @@ def sockets_of(pid):
     found = set()
     for link in links:
         try:
-            found.add(str(link.readlink()) if hasattr(link, "readlink") else str(link.resolve().name))
+            found.add(os.readlink(str(link)))
         except OSError:  # closed meanwhile
             pass
     return {text.split("[")[1].rstrip("]") for text in found if text.startswith("socket:[")}
