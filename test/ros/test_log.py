@@ -47,6 +47,11 @@ def test_a_text_is_no_template_of_the_log(logger, log, text):
     assert log.getvalue().endswith(f"]: {text}\n".replace("${", r"\x24{"))
 
 
+def test_wrong_arguments_of_a_record_raise_nothing_where_it_is_logged(logger, log):
+    logger.warning("%d things", "\x1b")
+    assert log.getvalue().endswith(r"]: %d things ('\x1b',)" + "\n")
+
+
 def test_an_error_with_its_line_stays_readable(logger, log):
     logger.warning("%s", "rules.txt:1:3: wrong\na $ b\n  ^")
     assert log.getvalue().endswith("rules.txt:1:3: wrong\n    a $ b\n      ^\n")

@@ -95,7 +95,10 @@ def show_safely(record: logging.LogRecord) -> bool:
     rospy's own handler would put values in place of ``${...}`` in the text, and fail at one without an end.
     """
     if not hasattr(record, "shown_safely"):
-        text = printable(record.getMessage())
+        try:
+            text = printable(record.getMessage())
+        except Exception:  # wrong arguments: rospy's handler would raise the error where the text is logged
+            text = printable(f"{record.msg} {record.args}")
         record.msg, record.args = text.replace("\n", "\n    ").replace("${", "\\x24{"), ()
         record.shown_safely = True
     return True
