@@ -138,7 +138,7 @@ def test_the_time_that_a_user_takes_is_not_counted(capsys):
             return True
 
     asked = []
-    console = Console(Report(), Settings(limits=Limits(inferences=20_000)))
+    console = Console(Report(), Settings(limits=Limits(inferences=40_000)))
     console.goals(
         User(
             io.StringIO(

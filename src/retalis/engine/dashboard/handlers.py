@@ -99,7 +99,7 @@ class LocalHandler(RequestHandler):
         ):
             self.set_header(name, value)
 
-    def write_error(self, status_code: int, **known: Any) -> None:
+    def write_error(self, status_code: int, **known: object) -> None:
         """Say what is wrong in a line, and nothing of the inside."""
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(f"{status_code}: {self._reason}\n")

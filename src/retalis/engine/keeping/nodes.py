@@ -18,6 +18,7 @@ from ...events.streams import (
 from ...foundation import UsageError
 from .graph import GraphReader
 from .schema import (
+    Decoded,
     ValueCheck,
     anything,
     boolean,
@@ -68,7 +69,7 @@ class StreamCheck:
         scopes = getattr(stream, "scopes", None)
         self._checks = [one.check for one in make() if one.picky] if scopes is None else []
 
-    def item(self, value: Any) -> StreamItem:
+    def item(self, value: Decoded) -> StreamItem:
         """Check an item."""
         item: StreamItem = self._refer(value)
         by, values = self._widths
@@ -94,7 +95,7 @@ class StreamCheck:
         if len(orders) != len(found) or not all(1 <= one <= order for one in orders):
             raise wrong(sorted(item.order for item in found), "items with orders of their own")
 
-    def known(self, value: Any) -> Any:
+    def known(self, value: Decoded) -> Decoded:
         """Check all that the operator knows; see `StreamOperator.kept`."""
         stream = self._stream
         one = each(self.item)
@@ -128,7 +129,7 @@ class StreamCheck:
         if any(len(one) != 1 for one in keys) or len(set().union(*keys)) != len(keys):
             raise wrong(len(keys), "groups of items with the same values, and one of them each")
 
-    def _stepped(self, stream: SteppedWindow, value: Any) -> Any:
+    def _stepped(self, stream: SteppedWindow, value: Decoded) -> Decoded:
         step = integer(0, len(stream.plan.steps) - 1)
         steps = each(step, tuple)
         pairs = each(fixed(count, step), tuple)
@@ -166,7 +167,7 @@ class StreamCheck:
         return found
 
 
-def rule_state(graph: GraphReader, rule: Rule, value: Any) -> RuleState:
+def rule_state(graph: GraphReader, rule: Rule, value: Decoded) -> RuleState:
     """Check what a rule knows; see `Rule.state`."""
     nodes = [node for node, _, _ in rule.nodes]
     kinds = each(fixed(text, anything))(items(value)[2]) if len(items(value)) == 7 else []
@@ -262,7 +263,7 @@ def _repeating(graph: GraphReader, node: Repeating) -> ValueCheck:
     number = integer(1, node.times)
     train = graph.ref("train")
 
-    def own(value: Any) -> Any:
+    def own(value: Decoded) -> Decoded:
         found = train(value)
         tokens = [token for token in found.tokens if token is not None and token.buffer is found]
         if found.node is not node or len(found.tokens) >= node.times:
@@ -284,7 +285,7 @@ def _streaming(graph: GraphReader, node: Streaming) -> ValueCheck:
     output = fixed(each(stream.item), instant, instant, each(term, tuple), nothing)
     given = fixed(lambda value: output(value) if items(value) else None, graph.ref("held"))
 
-    def base(value: Any) -> Any:
+    def base(value: Decoded) -> Decoded:
         return stream.known(value) if items(value) else ()
 
     replay = fixed(base, each(taken), each(given))

@@ -10,7 +10,10 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, cast
 from ...foundation import UsageError
 from ...prolog.terms import Atom, Functor, Stamp, String, Term, Var, WholeSeconds
 
-ValueCheck = Callable[[Any], Any]
+Decoded = Any
+"""A value whose type only its check establishes."""
+
+ValueCheck = Callable[[Decoded], Decoded]
 """Returns a value as the engine uses it, or raises a `UsageError`."""
 
 MAX_INSTANT = 1 << 80
@@ -45,12 +48,12 @@ def wrong(value: object, expected: str) -> UsageError:
     return UsageError(f"'{said[:80]}': expected {expected}")
 
 
-def anything(value: Any) -> Any:
+def anything(value: Decoded) -> Decoded:
     """Return a value that is checked later, when it is known what it belongs to."""
     return value
 
 
-def nothing(value: Any) -> None:
+def nothing(value: Decoded) -> None:
     """Check None."""
     if value is not None:
         raise wrong(value, "nothing")
@@ -59,7 +62,7 @@ def nothing(value: Any) -> None:
 def integer(least: int = -MAX_COUNT, most: int = MAX_COUNT) -> ValueCheck:
     """Return a check of an integer in a range."""
 
-    def check(value: Any) -> int:
+    def check(value: Decoded) -> int:
         if value.__class__ is not int or not least <= value <= most:
             raise wrong(value, f"an integer from {least} to {most}")
         return value
@@ -71,82 +74,82 @@ count = integer(0)
 """Check of a number of things."""
 
 
-def instant(value: Any) -> int:
+def instant(value: Decoded) -> int:
     """Check an instant in ns, in any of its forms."""
     if value.__class__ not in _INSTANTS or not -MAX_INSTANT <= value <= MAX_INSTANT:
         raise wrong(value, "an instant")
     return value
 
 
-def seconds(value: Any) -> float:
+def seconds(value: Decoded) -> float:
     """Check a finite number of seconds."""
     if value.__class__ not in (int, float) or not isfinite(value):
         raise wrong(value, "a number of seconds")
     return value
 
 
-def boolean(value: Any) -> bool:
+def boolean(value: Decoded) -> bool:
     """Check True or False."""
     if value.__class__ is not bool:
         raise wrong(value, "true or false")
     return value
 
 
-def text(value: Any) -> str:
+def text(value: Decoded) -> str:
     """Check a text."""
     if value.__class__ is not str:
         raise wrong(value, "a text")
     return value
 
 
-def path(value: Any) -> str:
+def path(value: Decoded) -> str:
     """Check the path of a file."""
     if value.__class__ is not str or "\0" in value:
         raise wrong(value, "a path")
     return value
 
 
-def term(value: Any) -> Term:
+def term(value: Decoded) -> Term:
     """Check a term; its arguments were checked when it was read."""
     if value.__class__ not in _TERMS:
         raise wrong(value, "a term")
     return cast(Term, value)
 
 
-def value_of_match(value: Any) -> Term:
+def value_of_match(value: Decoded) -> Term:
     """Check the value of a variable of a match: a term, or an instant at which a part of the match began or ended."""
     return instant(value) if value.__class__ in _FORMS else term(value)
 
 
-def callable_term(value: Any) -> Term:
+def callable_term(value: Decoded) -> Term:
     """Check a term that can be an event or a goal."""
     if value.__class__ is not tuple and value.__class__ is not Atom:
         raise wrong(value, "an atom or a compound term")
     return value
 
 
-def atom(value: Any) -> Atom:
+def atom(value: Decoded) -> Atom:
     """Check an atom."""
     if value.__class__ is not Atom:
         raise wrong(value, "an atom")
     return value
 
 
-def functor(value: Any) -> Functor:
+def functor(value: Decoded) -> Functor:
     """Check a functor."""
     if value.__class__ is not Functor:
         raise wrong(value, "a functor")
     return value
 
 
-def variable(value: Any) -> Var:
+def variable(value: Decoded) -> Var:
     """Check a variable."""
     if value.__class__ is not Var:
         raise wrong(value, "a variable")
     return value
 
 
-def key(value: Any, depth: int = MAX_KEY_DEPTH) -> Any:
+def key(value: Decoded, depth: int = MAX_KEY_DEPTH) -> Decoded:
     """Check a dictionary key that was made of terms: constants, terms of constants, and tuples of such keys."""
     kind = value.__class__
     if kind in _KEYS or value is None or kind is str or kind is FlatKey:
@@ -164,10 +167,10 @@ def optional(check: ValueCheck) -> ValueCheck:
     return lambda value: None if value is None else check(value)
 
 
-def one_of(*values: Any) -> ValueCheck:
+def one_of(*values: Decoded) -> ValueCheck:
     """Return a check of one of some texts, or other constants."""
 
-    def check(value: Any) -> Any:
+    def check(value: Decoded) -> Decoded:
         for known in values:
             if value.__class__ is known.__class__ and value == known:
                 return known
@@ -176,7 +179,7 @@ def one_of(*values: Any) -> ValueCheck:
     return check
 
 
-def items(value: Any) -> Sequence[Any]:
+def items(value: Decoded) -> Sequence[Decoded]:
     """Return the items of a sequence."""
     if value.__class__ not in _SEQUENCES:
         raise wrong(value, "a sequence")
@@ -184,7 +187,7 @@ def items(value: Any) -> Sequence[Any]:
 
 
 def each(
-    check: ValueCheck, make: Callable[[List[Any]], Any] = list, most: Optional[int] = None
+    check: ValueCheck, make: Callable[[List[Decoded]], Decoded] = list, most: Optional[int] = None
 ) -> ValueCheck:
     """Return a check of a sequence whose items are all alike.
 
@@ -194,7 +197,7 @@ def each(
         most: the largest number of items.
     """
 
-    def check_each(value: Any) -> Any:
+    def check_each(value: Decoded) -> Decoded:
         if most is not None and len(items(value)) > most:
             raise wrong(value, f"at most {most} items")
         found = []
@@ -212,7 +215,7 @@ def fixed(*checks: ValueCheck) -> ValueCheck:
     """Return a check of a sequence of so many items, each with a check of its own; the result is a tuple."""
     number = len(checks)
 
-    def check(value: Any) -> Tuple[Any, ...]:
+    def check(value: Decoded) -> Tuple[Decoded, ...]:
         if len(items(value)) != number:
             raise wrong(value, f"{number} items")
         return tuple([check(item) for check, item in zip(checks, value)])
@@ -223,7 +226,7 @@ def fixed(*checks: ValueCheck) -> ValueCheck:
 def fields(**checks: ValueCheck) -> ValueCheck:
     """Return a check of a mapping of exactly these names; the result is a dictionary."""
 
-    def check(value: Any) -> Dict[str, Any]:
+    def check(value: Decoded) -> Dict[str, Decoded]:
         found = dict_of(text, anything)(value)
         if list(found) != list(checks):
             raise wrong(list(found), f"the fields {', '.join(checks)}")
@@ -236,7 +239,7 @@ def record(make: Callable[..., Any], /, **checks: ValueCheck) -> ValueCheck:
     """Return a check of the items of a named tuple, in their order; the result is one."""
     number = len(checks)
 
-    def check(value: Any) -> Any:
+    def check(value: Decoded) -> Decoded:
         if len(items(value)) != number:
             raise wrong(value, f"{number} items")
         return make(*[named(name, check)(item) for (name, check), item in zip(checks.items(), value)])
@@ -247,7 +250,7 @@ def record(make: Callable[..., Any], /, **checks: ValueCheck) -> ValueCheck:
 def named(name: str, check: ValueCheck) -> ValueCheck:
     """Return a check that puts a name in front of its message."""
 
-    def check_named(value: Any) -> Any:
+    def check_named(value: Decoded) -> Decoded:
         try:
             return check(value)
         except UsageError as error:
@@ -260,7 +263,7 @@ def dict_of(key_check: ValueCheck, value_check: ValueCheck) -> ValueCheck:
     """Return a check of a mapping, which is read as a sequence of pairs; no key stands there twice."""
     pairs = each(fixed(key_check, value_check))
 
-    def check(value: Any) -> Dict[Any, Any]:
+    def check(value: Decoded) -> Dict[Decoded, Decoded]:
         found = pairs(value)
         made = dict(found)
         if len(made) != len(found):

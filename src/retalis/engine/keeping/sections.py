@@ -1,6 +1,6 @@
 """The sections of a state with the checks of what each contains, apart from what rules and streams know (`nodes`)."""
 
-from typing import Any, Dict
+from typing import Dict
 
 from ...events.knowledge import MEMORIZE, SUBSCRIBE
 from ...events.language import Property
@@ -10,6 +10,7 @@ from ...prolog.terms import Atom, Functor
 from .coding import from_bytes
 from .holdings import read_terms
 from .schema import (
+    Decoded,
     ValueCheck,
     anything,
     boolean,
@@ -51,7 +52,7 @@ _places = each(count)
 def _definition(of: Functor) -> ValueCheck:
     """Return a check of the term that a memory or subscription was made of."""
 
-    def check(value: Any) -> Any:
+    def check(value: Decoded) -> Decoded:
         if value.__class__ is not tuple or value[0] is not of:
             raise wrong(value, f"a term of {of}")
         return value
@@ -59,14 +60,14 @@ def _definition(of: Functor) -> ValueCheck:
     return check
 
 
-def _property_that_is_known(value: Any) -> Property:
+def _property_that_is_known(value: Decoded) -> Property:
     found: Property = _property(value)
     if found.label.__class__ is not Atom or found.problem is not None:
         raise wrong(value, found.problem or "a property of a label")
     return found
 
 
-def _clauses(value: Any) -> Any:
+def _clauses(value: Decoded) -> Decoded:
     """Check a predicate with its clauses."""
     kind, marks, clauses = fixed(functor, fixed(boolean, boolean, boolean, boolean), each(clause))(value)
     for head, body, _ in clauses:
@@ -113,7 +114,7 @@ _COUNTED: Dict[str, ValueCheck] = {
 }
 
 
-def _counted(value: Any) -> Dict[str, Any]:
+def _counted(value: Decoded) -> Dict[str, Decoded]:
     found = dict_of(text, anything)(value)
     for name in found:
         if name not in _COUNTED:
@@ -124,13 +125,13 @@ def _counted(value: Any) -> Dict[str, Any]:
 _OPERATOR_TYPES = ("xfx", "xfy", "yfx", "fy", "fx", "xf", "yf")
 
 
-def _operator_type(value: Any) -> str:
+def _operator_type(value: Decoded) -> str:
     if value not in _OPERATOR_TYPES:
         raise wrong(value, "a type of operators")
     return str(value)
 
 
-def _clock(value: Any) -> Any:
+def _clock(value: Decoded) -> Decoded:
     return fixed(instant, instant, integer(0, 1), count, *[instant] * max(0, min(2, len(items(value)) - 4)))(
         value
     )
@@ -177,7 +178,7 @@ SECTIONS: Dict[str, ValueCheck] = {
 """The checks of all sections but those of memories, by name."""
 
 
-def read_section(name: str, data: bytes) -> Any:
+def read_section(name: str, data: bytes) -> Decoded:
     """Return what a section contains, checked.
 
     Raises:
@@ -189,7 +190,7 @@ def read_section(name: str, data: bytes) -> Any:
     return named(f"section {name}", check)(from_bytes(data))
 
 
-def _column(value: Any) -> Any:
+def _column(value: Decoded) -> Decoded:
     """Check the instants of records; see `_instants`."""
     numbers, forms, stamps = fixed(anything, anything, each(term))(value)
     if forms.__class__ is not bytes or forms.translate(None, b"\0\1\2") or forms.count(2) != len(stamps):
@@ -205,7 +206,7 @@ def _column(value: Any) -> Any:
 _records = fixed(count, count, boolean, anything, _column, optional(_column))
 
 
-def records(value: Any) -> Any:
+def records(value: Decoded) -> Decoded:
     """Check some records of a memory, one after the other."""
     before, late, is_open, terms, ends, starts = _records(value)
     number = len(ends[1])
@@ -214,7 +215,7 @@ def records(value: Any) -> Any:
     return before, late, is_open, named("terms", lambda one: read_terms(one, number))(terms), ends, starts
 
 
-def read_records(data: bytes) -> Any:
+def read_records(data: bytes) -> Decoded:
     """Return some records of a memory, checked.
 
     Raises:
