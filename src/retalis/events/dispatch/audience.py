@@ -8,7 +8,7 @@ from typing import AbstractSet, Callable, Collection, Dict, Hashable, List, Opti
 from weakref import WeakValueDictionary
 
 from ...foundation import Cache, UsageError
-from ...prolog.terms import Atom, EventAction, Functor, Lazy, Term, Var, copy, term_key
+from ...prolog.terms import Atom, EventAction, Functor, Term, Var, copy, term_key
 from .gates import Gate
 from .matching import Matcher, compile_matcher
 from .plans import Plan, make_plan, takes_all
@@ -183,8 +183,6 @@ def _functor_of(term: Term) -> Optional[Functor]:
         found: Functor = term[0]
         return found
     if term.__class__ is Atom:
-        return term.functor
-    if term.__class__ is Lazy:
         return term.functor
     if term.__class__ is Var:
         return None
