@@ -58,6 +58,14 @@ def names(engine):
     return [event for event, _, _ in answers(engine)]
 
 
+def test_the_status_of_a_rule_of_queries_tells_when_it_fired_last(run):
+    engine = run(ASK, MEMORY)
+    for at in (5, 7):
+        engine.event("ask(1, 0)", at)
+    (rule,) = engine.status().rules
+    assert (rule.fired, rule.last_fired) == (2, 7 * 10**9)
+
+
 def test_a_query_that_has_its_data_is_called_at_once(run):
     engine = run(ASK, MEMORY)
     engine.event("v(1)", 10)
