@@ -6,7 +6,7 @@ from retalis import Engine, StreamClock
 from retalis.engine.keeping import from_bytes, pack, to_bytes, unpack
 from retalis.engine.keeping.coding import Ref
 from retalis.foundation import UsageError
-from retalis.prolog.terms import atom, functor
+from retalis.prolog.terms import Stamp, WholeSeconds, atom, functor, make_list
 
 RULES = """
 p(X, Y) <- a(X) seq b(Y).
@@ -80,6 +80,11 @@ def test_unchanged_it_is_taken(state):
         ("memory 0", [3], ["floats", bytes(8)], "expected 2 terms"),
         ("memory 0", [3], ["columns", functor("a", 1), []], "expected 2 terms"),
         ("memory 0", [3], ["columns", functor("a", 1), [["terms", [1, []]]]], "expected a term"),
+        ("memory 0", [3], ["indexed", [1], b"\0\0"], "expected 2 terms"),
+        ("memory 0", [3], ["indexed", [1], b"\0\0\1\0"], "'1': expected a position among 1 terms"),
+        ("memory 0", [3], ["indexed", [[]], bytes(4)], "expected a term"),
+        ("memory 0", [3], ["parts", []], "expected 2 terms"),
+        ("memory 0", [3], ["parts", [["parts", [["terms", [1, 2]]]]]], "expected 2 terms"),
         ("memory 0", [4, 0], b"", "expected 2 instants"),
         ("memory 0", [4, 1], b"\x07\0", "the forms of instants"),
         ("memory 0", [4, 0], [9, 3], "not in the order of their ends"),
@@ -117,3 +122,45 @@ def test_records_come_back_by_columns():
     query = "access_mem(m, R, I)"
     assert [str(one) for one in other.query(query)] == [str(one) for one in engine.query(query)]
     assert len(other.query(query)) == 150
+
+
+SHARED = functor("s", 1)(1)
+LONG = make_list(range(100))
+
+
+@pytest.mark.parametrize("number", [49, 50, 203, 1000, 1001, 2500])
+@pytest.mark.parametrize(
+    "value",
+    [
+        lambda at: at / 7,
+        lambda at: at,
+        lambda at: at if at % 40 else 2**70,
+        lambda at: at / 7 if at % 40 else 1,
+        lambda at: at / 7 if at % 40 or not at else atom("none"),
+        lambda at: atom(f"a{at % 3}"),
+        lambda at: atom(f"a{at}") if at % 40 or not at else LONG,
+        lambda at: SHARED if at % 40 else 1.5,
+        lambda at: functor("q", 2)(at, SHARED) if at % 40 else functor("r", 1)(at),
+        lambda at: functor("q", 2)(at / 3, functor("u", 1)(at)) if at % 40 or not at else atom("none"),
+    ],
+)
+def test_arguments_of_all_kinds_come_back(number, value):
+    engine = Engine(StreamClock())
+    engine.load(goals=f"memorize(f(_, _), [], _, m, {number})")
+    for at in range(number):
+        engine.event_at(functor("f", 2)(value(at), functor("g", 1)(value(at))), at, at)
+    other = Engine.restore(engine.snapshot())
+    query = "access_mem(m, R, I)"
+    assert [str(one) for one in other.query(query)] == [str(one) for one in engine.query(query)]
+    assert len(other.query(query)) == number
+
+
+def test_instants_in_records_come_back_as_integers():
+    engine = Engine(StreamClock())
+    engine.load(goals="memorize(f(_, _), [], _, m, 60)")
+    for at in range(60):
+        stamp = Stamp.of(at, functor("s", 1)(at))
+        engine.event_at(functor("f", 2)(WholeSeconds(at), stamp if at % 7 else at), at, at)
+    other = Engine.restore(engine.snapshot())
+    found = [one["R"] for one in other.query("access_mem(m, R, _)")]
+    assert found == [functor("f", 2)(at, at) for at in reversed(range(60))]

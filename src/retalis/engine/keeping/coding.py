@@ -43,6 +43,9 @@ _DEEPEST = 40
 _SAMPLE = 4000
 """Sequences of a level among which those are counted that are used twice."""
 
+_FEW = 50
+"""Sequences of a level that are written again if they are used twice; items of a short sequence."""
+
 _OUTER = 4
 """Levels of sequences that the engine makes around terms."""
 
@@ -144,14 +147,27 @@ def to_bytes(data: Any) -> bytes:
         UsageError: for a term that contains itself.
     """
     nodes: List[Any] = []
-    if isinstance(data, dict):
-        data = list(data.items())
+    data = _pairs(data, _OUTER)
     if not _is_simple(data):
         data = _split(data, nodes)
     table = _SymbolTable()
     packer = msgpack.Packer(default=table.__getitem__, use_bin_type=True, unicode_errors="surrogatepass")
     body = [packer.pack(one) for one in (*nodes, data)]
     return b"".join((packer.pack((table.atoms, table.names, table.arities, len(nodes))), *body))
+
+
+def _pairs(data: Any, depth: int) -> Any:
+    """Return data with pairs for mappings, as far as these lie in short sequences that the engine makes."""
+    if data.__class__ is dict:
+        return [[key, _pairs(value, depth - 1)] for key, value in data.items()]
+    if (
+        data.__class__ in (tuple, list)
+        and depth
+        and 0 < len(data) <= _FEW
+        and data[0].__class__ is not Functor
+    ):
+        return [_pairs(item, depth - 1) for item in data]
+    return data
 
 
 def _is_simple(data: Any) -> bool:
@@ -180,9 +196,10 @@ def _is_simple(data: Any) -> bool:
                 kinds = set(map(type, every)) - {Var}
             if not all(issubclass(kind, tuple) for kind in kinds - _PLAIN):
                 return False
-            level = [one for one in every if isinstance(one, (tuple, list)) and one]
+            sequences = {kind for kind in kinds if issubclass(kind, (tuple, list))}
+            level = [one for one in every if one.__class__ in sequences and one]
         first = level if depth < _OUTER else level[:_SAMPLE]
-        if 10 * len(set(map(id, first))) < 9 * len(first):
+        if len(first) > _FEW and 10 * len(set(map(id, first))) < 9 * len(first):
             return False
     return False
 
