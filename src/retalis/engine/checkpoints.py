@@ -27,7 +27,7 @@ from .keeping import (
 )
 
 APPLICATION = 0x72746C73
-"""What tells such a file from other databases of SQLite."""
+"""``PRAGMA application_id`` of a checkpoint."""
 
 _TABLES = """
 CREATE TABLE IF NOT EXISTS sections (name TEXT PRIMARY KEY, data BLOB NOT NULL, checked INTEGER NOT NULL);
@@ -36,22 +36,23 @@ CREATE TABLE IF NOT EXISTS records (memory INTEGER, first INTEGER, number INTEGE
 """
 
 _ASIDE = ".aside"
-"""What the name of a file ends in that was not taken up."""
+"""Suffix of a refused file."""
 
 ProgramFiles = List[Tuple[str, str]]
 """The files that a program is read from: their paths and the digests of what they say."""
 
 
 MOST_ASIDE = 9
+"""Refused files that are kept."""
 
-MAX_FILE_BYTES = 2 << 30
-"""The largest file that is read."""
+MAX_FILE_BYTES = (1 << 31) - 1
+"""The largest file that is read: SQLite takes no higher limit."""
 
 _STEP, _STEPS, _BYTES_PER_STEP = 1000, 200, 250
 """Reading ends after so many times so many instructions of SQLite, and as many more for so many bytes of the file."""
 
 _PICKLED = b"\x80\x04"
-"""What the sections of older files begin with."""
+"""First bytes of a section in older files."""
 
 
 class FileTaken(UsageError):
@@ -75,7 +76,7 @@ class RecordBatch(NamedTuple):
 
 
 class Checkpoint(NamedTuple):
-    """What a file holds.
+    """Contents of a checkpoint file.
 
     Attributes:
         sections: of the state, as data.

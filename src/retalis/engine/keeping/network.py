@@ -143,7 +143,7 @@ def restore_matches(
 
 
 class _Checked:
-    """What waits and is remembered, checked against the program that it belongs to.
+    """Partial matches and other state of rules, checked against the program that they belong to.
 
     Args:
         rules: the program's.

@@ -23,7 +23,7 @@ MAX_COUNT = (1 << 63) - 1
 """The largest number of a count."""
 
 MAX_KEY_DEPTH = 8
-"""How deep keys may be nested: hashing a deep tuple would overflow the stack of the process."""
+"""Nesting of keys: hashing a deep tuple would overflow the stack of the process."""
 
 
 class FlatKey(tuple):  # type: ignore[type-arg]
