@@ -357,7 +357,7 @@ class Installation:
             raise Problem(f"{self.package} is another copy of retalis; choose another --workspace")
         packages = f"-Dretalis_PYTHON_PACKAGES={self.site_packages()}"
         make = ["catkin_make", "-DPYTHON_EXECUTABLE=" + PYTHON, packages, *(["install"] if install else [])]
-        before = ["source " + self.platform.setup] if self.platform.setup else []
+        before = [sourcing(self.platform.setup)] if self.platform.setup else []
         self.shell.step("Building", "catkin_make", bash([*before, 'exec "$@"'], make), cwd=self.workspace)
 
     def site_packages(self) -> Path:
@@ -371,8 +371,17 @@ class Installation:
 
     def run(self, command: Sequence[str], cwd: Optional[Path] = HERE) -> int:
         """Run a command that sees the package, before the user's eyes, and return its exit status."""
-        script = shlex.quote(str(self.workspace / "devel" / "setup.bash"))
-        return self.shell.show(bash(["source " + script, 'exec "$@"'], command), cwd)
+        script = str(self.workspace / "devel" / "setup.bash")
+        return self.shell.show(bash([sourcing(script), 'exec "$@"'], command), cwd)
+
+
+def sourcing(script: str) -> str:
+    """Return a line of bash that sources a script.
+
+    A sourced script sees the arguments of the shell, and catkin's acts on options such as ``--help``; inside a
+    function without arguments it sees none.
+    """
+    return "sourced() { source " + shlex.quote(script) + "; } && sourced"
 
 
 def bash(lines: Sequence[str], command: Sequence[str]) -> List[str]:

@@ -75,6 +75,13 @@ def test_bash_keeps_arguments_apart(install):
     assert subprocess.check_output(command) == b"a b|$X|'|"
 
 
+def test_a_sourced_script_does_not_see_the_options_of_the_command(install, tmp_path):
+    script = tmp_path / "set up.bash"
+    script.write_text('seen="$*"\n', encoding="utf-8")
+    command = install.bash([install.sourcing(str(script)), 'printf "%s|" "$seen" "$@"'], ["--help", "a b"])
+    assert subprocess.check_output(command) == b"|--help|a b|"
+
+
 def test_arguments(install):
     options = install.arguments([])
     assert (options.command, options.rest, options.dry_run) == ("build", [], False)

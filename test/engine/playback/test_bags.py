@@ -120,6 +120,13 @@ def test_every_cut_of_a_bag_is_one_clear_error(bag, tmp_path):
             list(reader.records())
 
 
+def test_a_recording_that_was_cut_off_can_be_repaired(bag, tmp_path):
+    cut = tmp_path / "cut.bag"
+    cut.write_bytes(bag.read_bytes()[:-100])
+    with pytest.raises(BagError, match="its index is missing or damaged: repair it with 'rosbag reindex'$"):
+        BagReader(cut)
+
+
 def test_overwritten_bytes_raise_nothing_else(bag, tmp_path):
     content = bag.read_bytes()
     broken = tmp_path / "broken.bag"
@@ -133,15 +140,21 @@ def test_overwritten_bytes_raise_nothing_else(bag, tmp_path):
 
 
 HOSTILE = [
-    ({"stated": 4}, "the none chunk at byte 4109: it has more than the 4 bytes that its header states"),
-    ({"stated": 100}, "the none chunk at byte 4109: it ends after 55 bytes: its header states 100"),
+    (
+        {"stated": 4},
+        "the chunk at byte 4109: it has more than the 4 bytes that its header states",
+    ),
+    (
+        {"stated": 100},
+        "the chunk at byte 4109: it ends after 55 bytes: its header states 100",
+    ),
     (
         {"stated": 2 << 30},
-        "the none chunk at byte 4109 states 2147483648 bytes: expected at most 512 megabytes",
+        "the chunk at byte 4109 states 2147483648 bytes: expected at most 512 MB",
     ),
     (
         {"compression": "bz2", "packed": b"BZh9"},
-        "the bz2 chunk at byte 4109: it ends after 0 bytes: its header states",
+        "the chunk at byte 4109: it ends after 0 bytes: its header states",
     ),
     ({"compression": "xz", "packed": b""}, "compression 'xz' is unknown: expected none, bz2, lz4 or zstd"),
     ({"entries": [3]}, "."),

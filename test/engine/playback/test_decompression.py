@@ -56,9 +56,11 @@ def test_an_unknown_compression_is_an_error():
 def test_a_message_is_unpacked_up_to_the_limit():
     limit = ChunkLimit(1)
     assert limit.unpack_message(zstd(b"a" * MEGABYTE)) == b"a" * MEGABYTE
-    with pytest.raises(ValueError, match=r"expected at most 1 megabytes \(--max-chunk-megabytes\)"):
+    with pytest.raises(
+        ValueError, match=r"expected at most 1 MB, the limit that --max-chunk-megabytes raises"
+    ):
         limit.unpack_message(zstd(b"a" * (MEGABYTE + 1)))
-    with pytest.raises(ValueError, match="it states 1048577 bytes: expected at most 1 megabytes"):
+    with pytest.raises(ValueError, match="it states 1048577 bytes: expected at most 1 MB"):
         limit.check(MEGABYTE + 1, "it states")
     limit.check(MEGABYTE, "it states")
 
@@ -105,7 +107,7 @@ def bombs(folder):
     found.append((file, "is too large: unpacked"))
     message = folder_bag(folder / "message", "one.db3", "sqlite3", "message")
     sqlite_bag(message / "one.db3", messages=[(1, zeros["zstd"])])
-    found.append((message, "a compressed message has more bytes than allowed: expected at most 20 megabytes"))
+    found.append((message, "a compressed message has more bytes than allowed: expected at most 20 MB"))
     return found
 
 

@@ -286,7 +286,10 @@ def _open(path: Path) -> Any:
         reader.open()
         reader.bio.end_opening()
     except Exception as error:  # broken bags raise whatever their bytes lead to
-        raise BagError(f"{path} is not a complete ROS 1 bag: {reason(error)}") from error
+        why = reason(error)
+        if "index looks damaged" in why:  # as rosbags says of a recording that was cut off
+            why = "its index is missing or damaged: repair it with 'rosbag reindex'"
+        raise BagError(f"{path} is not a complete ROS 1 bag: {why}") from error
     return reader
 
 

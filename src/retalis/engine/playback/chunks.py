@@ -138,7 +138,7 @@ class _ChunkReader:
         chunk = self._places.get(position)
         if chunk is None:
             raise ValueError(f"the index names a chunk at byte {position}: there is none")
-        self._limit.check(chunk.size, f"the {chunk.compression} chunk at byte {position} states")
+        self._limit.check(chunk.size, f"the chunk at byte {position} states")
         if position in self._seen:
             self._repeatable -= chunk.size
             if self._repeatable < 0:
@@ -168,4 +168,4 @@ def _unpack(chunk: Chunk, packed: bytes, position: int) -> bytes:
     try:
         return unpack(chunk.compression, packed, chunk.size)
     except Exception as error:  # of the library that decompresses
-        raise ValueError(f"the {chunk.compression} chunk at byte {position}: {reason(error)}") from error
+        raise ValueError(f"the chunk at byte {position}: {reason(error)}") from error

@@ -46,7 +46,7 @@ class ChunkLimit:
         return data
 
     def _allowed(self) -> str:
-        return f"at most {self._megabytes} megabytes (--max-chunk-megabytes)"
+        return f"at most {self._megabytes:g} MB, the limit that --max-chunk-megabytes raises"
 
 
 def unpack(compression: str, packed: bytes, size: int) -> bytes:

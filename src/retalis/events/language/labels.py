@@ -56,7 +56,7 @@ class Property(NamedTuple):
             said = self.value.name if isinstance(self.value, Atom) else ""
             return None if said in words else f"property {self.name} is {_one_of(words)}{near(said, words)}"
         if self.value.__class__ not in (int, float) or not (self.value >= 0 and isfinite(self.value)):
-            return f"property {self.name} needs a number of seconds"
+            return f"property {self.name} needs a number of seconds, 0 or more"
         return None
 
 
