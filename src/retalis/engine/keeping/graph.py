@@ -13,6 +13,7 @@ from ...foundation import UsageError
 from ...prolog.terms import Functor
 from .coding import Ref
 from .schema import (
+    Decoded,
     ValueCheck,
     boolean,
     count,
@@ -195,7 +196,7 @@ class GraphReader:
         wanted = frozenset(kinds)
         every, objects = self._kinds, self._objects
 
-        def check(value: Any) -> Any:
+        def check(value: Decoded) -> Decoded:
             if value.__class__ is not Ref or value.number >= len(every) or every[value.number] not in wanted:
                 raise wrong(value, f"a reference to {' or '.join(kinds)}")
             return objects[value.number]
@@ -206,18 +207,18 @@ class GraphReader:
         """Return the same of what an object was made of."""
         refer = self.ref(*kinds)
 
-        def check(value: Any) -> Any:
+        def check(value: Decoded) -> Decoded:
             found = refer(value)
             self._current.append(value.number)
             return found
 
         return check
 
-    def token(self, value: Any) -> Any:
+    def token(self, value: Decoded) -> Decoded:
         """Check what tells an event from others: a number, or where events are tracked the event."""
         return self._event(value) if value.__class__ is Ref else optional(count)(value)
 
-    def token_key(self, value: Any) -> Any:
+    def token_key(self, value: Decoded) -> Decoded:
         """Check a key that is made of terms, or of what tells events from others."""
         if value.__class__ is Ref:
             return self._event(value)
@@ -225,16 +226,16 @@ class GraphReader:
             return tuple([self.token_key(item) for item in value])
         return key(value)
 
-    def _event(self, value: Any) -> Any:
+    def _event(self, value: Decoded) -> Decoded:
         found = self.ref("event")(value)
         self._current.append(value.number)
         return found
 
-    def match(self, value: Any) -> Any:
+    def match(self, value: Decoded) -> Decoded:
         """Check a reference to a match of any kind."""
         return self.ref(*_MATCHES)(value)
 
-    def _of_item(self, value: Any) -> Any:
+    def _of_item(self, value: Decoded) -> Decoded:
         """Check what an item of a stream was made of: a match, the event that a subscription sends, or nothing."""
         return self.match(value) if value.__class__ is Ref else optional(term)(value)
 
@@ -246,7 +247,7 @@ class GraphReader:
         values = each(value_of_match, tuple)
         found = fixed(values)
 
-        def part(value: Any) -> Any:
+        def part(value: Decoded) -> Decoded:
             if value.__class__ is Ref:
                 return of_parts(value)
             return count(value) if value.__class__ is int else Found(*found(value))
@@ -258,7 +259,7 @@ class GraphReader:
             lambda value: match_ref(value) if value.__class__ is Ref else count(value),
         )
 
-        def holder(value: Any) -> Any:
+        def holder(value: Decoded) -> Decoded:
             if value.__class__ is Ref:
                 return match_ref(value)
             node, of, what = of_node(value)
@@ -355,7 +356,7 @@ class GraphReader:
             one.begin_again()
 
 
-def _state(value: Any) -> Any:
+def _state(value: Decoded) -> Decoded:
     """Check what an aggregate has collected: a number, nothing, or pairs of what was collected before and a term."""
     pairs = []
     while value.__class__ is list and len(value) == 2:

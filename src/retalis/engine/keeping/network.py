@@ -12,6 +12,7 @@ from ..runtime import Clock
 from .graph import GraphReader, GraphWriter
 from .nodes import StreamCheck, rule_state
 from .schema import (
+    Decoded,
     ValueCheck,
     callable_term,
     count,
@@ -175,7 +176,7 @@ class _Checked:
         self.counts = fixed(count, count, count)(data["counts"])
         self._check_orders()
 
-    def _alarm(self, value: Any) -> Any:
+    def _alarm(self, value: Decoded) -> Decoded:
         graph = self._graph
         if len(items(value)) == 3:
             return fixed(instant, count, instant)(value)
@@ -185,7 +186,7 @@ class _Checked:
     def _query(self, knowledge: Knowledge) -> ValueCheck:
         pair = fixed(term, instant)
 
-        def behind(value: Any) -> Any:
+        def behind(value: Decoded) -> Decoded:
             name, until = found = pair(value)
             memory = knowledge.memories.find(name)
             if memory is None or memory.has(until):
@@ -195,7 +196,7 @@ class _Checked:
         awaited = each(behind)
         check = fixed(count, callable_term, term, instant, instant, awaited, self._graph.token)
 
-        def query(value: Any) -> Any:
+        def query(value: Decoded) -> Decoded:
             found = check(value)
             if not found[5]:
                 raise wrong(value, "a query that waits for a memory")
@@ -203,7 +204,7 @@ class _Checked:
 
         return query
 
-    def _held(self, knowledge: Knowledge, value: Any) -> List[Any]:
+    def _held(self, knowledge: Knowledge, value: Decoded) -> List[Any]:
         token = optional(self._graph.ref("event"))
         openings = each(fixed(instant, token))
         check = fixed(
@@ -222,7 +223,7 @@ class _Checked:
                 raise wrong(len(states[0]), "states that hold once each")
         return found  # type: ignore[no-any-return]
 
-    def _rates(self, knowledge: Knowledge, value: Any) -> List[Any]:
+    def _rates(self, knowledge: Knowledge, value: Decoded) -> List[Any]:
         subscriptions = [one for _, one in knowledge.subscriptions.items()]
         if len(items(value)) != len(subscriptions):
             raise wrong(len(value), f"the shapes of {len(subscriptions)} subscriptions")
