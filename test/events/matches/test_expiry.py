@@ -106,6 +106,17 @@ def test_what_has_left_is_dropped(step):
     assert len(expiries) == 0
 
 
+@pytest.mark.parametrize("expiries, add", [(Expiries(), add_to_expiries), (ByStart(10), add_by_start)])
+def test_matches_that_leave_after_their_visit_are_dropped(expiries, add):
+    waiting = deque()
+    for order in range(20_000):
+        waiting.append(Waiting(order))
+        add(expiries, waiting[-1], len(waiting))
+        if len(waiting) > 100:
+            waiting.popleft().leave()
+    assert len(expiries) < 2000
+
+
 def test_matches_go_after_their_span_whatever_the_order_of_their_starts():
     source = random.Random(1)
     waiting = ByStart(10)

@@ -173,7 +173,10 @@ def _take_slice(entries: Deque[_EntryT], start: int) -> Tuple[int, List[_EntryT]
 
 
 def _put_slice(entries: Deque[_EntryT], start: int, left: List[_EntryT]) -> int:
-    """Put back what is left of a slice, and undo the rotation; return where the slice ends."""
+    """Put back what is left of a slice, and undo the rotation; return where the next slice begins."""
+    is_last = len(entries) == start
     entries.extendleft(reversed(left))
     entries.rotate(start)
-    return start + len(left)
+    return (
+        0 if is_last else start + len(left)
+    )  # entries before the last slice may have left since their visit
