@@ -164,14 +164,9 @@ class Watch:
         if event in ("exec", "compile"):
             allowed = self._may_run(event, arguments)
         elif event in ("sqlite3.connect", "sqlite3.connect/handle"):
-            allowed = event.endswith("handle") or self._may_connect(str(arguments[0]))
+            allowed = event.endswith("handle") or self._may_connect(arguments[0])
         elif event == "open":
             allowed = self._may_open(*arguments[:3])
-        elif event in ("sqlite3.connect", "sqlite3.connect/handle"):
-            name = str(arguments[0])  # of the second one, the database that the first has allowed
-            allowed = event != "sqlite3.connect" or (
-                name.startswith(f"file://{self._scratch}/") and "mode=ro" in name
-            )
         else:
             allowed = (
                 event in ("os.scandir", "os.listdir")
@@ -189,7 +184,9 @@ class Watch:
 
     def _may_connect(self, name):
         """Tell whether a database may be opened: one in memory, or a file of the input's own that is only read."""
-        return name == ":memory:" or (name.startswith(f"file:{self._scratch}/") and name.endswith("?mode=ro"))
+        name = os.fsdecode(name)  # Python 3.8 tells it as bytes
+        own = name.startswith((f"file:{self._scratch}/", f"file://{self._scratch}/"))
+        return name == ":memory:" or (own and name.partition("?")[2].split("&")[0] == "mode=ro")
 
     def _may_open(self, path, mode, flags):
         if (mode and set(mode) & set("wax+")) or (flags or 0) & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):

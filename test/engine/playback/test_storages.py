@@ -1,8 +1,10 @@
 """Files of ROS 2 bags: as another reader reads them, and those that would take too much."""
 
+import gc
 import os
 import sqlite3
 import struct
+import sys
 from contextlib import closing
 
 import pytest
@@ -230,6 +232,18 @@ def test_a_database_is_read_in_the_order_of_time_without_its_index(tmp_path):
     assert [time // SECOND for _, time, _ in file.read([1], 2 * SECOND, 3 * SECOND)] == [2]
     assert list(file.read([2], None, None)) == []
     file.close()
+
+
+def test_a_reading_that_is_given_up_ends_after_its_file_was_closed(tmp_path, monkeypatch):
+    unraisable = []
+    monkeypatch.setattr(sys, "unraisablehook", unraisable.append)
+    file = SqliteFile(sqlite_bag(tmp_path / "a.db3", messages=[(1, HELLO), (2, HELLO)]), ChunkLimit(1))
+    messages = file.read([1], None, None)
+    next(messages)
+    file.close()
+    messages.close()
+    gc.collect()
+    assert unraisable == []
 
 
 def test_a_large_database_is_read_with_a_large_limit(tmp_path):

@@ -131,7 +131,9 @@ class SqliteFile:
     def _execute(self, query: str, *arguments: object) -> Iterator[Tuple[Any, ...]]:
         self._steps = _FREE_STEPS + _STEPS_PER_BYTE * self._size
         try:
-            yield from self._database.execute(query, arguments)
+            # "yield from" would close the cursor of a reading that is given up, which raises once the file is closed.
+            for row in self._database.execute(query, arguments):  # noqa: UP028
+                yield row
         except sqlite3.OperationalError as error:
             if self._steps >= 0:
                 raise
