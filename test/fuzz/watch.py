@@ -185,7 +185,7 @@ class Watch:
     def _may_connect(self, name):
         """Tell whether a database may be opened: one in memory, or a file of the input's own that is only read."""
         name = os.fsdecode(name)  # Python 3.8 tells it as bytes
-        own = name.startswith((f"file:{self._scratch}/", f"file://{self._scratch}/"))
+        own = name.startswith(f"file://{self._scratch}/")
         return name == ":memory:" or (own and name.partition("?")[2].split("&")[0] == "mode=ro")
 
     def _may_open(self, path, mode, flags):

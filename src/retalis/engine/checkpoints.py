@@ -189,7 +189,7 @@ def read_checkpoint(path: Path) -> Optional[Checkpoint]:
     if size > MAX_FILE_BYTES:
         raise UsageError(f"it has {size} bytes: the limit is {MAX_FILE_BYTES}")
     try:
-        base = sqlite3.connect(f"file:{_quoted(path)}?mode=ro", uri=True)
+        base = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
     except sqlite3.Error as error:
         raise UsageError(f"it cannot be opened: {error}") from error
     try:
@@ -198,10 +198,6 @@ def read_checkpoint(path: Path) -> Optional[Checkpoint]:
         raise UsageError(f"it is no checkpoint, or damaged: {error}") from error
     finally:
         base.close()
-
-
-def _quoted(path: Path) -> str:
-    return str(path.absolute()).replace("%", "%25").replace("?", "%3f").replace("#", "%23")
 
 
 def _limit(base: sqlite3.Connection, size: int) -> None:

@@ -38,7 +38,7 @@ _MARKS = (float, Var)
 """Classes that keys of terms contain, as `term_key` makes them."""
 
 _DEEPEST = 40
-"""How deep sequences may lie in each other in the bytes: MessagePack's reader has a limit of 512."""
+"""Nesting of sequences in the bytes: MessagePack's reader has a limit of 512."""
 
 _SAMPLE = 4000
 """Sequences of a level among which those are counted that are used twice."""

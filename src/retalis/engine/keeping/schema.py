@@ -59,6 +59,24 @@ def nothing(value: Decoded) -> None:
         raise wrong(value, "nothing")
 
 
+def instance_of(kind: type, expected: str) -> ValueCheck:
+    """Return a check of an object of exactly one class; its error expects what a text says."""
+
+    def check(value: Decoded) -> Decoded:
+        if value.__class__ is not kind:
+            raise wrong(value, expected)
+        return value
+
+    return check
+
+
+boolean = instance_of(bool, "true or false")
+text = instance_of(str, "a text")
+atom = instance_of(Atom, "an atom")
+functor = instance_of(Functor, "a functor")
+variable = instance_of(Var, "a variable")
+
+
 def integer(least: int = -MAX_COUNT, most: int = MAX_COUNT) -> ValueCheck:
     """Return a check of an integer in a range."""
 
@@ -88,20 +106,6 @@ def seconds(value: Decoded) -> float:
     return value
 
 
-def boolean(value: Decoded) -> bool:
-    """Check True or False."""
-    if value.__class__ is not bool:
-        raise wrong(value, "true or false")
-    return value
-
-
-def text(value: Decoded) -> str:
-    """Check a text."""
-    if value.__class__ is not str:
-        raise wrong(value, "a text")
-    return value
-
-
 def path(value: Decoded) -> str:
     """Check the path of a file."""
     if value.__class__ is not str or "\0" in value:
@@ -125,27 +129,6 @@ def callable_term(value: Decoded) -> Term:
     """Check a term that can be an event or a goal."""
     if value.__class__ is not tuple and value.__class__ is not Atom:
         raise wrong(value, "an atom or a compound term")
-    return value
-
-
-def atom(value: Decoded) -> Atom:
-    """Check an atom."""
-    if value.__class__ is not Atom:
-        raise wrong(value, "an atom")
-    return value
-
-
-def functor(value: Decoded) -> Functor:
-    """Check a functor."""
-    if value.__class__ is not Functor:
-        raise wrong(value, "a functor")
-    return value
-
-
-def variable(value: Decoded) -> Var:
-    """Check a variable."""
-    if value.__class__ is not Var:
-        raise wrong(value, "a variable")
     return value
 
 
@@ -225,26 +208,22 @@ def fixed(*checks: ValueCheck) -> ValueCheck:
 
 def fields(**checks: ValueCheck) -> ValueCheck:
     """Return a check of a mapping of exactly these names; the result is a dictionary."""
+    mapping = dict_of(text, anything)
+    named_checks = {name: named(name, check) for name, check in checks.items()}
 
     def check(value: Decoded) -> Dict[str, Decoded]:
-        found = dict_of(text, anything)(value)
+        found = mapping(value)
         if list(found) != list(checks):
             raise wrong(list(found), f"the fields {', '.join(checks)}")
-        return {name: named(name, check)(found[name]) for name, check in checks.items()}
+        return {name: check(found[name]) for name, check in named_checks.items()}
 
     return check
 
 
 def record(make: Callable[..., Any], /, **checks: ValueCheck) -> ValueCheck:
     """Return a check of the items of a named tuple, in their order; the result is one."""
-    number = len(checks)
-
-    def check(value: Decoded) -> Decoded:
-        if len(items(value)) != number:
-            raise wrong(value, f"{number} items")
-        return make(*[named(name, check)(item) for (name, check), item in zip(checks.items(), value)])
-
-    return check
+    parts = fixed(*[named(name, check) for name, check in checks.items()])
+    return lambda value: make(*parts(value))
 
 
 def named(name: str, check: ValueCheck) -> ValueCheck:

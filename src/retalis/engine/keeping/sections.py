@@ -26,6 +26,7 @@ from .schema import (
     items,
     key,
     named,
+    one_of,
     optional,
     path,
     record,
@@ -122,13 +123,7 @@ def _counted(value: Decoded) -> Dict[str, Decoded]:
     return {name: named(name, _COUNTED[name])(one) for name, one in found.items()}
 
 
-_OPERATOR_TYPES = ("xfx", "xfy", "yfx", "fy", "fx", "xf", "yf")
-
-
-def _operator_type(value: Decoded) -> str:
-    if value not in _OPERATOR_TYPES:
-        raise wrong(value, "a type of operators")
-    return str(value)
+_operator_type = one_of("xfx", "xfy", "yfx", "fy", "fx", "xf", "yf")
 
 
 def _clock(value: Decoded) -> Decoded:

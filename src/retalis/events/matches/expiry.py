@@ -1,4 +1,4 @@
-"""When waiting matches are to go.
+"""Expiry of waiting matches: queues ordered by the instants after which the matches go.
 
 Matches that have left their buffers stay in these queues until they are the larger part. They are then removed in
 slices, one for each match that is added, so that no event waits while a long queue is searched.
