@@ -9,7 +9,20 @@ from typing import Any, Callable, List, Optional, Tuple
 
 from ...foundation import BULK, TermTooLarge, look, watched
 from ..machine import instantiation_error, no_matching_rule, type_error
-from ..terms import MINUS, ROUNDS, CompoundTerm, Term, Var, atom, compare, deref, functor, make_list, unify
+from ..terms import (
+    MINUS,
+    ROUNDS,
+    CompoundTerm,
+    Functor,
+    Term,
+    Var,
+    atom,
+    compare,
+    deref,
+    functor,
+    make_list,
+    unify,
+)
 from .arguments import items
 from .program import Machine
 from .registry import deterministic
@@ -20,6 +33,12 @@ _LEFT, _EVEN, _RIGHT = atom("<"), atom("-"), atom(">")
 _INSERT, _DELETE = functor("insert", 5), functor("delete", 5)
 _AFTER_DOUBLE_ROTATION = {_EVEN: (_EVEN, _EVEN), _LEFT: (_EVEN, _RIGHT), _RIGHT: (_LEFT, _EVEN)}
 """Balances of the left and the right node after a double rotation, by the balance of the node that goes up."""
+
+
+_Path = List[Tuple[CompoundTerm, int]]
+"""Nodes from the top of a tree, each with -1 or 1 for the side in which the path goes on."""
+
+_Balance = Callable[[CompoundTerm, Any, int], Optional[Tuple[CompoundTerm, bool]]]
 
 
 def _order(key: Any, other: Any) -> int:
@@ -69,31 +88,60 @@ def get_assoc(machine: Machine, key: Term, tree: Term, value: Term) -> bool:
 def put_assoc(machine: Machine, key: Term, tree: Term, value: Term, result: Term) -> bool:
     """Insert a key or replace its value."""
     key = deref(key)
-    path: List[Tuple[CompoundTerm, int]] = []
+    path, node = _path_to(key, tree, _INSERT, value)
+    grown = node is _EMPTY
+    node = (_NODE, key, value, _EVEN, _EMPTY, _EMPTY) if grown else (_NODE, key, value, *node[3:])
+    made = _put_back(path, node, grown, _deepened)
+    return made is not None and unify(result, made, machine.trail)
+
+
+def _path_to(key: Term, tree: Term, goal: Functor, value: Term) -> Tuple[_Path, Any]:
+    """Return the nodes above the place of a key, and the node there; the empty tree if the key is not in the tree.
+
+    Args:
+        key: the key, dereferenced.
+        tree: the tree.
+        goal: the functor of the library's predicate that the error names.
+        value: the value that the error names.
+
+    Raises:
+        PrologError: where a side on the way is no tree.
+    """
+    path: _Path = []
     node: Any = deref(tree)
-    grown = False
     for _ in bounded():
         if node is _EMPTY:
-            node, grown = (_NODE, key, value, _EVEN, _EMPTY, _EMPTY), True
             break
-        if node.__class__ is not tuple or node[0] is not _NODE:
-            raise no_matching_rule("assoc", (_INSERT, node, key, value, Var(), Var()))
+        if not _is_node(node):
+            raise no_matching_rule("assoc", (goal, node, key, value, Var(), Var()))
         order = _order(key, node[1])
         if not order:
-            node = (_NODE, key, value, *node[3:])
             break
         path.append((node, order))
         node = deref(node[4] if order < 0 else node[5])
+    return path, node
+
+
+def _put_back(path: _Path, node: Term, changed: bool, balanced: _Balance) -> Optional[Term]:
+    """Return the tree whose path leads to a node that takes the place of another; None where a balance is none.
+
+    Args:
+        path: the nodes above the place, from the top.
+        node: the node that belongs there.
+        changed: whether its depth is another one than before.
+        balanced: returns a node with a side whose depth has changed, and whether its own has changed: `_deepened` or
+            `_flattened`.
+    """
     for parent, order in reversed(path):
-        if grown:
-            made = _deepened(parent, node, order)
+        if changed:
+            made = balanced(parent, node, order)
             if made is None:
-                return False
-            node, grown = made
+                return None
+            node, changed = made
         else:
             sides = (node, parent[5]) if order < 0 else (parent[4], node)
             node = (*parent[:4], *sides)
-    return unify(result, node, machine.trail)
+    return node
 
 
 def _deepened(parent: CompoundTerm, side: CompoundTerm, order: int) -> Optional[Tuple[CompoundTerm, bool]]:
@@ -145,44 +193,24 @@ def _rotated(key: Term, value: Term, left: Any, right: Any, order: int) -> Compo
 def del_assoc(machine: Machine, key: Term, tree: Term, value: Term, result: Term) -> bool:
     """Remove a key."""
     key = deref(key)
-    path: List[Tuple[CompoundTerm, int]] = []
-    node: Any = deref(tree)
-    for _ in bounded():
-        if node is _EMPTY:
-            return False
-        if node.__class__ is not tuple or node[0] is not _NODE:
-            raise no_matching_rule("assoc", (_DELETE, node, key, value, Var(), Var()))
-        order = _order(key, node[1])
-        if not order:
-            break
-        path.append((node, order))
-        node = deref(node[4] if order < 0 else node[5])
-    if not unify(value, node[2], machine.trail):
+    path, node = _path_to(key, tree, _DELETE, value)
+    if node is _EMPTY or not unify(value, node[2], machine.trail):
         return False
     rest = _without_key(node, path)
     if rest is None:
         return False
-    shrunk = True
-    for parent, order in reversed(path):
-        if shrunk:
-            made = _flattened(parent, rest, order)
-            if made is None:
-                return False
-            rest, shrunk = made
-        else:
-            sides = (rest, parent[5]) if order < 0 else (parent[4], rest)
-            rest = (*parent[:4], *sides)
-    return unify(result, rest, machine.trail)
+    made = _put_back(path, rest, True, _flattened)
+    return made is not None and unify(result, made, machine.trail)
 
 
-def _without_key(node: CompoundTerm, path: List[Tuple[CompoundTerm, int]]) -> Optional[Term]:
+def _without_key(node: CompoundTerm, path: _Path) -> Optional[Term]:
     """Return what replaces the last node of a path when the key of a node is removed; None if a side is no tree.
 
     If the node has both sides, the next key of its deeper side takes its place, and the path is extended to that key.
 
     Args:
         node: the node whose key is removed.
-        path: the nodes above it, each with -1 or 1 for the side in which the path goes on.
+        path: the nodes above it.
     """
     left, right = deref(node[4]), deref(node[5])
     if left is _EMPTY or right is _EMPTY:
