@@ -3,7 +3,8 @@
     PYTHONPATH=src:test python3 -m mutation --places 200 --seed 1 --log mutants.txt
 
 Needs ``pytest-cov``. All fast tests that need no ROS run once to record which of them execute which line; with
-``--slow`` the slow ones too. For each mutant the tests that execute its line run, those of its package first, until
+``--slow`` the slow ones too, with ``--tests`` only those of some files or folders, which takes less time and may miss
+the test that notices a mutant. For each mutant the tests that execute its line run, those of its package first, until
 one fails. A mutant that makes these tests take much longer than before counts as noticed, too. ``equivalent.txt``
 lists mutants that change nothing that a user can observe, with the reason; they are not sampled. The exit status is 1
 if more than ``--most`` percent survive.
@@ -56,7 +57,7 @@ def main(argv) -> int:
     sampled = _sample(options)
     results = Counter()
     with tempfile.TemporaryDirectory(prefix="mutation-") as folder, open(options.log, "a") as log:
-        copy = _Copy(Path(folder) / "copy", options.slow)
+        copy = _Copy(Path(folder) / "copy", options.tests, options.slow)
         copy.record(sorted({path for _, path, _, _ in sampled}))
         for number, (group, path, mutant, text) in enumerate(sampled, 1):
             outcome = copy.try_mutant(path, mutant)
@@ -77,6 +78,7 @@ def _options(argv):
     add("--paths", nargs="+", metavar="GLOB", help="sample these modules instead, below src/retalis")
     add("--log", default=os.devnull, metavar="FILE", help="append a line for each mutant to this file")
     add("--again", metavar="FILE", help="try only the mutants that survived according to this log")
+    add("--tests", nargs="+", default=[], metavar="PATH", help="files or folders of tests (default: all)")
     add("--slow", action="store_true", help="run the slow tests, too")
     add(
         "--most",
@@ -136,20 +138,22 @@ class _Copy:
 
     Args:
         root: folder of the copy.
+        paths: files and folders of the tests; all tests if empty.
         slow: run the slow tests, too.
     """
 
-    def __init__(self, root: Path, slow: bool) -> None:
+    def __init__(self, root: Path, paths: "list[str]", slow: bool) -> None:
         ignore = shutil.ignore_patterns(
             ".git", "__pycache__", ".hypothesis", ".*_cache", "*.egg-info", ".nox", "venv"
         )
         shutil.copytree(str(ROOT), str(root), ignore=ignore)
         self._root = root
+        self._paths = paths
         self._slow = slow
         self._tests = {}
 
     def record(self, paths) -> None:
-        """Run all tests and record which of them execute which lines of some modules.
+        """Run the tests and record which of them execute which lines of some modules.
 
         Raises:
             SystemExit: a test fails without a mutant.
@@ -171,11 +175,11 @@ class _Copy:
         selection = [] if self._slow else ["-m", "not slow"]
         start = time.monotonic()
         status, output = self._run(
-            [*arguments, *selection, "--ignore", "test/ros", "--ignore", "test/mutation"], None
+            [*arguments, *selection, "--ignore", "test/ros", "--ignore", "test/mutation", *self._paths], None
         )
         if status != ExitCode.OK:
             raise SystemExit(f"the tests fail without a mutant:\n{output[-5000:]}")
-        print(f"{time.monotonic() - start:.0f} s for all tests", flush=True)
+        print(f"{time.monotonic() - start:.0f} s to record the tests", flush=True)
         data = CoverageData(str(self._root / ".coverage"))
         data.read()
         for path in paths:
