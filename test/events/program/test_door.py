@@ -98,7 +98,17 @@ def test_a_full_disk_leaves_no_half_of_a_text(door, tmp_path, monkeypatch, is_er
 
 
 def test_names_that_files_can_have():
-    for name in ("", "a", "/", "x" * 255, "/".join(["x" * 200] * 20), "\u00e9", "a b\n", "-"):
+    for name in (
+        "",
+        "a",
+        "/",
+        "x" * 255,
+        "/".join(["x" * 200] * 20),
+        "x/" * 2047 + "x",
+        "\u00e9",
+        "a b\n",
+        "-",
+    ):
         check_name(name)
     for name in ("\0", f"a{chr(0xDFFF)}", "x" * 256, "\u00e9" * 128, "x/" * 2048):
         with pytest.raises(RetalisError):
@@ -169,3 +179,75 @@ def test_a_text_is_no_list_of_folders(door):
 
 def test_a_file_has_up_to_100_megabytes():
     assert Door().most == 100_000_000
+
+
+@pytest.mark.parametrize("text", ["x" * 10, "\u00e9" * 5])
+def test_a_file_may_have_the_bytes_that_are_allowed_and_no_more(door, tmp_path, text):
+    door.most = 10
+    path = tmp_path / "write" / "new.txt"
+    with pytest.raises(PrologError, match="would have more than 10 bytes"):
+        door.append(str(path), f"{text}x")
+    assert path.read_text() == ""
+    door.append(str(path), text[:1])
+    door.append(str(path), text[1:])
+    assert door.read(str(path), "new") == text
+    with pytest.raises(PrologError, match="would have more than 10 bytes"):
+        door.append(str(path), "x")
+    path.write_text(f"{text}x")
+    with pytest.raises(PrologError, match="has more than 10 bytes"):
+        door.read(str(path), "new")
+
+
+def test_errors_tell_missing_files_from_failed_reads_and_writes(door, tmp_path):
+    for name in ("none", "a.txt/none"):
+        with pytest.raises(PrologError, match=f"cannot read {tmp_path}/read/{name}"):
+            door.read(str(tmp_path / "read" / name), "name")
+        with pytest.raises(UsageError, match=f"cannot write {tmp_path}/write/{name}/x: ") as caught:
+            door.append(str(tmp_path / "write" / name / "x"), "one\n")
+        assert not isinstance(caught.value, PrologError)
+    for work in (door.require, door.is_file, door.is_folder, door.read):
+        with pytest.raises(PrologError, match="Domain error: `source_sink' expected, found `name'"):
+            work("\0", "name")
+
+
+@pytest.mark.parametrize(
+    ("read", "write", "readable", "writable"),
+    [
+        ([], [], {"own"}, set()),
+        (["read"], [], {"own", "read"}, set()),
+        ([], ["write"], {"own", "write"}, {"write"}),
+        (["read"], ["write"], {"own", "read", "write"}, {"write"}),
+        (None, [], {"own", "read", "write", "other"}, set()),
+        ([], None, {"own", "read", "write", "other"}, {"own", "read", "write", "other"}),
+    ],
+)
+def test_folders_that_settings_allow(door, tmp_path, read, write, readable, writable):
+    door.allow(*(None if names is None else [tmp_path / name for name in names] for names in (read, write)))
+    names = {"own", "read", "write", "other"}
+    for is_loading in (False, True):
+        if is_loading:
+            readable, writable = names, writable | {"own"}
+        door.is_loading = is_loading
+        assert {name for name in names if allows(door.read, tmp_path / name / "a.txt", "a")} == readable
+        assert {
+            name for name in names if allows(door.begin, tmp_path / name / "a.txt", "a", False)
+        } == writable
+        assert {name for name in names if allows(door.append, tmp_path / name / "a.txt", "")} == writable
+        assert door.start == (str(tmp_path / "own") if readable != names else "")
+        if write is None:
+            assert door.output == ""
+        elif writable:
+            assert door.output == str(tmp_path / (write[0] if write else "own"))
+        else:
+            with pytest.raises(UsageError, match="there is no folder that goals may write to"):
+                _ = door.output
+
+
+def allows(work, path, *rest):
+    """Return whether some work on a file is permitted."""
+    try:
+        work(str(path), *rest)
+    except PrologError as error:
+        assert "No permission to open source_sink" in str(error)
+        return False
+    return True

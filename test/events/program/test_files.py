@@ -1,5 +1,7 @@
 """Files that a program names: modules, files loaded once, included files, libraries, which may be opened."""
 
+import os
+
 import pytest
 from events.running import Program, show
 
@@ -8,6 +10,7 @@ from retalis.engine.runtime import StreamClock
 from retalis.events.program.files import Files
 from retalis.foundation import ProgramErrors
 from retalis.prolog.machine import PrologError
+from retalis.prolog.terms import atom
 
 
 @pytest.fixture
@@ -311,3 +314,66 @@ def test_only_what_is_loaded_again_may_not_leave_out_more():
     with files.loading_again({"one.pl": 2}):
         assert (files.may_omit("one.pl"), files.may_omit("two.pl")) == (2, 0)
     assert (files.may_omit("one.pl"), files.may_omit("two.pl")) == (None, None)
+
+
+def test_a_file_that_is_loaded_without_any_terms_left_out_is_not_noted():
+    files = Files()
+    for number in (2, 0):
+        files.note_omitted("one.pl", number)
+        assert files.omitted == ({"one.pl": 2} if number else {})
+
+
+def test_names_are_relative_to_the_file_that_is_loaded_else_to_the_programs_folder(tmp_path, monkeypatch):
+    for folder in ("sub", "own", "here"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / f"{folder}.pl").write_text("")
+    monkeypatch.chdir(tmp_path / "here")
+    files = Files()
+    files.door.add_own(tmp_path / "own")
+
+    def starts_in(folder):
+        assert files.absolute("../x") == str(tmp_path / "x")
+        assert files.absolute("x") == str(tmp_path / folder / "x")
+        assert files.is_folder(f"../{folder}") and not files.is_folder("x")
+        assert files.is_readable(f"{folder}.pl") and not files.is_readable("x.pl")
+        assert files.to_read(atom(f"{folder}.pl")) == (str(files.find(atom(folder))), "")
+        for work in (files.absolute, files.is_readable, files.is_folder, files.resolve):
+            with pytest.raises(PrologError, match="source_sink"):
+                work("\0")
+        return True
+
+    files.door.allow([tmp_path], [tmp_path / "own"])
+    assert starts_in("own")
+    files.door.allow(None, [])
+    assert starts_in("here")
+    with files.relative_to(tmp_path / "sub"):
+        assert starts_in("sub")
+        with files.relative_to(None):
+            assert starts_in("sub")
+    assert starts_in("here")
+    with files.loading(tmp_path / "sub"):
+        assert starts_in("sub")
+    assert starts_in("here")
+
+
+def test_an_interrupted_load_is_restored(tmp_path):
+    """What runs is left by an interrupt wherever that came; the state before says what is to be undone."""
+    files = Files()
+    for folder in ("one", "two"):
+        (tmp_path / folder).mkdir()
+    with files.loading(tmp_path / "one"), files.inside(tmp_path / "one" / "one.pl"):
+        state = files.state()
+        inner = files.relative_to(tmp_path / "two"), files.inside(tmp_path / "two" / "two.pl")
+        for context in inner:
+            context.__enter__()
+        files.door.is_loading = False
+        assert files.absolute("x") == str(tmp_path / "two" / "x")
+        assert files.innermost == tmp_path / "two" / "two.pl"
+        files.restore(state)
+        assert files.absolute("x") == str(tmp_path / "one" / "x")
+        assert files.innermost == tmp_path / "one" / "one.pl"
+        assert files.door.is_loading
+        files.restore(None)
+        assert files.absolute("x") == os.path.abspath("x")
+        assert files.innermost is None
+        assert not files.door.is_loading
