@@ -5,7 +5,7 @@ import struct
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from messages.wire import messages, serialize
 from retalis.foundation import MessageError
@@ -288,3 +288,54 @@ def without_numbers(definition, values):
     if definition.name == "std_msgs/Header":
         values[0] = 0
     return values
+
+
+ARRAYS = ("", "", "[]", "[<=3]", "[2]", "[9]")
+SLOTS = (
+    "bool",
+    "int8",
+    "uint16",
+    "int32",
+    "float32",
+    "int64",
+    "float64",
+    "string",
+    "Pair",
+    "Mixed",
+    "Empty",
+    "Header",
+)
+PARTS = f"""
+{"=" * 80}
+MSG: my_msgs/Pair
+int16 a
+int16[2] b
+{"=" * 80}
+MSG: my_msgs/Mixed
+string a
+Pair[] b
+int8 c
+"""
+
+
+@settings(
+    deadline=None, derandomize=True, max_examples=40, suppress_health_check=[HealthCheck.data_too_large]
+)
+@given(st.lists(st.tuples(st.sampled_from(SLOTS), st.sampled_from(ARRAYS)), max_size=5), st.data())
+def test_types_of_any_slots_are_converted_as_rosbags_does(slots, data):
+    full = {"Empty": "std_msgs/Empty", "Header": "std_msgs/Header"}
+    text = "".join(
+        f"{full.get(kind, kind)}{array} slot{number}\n" for number, (kind, array) in enumerate(slots)
+    )
+    found = read(text + PARTS)
+    store = get_typestore(Stores.LATEST)
+    store.register(get_types_from_msg(text + PARTS, "my_msgs/msg/Kind"))
+    values = data.draw(
+        messages(found.definition, st.text(st.characters(whitelist_categories=["L"])).map(str.encode))
+    )
+    raw = serialize(found.definition, without_numbers(found.definition, values))
+    converted = bytes(store.ros1_to_cdr(raw, "my_msgs/msg/Kind"))
+    assert found.to_ros1(converted) == raw
+    for end in range(len(converted)):
+        with pytest.raises(MessageError):
+            found.to_ros1(converted[:end])

@@ -3,13 +3,14 @@
 import importlib
 import io
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from messages.wire import messages, serialize, to_term
-from retalis.messages import Definitions, Installed, text_writer
+from messages.wire import CODES, messages, serialize, to_term
+from retalis.messages import Definitions, Installed, encoding, text_writer
 from retalis.prolog.syntax import EventReader, Operators, ReadFlags, read_term, to_text
 from retalis.prolog.terms import freeze
 
@@ -206,16 +207,14 @@ def test_installed_types(name):
     every_message()
 
 
-@pytest.mark.slow
-@settings(brief, max_examples=20)
+@settings(brief, max_examples=5)
 @given(st.data())
 def test_a_type_with_everything(data):
     definition = WITHOUT_ROS.add("test_msgs/Everything", EVERYTHING)
     check(definition, WITHOUT_ROS, serialize(definition, data.draw(messages(definition))))
 
 
-@pytest.mark.slow
-@settings(brief, max_examples=15)
+@settings(brief, max_examples=5)
 @given(st.data())
 def test_the_term_is_the_expected_one(data):
     definition = WITHOUT_ROS.add("test_msgs/Everything", EVERYTHING)
@@ -242,7 +241,6 @@ def _without_codes(definition, values):
     return kept
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("shape", SHAPES)
 def test_shapes_of_messages(shape):
     definition = WITHOUT_ROS.add(f"test_msgs/{shape}", SHAPES[shape] + _PARTS)
@@ -253,3 +251,37 @@ def test_shapes_of_messages(shape):
         check(definition, WITHOUT_ROS, serialize(definition, values))
 
     every_message()
+
+
+numbers = st.sampled_from([*CODES, "time", "duration"])
+structs = st.sampled_from(["string", "Inner", "Fixed", "Nothing", "Header"])
+slots = st.tuples(numbers | structs, st.sampled_from(["", "", "", "[]", "[0]", "[1]", "[3]", "[9]"]))
+
+
+@settings(brief, max_examples=100)
+@given(st.lists(slots, max_size=5), st.data())
+def test_types_of_any_slots(slots, data):
+    definitions = Definitions(Installed([], [], rosbags=False))
+    text = "".join(f"{kind}{array} slot{number}\n" for number, (kind, array) in enumerate(slots))
+    definition = definitions.add("test_msgs/Any", text + EVERYTHING[EVERYTHING.index("=") :])
+    decoder = definitions.decoder(definition)
+    write = text_writer(decoder)
+    with patch.object(encoding, "CheckingEncoder", _Refusing):
+        encode = encoding.Encoder(definition).encode
+    for values in data.draw(st.lists(messages(definition, printable), min_size=1, max_size=3)):
+        values = _without_codes(definition, values)
+        raw = serialize(definition, values)
+        check(definition, definitions, raw)
+        assert encode(decoder.decode(raw)) == raw
+        assert freeze(decoder.decode(raw)) == freeze(to_term(definition, values))
+        assert write(raw) == to_text(decoder.decode(raw))
+
+
+class _Refusing:
+    """Stands in for the encoder of unusual terms, which the terms of messages do not need."""
+
+    def __init__(self, definition):
+        pass
+
+    def encode(self, term, topic):
+        raise AssertionError("the encoder takes this term to be unusual")

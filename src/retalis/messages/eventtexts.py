@@ -87,6 +87,7 @@ class _Floats(NamedTuple):
         start: where they stand there, or before the texts.
         stop: where they end.
         kept: the variable of what is kept of them with the frames; "" for nothing.
+        place: its index among all that is kept of the message.
     """
 
     text: str
@@ -95,13 +96,14 @@ class _Floats(NamedTuple):
     start: int
     stop: int
     kept: str
+    place: int
 
-    def lines(self, tail: int, at: int) -> List[str]:
+    def lines(self, tail: int, first: int) -> List[str]:
         """Return the lines that make the text.
 
         Args:
             tail: the bytes behind the message's texts.
-            at: where in what is known of the frames the last bytes and their text are kept.
+            first: the index of place 0 in what is known of the frames.
         """
         written = "{" + "!r},{".join(self.values) + "!r}"
         make = [f'{self.text} = f"{written}"', f'if "e" in {self.text}: {self.text} = points({self.text})']
@@ -113,7 +115,7 @@ class _Floats(NamedTuple):
             f"  if {self.kept} is not None and {self.kept}[0] == b: {self.text} = {self.kept}[1]",
             "  else:",
             *(f"    {line}" for line in make),
-            f"    k[{at}] = (b, {self.text})",
+            f"    k[{first + self.place}] = (b, {self.text})",
         ]
 
 
@@ -145,6 +147,7 @@ class _TextSource(FrameSource):
         start = calcsize("<" + self.format)
         values = [self.fixed(code) for code in codes]
         kept = self.name("b") if 1 < len(values) <= _MOST_KEPT else ""
+        place = len(self.beside)
         if kept:
             self.beside.append(kept)
         found = _Floats(
@@ -154,17 +157,14 @@ class _TextSource(FrameSource):
             start,
             calcsize("<" + self.format),
             kept,
+            place,
         )
         self._floats.append(found)
         return _value(found.text)
 
     def prepare(self, tail: int) -> List[str]:
         first = len(self.texts)
-        return [
-            line
-            for floats in self._floats
-            for line in floats.lines(tail, first + self.beside.index(floats.kept) if floats.kept else 0)
-        ]
+        return [line for floats in self._floats for line in floats.lines(tail, first)]
 
     def single(self, slot: Field) -> str:
         if slot.definition is not None:

@@ -58,19 +58,12 @@ class FrameSource(DecoderSource):
         self.texts: List[str] = []
         self.before: Tuple[str, List[str]] = ("", [])
         self.count: Optional[str] = None
-        self.closed = False
         self.beside: List[str] = []
         """Variables whose values are kept beside the texts of a message's frames, None at first."""
 
-    def fixed(self, code: str) -> str:
-        """Add a number, before the texts or behind them."""
-        if self.closed:
-            raise Unsuited
-        return super().fixed(code)
-
     def string(self) -> str:
         """Add a text, which stands beside the others."""
-        if self.closed or (self.texts and self.format):
+        if self.texts and self.format:
             raise Unsuited
         if not self.texts:
             self.before = self.format, self.targets
@@ -84,7 +77,6 @@ class FrameSource(DecoderSource):
             raise Unsuited
         self.count = self.fixed("I")
         element = self.message(slot.definition)
-        self.closed = True
         return self.only(element)
 
     def only(self, element: str) -> str:

@@ -408,9 +408,7 @@ def _text_reader(order: str) -> _Convert:
 
     def text(data: bytes, at: int, put: _Put) -> int:
         at = at + 3 & -4
-        end: int = at + 4 + number(data, at)[0]
-        if end > len(data):
-            raise StructError
+        end: int = at + 4 + number(data, at)[0]  # behind the data, too, where `to_ros1` finds it
         raw = data[at + 4 : end]
         if raw.endswith(b"\0"):
             raw = raw[:-1]
@@ -428,8 +426,6 @@ def _wide_reader(order: str, width: int) -> _Convert:
     def wide(data: bytes, at: int, put: _Put) -> int:
         at = at + 3 & -4
         end: int = at + 4 + width * number(data, at)[0]
-        if end > len(data):
-            raise StructError
         text = data[at + 4 : end].decode(coding, "surrogatepass")
         # In four bytes, too, there are units of UTF-16: pairs of surrogates make a character.
         raw = (
