@@ -7,6 +7,7 @@ from events.running import Program, fired
 
 from retalis.engine import Engine, parts_of
 from retalis.events.matches import Absence
+from retalis.events.matches.expiry import SLICE
 
 
 def _absences(program):
@@ -181,7 +182,8 @@ IN_ORDER = [
 def _eager_sweeps(monkeypatch):
     """Sweep after every few events, and keep nothing that is ruled out."""
     monkeypatch.setattr("retalis.events.matches.absence.MAX_RULED_OUT", 0)
-    for name, value in (("SPARE", 0), ("_SWEEP_SLICE", 3), ("_SWEEP_STEP", 1)):
+    monkeypatch.setattr("retalis.events.matches.expiry.VISITED_SLICE", 3)
+    for name, value in (("SPARE", 0), ("VISITED_SLICE", 3), ("_SWEEP_STEP", 1)):
         monkeypatch.setattr(f"retalis.events.network.rule.{name}", value)
 
 
@@ -269,7 +271,8 @@ def test_an_absent_event_stays_for_a_first_side_with_variables_that_it_rules_out
 
 def test_after_many_matches_have_left_the_next_sweep_begins_earlier(monkeypatch):
     monkeypatch.setattr("retalis.events.matches.absence.MAX_RULED_OUT", 5)
-    for name, value in (("SPARE", 10), ("_SWEEP_SLICE", 20), ("_SWEEP_STEP", 1)):
+    monkeypatch.setattr("retalis.events.matches.expiry.VISITED_SLICE", 20)
+    for name, value in (("SPARE", 10), ("VISITED_SLICE", 20), ("_SWEEP_STEP", 1)):
         monkeypatch.setattr(f"retalis.events.network.rule.{name}", value)
     program = Program("o(X) <- (a(X) seq b(X)) cnot c.", policy="chronological")
     for at in range(600):
@@ -278,6 +281,23 @@ def test_after_many_matches_have_left_the_next_sweep_begins_earlier(monkeypatch)
     for at in range(600, 1000):
         program.engine.event("c" if at % 2 else f"a({at})", at)
         assert parts_of(program.engine).rules.waiting < 150
+
+
+def test_no_single_event_forgets_many_matches_that_have_left():
+    program = Program("o(X) <- (a(X) seq b(X)) cnot c(X).")
+    rules = parts_of(program.engine).rules
+    number = 20_000
+    rules.cap = number + 2 * SLICE
+    (rule,) = rules.rules
+    before = 0
+    for at in range(number + 5 * SLICE):
+        # First sides of the same values replace the oldest ones, until more matches wait than may.
+        pair = (at - number) // 2
+        program.engine.event(f"a({at})" if at < number else f"{'ca'[at % 2]}({pair})", at)
+        assert before - len(rule.arrivals) <= SLICE
+        before = len(rule.arrivals)
+    assert rule.waiting == rules.cap
+    assert rule.dropped
 
 
 def test_the_newest_that_are_ruled_out_wait_for_a_second_side_that_overlaps_or_is_late():

@@ -6,7 +6,7 @@ from collections import deque
 import pytest
 
 from retalis.events.matches import Expiries, drop_gone
-from retalis.events.matches.expiry import SLICE, ByStart
+from retalis.events.matches.expiry import HEAP_SLICE, SLICE, ByStart
 
 
 class Waiting:
@@ -82,6 +82,48 @@ def test_those_that_left_are_dropped_a_part_at_a_time(expiries, add):
     assert not any(match.waits for match in matches)
 
 
+def add_to_expiries_late(expiries, match, waiting):
+    expiries.add(-match.order, match, waiting)
+
+
+def add_by_start_late(expiries, match, waiting):
+    match.start = -match.order
+    expiries.add(10, match, waiting)
+
+
+@pytest.mark.parametrize(
+    "expiries, add", [(Expiries(), add_to_expiries_late), (ByStart(10), add_by_start_late)]
+)
+def test_those_that_came_out_of_order_and_left_are_dropped_a_part_at_a_time(expiries, add):
+    number = 40 * HEAP_SLICE
+    matches = [Counted(order) for order in range(number)]
+    for match in matches:
+        add(expiries, match, number)
+    for match in matches[::2] + matches[1::4]:  # those that stay lie among them
+        match.leave()
+    waiting = number // 4
+    for order in range(number, number + 60):
+        before = Counted.asked
+        waiting += 1
+        matches.append(Counted(order))
+        add(expiries, matches[-1], waiting)
+        assert Counted.asked - before <= HEAP_SLICE + 1
+    assert len(expiries) <= 2 * waiting + 1000
+    expiries.expire(-number // 2 + 11)
+    assert [match.order for match in matches if match.waits][-1] == pytest.approx(number // 2, abs=15)
+    expiries.expire(100)
+    assert len(expiries) == 0
+    assert not any(match.waits for match in matches)
+
+
+def test_the_next_slice_begins_at_the_start_after_a_slice_with_nothing_left():
+    matches = deque(Waiting(order) for order in range(2 * SLICE))
+    for match in list(matches)[:SLICE]:
+        match.leave()
+    assert drop_gone(matches, 0) == 0
+    assert drop_gone(matches, 0) is None
+
+
 @pytest.mark.parametrize("number", [0, 1, SLICE - 1, SLICE, SLICE + 1, 3 * SLICE + 7])
 def test_slices_keep_the_order_and_reach_all(number):
     matches = deque(Waiting(order) for order in range(number))
@@ -89,7 +131,7 @@ def test_slices_keep_the_order_and_reach_all(number):
         match.leave()
     start = 0
     for _ in range(number // SLICE + 1):
-        start = drop_gone(matches, start)
+        start = drop_gone(matches, start) or 0
     assert [match.order for match in matches] == [order for order in range(number) if order % 3]
 
 

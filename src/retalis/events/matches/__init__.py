@@ -2,7 +2,7 @@
 
 from .absence import Absence, Emitting, RuledOutSweep
 from .chains import Chain, Log, joined_at_once, joined_one_by_one, pieces_of, repetitions
-from .expiry import ByStart, Expiries, drop_gone
+from .expiry import VISITED_SLICE, ByStart, Expiries, drop_gone
 from .matches import (
     NOTHING_HELD,
     Found,
@@ -93,6 +93,7 @@ __all__ = [
     "Token",
     "Train",
     "unify_sides",
+    "VISITED_SLICE",
     "waiting_only",
     "with_property",
 ]

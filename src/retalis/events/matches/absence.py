@@ -268,9 +268,14 @@ class RuledOutSweep:
         self._ruled_out: Deque[Match] = deque()
         self._negated: Deque[Match] = deque()
         self._first_open_end = MOST
+        self._last = LEAST
 
-    def begin(self) -> None:
-        """Begin a pass."""
+    def begin(self, last: int) -> None:
+        """Begin a pass; ``last`` is the order of the last match so far.
+
+        Negated matches that come later are left to the next pass: this one may have visited what they rule out.
+        """
+        self._last = last
         self._ruled_out.clear()
         self._negated.clear()
         self._first_open_end = MOST
@@ -278,7 +283,7 @@ class RuledOutSweep:
     def visit(self, match: Match) -> None:
         """Take the next match of the rule, in the order of arrival."""
         if match.buffer is self.absence.buffer:
-            if match.key is not None:
+            if match.key is not None and match.order <= self._last:
                 self._negated.append(match)
         elif match.buffer is self.waiting and self._is_ruled_out(match):
             self._ruled_out.append(match)

@@ -86,7 +86,7 @@ _TICK = """
 {leave}
                 elif place is not None:
                     gone.leave()
-            if expiries.heap or expiries.others:
+            if late.heap or late.rest or expiries.others:
                 expiries.expire(e)
 """
 _OUT_OF_ORDER = """
@@ -224,6 +224,7 @@ def _common(rule: Any, own: MatchBuffer, plain: EventAction) -> Dict[str, Any]:
         "arrivals": rule.arrivals,
         "expiries": rule.expiries,
         "queue": rule.expiries.queue,
+        "late": rule.expiries.late,
         "plain": plain,
         "new": object.__new__,
         "Match": Match,

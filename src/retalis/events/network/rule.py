@@ -18,6 +18,7 @@ from ..dispatch import (
 )
 from ..language import Pattern, RuleDefinition, alarm_of
 from ..matches import (
+    VISITED_SLICE,
     ByStart,
     Emit,
     Expiries,
@@ -42,8 +43,6 @@ _UNLIMITED = 1 << 62
 MATCH_BYTES = 930
 """Memory of a partial match with two small arguments; measured with tracemalloc on CPython 3.11."""
 
-_SWEEP_SLICE = 2000
-"""Matches that a sweep visits at once."""
 _SWEEP_STEP = 250
 """Further matches that have to wait until it visits the next ones."""
 
@@ -106,7 +105,7 @@ class Rule:
         self.sweep_at = _UNLIMITED
         self._sweeping = False
         self._sweeps: List[RuledOutSweep] = []
-        self._unswept: Deque[Match] = deque()
+        self._to_visit = False
         self._span: Optional[int] = None
         self._collected_at: Optional[int] = None
         self._garbage: Optional[Tuple[int, int]] = None
@@ -397,48 +396,47 @@ class Rule:
 
     def look_through(self) -> None:
         """Drop the oldest of too many that wait; if those that have left are the larger part, forget some of them."""
-        if self.waiting > self.sweep_at:
+        many = 2 * self.waiting + SPARE
+        if self.waiting > self.sweep_at or (self._sweeping and len(self.arrivals) > many):
             self._sweep()
+        elif len(self.arrivals) > many:
+            self._visited = drop_gone(self.arrivals, self._visited) or 0
+            if self._sweeps:  # much has left, so that the next pass is to begin earlier
+                self.sweep_at = min(self.sweep_at, 2 * (self.waiting + SPARE))
         if self.waiting > self.network.cap:
             self._drop_oldest()
-        many = 2 * self.waiting + SPARE
-        if len(self.arrivals) > many:
-            self._visited = drop_gone(self.arrivals, self._visited)
-            if (
-                not self._sweeping and self._sweeps
-            ):  # much has left, so that the next pass is to begin earlier
-                self.sweep_at = min(self.sweep_at, 2 * (self.waiting + SPARE))
         if len(self.expiries) > many:
             self.expiries.forget_gone(self.waiting)
 
     def _sweep(self) -> None:
         """Drop some of the matches that are ruled out; see `RuledOutSweep`.
 
-        A pass visits what waits at its beginning, a slice at a time, then drops what has ruled it out, in slices.
-        The next pass begins when twice as many wait, so that a match is visited a few times at most.
+        A pass visits what waits, a slice at a time, then drops what has ruled it out, in slices. The next pass begins
+        when twice as many wait, so that a match is visited a few times at most.
         """
-        sweeps, unswept = self._sweeps, self._unswept
         if not self._sweeping:
-            self._sweeping = True
-            unswept.extend(self.arrivals)
-            for sweep in sweeps:
-                sweep.begin()
-        for _ in range(min(_SWEEP_SLICE, len(unswept))):
-            match = unswept.popleft()
-            if match.buffer is not None:
-                for sweep in sweeps:
-                    sweep.visit(match)
-        if unswept or not all(sweep.drop_negated(_SWEEP_SLICE) for sweep in sweeps):
-            self.sweep_at = self.waiting + _SWEEP_STEP
-        else:
+            self._sweeping = self._to_visit = True
+            self._visited = 0
+            for sweep in self._sweeps:
+                sweep.begin(self.order)
+        if self._to_visit:
+            following = drop_gone(self.arrivals, self._visited, self._visit)
+            self._to_visit = following is not None
+            self._visited = following or 0
+        if not self._to_visit and all(sweep.drop_negated(VISITED_SLICE) for sweep in self._sweeps):
             self._end_sweep()
+        else:
+            self.sweep_at = self.waiting + _SWEEP_STEP
+
+    def _visit(self, match: Match) -> None:
+        for sweep in self._sweeps:
+            sweep.visit(match)
 
     def _end_sweep(self) -> None:
         """End the pass that is under way, if any; set when the next one begins."""
-        self._sweeping = False
-        self._unswept.clear()
+        self._sweeping = self._to_visit = False
         for sweep in self._sweeps:
-            sweep.begin()
+            sweep.begin(self.order)
         self.sweep_at = 2 * (self.waiting + SPARE) if self._sweeps else _UNLIMITED
 
     def _watch(self, match: Match, span: Optional[int]) -> None:
@@ -461,14 +459,19 @@ class Rule:
             self._by_end.add(match.latest, match, self.waiting)
 
     def _drop_oldest(self) -> None:
-        arrivals = self.arrivals
-        while arrivals:
+        """Drop the oldest matches until there are no more than there may be, or so many entries were visited."""
+        arrivals, cap = self.arrivals, self.network.cap
+        most = min(VISITED_SLICE, len(arrivals))
+        for _ in range(most):
             oldest = arrivals.popleft()
+            if self._visited:
+                self._visited -= 1
             if oldest.buffer is not None:
                 oldest.leave()
                 self.dropped += 1
                 self.network.dropped(self)
-                return
+                if self.waiting <= cap:
+                    return
 
     def _complete_values(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         window = self.window
