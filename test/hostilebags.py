@@ -12,7 +12,7 @@ try:
 except ImportError:
     from backports import zstd as ZSTD
 
-MEGABYTE = 1 << 20
+MEGABYTE = 1_000_000
 TEXT = "string data\n"
 HELLO = b"\0\1\0\0" + struct.pack("<I6s", 6, b"hello\0")
 

@@ -68,7 +68,7 @@ def test_stamps_in_either_order():
         assert engine.call("set_etalis_flag(max_gap, 4)")
 
 
-@pytest.mark.parametrize("most", [-1, 0, -2.5, "1.0e300"])
+@pytest.mark.parametrize("most", [-1, 0, "1.0e300"])
 def test_any_gap(most):
     engine = engine_with(0, 10**9)
     assert engine.call("set_etalis_flag(max_gap, 1)")

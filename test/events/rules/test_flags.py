@@ -2,10 +2,10 @@
 
 import pytest
 
-from retalis.engine import Engine, parts_of
+from retalis.engine import Engine, Settings, parts_of
 from retalis.engine.runtime import StreamClock
 from retalis.events.rules.flags import FLAGS
-from retalis.foundation import ProgramErrors
+from retalis.foundation import ProgramErrors, UsageError
 from retalis.prolog.machine import PrologError
 from retalis.prolog.terms import SECOND
 
@@ -60,6 +60,22 @@ def test_every_flag_has_its_default_and_comes_back_to_it(name):
 def test_unknown_names_and_values_are_errors(goal):
     with pytest.raises(PrologError):
         Engine().call(goal)
+
+
+@pytest.mark.parametrize("name", ["garbage_window", "garbage_window_step", "max_gap", "state_ttl"])
+def test_seconds_are_not_negative_except_for_none(name):
+    engine = Engine()
+    for value in (-5, -0.5, "-inf"):
+        with pytest.raises(PrologError, match=f"{name} takes a number of seconds from 0, or -1 for none"):
+            engine.call(f"set_etalis_flag({name}, {value})")
+    assert engine.query(f"get_etalis_flag({name}, X)") == [{"X": -1}]
+    for value in (0, 2.5, -1):
+        assert engine.call(f"set_etalis_flag({name}, {value})")
+
+
+def test_a_negative_setting_of_a_flag_is_an_error():
+    with pytest.raises(UsageError, match="max_gap takes a number of seconds from 0"):
+        Engine(settings=Settings(max_gap=-5))
 
 
 def test_all_flags_can_be_listed():

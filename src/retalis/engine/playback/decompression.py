@@ -11,6 +11,8 @@ from typing import Any, BinaryIO, List
 MAX_CHUNK_MEGABYTES = 512
 """Default of the largest chunk, or single message, that is unpacked."""
 
+_MEGABYTE = 1_000_000
+
 _BLOCK = 1 << 20
 
 
@@ -22,7 +24,7 @@ class ChunkLimit:
     """
 
     def __init__(self, megabytes: int = MAX_CHUNK_MEGABYTES):
-        self.bytes = megabytes << 20
+        self.bytes = megabytes * _MEGABYTE
         self._megabytes = megabytes
 
     def check(self, size: int, what: str) -> None:

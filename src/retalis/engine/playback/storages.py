@@ -107,13 +107,9 @@ class SqliteFile:
             if instant is not None:
                 query += f" AND timestamp {sign} ?"
                 arguments.append(instant)
-        unread = self._size
-        for identifier, time, data in self._execute(f"{query} ORDER BY timestamp", *arguments):
+        for identifier, time, data in self._ask(f"{query} ORDER BY timestamp", *arguments):
             if time.__class__ is not int or data.__class__ is not bytes:
                 raise ValueError("a message is not an integer and a blob")
-            unread -= len(data)
-            if unread < 0:
-                raise ValueError(_TOO_MANY_BYTES)
             yield identifier, time, data
 
     def close(self) -> None:

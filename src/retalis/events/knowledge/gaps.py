@@ -43,7 +43,7 @@ class Gaps:
         self.noted: Dict[Tuple[int, int], Tuple[Instance, ...]] = {}
 
     def limit(self, seconds: float) -> None:
-        """Set how far apart two instants may be; 0 or less for any distance."""
+        """Set how far apart two instants may be; -1 or 0 for any distance."""
         self.most = min(ANY, from_seconds(min(seconds, 1e18))) if seconds > 0 else ANY
 
     def clear(self) -> None:

@@ -20,20 +20,22 @@ class Flag(NamedTuple):
         default: the default.
         values: the names.
         takes: the numbers that it takes, for errors.
-        least: the smallest of these.
+        least: the smallest of these, apart from the default.
         whole: whether they are whole.
     """
 
     default: Term
     values: Tuple[str, ...]
-    takes: str = "a number of seconds"
-    least: float = -inf
+    takes: str = ""
+    least: float = 0
     whole: bool = False
 
 
 def _switch(default: str = "off") -> Flag:
     return Flag(atom(default), _SWITCH)
 
+
+_SECONDS = Flag(-1, (), "a number of seconds from 0, or -1 for none", 0)
 
 FLAGS: Dict[str, Flag] = {
     "event_consumption_policy": Flag(atom("recent"), tuple(policy.value for policy in Policy)),
@@ -42,10 +44,10 @@ FLAGS: Dict[str, Flag] = {
     "etalis_justification": _switch(),
     "rule_sharing": _switch(),
     "garbage_control": Flag(atom("off"), ("off", "general", "pattern")),
-    "garbage_window": Flag(-1, ()),
-    "garbage_window_step": Flag(-1, ()),
-    "max_gap": Flag(-1, ()),
-    "state_ttl": Flag(-1, ()),
+    "garbage_window": _SECONDS,
+    "garbage_window_step": _SECONDS,
+    "max_gap": _SECONDS,
+    "state_ttl": _SECONDS,
     "max_keys": Flag(100_000, (), "a number of keys from 1", 1, True),
     "logging": _switch(),
     "logging_to_file": _switch(),
@@ -101,7 +103,7 @@ class Flags:
                 raise UsageError(f"{name} takes {', '.join(flag.values)}")
         elif (
             not isinstance(value, (int, float))
-            or not flag.least <= value < inf  # nan is neither
+            or not (flag.least <= value < inf or value == flag.default)  # nan is neither
             or (flag.whole and value % 1)
         ):
             raise UsageError(f"{name} takes {flag.takes}")
