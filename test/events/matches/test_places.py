@@ -1,7 +1,11 @@
 """Where matches wait: order of arrival, partners by time, and changes under way."""
 
+from unittest.mock import patch
+
 import pytest
 from held import held
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from retalis.events.matches import Match, MatchBuffer, places, reach_of
 from retalis.events.matches.timeindex import TimeIndex
@@ -137,3 +141,57 @@ def test_a_partner_that_goes_while_the_one_before_it_is_looked_at_is_passed_over
         if len(found) == 1:
             matches[2 if newest else 1].leave()
     assert found == expected
+
+
+KEYS = st.sampled_from([0, 0, 0, 1, None])
+TIMES = st.integers(0, 9)
+CHANGES = st.one_of(
+    st.tuples(st.just("add"), KEYS, TIMES, TIMES),
+    st.tuples(st.just("leave"), TIMES),
+    st.tuples(st.just("search"), KEYS, TIMES, st.booleans()),
+)
+
+
+@pytest.mark.parametrize("names", [None, 3])
+@pytest.mark.parametrize("operator", [None, "meets", "seq", "during"])
+def test_a_buffer_finds_what_a_plain_search_finds(operator, names):
+    """Few matches are passed over here before an index by time or by name is made."""
+    reach = None if operator is None else reach_of(operator, None, True)
+    few = patch.multiple(places, FEW=3, FEWER=1)
+
+    @settings(deadline=None, derandomize=True, max_examples=60)
+    @given(st.lists(CHANGES, min_size=10, max_size=50))
+    def changes(steps):
+        buffer = MatchBuffer(Rule(), (0,))
+        buffer.reach = reach
+        if names is not None:
+            buffer.identify(lambda match: (match.key, match.start % names))
+        waiting = []
+        for step, *values in steps:
+            if step == "add":
+                key, start, length = values
+                if names is not None:
+                    waiting = [one for one in waiting if (one.key, one.start % names) != (key, start % names)]
+                waiting.append(wait(buffer, Var() if key is None else key, start, start + length))
+            elif step == "leave":
+                for match in waiting[values[0] : values[0] + 1]:
+                    match.leave()
+                    waiting.remove(match)
+            else:
+                key, start, newest = values
+                limits = None if reach is None or key is None else reach.limits(start, start + 2)
+                found = [one for one in waiting if fits(one, key, limits)]
+                assert list(buffer.partners(key, start, start + 2, newest)) == found[:: -1 if newest else 1]
+                assert [one for one in waiting if one.key == key] == buffer.with_key(key)
+            assert buffer.rule.waiting == len(waiting)
+        assert buffer.all() == waiting
+
+    with few:
+        changes()
+
+
+def fits(match, key, limits):
+    """Return whether a match may be a partner for a key within limits; None for any."""
+    if not (key is None or match.key is None or match.key == key):
+        return False
+    return limits is None or (limits[0] <= match.start <= limits[1] and limits[2] <= match.end <= limits[3])

@@ -1,16 +1,18 @@
 """The index by time against a plain search through all that is in it."""
 
 import random
-from types import SimpleNamespace
+from weakref import ref
 
 import pytest
 
 from retalis.events.matches.timeindex import LEAST, MOST, TimeIndex
 
 
-def match(order, start, end):
-    """Return what the index wants to know of a match."""
-    return SimpleNamespace(order=order, start=start, end=end)
+class Interval:
+    """What the index wants to know of a match."""
+
+    def __init__(self, order, start, end):
+        self.order, self.start, self.end = order, start, end
 
 
 def plainly(matches, limits, newest, beyond):
@@ -46,11 +48,11 @@ def test_it_finds_what_a_plain_search_finds(by_end, in_order, width):
         start = order if in_order else source.randrange(width)
         return start, start + source.randrange(width // 3)
 
-    waiting = [match(order, *interval(order)) for order in range(300)]
+    waiting = [Interval(order, *interval(order)) for order in range(300)]
     index = TimeIndex(waiting, by_end)
     for order in range(300, 1500):
         if source.random() < (0.6 if order < 900 else 0.3) or len(waiting) < 2:
-            waiting.append(match(order, *interval(order)))
+            waiting.append(Interval(order, *interval(order)))
             index.add(waiting[-1])
         else:
             index.remove(waiting.pop(source.choice((0, -1, source.randrange(len(waiting))))))
@@ -66,7 +68,7 @@ def test_it_finds_what_a_plain_search_finds(by_end, in_order, width):
 
 @pytest.mark.parametrize("newest", [False, True])
 def test_matches_may_come_and_go_during_a_search(newest):
-    waiting = [match(order, order % 7, order % 7 + 1) for order in range(200)]
+    waiting = [Interval(order, order % 7, order % 7 + 1) for order in range(200)]
     index = TimeIndex(waiting, False)
     limits = (3, 3, LEAST, MOST)
     expected = plainly(waiting, limits, newest, MOST if newest else LEAST)
@@ -74,17 +76,70 @@ def test_matches_may_come_and_go_during_a_search(newest):
     for one in index.search(limits, newest, MOST if newest else LEAST):
         found.append(one.order)
         if len(found) == 2:
-            index.add(match(200, 3, 4))
+            index.add(Interval(200, 3, 4))
             index.remove(waiting[expected[2]])
     assert found == expected[:2] + expected[3:]
 
 
+class Counted(int):
+    """A time; counts how often any is compared."""
+
+    compared = 0
+
+    def __le__(self, other):
+        Counted.compared += 1
+        return int(self) <= other
+
+    def __ge__(self, other):
+        Counted.compared += 1
+        return int(self) >= other
+
+
+@pytest.mark.parametrize("by_end", [False, True])
+@pytest.mark.parametrize(
+    ("limits", "newest", "beyond"),
+    [
+        ((700, 702, LEAST, MOST), True, MOST),
+        ((LEAST, MOST, 700, 702), False, LEAST),
+        ((LEAST, 2, LEAST, MOST), True, MOST),
+        ((4997, MOST, LEAST, MOST), True, MOST),
+        ((LEAST, MOST, LEAST, 2), False, LEAST),
+        ((LEAST, MOST, 4997, MOST), False, LEAST),
+        ((LEAST, MOST, LEAST, MOST), True, 3),
+        ((LEAST, MOST, LEAST, MOST), False, 4996),
+    ],
+)
+def test_a_search_looks_at_few_matches_beside_those_that_it_finds(by_end, limits, newest, beyond):
+    waiting = [Interval(order, Counted(order), Counted(order)) for order in range(5000)]
+    index = TimeIndex(waiting, by_end)
+    Counted.compared = 0
+    found = [one.order for one in index.search(limits, newest, beyond)]
+    assert Counted.compared < 250
+    assert found == plainly(waiting, limits, newest, beyond) and len(found) == 3
+
+
+@pytest.mark.parametrize("first", [1, 1000, 2000])
+def test_what_has_been_removed_is_not_kept(first):
+    waiting = [Interval(order, order, order) for order in range(2000)]
+    index = TimeIndex(waiting[:first], False)
+    for number in range(first, 2000):
+        index.add(waiting[number])
+    gone = [ref(one) for one in waiting if one.order % 25 != 7]
+    for number in range(len(waiting) - 1, -1, -1):
+        if number % 25 != 7:
+            index.remove(waiting.pop(number))
+    assert not [one for one in gone if one() is not None]
+    assert [one.order for one in index.search((LEAST, MOST, LEAST, MOST), False, LEAST)] == [
+        *range(7, 2000, 25)
+    ]
+
+
 def test_it_is_idle_when_it_was_only_kept_up_to_date():
-    waiting = [match(order, order, order) for order in range(10)]
+    waiting = [Interval(order, order, order) for order in range(10)]
     index = TimeIndex(waiting, False)
     for order in range(10, 30):
         assert not index.idle
-        waiting.append(match(order, order, order))
+        waiting.append(Interval(order, order, order))
         index.add(waiting[-1])
         assert [one.order for one in index.search((order, order, order, order), True, MOST)] == [order]
     for _ in range(15):
