@@ -7,9 +7,9 @@ import pytest
 
 from retalis.engine import Engine, Settings, parts_of
 from retalis.engine.runtime import watchdog as _watchdog
-from retalis.engine.runtime.watchdog import Watchdog
+from retalis.engine.runtime.watchdog import AtWork, Watchdog, at_work
 from retalis.prolog.machine import Budget, LimitError, Limits
-from retalis.prolog.terms import atom
+from retalis.prolog.terms import atom, functor
 
 
 class Turn:
@@ -84,6 +84,54 @@ def test_what_is_over_when_its_time_is_noted_takes_nothing_from_the_next(turn, w
     turn.begin("b")
     watched.budget.admit()
     assert not watched.budget.closed
+
+
+def test_what_is_held_and_for_how_long_is_said_between_the_looks(turn, watched):
+    assert watched.held(0.0) is None
+    for first, name in ((1.0, "a"), (10.0, "b")):
+        turn.begin(name)
+        assert watched.held(first) == ((name,), 0.0)
+        assert watched.held(first + 0.5) == ((name,), 0.5)
+        for passed in (0.9, 1.0, 1.5, 2.0):
+            watched.look(first + passed)
+        assert watched.held(first + 3.0) == ((name,), 3.0)
+        assert watched.warned == [(1.0, (name,)), (2.0, (name,))]
+        watched.warned.clear()
+    turn.thread = None
+    assert watched.held(14.0) is None
+
+
+@pytest.mark.parametrize(
+    ("patience", "seconds", "pause"),
+    [
+        (1.0, None, 0.2),
+        (None, 1.0, 0.2),
+        (2.0, 1.0, 0.2),
+        (100.0, None, 0.5),
+        (0.0, 9.0, 0.005),
+    ],
+)
+def test_looks_are_a_fifth_of_the_shortest_time_apart_within_bounds(turn, patience, seconds, pause):
+    budget = Budget()
+    budget.allow(Limits(seconds=seconds))
+    assert Watchdog(turn, budget, patience, lambda ran, entry: None).pause() == pytest.approx(pause)
+
+
+@pytest.mark.parametrize(
+    ("entry", "named"),
+    [
+        (("a text of an event",), "a text of an event"),
+        ((atom("stop"),), "stop"),
+        ((functor("moved", 2)(1, 2), 5), "moved/2"),
+        ((functor(",", 2)(functor(",", 2)(atom("first"), 1), 2),), "first"),
+        ((17,), "a request"),
+        ((), "a request"),
+        (None, "a request"),
+    ],
+)
+def test_what_came_in_is_named_in_short(entry, named):
+    parts = parts_of(Engine())
+    assert at_work(parts.logic, parts.dispatcher, entry) == AtWork(named, "", "", None)
 
 
 def test_no_limit_and_no_patience_is_none(turn):

@@ -1,11 +1,15 @@
 """Budgets: what is left of the limits, entries inside of others, and ceilings of calls."""
 
 import threading
+from unittest.mock import patch
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from retalis.prolog.machine import MEGABYTE, Budget, Left, LimitError, LimitPassed, Limits
 from retalis.prolog.machine import budget as _budget
+from retalis.prolog.machine.limits import LOOP, SLICE
 from retalis.prolog.terms import atom
 
 
@@ -75,8 +79,11 @@ def test_memory_may_grow_by_just_its_limit(budget, monkeypatch):
         budget.look(1)
 
 
-def test_what_is_left_of_memory_is_counted_from_now(budget, monkeypatch):
+@pytest.mark.parametrize("now", [0.0, 1.0])
+def test_what_is_left_of_memory_is_counted_from_now(budget, monkeypatch, now):
+    """At 0 the memory has been measured just before, as far as the budget knows."""
     monkeypatch.setattr(_budget, "resident_bytes", lambda: 50 * MEGABYTE)
+    monkeypatch.setattr(_budget, "monotonic", lambda: now)
     budget.allow(Limits(megabytes=2))
     assert budget.left() == Left(None, None, 52 * MEGABYTE)
 
@@ -167,3 +174,129 @@ def test_what_no_entry_writes_is_not_limited(budget):
     budget.allow(Limits(output_megabytes=1))
     for _ in range(3):
         budget.count_output(MEGABYTE)
+
+
+def test_a_system_that_does_not_tell_has_no_memory_limit(budget, monkeypatch):
+    def missing(*_):
+        raise FileNotFoundError
+
+    monkeypatch.setattr(_budget, "open", missing, raising=False)
+    budget.allow(Limits(megabytes=0))
+    assert _budget.resident_bytes() == 0
+    budget.look(1)
+    budget.look(1)
+
+
+STEPS = st.one_of(
+    st.tuples(st.sampled_from(["look", "ended"]), st.integers(0, 1500)),
+    st.tuples(st.sampled_from(["sliced", "turned", "admit", "left", "end", "inner"])),
+    st.tuples(st.just("wait"), st.integers(0, 8)),
+    st.tuples(st.just("write"), st.integers(0, 600_000)),
+)
+
+
+class Model:
+    """What an entry with a goal may use: its methods return the error that those of a budget raise, or None.
+
+    Attributes:
+        spent: inferences, less the tenth that a handler gets.
+        pending: steps of which nobody has looked what they use.
+        deadline: when its seconds are over; None before somebody has looked.
+        printed: bytes of output.
+        rounds: 1, or 2 once an error was raised.
+    """
+
+    LIMITS = Limits(inferences=4000, seconds=10, output_megabytes=1)
+
+    def __init__(self):
+        self.now = 100.0
+        self.pending = 0
+        self.end()
+
+    def end(self):
+        self.spent = self.printed = 0
+        self.deadline = None
+        self.rounds = 1
+
+    def count(self, steps):
+        """Count steps; return the limit that is passed."""
+        self.spent += self.pending + steps
+        self.pending = 0
+        if self.spent > self.LIMITS.inferences:
+            return "inferences"
+        if self.deadline is None:
+            self.deadline = self.now + self.LIMITS.seconds
+        return "seconds" if self.now > self.deadline else None
+
+    def raised(self, limit):
+        """Return the error for a limit: its name, and whether no program can catch it."""
+        if limit is None:
+            return None
+        final = self.rounds == 2
+        if not final:
+            self.rounds = 2
+            self.spent -= self.LIMITS.inferences // 10
+            self.deadline = None
+        return limit, final
+
+    def look(self, steps):
+        return self.raised(self.count(steps))
+
+    def sliced(self):
+        return self.look(len(SLICE))
+
+    def left(self):
+        return self.look(0)
+
+    def turned(self):
+        self.pending += len(LOOP)
+        return self.look(0) if self.pending >= len(SLICE) else None
+
+    def ended(self, steps):
+        self.pending += steps
+        if self.pending >= len(SLICE):
+            self.count(0)
+
+    def admit(self):
+        pending, self.pending = self.pending, 0  # steps are counted when the next ones are
+        error = self.look(0)
+        self.pending = pending
+        return error
+
+    def inner(self):
+        self.pending = 0  # an entry in the midst of another takes over the steps that nobody has looked at
+
+    def write(self, size):
+        if self.printed + size > MEGABYTE * (1.0 if self.rounds == 1 else 1.1):
+            return self.raised("output")
+        self.printed += size
+        return None
+
+
+@settings(deadline=None, derandomize=True, max_examples=300)
+@given(st.lists(STEPS, max_size=25))
+def test_a_goal_may_use_what_the_limits_say_and_once_a_little_more_after_an_error(steps):
+    model, budget, turn = Model(), Budget(), Turn()
+    budget.allow(Model.LIMITS)
+    budget.count_for(turn)
+    budget.goal = object()
+    budget.inner = lambda: budget.apart(("inner",), lambda: budget.look(0))
+    budget.write = budget.count_output
+    try:
+        with patch.object(_budget, "monotonic", lambda: model.now):
+            for name, *number in steps:
+                if name == "wait":
+                    model.now += number[0]
+                    continue
+                wanted = getattr(model, name)(*number)
+                try:
+                    found = getattr(budget, name)(*number)
+                except LimitError as error:
+                    assert (error.what, error.final) == wanted
+                    assert error.budget is budget and not error.refused and not budget.closed
+                else:
+                    assert wanted is None
+                    if name == "left":
+                        assert found == Left(model.deadline, Model.LIMITS.inferences - model.spent, None)
+    finally:
+        turn.thread = None
