@@ -377,3 +377,33 @@ def test_an_interrupted_load_is_restored(tmp_path):
         assert files.absolute("x") == os.path.abspath("x")
         assert files.innermost is None
         assert not files.door.is_loading
+
+
+def test_a_file_that_goals_write_is_emptied_or_added_to(tmp_path):
+    files = Files()
+    files.door.allow([], [tmp_path])
+    with files.relative_to(tmp_path):
+        for more, text in ((False, "one"), (True, "one"), (True, "oneone"), (False, "")):
+            path = files.to_write(atom("new.txt"), more)
+            assert path == str(tmp_path / "new.txt")
+            assert files.to_read(atom("new.txt")) == (path, "" if not more else text)
+            files.add(path, "one")
+
+
+def test_a_second_file_of_a_module_is_said_while_the_first_is_loaded(tmp_path):
+    files, said = Files(), []
+    files.on_same_module = said.append
+    files.note_module("nothing_is_loaded")
+    one, two, other = (tmp_path / name for name in ("one.pl", "two.pl", "other.pl"))
+    for path, name in ((one, "m"), (other, "n"), (one, "m"), (two, "m")):
+        with files.inside(path):
+            files.note_module(name)
+            assert files.module(path) == name
+    assert said == [f"Warning: {one} is module m as well; what {two} has of it is added to that\n"]
+    assert files.module(tmp_path / "none.pl") == ""
+    assert files.has_loaded(one) and not files.has_loaded(tmp_path / "none.pl")
+    files.loaded.clear()
+    assert files.module(one) == ""
+    with files.inside(two):
+        files.note_module("m")
+    assert len(said) == 1
