@@ -1,13 +1,27 @@
 """Dispatch: order, constants, depth, errors that stop one firing only."""
 
 import pytest
-from events.running import Program, fired
+from events.running import Program, fired, text_of
 from held import entries, held
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from retalis.engine import Engine, Settings, parts_of
 from retalis.events.dispatch import Dispatcher, Listener, Stage
 from retalis.foundation import UsageError
-from retalis.prolog.terms import NIL, Lazy, Var, atom, functor, make_list
+from retalis.prolog.terms import (
+    NIL,
+    Lazy,
+    String,
+    Var,
+    atom,
+    copy,
+    functor,
+    make_list,
+    undo,
+    unify,
+    variables,
+)
 
 A, B, F = functor("a", 1), functor("b", 2), functor("f", 1)
 
@@ -235,3 +249,67 @@ def test_as_many_events_as_allowed_are_derived_one_from_the_other(depth):
     assert len(seen) == 2 * (depth + 1)
     (error,) = errors
     assert f"more than {depth} events were derived" in str(error)
+
+
+LEAVES = st.sampled_from([atom("x"), atom("y"), 1, 1, 2, 1.0, String("x"), "X", "X", "Y", "Z"])
+TERMS = st.recursive(
+    LEAVES, lambda inner: st.tuples(st.just(F), inner) | st.tuples(st.just(B), inner, inner), max_leaves=6
+)
+EVENTS = st.tuples(st.just(B), TERMS, TERMS) | st.tuples(st.just(A), TERMS) | st.just(atom("x"))
+LISTENERS = st.tuples(EVENTS | st.just("X"), st.sampled_from(Stage), st.booleans(), st.booleans())
+
+
+def with_variables(term, known):
+    """Return a term with variables in place of their names."""
+    if isinstance(term, str):
+        return known.setdefault(term, Var())
+    return (term[0], *[with_variables(one, known) for one in term[1:]]) if term.__class__ is tuple else term
+
+
+def matched(pattern, term):
+    """Return the text of the values of a pattern's variables, None where the event does not match."""
+    fresh, trail = {}, []
+    order = variables(pattern)
+    if not unify(copy(pattern, fresh), term, trail):
+        undo(trail, 0)
+        return None
+    text = text_of((functor("values", len(order)), *[fresh[var] for var in order])) if order else "values"
+    undo(trail, 0)
+    return text
+
+
+@settings(deadline=None, derandomize=True, max_examples=150)
+@given(st.lists(LISTENERS, max_size=8), st.lists(EVENTS, min_size=1, max_size=6), st.data())
+def test_an_event_is_served_to_all_that_unify_with_it_in_order(listeners, events, data):
+    dispatcher, got, waiting = Dispatcher(), [], []
+
+    def listen(number, pattern, stage, looks_on, sole):
+        def action(term, values, start, end, after):
+            taken = values if values is not None else term[1:]  # a sole listener may get none
+            text = text_of((functor("values", len(taken)), *taken)) if taken else "values"
+            got.append((number, text, start, end))
+            assert not (looks_on or sole) or dispatcher.event().term is term
+            return after
+
+        listener = dispatcher.listen(stage, pattern, action, looks_on=looks_on, sole=sole)
+        waiting.append((stage, number, pattern, listener))
+
+    for number, (pattern, *rest) in enumerate(listeners):
+        listen(number, with_variables(pattern, {}), *rest)
+    for at, event in enumerate(events):
+        if waiting and data.draw(st.booleans()):
+            dispatcher.remove(waiting.pop(data.draw(st.integers(0, len(waiting) - 1)))[-1])
+        term = with_variables(event, {})
+        del got[:]
+        frame = dispatcher.dispatch(term, at, at + 1, DONE)
+        while frame is not DONE:
+            frame = frame[0].run(frame)
+        wanted = [
+            (number, matched(pattern, term), at, at + 1)
+            for _, number, pattern, _ in sorted(waiting, key=lambda one: one[:2])
+        ]
+        assert got == [one for one in wanted if one[1] is not None]
+        assert dispatcher.current is None
+    for *_, listener in waiting:
+        dispatcher.remove(listener)
+    assert held(dispatcher, Listener) == []
