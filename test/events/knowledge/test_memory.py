@@ -1,9 +1,10 @@
 """A memory against a plain sorted list."""
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retalis.events.knowledge.memory import Memory
+from retalis.events.knowledge.memory import NEVER, Memory
 
 ENDS = st.lists(st.integers(0, 30), max_size=60)
 
@@ -108,3 +109,66 @@ def test_steps_that_are_wider_than_the_others_are_told_of():
         for instant in (1150, 1850, 3000, 4050):
             look_up(instant)
         assert told == [(1900, 4000)]
+
+
+@pytest.mark.parametrize("gap", [90, 99, 100, 110])
+@pytest.mark.parametrize("before", [1, 3])
+def test_a_step_is_wide_from_ten_times_the_mean_of_the_others_on(gap, before):
+    memory, end = Memory(100), 0
+    told = []
+    memory.on_wide = lambda start, end: told.append(end - start)
+    for step in [10] * before + [gap] + [10] * 4:
+        end += step
+        memory.add((end, end, end))
+    start = 10 * before
+    for look_up in (memory.around, memory.at_or_after):
+        del told[:]
+        assert look_up(start + 5)
+        assert told == ([gap] if gap >= 100 else [])
+    del told[:]
+    assert memory.around(start) and memory.at_or_after(start) and memory.at_or_after(start + gap + 1)
+    assert told == []
+
+
+@given(st.integers(0, 8), ENDS, st.integers(-1, 31), st.integers(0, 61))
+def test_places_of_records(size, ends, instant, taken):
+    memory, model = filled(size, ends)
+    records = memory.records
+
+    def kept(matches):
+        return [name for name, end in model.kept if matches(end)]
+
+    assert [name for name, _, _ in records[memory.first :]] == kept(lambda end: True)
+    assert [name for name, _, _ in records[memory.first : memory.after(instant)]] == kept(
+        lambda end: end <= instant
+    )
+    assert [name for name, _, _ in records[memory.reaching(instant) :]] == kept(lambda end: end >= instant)
+    stay = min(memory.added, max(size, 1))
+    assert memory.oldest == memory.added - stay
+    first, found = memory.since(taken)
+    assert first == max(memory.oldest, min(taken, memory.added))
+    assert len(found) == memory.added - first and found == records[len(records) - len(found) :]
+    assert memory.added + memory.late == len(ends)
+
+
+@given(st.integers(0, 8), ENDS)
+def test_what_has_changed_and_its_version(size, ends):
+    memory, versions = Memory(size), set()
+    for name, end in enumerate(ends):
+        before_first, before = memory.since(0)
+        memory.changed = NEVER
+        taken = memory.add((name, end - 1, end))
+        assert (memory.version not in versions) == taken
+        versions.add(memory.version)
+        first, records = memory.since(0)
+        for place in range(first, min(memory.changed, before_first + len(before))):
+            assert records[place - first] == before[place - before_first]
+        if memory.changed != NEVER:
+            assert first > memory.changed or records[memory.changed - first][0] == name
+    other = Memory(size)
+    other.restore(memory.oldest, memory.late, list(memory.ends), list(memory.records))
+    assert (len(other), other.late, other.records) == (len(memory), memory.late, memory.records)
+    assert other.version not in versions
+    added = memory.added
+    memory.clear()
+    assert (memory.added, len(memory)) == (added, 0) and memory.version not in versions
