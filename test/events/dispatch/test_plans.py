@@ -1,5 +1,7 @@
 """Decision trees: who is served, in which order, and who is not even looked at."""
 
+import pytest
+
 from retalis.events.dispatch.plans import make_plan, takes_all
 from retalis.prolog.terms import Var, functor, make_list
 
@@ -37,6 +39,18 @@ def test_branches_hold_those_with_the_constant_and_those_with_a_variable_in_orde
     assert served(plan, (P, 3, 2)) == [1, 4]
     assert served(plan, (P, 1, 9)) == [2, 4]
     assert served(plan, (P, Var(), 2)) == [0, 1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize("arity", range(1, 7))
+def test_up_to_six_constants_choose_the_listeners(arity):
+    """More would be tested by the matchers of all listeners that are left, however many they are."""
+    key = functor("q", arity)
+    constants = [5] * (arity - 1)
+    plan = make_plan([Listener(at, (key, *constants, at)) for at in range(100)])
+    assert served(plan, (key, *constants, 7)) == [7]
+    assert served(plan, (key, *constants, 100)) == []
+    nested = make_plan([Listener(at, (P, Var(), (P, 5, (P, 5, at)))) for at in range(100)])
+    assert served(nested, (P, 1, (P, 5, (P, 5, 7)))) == [7]
 
 
 def test_a_new_constant_looks_at_its_own_listeners_only():

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from retalis.engine import Engine, parts_of
+from retalis.foundation import UsageError
 from retalis.prolog.machine import PrologError
-from retalis.prolog.terms import deref, list_items
+from retalis.prolog.terms import SECOND, atom, deref, list_items
 
 sys.path.append(str(Path(__file__).resolve().parents[2]))
 from watched import Watched  # noqa: E402
@@ -270,3 +271,18 @@ def test_a_memory_may_look_at_itself_to_stop_when_it_is_full():
     for number in range(4):
         engine.event(f"v({number})", number)
     assert records(engine) == ["v(1)", "v(0)"]
+
+
+def test_which_memories_are_behind():
+    engine = Watched(goals="memorize(a, [], _, m, 5)\nmemorize(b, [], _, n, 5)")
+    knowledge = parts_of(engine).knowledge
+    engine.event("a", 2)
+    engine.event("b", 1)
+    names = [atom("m"), atom("n")]
+    for second, behind in ((0, ""), (1, ""), (2, "n"), (3, "mn")):
+        found = knowledge.behind(names, second * SECOND)
+        assert [(engine.show(memory.id), instant) for memory, instant in found] == [
+            (name, second * SECOND) for name in behind
+        ]
+    with pytest.raises(UsageError, match="there is no memory o"):
+        knowledge.behind([atom("o")], 0)

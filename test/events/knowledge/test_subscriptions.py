@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 
 from retalis.engine import Engine, parts_of
+from retalis.events.dispatch import Stage
 from retalis.events.knowledge import recording
 from retalis.prolog.machine import PrologError
+from retalis.prolog.terms import atom
 
 sys.path.append(str(Path(__file__).resolve().parents[2]))
 from watched import Watched  # noqa: E402
@@ -52,6 +54,36 @@ def test_a_topic_with_a_slash_is_a_name_however_it_is_written():
     engine.call("delete_subscription('robot/marker', 1)")
     engine.event("a", 2)
     assert len(engine.outputs) == 1
+
+
+def test_a_topic_is_written_without_quotes():
+    engine = Watched(goals="subscribe(a, [], _, 'Front Left'/'Camera', 1)")
+    engine.event("a", 1)
+    assert engine.outputs == [("a", "Front Left/Camera", "1")]
+    subscriptions = parts_of(engine).knowledge.subscriptions
+    assert subscriptions.has(atom("Front Left/Camera"), 1) and not subscriptions.has(atom("Front Left"), 1)
+
+
+def test_subscriptions_are_restored_as_they_were():
+    engine = Watched(goals="subscribe(a, [], one, t, 1)\nsubscribe(a, [], two, t, 2)")
+    subscriptions = parts_of(engine).knowledge.subscriptions
+    engine.event("a", 1)
+    before = subscriptions.items()
+    engine.load(goals="delete_subscription(t, 1)\nsubscribe(a, [], three, t, 3)")
+    engine.event("a", 2)
+    subscriptions.restore(before)
+    engine.event("a", 3)
+    assert [term for term, _, _ in engine.outputs] == ["one", "two", "two", "three", "one", "two"]
+    assert [one.sent for one in engine.status().subscriptions] == [2, 3]
+
+
+def test_a_listener_that_an_interrupt_has_left_is_removed():
+    engine = Watched(goals="subscribe(a, [], one, t, 1)")
+    parts = parts_of(engine)
+    parts.dispatcher.listen(Stage.SUBSCRIPTIONS, atom("a"), lambda *event: pytest.fail("delivered"))
+    parts.knowledge.subscriptions.mend()
+    engine.event("a", 1)
+    assert [term for term, _, _ in engine.outputs] == ["one"]
 
 
 def test_deleting_an_unknown_one_warns_and_succeeds(caplog):

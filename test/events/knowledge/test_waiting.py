@@ -449,3 +449,34 @@ def test_limits_hold_for_each_query(run, goal, caplog):
     assert names(engine) == ["done(rule)", "done(rule)"]
     assert "done(1) is dropped, its query raised: Not enough resources: inferences" in caplog.text
     assert "done(2) is dropped, its query raised: Not enough resources: inferences" in caplog.text
+
+
+def test_a_long_chain_of_events_follows_from_the_query_of_a_message(run):
+    rules = "syncronized(c(1), true, [[m, T]]) <- ask(T).\nc(Y) <- c(X) where (X < 20, Y is X + 1).\n"
+    engine = run(rules + "done(X) <- c(X) where (X = 20).", MEMORY)
+    ask, value = functor("ask", 1), functor("v", 1)
+    engine.post(value(0), 10**9)
+    for second in (1.0, 1.0, 5.0):
+        engine.post(ask(second), 10**9)
+        assert parts_of(engine).dispatcher.current is None
+    engine.post(value(1), 5 * 10**9)
+    assert names(engine) == ["done(20)"] * 3
+
+
+def test_queries_that_wait_go_on_waiting_in_another_engine(run):
+    memories = MEMORY + "memorize(w, [], _, n, 5)\n"
+    rules = ASK.replace("[[m, T]]", "[[m, T], [n, T]]")
+    first, second = run(rules, memories), run(rules, memories)
+    for at, instant in ((1, 1.0), (2, 2.0)):
+        first.event(f"ask({at}, {instant})", instant)
+    order, found = parts_of(first).knowledge.waiting.kept()
+    parts_of(second).knowledge.waiting.restore(order, found)
+    assert len(parts_of(second).knowledge.waiting) == 2
+    assert parts_of(second).knowledge.waiting.kept() == (order, found)
+    second.event("v(7)", 1)
+    second.event("w", 1)
+    second.event("v(8)", 3)
+    assert names(second) == ["answer(1,7)"]
+    second.event("w", 3)
+    assert names(second) == ["answer(1,7)", "answer(2,7)"]
+    assert len(parts_of(second).knowledge.waiting) == 0
