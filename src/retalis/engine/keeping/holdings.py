@@ -2,7 +2,7 @@
 
 from array import array
 from itertools import chain, repeat
-from operator import is_
+from operator import is_, itemgetter
 from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 import msgpack
@@ -82,8 +82,11 @@ _SAMPLE = 200
 _PART = 1000
 """Terms that are kept together: their arguments fit into a processor's cache, which takes half of the time.
 
-Lengths and positions have 16 bits.
+Lengths have 16 bits, and positions at most as many.
 """
+
+_ONE_BYTE = 256
+"""Distinct terms of a column whose positions have 8 bits."""
 
 
 def _keep_parts(terms: List[Term]) -> List[Any]:
@@ -139,8 +142,9 @@ def _indexed(terms: List[Term], distinct: Dict[Any, Any], keys: Optional[List[in
         keys: the identities of terms that are no atoms: a hash of a compound term would visit its arguments.
     """
     positions = dict(zip(distinct, range(len(distinct))))
-    places = array("H", list(map(positions.__getitem__, keys or terms)))
-    return ["indexed", _listed(list(distinct.values() if keys else distinct))[1], places.tobytes()]
+    places = itemgetter(*(keys or terms))(positions)
+    packed = bytes(places) if len(distinct) <= _ONE_BYTE else array("H", places).tobytes()
+    return ["indexed", _listed(list(distinct.values() if keys else distinct))[1], packed]
 
 
 def _rows(terms: Sequence[Any]) -> Optional[List[Any]]:
@@ -193,23 +197,31 @@ def read_terms(value: Any, number: int, depth: int = 0) -> List[Term]:
         floats = array("d")
         floats.frombytes(rest[0])
         return floats.tolist()  # type: ignore[return-value]
-    if form == "indexed" and len(rest) == 2 and rest[1].__class__ is bytes and len(rest[1]) == 2 * number:
-        places = array("H")
-        places.frombytes(rest[1])
-        distinct: List[Term] = each(term)(rest[0])
-        if number and max(places) >= len(distinct):
-            raise wrong(max(places), f"a position among {len(distinct)} terms")
-        return list(map(distinct.__getitem__, places))
+    if form == "indexed" and len(rest) == 2 and rest[1].__class__ is bytes:
+        found: List[Term] = _read_indexed(each(term)(rest[0]), rest[1])
+        if len(found) == number:
+            return found
     if form == "columns" and len(rest) == 2 and depth <= _DEEP + 1:
         of = functor(rest[0])
         columns = [read_terms(one, number, depth + 1) for one in items(rest[1])]
         if len(columns) == of.arity > 0:
             return list(zip(repeat(of, number), *columns))
     if form == "terms" and len(rest) == 1:
-        found: List[Term] = each(term)(rest[0])
+        found = each(term)(rest[0])
         if len(found) == number:
             return found
     raise wrong(form, f"{number} terms")
+
+
+def _read_indexed(distinct: List[Term], packed: bytes) -> List[Term]:
+    """Return terms from their positions among the distinct ones."""
+    places = array("B" if len(distinct) <= _ONE_BYTE else "H")
+    if len(packed) % places.itemsize:
+        raise wrong(len(packed), f"positions of {places.itemsize} bytes")
+    places.frombytes(packed)
+    if places and max(places) >= len(distinct):
+        raise wrong(max(places), f"a position among {len(distinct)} terms")
+    return list(map(distinct.__getitem__, places))
 
 
 def _instants(found: Sequence[Any]) -> Any:

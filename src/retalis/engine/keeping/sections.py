@@ -123,7 +123,17 @@ def _counted(value: Decoded) -> Dict[str, Decoded]:
     return {name: named(name, _COUNTED[name])(one) for name, one in found.items()}
 
 
-_operator_type = one_of("xfx", "xfy", "yfx", "fy", "fx", "xf", "yf")
+_operator_columns = fixed(
+    each(integer(0, 1200)), each(one_of("xfx", "xfy", "yfx", "fy", "fx", "xf", "yf")), each(text)
+)
+
+
+def _operators(value: Decoded) -> Decoded:
+    """Check the priorities, types and names of operators."""
+    priorities, types, names = columns = _operator_columns(value)
+    if not len(priorities) == len(types) == len(names):
+        raise wrong(len(names), f"{len(priorities)} names and types of operators")
+    return columns
 
 
 def _clock(value: Decoded) -> Decoded:
@@ -164,7 +174,7 @@ SECTIONS: Dict[str, ValueCheck] = {
     ),
     "clauses": record(
         KeptLogic,
-        operators=each(fixed(integer(0, 1200), _operator_type, text)),
+        operators=_operators,
         tabled=each(term),
         predicates=each(_clauses),
         incremental=each(functor),

@@ -1,6 +1,6 @@
 """What a program's logic knows, as data: its clauses, and all that outlives a goal."""
 
-from typing import Any, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...foundation import Place
 from ..builtins import declare_as, flags_from, records_of, tables_of
@@ -21,13 +21,13 @@ class KeptLogic(NamedTuple):
     """What the program says: `restore_logic` makes a logic of it.
 
     Attributes:
-        operators: priority, type and name of each.
+        operators: priorities, types and names of all operators.
         tabled: how tabled predicates were declared.
         predicates: the program's.
         incremental: those of them whose clauses incremental tables depend on.
     """
 
-    operators: List[Tuple[int, str, str]]
+    operators: Tuple[Sequence[int], Sequence[str], Sequence[str]]
     tabled: List[Term]
     predicates: List[KeptClauses]
     incremental: List[Functor]
@@ -56,8 +56,14 @@ class KeptValues(NamedTuple):
 def keep_logic(logic: Logic) -> KeptLogic:
     """Return what a program says."""
     tables = tables_of(logic.machine)
-    clauses = [_kept(one) for one in program_predicates(logic)]
-    return KeptLogic(list(logic.operators), tables.declarations(), clauses, _incremental(logic))
+    predicates = program_predicates(logic)
+    priorities, types, names = zip(*logic.operators)
+    return KeptLogic(
+        (priorities, types, names),
+        tables.declarations(),
+        [_kept(one) for one in predicates],
+        [one.functor for one in predicates if one.incremental],
+    )
 
 
 def keep_values(logic: Logic) -> KeptValues:
@@ -76,17 +82,10 @@ def keep_values(logic: Logic) -> KeptValues:
     )
 
 
-def _incremental(logic: Logic) -> List[Functor]:
-    return [one.functor for one in program_predicates(logic) if one.incremental]
-
-
 def program_predicates(logic: Logic) -> List[Predicate]:
     """Return the predicates whose clauses are kept, in their order."""
-    return [one for one in logic.database.predicates.values() if _is_of_program(one)]
-
-
-def _is_of_program(one: Predicate) -> bool:
-    return not one.library and one.tabled is None and not one.is_blank
+    every = logic.database.predicates.values()
+    return [one for one in every if not one.library and one.tabled is None and not one.is_blank]
 
 
 def _kept(one: Predicate) -> KeptClauses:
@@ -129,9 +128,12 @@ def restore_values(logic: Logic, kept: KeptValues) -> None:
     tables_of(logic.machine).restore(kept.answers)
 
 
-def _restore_operators(operators: Operators, kept: List[Tuple[int, str, str]]) -> None:
+def _restore_operators(
+    operators: Operators, kept: Tuple[Sequence[int], Sequence[str], Sequence[str]]
+) -> None:
     """Have a table have these operators and no others."""
-    wanted = {(kind, name): priority for priority, kind, name in kept}
+    priorities, types, names = kept
+    wanted = dict(zip(zip(types, names), priorities))
     there = {(kind, name): priority for priority, kind, name in operators}
     for kind, name in there:
         if (kind, name) not in wanted:
