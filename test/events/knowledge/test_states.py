@@ -404,3 +404,39 @@ def test_a_program_that_resets_has_nothing_hold(goal, known):
     for text, at in (("b(2)", 4), ("a(3)", 5), ("tick", 20)):
         engine.event(text, at)
     assert seen == ["a(1)", "b(1)", "on(1)", "a(2)", "b(2)", "a(3)", "on(3)", "tick"]
+
+
+def test_a_state_whose_deletion_is_interrupted_is_deleted():
+    engine = run()
+    dispatcher = parts_of(engine).dispatcher
+    on_change = dispatcher.on_change
+
+    def interrupt():
+        dispatcher.on_change = on_change
+        raise KeyboardInterrupt
+
+    engine.take(("dock(1)", 1))
+    dispatcher.on_change = interrupt
+    with pytest.raises(KeyboardInterrupt):
+        engine.call("delete_state(docked(_))")
+    with pytest.raises(PrologError, match="docked/1"):
+        engine.query("holds(docked(X))")
+    assert engine.call("state(docked(R), from(dock(R)), until(undock(R)))")
+    engine.take(("dock(2)", 2))
+    assert engine.all("holds(docked(X))") == ["2"]
+
+
+def test_a_state_that_is_deleted_or_set_aside_is_not_known():
+    for declared_again in (False, True):
+        engine = run(DOCKED)
+        states = parts_of(engine).knowledge.states
+        engine.take(("dock(1)", 1))
+        standing = states.standing()
+        if declared_again:
+            states.set_aside(list(standing))
+        else:
+            assert engine.call("delete_state(docked(_))") and not engine.call("delete_state(docked(_))")
+        with pytest.raises(PrologError, match="docked/1"):
+            engine.query("holds(docked(X))")
+        states.restore_standing(standing)
+        assert engine.all("holds(docked(X))") == (["1"] if declared_again else [])
