@@ -3,9 +3,9 @@ from held import held
 
 from retalis.foundation import MessageError
 from retalis.messages import Definitions, Installed, type_name
-from retalis.messages.definition import functor_name
+from retalis.messages.definition import Measure, functor_name
 from retalis.messages.parsing import parse, split_sections
-from retalis.messages.slots import VARIABLE
+from retalis.messages.slots import DEEPEST, LARGEST, MOST_SLOTS, VARIABLE
 
 HEADER = "uint32 seq\ntime stamp\nstring frame_id\n"
 
@@ -236,3 +236,36 @@ def test_ever_new_definitions_do_not_pile_up():
 def test_long_digits_and_blanks(text, column, part):
     found = fault(text)
     assert found.place.column == column and part in found.message
+
+
+def test_a_type_may_be_as_large_as_is_allowed():
+    for field, most in (("slots", MOST_SLOTS), ("depth", DEEPEST), ("least", LARGEST)):
+        assert Measure(**{field: most}).problem() == ""
+        assert str(most) in Measure(**{field: most + 1}).problem()
+
+
+@pytest.mark.parametrize(
+    ("text", "measure"),
+    [
+        ("", Measure()),
+        ("int8 a\nfloat64 b", Measure(least=9, slots=2, depth=1)),
+        ("time t\nduration[2] d", Measure(least=24, slots=2, depth=1)),
+        ("string s", Measure(least=4, fixed=False, slots=1, depth=1)),
+        ("string[3] s", Measure(least=12, fixed=False, slots=1, depth=1)),
+        ("int16[] a\nint8[3] b", Measure(least=7, fixed=False, slots=2, depth=1)),
+        ("Part p", Measure(least=3, slots=4, depth=2)),
+        ("Part[2] p", Measure(least=6, slots=4, depth=2)),
+        ("Part[] p", Measure(least=4, fixed=False, slots=4, depth=2)),
+        ("Nothing n", Measure(slots=1, depth=1)),
+        ("Nothing[5] n\nNothing[2] m", Measure(slots=2, depth=1, bare=7, may_be_bare=True)),
+        ("Nothing[] n", Measure(least=4, fixed=False, slots=1, depth=1, may_be_bare=True)),
+        ("Bare[2] b", Measure(least=2, slots=3, depth=2, bare=6, may_be_bare=True)),
+        ("int8[0] a", Measure(slots=1, depth=1)),
+    ],
+)
+def test_what_messages_of_a_type_measure(text, measure):
+    parts = {"Part": "int16 a\nint8 b\nNothing n", "Nothing": "", "Bare": "Nothing[3] n\nint8 a"}
+    more = "".join(f"\n{'=' * 80}\nMSG: my_robot/{name}\n{part}" for name, part in parts.items())
+    definitions = Definitions()
+    definition = definitions.decoder(definitions.add("my_robot/Thing", text + more)).definition
+    assert definition.measure == measure

@@ -207,6 +207,7 @@ def test_big_endian():
         (b"", "is not plain CDR: expected 00 00 or 00 01 at its beginning, found nothing"),
         (b"\0\1\0", "is not plain CDR"),
         (b"\0\3\0\0" + bytes(9), "found 00 03"),
+        (cdr(""), "0 bytes of CDR are not a my_msgs/Kind"),
         (cdr("I", 2), "4 bytes of CDR are not a my_msgs/Kind"),
         (cdr("I2sxxI", 3, b"hi", 1), "are not a"),
         (cdr("I3sxI", 3, b"hi\0", 2**32 - 1), "are not a"),

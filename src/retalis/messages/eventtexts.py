@@ -203,7 +203,7 @@ class _TextSource(FrameSource):
 
 
 def _is_float(slot: Field) -> bool:
-    return slot.length is None and slot.definition is None and slot.type in ("float32", "float64")
+    return slot.length is None and slot.type in ("float32", "float64")
 
 
 def _value(source: str) -> str:

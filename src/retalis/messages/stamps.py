@@ -162,7 +162,7 @@ def _stamped_slots(definition: Definition) -> List[_StampedSlot]:
         inner = slot.definition
         if slot is definition.fields[0] and slot.length is None and _is_header(slot):
             slots.append(_StampedSlot(slot, b"", _has_child(definition), 0))
-            stamped = 1
+            stamped = len(slots)
         elif inner is not None and slot.length is not None and inner.fields and _is_header(inner.fields[0]):
             suffix = b"%c" % len(slots) if stamped else b""
             slots.append(_StampedSlot(slot, suffix, _has_child(inner), _fixed_rest(inner)))

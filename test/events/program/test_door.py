@@ -127,6 +127,10 @@ def test_no_file_stays_open(door, tmp_path):
                 work()
             except RetalisError:
                 continue
+    for name in ("a.txt", "new.txt"):
+        door.begin(str(tmp_path / "write" / name), name, True)
+    with pytest.raises(PrologError):
+        door.begin(str(tmp_path / "other" / "new.txt"), "new.txt", True)
     door.append(str(tmp_path / "write" / "b.txt"), "x" * 40)
     with pytest.raises(PrologError):
         door.append(str(tmp_path / "write" / "b.txt"), "x" * 40)
@@ -202,9 +206,11 @@ def test_errors_tell_missing_files_from_failed_reads_and_writes(door, tmp_path):
     for name in ("none", "a.txt/none"):
         with pytest.raises(PrologError, match=f"cannot read {tmp_path}/read/{name}"):
             door.read(str(tmp_path / "read" / name), "name")
-        with pytest.raises(UsageError, match=f"cannot write {tmp_path}/write/{name}/x: ") as caught:
-            door.append(str(tmp_path / "write" / name / "x"), "one\n")
-        assert not isinstance(caught.value, PrologError)
+        path = str(tmp_path / "write" / name / "x")
+        for work in (door.append, lambda path, name: door.begin(path, name, True)):
+            with pytest.raises(UsageError, match=f"cannot write {path}: ") as caught:
+                work(path, "x")
+            assert not isinstance(caught.value, PrologError)
     for work in (door.require, door.is_file, door.is_folder, door.read):
         with pytest.raises(PrologError, match="Domain error: `source_sink' expected, found `name'"):
             work("\0", "name")
