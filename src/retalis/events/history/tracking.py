@@ -5,7 +5,7 @@ from functools import partial
 from itertools import count
 from typing import Any, Callable, Deque, Dict, Hashable, Iterator, List, Optional, Protocol, Sequence, Tuple
 
-from ...prolog.machine import Frame
+from ...prolog.machine import Frame, Meter
 from ...prolog.terms import Term, Values, Var, functor, term_key
 from ..dispatch import Dispatch, Listener, Stage
 from ..matches import Held, Match, Run, counted, sources
@@ -179,9 +179,6 @@ class Tracker:
     def _take_back(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         """Take back what an event ``rev(E)`` names: all occurrences of E, or the one it was derived for."""
         token = self._rules.dispatcher.token()
-        meter = self._rules.logic.machine.budget.meter(token.rule)
-        if meter is not None and meter(1):
-            return after
         found = token.takes_back
         again: List[Tuple[TriesAgain, Tried]] = []
         unmade: List[Tracked] = []
@@ -190,31 +187,43 @@ class Tracker:
             if not found:
                 self._rules.took_nothing_back(values[0], token.rule)
                 return after
-            # Taking events out is not stopped half way: a rule would go on with what is gone.
-            unmade, again = self._forget(found)
-            if meter is not None:
-                meter(len(unmade) + len(again))
+            meter = self._meter(token.rule or _rule_after(found))
+            lost = self._forget(found, meter)
+            if lost is None:
+                return after
+            unmade, again = lost
+        else:
+            meter = self._meter(token.rule)
         work = _TakingBack(counted(self._steps([*found, *unmade], again, start, end), meter))
         return work.run((work, after))
 
-    def _forget(self, found: List[Occurrence]) -> Tuple[List[Tracked], List[Tuple[TriesAgain, Tried]]]:
+    def _meter(self, rule: object) -> Optional[Meter]:
+        return self._rules.logic.machine.budget.meter(rule)
+
+    def _forget(
+        self, found: List[Occurrence], meter: Optional[Meter]
+    ) -> Optional[Tuple[List[Tracked], List[Tuple[TriesAgain, Tried]]]]:
         """Take events and all that came from them out of what is kept, before anything follows from that.
 
         Returns what does not hold without them though it was not made of them, and what fires without them, each with
-        its node: what they kept from firing, and the later results of runs that they were part of.
+        its node: what they kept from firing, and the later results of runs that they were part of. If there is too
+        much of it, nothing is taken out, and it returns None.
         """
+        gone = _mark_gone(found, meter)
+        if gone is None:
+            return None
         self._rules.dispatcher.retractions += 1
         for named in found:
             named.reported = True
         runs: Dict[Any, _Extends] = {}
         kept: List[Suppressed] = []
         unmade: List[Tracked] = []
-        lost: Sequence[Tracked] = found
-        while lost:
-            touched = self._forget_all(lost, kept)
+        while gone:
+            touched = self._forget_all(gone, kept)
             runs.update(touched)
             lost = [one for node in dict.fromkeys(touched.values()) for one in node.unmade() if not one.gone]
-            unmade += lost
+            gone = _mark_gone(lost, meter)  # if that is too much, outputs that are lost stand
+            unmade += lost if gone else ()
         kept.sort(key=_number)  # as they were tried, which the policy says
         again: List[Tuple[TriesAgain, Tried]] = [
             (node, result) for run, node in runs.items() for result in node.results_again(run)
@@ -222,21 +231,13 @@ class Tracker:
         return unmade, again + [(each.node, each.what) for each in kept if each.free()]
 
     @staticmethod
-    def _forget_all(found: Sequence[Tracked], kept: List[Suppressed]) -> Dict[Any, _Extends]:
-        """Take events, and all that came from them, out of what holds them.
+    def _forget_all(gone: Sequence[Tracked], kept: List[Suppressed]) -> Dict[Any, _Extends]:
+        """Take events that are marked as gone out of what holds them.
 
         Returns:
             The runs and nodes that are to look again, each with its node; what was suppressed goes to ``kept``.
         """
         runs: Dict[Any, _Extends] = {}
-        stack: List[Tracked] = [*reversed(found)]
-        gone: List[Tracked] = []
-        while stack:
-            one = stack.pop()
-            if not one.gone:
-                one.gone = True
-                gone.append(one)
-                stack += reversed(one.derived)
         for one in gone:
             held, one.held = one.held, []
             for match in held:
@@ -277,6 +278,42 @@ class Tracker:
 
 def _number(one: Suppressed) -> int:
     return one.number
+
+
+def _mark_gone(found: Sequence[Tracked], meter: Optional[Meter]) -> Optional[List[Tracked]]:
+    """Mark events, and all that came from them, as gone.
+
+    Taking them out of what holds them is not stopped half way: a rule would go on with what is gone. So what it takes
+    is counted before.
+
+    Returns:
+        All that were marked; None after a limit was passed: none is marked then.
+    """
+    stack: List[Tracked] = [*reversed(found)]
+    gone: List[Tracked] = []
+    while stack:
+        one = stack.pop()
+        if one.gone:
+            continue
+        if meter is not None and meter(1 + len(one.held) + len(one.suppressed)):
+            for marked in gone:
+                marked.gone = False
+            return None
+        one.gone = True
+        gone.append(one)
+        stack += reversed(one.derived)
+    return gone
+
+
+def _rule_after(found: Sequence[Occurrence]) -> Optional[Fired]:
+    """Return a rule that derived an event from one of some events, or None."""
+    stack: List[Tracked] = [*found]
+    while stack:
+        for one in stack.pop().derived:
+            if isinstance(one, Occurrence):
+                return one.rule
+            stack.append(one)
+    return None
 
 
 def _unlink(oldest: Occurrence) -> None:

@@ -1,10 +1,11 @@
 """What operators on streams would have given on without an event that is taken back: they are run again."""
 
 from collections import Counter
-from typing import Any, Callable, Dict, Hashable, List, Tuple
+from typing import Any, Callable, Dict, Hashable, List, Optional, Tuple
 
+from ...prolog.machine import Meter
 from ...prolog.terms import term_key
-from ..matches import Held, Match, taken_back
+from ..matches import Held, Match, counted, taken_back
 from ..streams import KnownState, StreamItem, StreamOperator, StreamOutput
 
 KEPT = 10_000
@@ -49,12 +50,17 @@ class Replay:
         self._forgotten[id(match)] = match
         return True
 
-    def run_again(self, now: int) -> Tuple[StreamOperator, List[Held]]:
+    def run_again(self, now: int, meter: Optional[Meter]) -> Optional[Tuple[StreamOperator, List[Held]]]:
         """Run the operator again over what is left.
+
+        Args:
+            now: the present instant.
+            meter: counts the items as pattern work; None if nothing is counted.
 
         Returns:
             The operator as it stands then, and what stands for outputs that are no longer there. Those that are
-            new are kept for `take_new`.
+            new are kept for `take_new`. None if pattern work had to stop: then nothing here is of use any more, as
+            outputs that were left out would be taken back.
         """
         forgotten = self._forgotten
         self._taken = [one for one in self._taken if id(one[1].match) not in forgotten]
@@ -63,10 +69,12 @@ class Replay:
         if self._base:
             stream.restore(_without_what_is_gone(_copied(self._base)))
         outputs: List[StreamOutput] = []
-        for channel, item, instant in self._taken:
+        for channel, item, instant in counted(self._taken, meter):
             outputs += stream.ring(instant)
             outputs += stream.take(_again(item), instant, channel)
         outputs += stream.ring(now)
+        if meter is not None and meter(0):
+            return None
         outputs = [output for output in outputs if output.error is None]  # such was reported already
         there = Counter(_key(output) for output in outputs)
         stand: List[Tuple[StreamOutput, Held]] = []

@@ -285,20 +285,23 @@ class Running(RunValues):
         return True, self.result_of(run, found)
 
     def forget(self, run: Run, match: Match) -> bool:
-        """Take a repetition out of a run whose events were taken back; tell whether later results hold without it."""
-        if match not in run.taken or taken_back(run.first):
-            return False
-        at = run.taken.index(match)
-        del run.taken[at], run.steps[at]
-        run.sound = min(run.sound, at)
+        """Tell whether later results of a run may hold without a repetition; `results_again` takes it out."""
         return True
 
     def results_again(self, run: Run) -> List[Match]:
-        """Return the results, computed again, that held a repetition which the run has forgotten."""
-        repetitions, sound = list(zip(run.taken, run.steps)), run.sound
+        """Return the results, computed again, that held repetitions whose events were taken back.
+
+        At a limit the run has the repetitions so far.
+        """
+        if taken_back(run.first):
+            return []
+        repetitions = [pair for pair in zip(run.taken, run.steps) if stands(pair[0])]
+        if len(repetitions) == len(run.taken):
+            return []
+        sound = next(at for at, match in enumerate(run.taken) if not stands(match))
         run.restart(self.empty)
         results = []
-        for number, (match, (values, step)) in enumerate(repetitions):
+        for number, (match, (values, step)) in enumerate(counted(repetitions, self.rule.meter)):
             _, result = self._take(run, match, values, step, max(run.last, match.end))
             if number >= sound and result is not None:
                 results.append(result)

@@ -1,5 +1,6 @@
 """The node of an operator on streams: hands matches over, gives on what comes of them, is woken by the clock."""
 
+from functools import partial
 from typing import Any, Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...foundation import RuleError
@@ -179,7 +180,9 @@ class Streaming(NetworkNode):
             self._began = mode
             self._rebuild()
             self.replay = (
-                Replay(lambda: self._begin(mode, None), self.stream.kept()) if mode.revised else None
+                Replay(partial(self._begin, mode, self.rule.meter), self.stream.kept())
+                if mode.revised
+                else None
             )
 
     def _is_put_off(self, work: Callable[[], None]) -> bool:
@@ -386,11 +389,11 @@ class Streaming(NetworkNode):
         """Return what stands for outputs that do not hold without what was forgotten."""
         if self.replay is None:
             return []
-        # A replay is not stopped half way: outputs that were left out would be taken back.
-        self.stream, lost = self.replay.run_again(self.rule.network.time())
-        self.stream.meter = meter = self.rule.meter
-        if meter is not None:
-            meter(len(self.replay))
+        found = self.replay.run_again(self.rule.network.time(), self.rule.meter)
+        if found is None:
+            self._begin_anew()  # its outputs so far stand
+            return []
+        self.stream, lost = found
         self.late, self.evicted = self.stream.late, self.stream.evicted
         self._wake()
         return lost
@@ -409,11 +412,13 @@ class Streaming(NetworkNode):
 
     def clear(self) -> None:
         """Forget all."""
-        if self._is_put_off(self.clear):
-            return
+        if not self._is_put_off(self.clear):
+            self._begin_anew()
+
+    def _begin_anew(self) -> None:
         mode = self._began or NetworkOptions()
         self.stream = self._begin(mode, self.rule.meter)
-        self.replay = Replay(lambda: self._begin(mode, None)) if mode.revised else None
+        self.replay = Replay(partial(self._begin, mode, self.rule.meter)) if mode.revised else None
         self.woken = None
         self.late = self.evicted = 0
 
