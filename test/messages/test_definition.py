@@ -193,6 +193,13 @@ def test_types_of_one_another_among_the_installed_ones_end(tmp_path):
             known.find("pkg/A")
 
 
+def test_types_beside_each_other_are_not_nested():
+    names = [f"pkg/Part{number}" for number in range(DEEPEST + 5)]
+    text = "".join(f"{name} slot{number}\n" for number, name in enumerate(names))
+    found = read(text + "".join(section(name, "int8 x\n") for name in names))
+    assert (len(found.fields), found.measure.depth) == (DEEPEST + 5, 2)
+
+
 @pytest.mark.slow
 def test_the_largest_types_compile_and_are_read():
     known = registry()
