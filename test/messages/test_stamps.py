@@ -1,10 +1,13 @@
 """The stamps in the bytes of messages, with their frames."""
 
+import struct
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retalis.messages import Definitions, frame_text, text_writer, watched
+from retalis.foundation import MessageError
+from retalis.messages import Definitions, Installed, frame_text, text_writer, watched
 from retalis.messages.stamps import stamp_reader
 from retalis.prolog.syntax import Operators, read_term, to_text
 
@@ -16,6 +19,7 @@ TYPES = {
     "t/Plain": "float64 x",
     "t/Own": "Header header\nfloat64 x" + HEADER,
     "t/Odometry": "Header header\nstring child_frame_id\nfloat64 x" + HEADER,
+    "t/Named": "Header header\nstring name\nfloat64 x" + HEADER,
     "t/Frames": "t/T[] transforms" + TRANSFORM,
     "t/Two": "string name\nt/T[2] transforms\nint8 rest" + TRANSFORM,
     "t/Markers": "Header header\nstring[] names\nt/M[] markers"
@@ -103,7 +107,7 @@ class Seen:
 
 @settings(deadline=None, max_examples=60)
 @given(
-    st.sampled_from(["t/Own", "t/Odometry", "t/Frames", "t/Markers"]),
+    st.sampled_from(["t/Own", "t/Odometry", "t/Named", "t/Frames", "t/Markers"]),
     st.lists(
         st.tuples(st.integers(0, 5), st.integers(0, 3), st.sampled_from(["", "map", "odom"])), max_size=20
     ),
@@ -125,6 +129,7 @@ def test_the_short_ways_see_what_the_reader_reads(kind, messages):
         text = {
             "t/Own": f"t__0__Own({header(second, nanosecond, frame)},1.0)",
             "t/Odometry": f"t__0__Odometry({header(second, nanosecond, frame)},'\"b\"',1.0)",
+            "t/Named": f"t__0__Named({header(second, nanosecond, frame)},'\"b\"',1.0)",
             "t/Frames": f"t__0__Frames([{transform(second, nanosecond, frame, 'b')}])",
             "t/Markers": f"t__0__Markers({header(second, nanosecond, frame)},[],[])",
         }[kind]
@@ -157,3 +162,18 @@ def test_frames_without_a_name_are_shown(known, frame, child):
 KNOWN = Definitions()
 for _name, _text in TYPES.items():
     KNOWN.add(_name, _text)
+
+
+def test_elements_without_bytes_are_counted_where_stamps_are_looked_at():
+    parts = BAR + "MSG: t/Nothing" + HEADER
+    definitions = Definitions(Installed([], [], rosbags=False), bare=3)
+    for number in (3, 4):
+        found = definitions.add(f"t/Type{number}", f"Header header\nNothing[{number}] x{parts}")
+        watching = watched(definitions.decoder(found), {}, lambda found: None)
+        for read in (watching.decode, text_writer(watching)):
+            data = struct.pack("<IIII", 1, 2, 3, 0)
+            if number == 3:
+                assert read(data)
+            else:
+                with pytest.raises(MessageError, match="4 zero-byte elements in its arrays: at most 3"):
+                    read(data)
