@@ -2,18 +2,18 @@
 
 import pytest
 
-from retalis.events.matches import Chain, Log, Match
+from retalis.events.matches import Chain, Log, Match, repetitions
 from retalis.prolog.terms import atom
 
 
-def repetitions(names):
+def events(names):
     """Return a match for each of some event names."""
     return [Match((), at, at, at, atom(name), None) for at, name in enumerate(names)]
 
 
 def chain(*pieces):
     """Return a chain of pieces, each ``(names, begin, end)``."""
-    return Chain(tuple((Log(repetitions(names)), begin, end) for names, begin, end in pieces))
+    return Chain(tuple((Log(events(names)), begin, end) for names, begin, end in pieces))
 
 
 @pytest.mark.parametrize(
@@ -30,7 +30,24 @@ def test_chains_of_other_terms_differ(pieces):
 
 
 def test_the_hash_of_a_log_that_has_grown_is_that_of_its_repetitions():
-    log = Log(repetitions("a"))
+    log = Log(events("a"))
     assert hash(Chain(((log, 0, 1),))) == hash(chain(("a", 0, 1)))
-    log.items += repetitions("bc")
+    log.items += events("bc")
     assert Chain(((log, 1, 3),)) == chain(("bc", 0, 2))
+
+
+@pytest.mark.parametrize("number", [1, 2, 5])
+def test_the_repetitions_of_a_match_that_was_joined_one_by_one(number):
+    made = events("abcde")[:number]
+    match = made[0]
+    for last in made[1:]:
+        match = Match((), 0, last.end, None, None, (match, last))
+    assert repetitions(match, number) == made
+
+
+@pytest.mark.parametrize("number", [2, 5])
+def test_the_repetitions_of_a_match_that_has_a_chain(number):
+    made, (last,) = events("abcde")[:number], events("x")
+    match = Match((), 0, number, None, None, (Chain(((Log(made), 0, number),)),))
+    assert repetitions(match, number) == made
+    assert repetitions(Match((), 0, 9, None, None, (match, last)), number + 1) == [*made, last]
