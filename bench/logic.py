@@ -57,6 +57,8 @@ CASES = {
     "findall_numbers": ("bench_findall_numbers({n})", 20, 80),
     "findall_pairs": ("bench_findall_pairs({n})", 10, 40),
     "findall_member": ("bench_findall_member({n})", 10, 40),
+    "findall_test": ("bench_findall_test({n})", 10, 40),
+    "bagof": ("bench_bagof({n})", 10, 40),
     "sort_numbers": ("bench_sort_numbers({n})", 10, 20),
     "sort_atoms": ("bench_sort_atoms({n})", 5, 10),
     "sort_pairs": ("bench_sort_pairs({n})", 6, 10),
@@ -66,6 +68,7 @@ CASES = {
     "list_to_assoc": ("bench_list_to_assoc({n})", 8, 10),
     "put_assoc": ("bench_put_assoc({n})", 8, 20),
     "get_assoc": ("bench_get_assoc({n})", 20, 50),
+    "assoc_to_list": ("bench_assoc_to_list({n})", 20, 80),
 }
 
 

@@ -245,6 +245,11 @@ bench_findall_pairs(N) :- mixed_pairs(100000, Ps), repeat_goal(N, findall(V-K, m
 
 bench_findall_member(N) :- mixed_pairs(100000, Ps), repeat_goal(N, findall(P, member(P, Ps), _)).
 
+bench_findall_test(N) :-
+    mixed_pairs(100000, Ps), repeat_goal(N, findall(K, (member(K-_, Ps), K > 1000000000), _)).
+
+bench_bagof(N) :- mixed_pairs(100000, Ps), repeat_goal(N, bagof(K, V^member(K-V, Ps), _)).
+
 bench_sort_numbers(N) :- mixed(100000, 42, L), repeat_goal(N, sort(L, _)).
 bench_sort_atoms(N) :- mixed_atoms(100000, L), repeat_goal(N, msort(L, _)).
 bench_sort_pairs(N) :- mixed_pairs(100000, L), repeat_goal(N, msort(L, _)).
@@ -265,3 +270,5 @@ bench_get_assoc(N) :-
 
 get_all([], _).
 get_all([K|Ks], A) :- get_assoc(K, A, _), get_all(Ks, A).
+
+bench_assoc_to_list(N) :- mixed_pairs(100000, L), list_to_assoc(L, A), repeat_goal(N, assoc_to_list(A, _)).
