@@ -20,8 +20,8 @@ def contains_itself(term: Term) -> bool:
     stack: List[Any] = [term]
     while stack:
         item = stack.pop()
-        if item.__class__ is list:  # all parts of this one are done
-            path.discard(item[0])
+        if item.__class__ is int:  # all parts of the term of this identity are done
+            path.discard(item)
             continue
         while item.__class__ is Var and item.ref is not None:
             item = item.ref
@@ -36,8 +36,10 @@ def contains_itself(term: Term) -> bool:
             return False
         seen.add(key)
         path.add(key)
-        stack.append([key])
-        stack.extend(item[1:])
+        stack.append(key)
+        for part in item:
+            if part.__class__ is tuple or part.__class__ is Var:
+                stack.append(part)
     return False
 
 

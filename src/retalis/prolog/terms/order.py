@@ -42,6 +42,8 @@ def compare(  # noqa: C901 -- the loop of sorting: a call for each pair of terms
         return 0
     if left.__class__ is Atom and right.__class__ is Atom:
         return -1 if left.name < right.name else 1
+    if left.__class__ is int and right.__class__ is int:
+        return (left > right) - (left < right)
     if left.__class__ is not tuple or right.__class__ is not tuple:
         return _compare_simple(left, right, variables)
     stack: List[Any] = [right, left]

@@ -70,8 +70,14 @@ def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look 
             look(size)
         deeper: Any = None  # compound arguments come after the others, which tell sooner that terms differ
         beside: Any = None
-        pairs = zip(left, right)
-        for left, right in pairs:
+        compound, partner = left, right
+        at = 0
+        while True:  # most terms have few arguments: setting up `zip` takes more time than it saves
+            at += 1
+            if at == size:
+                break
+            left = compound[at]
+            right = partner[at]
             if left is right:
                 continue
             kind = left.__class__

@@ -11,24 +11,26 @@ from .steps import MASK, MOST, ROUNDS, check_steps
 def variables(term: Term) -> List[Var]:
     """Return the unbound variables of a term, each once, in the order they are met from left to right."""
     seen: Dict[Var, None] = {}
-    stack = [term]
+    stack: List[Term] = []
+    item: Any = term
     for done in ROUNDS:
         for _ in BULK:
-            if not stack:
-                return list(seen)
-            item: Any = stack.pop()
             kind = item.__class__
             if kind is Var:
                 item = _follow(item)
                 kind = item.__class__
                 if kind is Var:
                     seen.setdefault(item)
-                    continue
-            if kind is tuple:
-                stack.extend(item[:0:-1])
+            if kind is tuple and len(item) > 1:
+                stack.extend(item[:1:-1])
+                item = item[1]
+                continue
+            if not stack:
+                return list(seen)
+            item = stack.pop()
         look()
         if done == LATE_ROUND and contains_itself(term):
-            return _variables_met(stack, seen)
+            return _variables_met([*stack, item], seen)
     raise TermTooLarge
 
 
@@ -209,18 +211,12 @@ def _small_copy(  # noqa: C901 -- runs for each solution: a call to follow a var
     """
     if len(term) > _SMALL or not depth:
         return None
+    items: Any = None
+    at = -1
     for item in term:
-        kind = item.__class__
-        if kind is Var or kind is tuple:
-            break
-    else:
-        return term  # constants only
-    items: List[Any] = []
-    changed = False
-    for item in term:
+        at += 1
         kind = item.__class__
         if kind is Var:
-            changed = True
             while kind is Var:
                 ref = item.ref
                 if ref is None:
@@ -229,14 +225,23 @@ def _small_copy(  # noqa: C901 -- runs for each solution: a call to follow a var
                     break
                 item = ref
                 kind = item.__class__
-        if kind is tuple:
+            if kind is tuple:
+                item = _small_copy(item, fresh, depth - 1)
+                if item is None:
+                    return None
+        elif kind is tuple:
             part = _small_copy(item, fresh, depth - 1)
+            if part is item:
+                continue
             if part is None:
                 return None
-            changed = changed or part is not item
             item = part
-        items.append(item)
-    return tuple(items) if changed else term
+        else:
+            continue
+        if items is None:
+            items = list(term)
+        items[at] = item
+    return term if items is None else tuple(items)
 
 
 @overload
@@ -249,20 +254,30 @@ def copy(term: Term, fresh: Optional[Dict[Var, Term]] = None) -> Term: ...
 
 def copy(term: Term, fresh: Optional[Dict[Var, Term]] = None) -> Term:
     """Return ``term`` with new variables for its unbound ones; ``fresh`` maps old to new, and is filled."""
-    if term.__class__ is Var:
-        term = _follow(term)
-    if term.__class__ is not tuple and term.__class__ is not Var:
+    kind = term.__class__
+    while kind is Var:
+        ref: Any = term.ref  # type: ignore[union-attr]
+        if ref is None:
+            break
+        term = ref
+        kind = ref.__class__
+    if kind is not tuple and kind is not Var:
         return term
     mapping: Dict[Var, Term] = {} if fresh is None else fresh
-    if term.__class__ is tuple:
-        small = _small_copy(term, mapping)
+    if kind is tuple:
+        small = _small_copy(term, mapping)  # type: ignore[arg-type]
         if small is not None:
             return small
+    return _large_copy(term, mapping)
+
+
+def _large_copy(term: Term, fresh: Dict[Var, Term]) -> Term:
+    """Return a copy of a term of any size; see `copy`."""
 
     def renamed(var: Var) -> Term:
-        new = mapping.get(var)
+        new = fresh.get(var)
         if new is None:
-            new = mapping[var] = Var()
+            new = fresh[var] = Var()
         return new
 
     return rebuild(term, renamed)
