@@ -185,3 +185,52 @@ def test_trees_that_are_none():
     assert answers(logic, "A = t(b,1,<,A,t), assoc_to_list(A, L)") == ["resource_error(term_size)"]
     assert answers(logic, "list_to_assoc([a-1,a-2], A)") == ["domain_error(unique_key_pairs,[a-1,a-2])"]
     assert answers(logic, "ord_list_to_assoc([b-1,a-2], A)") == ["domain_error(key_ordered_pairs,[b-1,a-2])"]
+
+
+@pytest.mark.parametrize("name", ["assoc_to_list", "assoc_to_keys", "assoc_to_values"])
+def test_the_first_wrong_part_of_a_tree_decides_how_listing_it_ends(name):
+    logic = prolog("")
+    assert first(logic, f"Side = t, {name}(t(k,v,<,t,Side), L), length(L, 1)") is not None
+    assert answers(logic, f"{name}(t(k,v,<,foo,_), L)") == []
+    assert answers(logic, f"{name}(t(k,v,<,t,foo), L)") == []
+    for tree in ("t(k,v,<,_,foo)", "t(k,v,<,t,_)", "_"):
+        assert first(logic, f"catch({name}({tree}, _), error(E, _), true)") == "instantiation_error"
+
+
+PREDSORT = """
+by_key(O, K-_, L-_) :- compare(O, K, L).
+either(O, _, _) :- member(O, [<, >]).
+any_order(_, _, _).
+equal(=, _, _).
+other(foo, _, _).
+downwards(O, A, B) :- compare(O, B, A).
+"""
+
+
+@pytest.mark.parametrize(
+    ("goal", "lists"),
+    [  # as SWI-Prolog 9.0.4 answers, except for the order in the fourth one
+        ("predsort(by_key, [3-a,1-b,2-c,1-d,0-e,3-f], L)", ["[0-e,1-b,2-c,3-a]"]),
+        ("predsort(equal, [c,a,b], L)", ["[c]"]),
+        ("predsort(other, [c,a,b], L)", []),
+        ("predsort(any_order, [a,b], L)", ["[a,b]", "[a]", "[b,a]"]),
+        ("predsort(either, [c,a,b], L)", ["[c,a,b]", "[c,b,a]"]),
+        ("predsort(compare, [], L)", ["[]"]),
+        ("predsort(user:by_key, [2-a,1-b,0-c], L)", ["[0-c,1-b,2-a]"]),
+    ],
+)
+def test_predsort(goal, lists):
+    assert [found["L"] for found in answers(prolog(PREDSORT), goal)] == lists
+
+
+def test_predsort_tries_each_order_that_is_not_told():
+    found = [each["L"] for each in answers(prolog(PREDSORT), "predsort(any_order, [a,b,c], L)")]
+    expected = "[a,b,c] [a,c] [b,a,c] [b,a] [b,c,a] [a,b] [a] [b,a] [a,c,b] [a,b] [c,a,b] [c,a] [c,b,a]"
+    assert found == expected.split()
+
+
+def test_predsort_sorts_as_the_order_says():
+    choose = random.Random(7)
+    numbers = [choose.randrange(50) for _ in range(100)]
+    goal = f"predsort(downwards, {numbers}, L)"
+    assert first(prolog(PREDSORT), goal) == str(sorted(set(numbers), reverse=True)).replace(" ", "")

@@ -10,7 +10,9 @@ from typing import Any, Callable, List, Optional, Tuple
 from ...foundation import BULK, TermTooLarge, look, watched
 from ..machine import instantiation_error, no_matching_rule, type_error
 from ..terms import (
+    CONS,
     MINUS,
+    NIL,
     ROUNDS,
     CompoundTerm,
     Functor,
@@ -20,7 +22,6 @@ from ..terms import (
     compare,
     deref,
     functor,
-    make_list,
     unify,
 )
 from .arguments import items
@@ -268,50 +269,46 @@ def _flattened(parent: CompoundTerm, side: Any, order: int) -> Optional[Tuple[Co
     return (_NODE, top_key, top_value, _RIGHT, inner_left, lower), False
 
 
-def _nodes(tree: Term) -> Optional[List[CompoundTerm]]:
-    """Return the nodes of a tree in the order of keys; None for a term that is no tree."""
-    found: List[CompoundTerm] = []
-    path: List[CompoundTerm] = []
-    node: Any = deref(tree)
-    for _ in ROUNDS:
-        for _ in BULK:
-            if node.__class__ is tuple and node[0] is _NODE:
-                left = node[4]
-                if left is _EMPTY:
-                    found.append(node)
-                    node = node[5]
-                else:
-                    path.append(node)
-                    node = left
-            elif node is _EMPTY:
-                if not path:
-                    return found
-                node = path.pop()
-                found.append(node)
-                node = node[5]
-            elif node.__class__ is Var:
-                raise instantiation_error()
-            else:
-                return None
-            if node.__class__ is not tuple:
-                node = deref(node)
-        look()
-    raise TermTooLarge
+def _listing(position: Optional[int]) -> Callable[[Machine, Term, Term], bool]:
+    """Return a predicate that lists an argument of the nodes of a tree, or without a position their pairs."""
 
-
-def _listing(items: Callable[[List[CompoundTerm]], List[Term]]) -> Callable[[Machine, Term, Term], bool]:
     def run(machine: Machine, tree: Term, result: Term) -> bool:
-        nodes = _nodes(tree)
-        return nodes is not None and unify(result, make_list(items(nodes)), machine.trail)
+        """Unify the result with the items of a tree in the order of keys; fail for a term that is no tree."""
+        path: List[CompoundTerm] = []
+        node: Any = tree
+        wrong: Optional[Term] = None
+        # From the last node to the first, so that the list is made without another one of its items.
+        found: Term = NIL
+        for _ in ROUNDS:
+            for _ in BULK:
+                if node.__class__ is tuple and node[0] is _NODE:
+                    if node[5] is not _EMPTY:
+                        path.append(node)
+                        node = node[5]
+                        continue
+                elif node is _EMPTY:
+                    if not path:
+                        if wrong.__class__ is Var:
+                            raise instantiation_error()
+                        return wrong is None and unify(result, found, machine.trail)
+                    node = path.pop()
+                else:
+                    same, node = node, deref(node)
+                    if node is same:  # the last one of these is the first in the order of keys
+                        wrong, node = node, _EMPTY
+                    continue
+                item = (MINUS, node[1], node[2]) if position is None else node[position]
+                found = (CONS, item, found)
+                node = node[4]
+            look()
+        raise TermTooLarge
 
     return run
 
 
-deterministic("assoc_to_list/2", locked=False)(
-    _listing(lambda nodes: [(MINUS, node[1], node[2]) for node in nodes])
-)
-deterministic("assoc_to_keys/2", locked=False)(_listing(lambda nodes: [node[1] for node in nodes]))
-deterministic("assoc_to_values/2", locked=False)(_listing(lambda nodes: [node[2] for node in nodes]))
+deterministic("assoc_to_list/2", locked=False)(_listing(None))
+deterministic("assoc_to_keys/2", locked=False)(_listing(1))
+deterministic("assoc_to_values/2", locked=False)(_listing(2))
 
 
 @deterministic("$pairs_to_assoc/2")

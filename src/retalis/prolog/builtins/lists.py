@@ -1,12 +1,14 @@
 """Lists: what wants speed; the rest is in the library (library/lists.pl)."""
 
 from itertools import compress
-from typing import Callable, Optional
+from typing import Any, Callable, List, Optional
 
 from ...foundation import BULK, TermTooLarge, look, watched
 from ..arithmetic import EVALUABLE, Number, add, evaluate
+from ..database import add_arguments
 from ..machine import (
     LAST,
+    RESUME,
     Code,
     Frame,
     domain_error,
@@ -29,6 +31,7 @@ from ..terms import (
     Trail,
     Values,
     Var,
+    atom,
     compare,
     deref,
     functor,
@@ -161,6 +164,63 @@ def keysort(machine: Machine, pairs: Term, result: Term) -> bool:
             if deref(item).__class__ is not Var:
                 _pair(item)
     return unify(result, make_list(found), machine.trail)
+
+
+@control("$predmerge/4")
+def predmerge(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+    """Merge two sorted lists for predsort/3: a goal orders two items at a time, and of equal ones the first stays."""
+    closure, first, second, result = args
+    goal: Any = add_arguments(closure, (NIL, NIL, NIL), machine.logic.database.modules)
+    call = (machine.logic.database.predicate(goal[0]), *goal[1:-3])
+    return _merge(machine, call, items(first), 0, items(second), 0, [], result, after)
+
+
+def _merge(
+    machine: Machine,
+    call: Frame,
+    first: List[Term],
+    at: int,
+    second: List[Term],
+    other: int,
+    merged: List[Term],
+    result: Term,
+    after: Frame,
+) -> Optional[Frame]:
+    """Return the frame that orders the next item of each list, or goes on where one of them has no more."""
+    if at == len(first) or other == len(second):
+        return (
+            after
+            if unify(result, make_list([*merged, *first[at:], *second[other:]]), machine.trail)
+            else None
+        )
+    order = Var()
+    height = len(machine.choices)
+    then = (_ORDERED, machine, call, first, at, second, other, merged, result, after, order, height)
+    return (*call, order, first[at], second[other], then)
+
+
+def _ordered(frame: Frame) -> Optional[Frame]:
+    """Take the item that comes first by the order that the goal has told, which has no other solution from now on."""
+    machine: Machine
+    _, machine, call, first, at, second, other, merged, result, after, order, height = frame
+    del machine.choices[height:]
+    order = deref(order)
+    if order.__class__ is Var:  # all three are solutions
+        for kept, name in enumerate((_GREATER, _SAME)):
+            again = (*frame[:7], list(merged), *frame[8:10], name, height + kept)
+            machine.choices.append((RESUME, again, len(machine.trail)))
+        order = _LESS
+    if order is _GREATER:
+        merged.append(second[other])
+        return _merge(machine, call, first, at, second, other + 1, merged, result, after)
+    if order is not _LESS and order is not _SAME:
+        return None
+    merged.append(first[at])
+    return _merge(machine, call, first, at + 1, second, other + (order is _SAME), merged, result, after)
+
+
+_LESS, _SAME, _GREATER = atom("<"), atom("="), atom(">")
+_ORDERED = Code("predsort", _ordered)
 
 
 def _pair(term: Term) -> CompoundTerm:

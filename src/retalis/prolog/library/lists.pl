@@ -303,24 +303,11 @@ predsort_(P, N, L1, L3, R) :-
     N2 is N - N1,
     predsort_(P, N1, L1, L2, R1),
     predsort_(P, N2, L2, L3, R2),
-    predmerge_(P, R1, R2, R).
+    '$predmerge'(P, R1, R2, R).
 
 predsort_2(<, X1, X2, [X1,X2]).
 predsort_2(=, X1, _, [X1]).
 predsort_2(>, X1, X2, [X2,X1]).
-
-predmerge_(_, [], R, R) :- !.
-predmerge_(_, R, [], R) :- !.
-predmerge_(P, [H1|T1], [H2|T2], Result) :-
-    call(P, Delta, H1, H2), !,
-    predmerge__(Delta, P, H1, H2, T1, T2, Result).
-
-predmerge__(<, P, H1, H2, T1, T2, [H1|R]) :-
-    predmerge_(P, T1, [H2|T2], R).
-predmerge__(=, P, H1, _, T1, T2, [H1|R]) :-
-    predmerge_(P, T1, T2, R).
-predmerge__(>, P, H1, H2, T1, T2, [H2|R]) :-
-    predmerge_(P, [H1|T1], T2, R).
 
 % Ordered sets; ord_union is done in Python.
 
