@@ -53,6 +53,20 @@ def test_a_search_of_one_call_is_compiled(made):
     assert first(fast, "first(N)") == "96"
 
 
+BUILT_IN = """
+big(L) :- findall(X, (between(1, 60000, X), X > 59998), L).
+wrong(E) :- catch(refused, error(E, _), true).
+refused :- call((member(Y, [1, z]), between(1, 60000, X), X > Y, fail)).
+"""
+
+
+def test_a_built_in_after_a_search_is_compiled(made):
+    logic = prolog(BUILT_IN, NEVER)
+    assert first(logic, "big(L)") == "[59999,60000]"
+    assert len(made) == 1
+    assert first(logic, "wrong(E)") == "type_error(evaluable,z/0)"
+
+
 def test_what_is_short_is_not(made):
     assert first(prolog(SEARCH, NEVER), "first(N)") == "96"
     assert not made

@@ -167,6 +167,9 @@ class Bodies:
             return
         for call in reversed(calls):
             frame = self._frame(scope, call, frame)
+        first = calls[0]
+        if isinstance(first, CallNode) and first.key is scope.calls_at_once:
+            frame = f"{self.unit.predicate(first.key)}.run({frame})"
         scope.line(f"return {frame}")
 
     def _at_once(self, call: GoalNode) -> bool:

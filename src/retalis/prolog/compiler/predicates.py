@@ -268,6 +268,10 @@ class Generator:
             scope.depth += 1
         if loops:
             scope.loop = Loop(self.key, self.locals, "" if rest else "continue", self._end(unit))
+        elif rest == ():
+            # Backtracking runs the last clause: a call of the predicate itself at once saves a step for each
+            # solution. Such calls do not nest: only backtracking runs this code.
+            scope.calls_at_once = self.key
         if height is not None:
             scope.names[entry] = height
         if loops and alone and key.__class__ is Functor and self.position is not None:
@@ -353,14 +357,14 @@ class Generator:
         return found
 
     def _head(self, scope: Scope, rule: ClauseParts, key: object, locals_: Sequence[str]) -> None:
-        """Write the unification of the head: variables, then constants, then compound terms."""
+        """Write the unification of the head: constants, which bind least, then variables, then compound terms."""
         patterns = [(local, deref(arg), at) for at, (local, arg) in enumerate(zip(locals_, rule.args))]
         for local, arg, _ in patterns:
             if arg.__class__ is Var and arg not in scope.names:
                 scope.names[arg] = local
         for rank in (0, 1, 2):
             for local, arg, at in patterns:
-                if rank != (2 if arg.__class__ is tuple else 0 if arg.__class__ is Var else 1):
+                if rank != (2 if arg.__class__ is tuple else 1 if arg.__class__ is Var else 0):
                     continue
                 if key is not None and at == self.position:
                     if arg.__class__ is tuple:

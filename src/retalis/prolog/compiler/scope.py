@@ -209,6 +209,7 @@ class Scope:
         pending: the statement that pushes the choice point for the clauses that follow, until it is written.
         after: expression for the frame that follows the clause.
         pushes: whether it deals with the stack of choice points.
+        calls_at_once: the predicate whose last call is done by the function itself, which returns what that gives.
         at_one_go: whether a pattern was unpacked as a whole, and this is what is done if that did not work.
     """
 
@@ -229,6 +230,7 @@ class Scope:
         self.at_one_go = False
         self.loop: Optional[Loop] = None
         self.looped = False
+        self.calls_at_once: Optional[Functor] = None
         self.binds = False
         self.pushes = False
         self.later: FrozenSet[Needed] = frozenset()

@@ -125,7 +125,8 @@ class Control:
 
     def call(self, goal: Term, after: Frame) -> Optional[Frame]:
         """Return the frame of ``call/1``: cuts in the goal are local to it."""
-        goal = deref(goal)
+        if goal.__class__ is not tuple:
+            goal = deref(goal)
         if goal.__class__ is tuple and goal[0] in STRUCTURES:
             goal = check_body(goal)
         return self.solve(goal, len(self._choices), after)
@@ -136,8 +137,10 @@ class Control:
         return self.call(goal, (self._cut_code, height, after))
 
     def _run(self, frame: Frame) -> Optional[Frame]:
-        if self._compiled and id(frame[1]) in self._compiled:
-            return self.bodies.run(frame)
+        if self._compiled:
+            compiled = self._compiled.get(id(frame[1]))
+            if compiled is not None:
+                return compiled[0]((None, *compiled[1], frame[3], frame[2]))
         return self.solve(frame[1], frame[2], frame[3])
 
     def _cut_run(self, frame: Frame) -> Frame:

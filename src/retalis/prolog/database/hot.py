@@ -44,7 +44,9 @@ class HotBodies:
 
     def meet(self, body: Term) -> None:
         """Note that a body is about to be interpreted; compile it where that has been noted before."""
-        if body.__class__ is not tuple or body[0] not in STRUCTURES or self._database.interprets:
+        if body.__class__ is not tuple or self._database.interprets:
+            return
+        if body[0] not in STRUCTURES and not self._database.is_inline(body[0]):
             return
         if self._met.get(id(body)) is not body:
             if len(self._met) >= _MOST_BODIES:
@@ -74,11 +76,6 @@ class HotBodies:
         except (PrologError, RecursionError):  # where the goal with the error is reached it is thrown
             return None
         return step, tuple(names), body
-
-    def run(self, frame: Frame) -> Optional[Frame]:
-        """Run a body that has been compiled."""
-        step, variables, _ = self.compiled[id(frame[1])]
-        return step((None, *variables, frame[3], frame[2]))
 
 
 def _unused(frame: Frame) -> Optional[Frame]:
