@@ -271,7 +271,7 @@ class Counter:
     def __init__(self, engine: Engine):
         self.number = 0
         listen = parts_of(engine).dispatcher.listen
-        listen(Stage.SUBSCRIPTIONS, atom("out"), self._count, looks_on=True)  # as a plain subscription
+        listen(Stage.SUBSCRIPTIONS, atom("out"), self._count)
 
     def _count(self, term: Term, values: Any, start: int, end: int, after: Any) -> Any:
         self.number += 1

@@ -39,7 +39,7 @@ def rules(work: str, events: List[StreamEvent], emit: Emit) -> Run:
 
     size = RULES[work].partition(")")[0].count(",") + 1
     result = functor("out", size)(*(Var() for _ in range(size)))
-    parts.dispatcher.listen(Stage.SUBSCRIPTIONS, result, heard, looks_on=True)  # as a plain subscription
+    parts.dispatcher.listen(Stage.SUBSCRIPTIONS, result, heard)
     if work == "sliding":
         x = functor("x", 2)
         ready = [(x(key, value), time) for key, value, time in events]

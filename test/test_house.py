@@ -26,6 +26,7 @@ ORDER = (
     "events.language",
     "events.dispatch",
     "events.matches",
+    "events.fused",
     "events.history",
     "events.network",
     "events.program",

@@ -36,12 +36,10 @@ class Intake:
         start_anew: Callable[[], None],
     ):
         self._logic = logic
-        self._dispatcher = dispatcher
         self._clock = clock
         self.followed = followed
         self._start_anew = start_anew
-        self._done = logic.machine.done
-        self._lanes = dispatcher.lanes
+        self._serve = dispatcher.serve
         self.taken = 0
 
     def take(
@@ -53,56 +51,55 @@ class Intake:
             UsageError: if it ends before it starts, or has no start and the clock is not set.
         """
         if start is None or end is None:
-            start = self._clock.stamp_at_once()
-            if start is None:
-                if not self._clock.is_set:
-                    raise UsageError(
-                        f"event '{self._logic.brief(term)}': it has no time, "
-                        "and the clock of the engine was never set: "
-                        "give the event a time, or the engine the computer's clock with Engine(clock=Clock())"
-                    )
-                start = self._clock.stamp(self._look_at_clock())
-            end = start
+            start = end = self._stamp(term)
+        elif end < start:
+            raise UsageError(f"{self._logic.brief(term)} ends before it starts")
         else:
-            if end < start:
-                raise UsageError(f"{self._logic.brief(term)} ends before it starts")
             followed = self.followed
             if not (self._clock.is_quiet() if followed is None else followed.follow(end)):
-                if followed is not None:
-                    followed.now()  # where somebody has put it back, that is seen first
-                    followed.move_to(end)
-                self._look_at_clock()
+                self._move_clock(end)
         self.taken += 1
-        dispatcher = self._dispatcher
-        current, cause = dispatcher.current, dispatcher.cause
-        try:  # as `Dispatcher.undisturbed`
-            lane = dispatcher.lanes.get(term[0]) if ground and term.__class__ is tuple else None
-            if lane is not None and lane(term, start, end):
-                return
-            frame = dispatcher.dispatch(term, start, end, self._done, None, ground)
-            if frame is not self._done:
-                self._logic.machine.run(frame)
-        except BaseException:
-            dispatcher.restore(current, cause)
-            raise
+        self._serve(term, start, end, ground)
 
     def take_message(self, term: Term, instant: Optional[int] = None) -> None:
-        """Dispatch a message, now or of an instant: as `take`, and in few steps where it is now and has a `Lane`."""
-        if instant is not None:
-            stamped = WholeSeconds(instant)  # the form in which the converter writes it
-            self.take(term, stamped, stamped, True)
-            return
-        lane = self._lanes.get(term[0]) if term.__class__ is tuple else None
-        stamp = None if lane is None else self._clock.stamp_at_once()
-        if lane is not None and stamp is not None:
-            try:
-                if lane(term, stamp, stamp):
-                    self.taken += 1
-                    return
-            except BaseException:
-                self._dispatcher.restore(None, None)
-                raise
-        self.take(term, stamp, stamp, True)
+        """Dispatch a message, now or of an instant: as `take`."""
+        if instant is None:
+            stamp = self._clock.stamp_at_once()
+            if stamp is None:
+                stamp = self._stamp(term)
+        else:
+            stamp = WholeSeconds(instant)  # the form in which the converter writes it
+            followed = self.followed
+            if not (self._clock.is_quiet() if followed is None else followed.follow(instant)):
+                self._move_clock(instant)
+        self.taken += 1
+        self._serve(term, stamp, stamp, True)
+
+    def _stamp(self, term: Term) -> int:
+        """Return the time of an event that has none, after the alarms that are due.
+
+        Raises:
+            UsageError: if the clock is not set.
+        """
+        clock = self._clock
+        stamp = clock.stamp_at_once()
+        if stamp is not None:
+            return stamp
+        if not clock.is_set:
+            raise UsageError(
+                f"event '{self._logic.brief(term)}': it has no time, "
+                "and the clock of the engine was never set: "
+                "give the event a time, or the engine the computer's clock with Engine(clock=Clock())"
+            )
+        return clock.stamp(self._look_at_clock())
+
+    def _move_clock(self, instant: int) -> None:
+        """Move the clock to the instant of an event, and let alarms ring that are due."""
+        followed = self.followed
+        if followed is not None:
+            followed.now()  # where somebody has put it back, that is seen first
+            followed.move_to(instant)
+        self._look_at_clock()
 
     def _look_at_clock(self) -> int:
         """Look what time it is, let alarms ring that are due, and return the time."""

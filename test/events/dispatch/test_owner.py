@@ -1,4 +1,4 @@
-"""State has one owner: what is being served is set in the room of the dispatcher and nowhere else."""
+"""State has few owners: what is being served is set by the dispatcher and by fused actions only."""
 
 import ast
 
@@ -6,7 +6,7 @@ import pytest
 from source import NODES
 
 OWNERS = {
-    "current": "events/dispatch/",
+    "current": ("events/dispatch/", "events/fused/"),
     "cause": "events/dispatch/",
     "nested": "events/network/conditions.py",
     "checked": "events/network/conditions.py",

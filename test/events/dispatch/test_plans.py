@@ -15,7 +15,6 @@ class Listener:
         self.order = order
         self.matcher = self.action = order
         self.looks = 0
-        self.looks_on = self.sole = False
         self._pattern = pattern
 
     @property

@@ -180,7 +180,7 @@ def test_one_who_takes_events_as_they_come_has_nothing_made_for_it():
         found.append(term)
         return after
 
-    parts_of(engine).dispatcher.listen(Stage.TRACE, event, see, looks_on=True, unused={event})
+    parts_of(engine).dispatcher.listen(Stage.TRACE, event, see, unused={event})
     assert told(engine) == {2, 3}
     engine.event_at(IMAGE(atom("a"), NOT_READ, NOT_READ), 1, 1)
     assert found[0] == IMAGE(atom("a"), NOT_READ, NOT_READ)

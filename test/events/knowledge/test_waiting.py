@@ -10,11 +10,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from held import held
 
 from retalis.engine import Engine, Settings, parts_of
-from retalis.events.dispatch import Stage
-from retalis.foundation import Cache
+from retalis.events.dispatch import DEPTH, Dispatcher, Stage
 from retalis.prolog.machine import Limits
 from retalis.prolog.terms import Var, atom, functor
 
@@ -263,12 +261,19 @@ def test_what_is_dropped_again_and_again_is_no_flood(run, caplog):
     assert len(caplog.records) == 7
 
 
-def test_events_that_only_queries_listen_to_are_not_made():
+def test_events_that_only_queries_listen_to_are_not_made(monkeypatch):
+    dispatched, dispatch = [], Dispatcher.dispatch
+
+    def noted(dispatcher, term, *rest):
+        dispatched.append(term[0].name)
+        return dispatch(dispatcher, term, *rest)
+
+    monkeypatch.setattr(Dispatcher, "dispatch", noted)
     engine = Overheard("syncronized(done(X), true, [[m, 10]]) <- ask(X).", MEMORY)
     engine.event("ask(a)", 1)
     engine.event("v(1)", 10)
     assert names(engine) == ["done(a)"]
-    assert not any(SYNCHRONIZED in cache for cache in held(engine, Cache))
+    assert "syncronized" not in dispatched
     engine.event("syncronized(done(b), true, [[m, 10]])", 1)
     engine.load(rules="done(heard) <- syncronized(_, _, _).")
     engine.event("ask(c)", 1)
@@ -303,7 +308,7 @@ def test_what_follows_an_event_that_is_not_made_is_of_the_event_before():
     depths = []
 
     def measure(term, values, start, end, after):
-        depths.append(parts_of(engine).dispatcher.event().depth)
+        depths.append(parts_of(engine).dispatcher.current[DEPTH])
         return after
 
     parts_of(engine).dispatcher.listen(Stage.TRACE, functor("done", 1)(Var()), measure)

@@ -121,7 +121,7 @@ class RecentEvents:
         if self._wanted and self._listener is None:
             event = Var()
             self._listener = self._dispatcher.listen(
-                Stage.TRACE, event, self._see, looks_on=True, unused={event}
+                Stage.TRACE, event, self._see, unused={event}
             )  # what is not read stays out of the texts between the nodes
         elif not self._wanted and self._listener is not None:
             self._dispatcher.remove(self._listener)

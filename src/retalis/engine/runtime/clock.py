@@ -111,9 +111,10 @@ class Clock:
         >>> clock.call_at(4_000_000_000, print)
         >>> clock.stamp_at_once()
         """
-        if not self.is_quiet():
+        instant = self._source()
+        if instant < self._newest or self.behind or self.alarms and self.alarms[0][0] <= instant:
             return None
-        instant = self._newest
+        self._newest = instant
         if instant <= self._last_stamp:
             instant = self._last_stamp + 1
         self._last_stamp = instant
@@ -305,7 +306,22 @@ class StreamClock(Clock):
         >>> StreamClock(5_000_000_000).stamp_at_once()
         5000000000
         """
-        return super().stamp_at_once() if self.is_set else None
+        # Apart from the clock of a computer: most messages are stamped here, and two calls more take 100 ns.
+        time, pinned = self._time, self._pinned
+        instant = time if pinned is None else pinned
+        if (
+            instant < self._newest
+            or self.behind
+            or not self.is_set
+            or self.alarms
+            and self.alarms[0][0] <= time
+        ):
+            return None
+        self._newest = instant
+        if instant <= self._last_stamp:
+            instant = self._last_stamp + 1
+        self._last_stamp = instant
+        return WholeSeconds(instant)
 
     def pin(self, instant: int) -> None:
         """Have the clock say an instant from now on, whatever moves the stream's time.
@@ -352,7 +368,7 @@ class StreamClock(Clock):
         if time < self._newest or self.behind or self._pinned is not None:
             return False
         if instant > time:
-            time = int(instant)
+            time = instant if instant.__class__ is int else int(instant)
         if self.alarms and self.alarms[0][0] <= time:
             return False
         self._time = self._newest = time

@@ -6,7 +6,7 @@ import time
 from typing import Any, Callable, NamedTuple, Optional, Tuple
 from weakref import WeakSet, ref
 
-from ...events.dispatch import Dispatcher
+from ...events.dispatch import TERM, Dispatcher
 from ...foundation import Place, RuleError, beginning
 from ...prolog.database import CompiledGoal
 from ...prolog.logic import Logic
@@ -182,8 +182,7 @@ def at_work(logic: Logic, dispatcher: Dispatcher, entry: object) -> AtWork:
         who = f"{goal.name}: goal {beginning(logic.show(goal.term))}"
     elif goal is not None:
         who = f"goal {_name((_first(goal),))}"
-    term = current[0] if current.__class__ is tuple else getattr(current, "term", None)
-    return AtWork(_name(entry), who, "" if term is None else _name((term,)), place)
+    return AtWork(_name(entry), who, "" if current is None else _name((current[TERM],)), place)
 
 
 def _first(term: Any) -> Any:

@@ -1,31 +1,49 @@
 """From an event to those who listen to its kind, in order, depth first."""
 
 from ...prolog.terms import EventAction
-from .building import compile_builder
+from .building import builder_source, compile_builder
 from .dispatch import Dispatcher
-from .firing import Head, firing_action, firing_source
-from .lanes import Completion, goal_lane, stand_in
+from .gates import Gate
 from .plans import NOBODY, takes_all
-from .serving import AT_ONCE, Dispatch, Lane, Listener, MakeLane, Stage
+from .serving import (
+    AT_ONCE,
+    CAUSE,
+    DEPTH,
+    END,
+    GROUND,
+    PARENT,
+    RESTORE_CONTEXT,
+    START,
+    TERM,
+    TOKEN,
+    Context,
+    Listener,
+    MakeAction,
+    Stage,
+)
 from .unread import NOT_READ
 
 __all__ = [
-    "EventAction",
     "AT_ONCE",
+    "CAUSE",
     "compile_builder",
-    "Completion",
+    "builder_source",
+    "Context",
+    "DEPTH",
     "Dispatcher",
-    "Dispatch",
-    "firing_action",
-    "firing_source",
-    "goal_lane",
-    "Head",
-    "Lane",
+    "END",
+    "EventAction",
+    "Gate",
+    "GROUND",
     "Listener",
-    "MakeLane",
+    "MakeAction",
     "NOBODY",
     "NOT_READ",
+    "PARENT",
+    "RESTORE_CONTEXT",
     "Stage",
-    "stand_in",
+    "START",
     "takes_all",
+    "TERM",
+    "TOKEN",
 ]

@@ -12,7 +12,7 @@ from ...prolog.terms import Atom, EventAction, Functor, Term, Var, copy, term_ke
 from .gates import Gate
 from .matching import Matcher, compile_matcher
 from .plans import Plan, make_plan, takes_all
-from .serving import Lane, Listener, MakeLane, Stage
+from .serving import Listener, MakeAction, Stage
 from .unread import Unread, unread_positions
 
 
@@ -25,10 +25,10 @@ _GATES = 1000
 
 
 class Audience:
-    """Who listens to which events, and what is made of that: plans, gates and lanes.
+    """Who listens to which events, and what is made of that: plans, gates and fused actions.
 
     Attributes:
-        lanes: for events of a functor that one listener only takes, all of them, what serves them faster.
+        fused: actions that take the events of a functor without their values, by functor; see `listen`.
         unread: which arguments of events nobody reads.
         on_change: called when listeners have come or gone; it may not fail, nor take long.
     """
@@ -38,7 +38,7 @@ class Audience:
         self.unread = Unread(self._listeners)
         self.on_change: Callable[[], object] = nothing
         self._plans: Cache[Functor, Plan] = Cache(10_000, 16 << 20)
-        self.lanes: Dict[Functor, Lane] = {}
+        self.fused: Dict[Functor, EventAction] = {}
         self._gates: Dict[Functor, WeakValueDictionary[Tuple[int, ...], Gate]] = {}
         self._many_gates = _GATES
         self._matchers: WeakValueDictionary[Hashable, Matcher] = WeakValueDictionary()
@@ -50,10 +50,8 @@ class Audience:
         pattern: Term,
         action: EventAction,
         rank: Tuple[int, ...] = (),
-        lane: Optional[MakeLane] = None,
-        looks_on: bool = False,
+        fused: Optional[MakeAction] = None,
         unused: AbstractSet[Var] = frozenset(),
-        sole: bool = False,
     ) -> Listener:
         """Have ``action`` called for every event that unifies with ``pattern``.
 
@@ -64,15 +62,11 @@ class Audience:
             pattern: an atom, a compound term, or a variable for any event. It is copied.
             action: does its part and returns the frame to go on with, ``next`` if there is nothing more to do.
             rank: place within the stage; by default after all there are.
-            lane: makes what does the same as ``action`` for an event without variables whose arguments are the
-                values, where nobody else listens; it may leave ``current`` to `event`.
-            looks_on: whether ``action`` always returns the next frame; where all do so, it may leave ``current``
-                to `event`.
+            fused: makes the action that is called where nobody else listens, and the pattern takes all events of
+                its functor: for events without variables that come in. It gets None for the values, which are
+                the arguments of the event.
             unused: variables of the pattern whose values nobody looks at, so that they may be `NOT_READ`. Where
                 the pattern is one of them, it gets events as they come, with `NOT_READ` in them.
-
-            sole: whether ``action`` may leave ``current`` to `event` where nobody else listens, and needs neither a
-                cause nor, where the pattern takes all events of its functor, the values.
 
         Raises:
             UsageError: for a pattern that no event can match (a number, a string).
@@ -86,7 +80,7 @@ class Audience:
         if matcher is None:
             matcher = self._matchers[key] = compile_matcher(pattern)
         order = (int(stage), *(rank or (next(self._order),)), next(self._order))
-        listener = Listener(order, pattern, functor, matcher, action, lane, looks_on, sole, unread, partial)
+        listener = Listener(order, pattern, functor, matcher, action, fused, unread, partial)
         self._listeners.setdefault(functor, {})[listener] = None
         self.unread.guard(listener)
         self._changed(functor)
@@ -129,18 +123,14 @@ class Audience:
         """Return whether a pattern names events with this name; patterns for all events do not count."""
         return any(functor is not None and functor.name == name for functor in list(self._listeners))
 
-    def one_listens(self, functor: Functor) -> bool:
-        """Tell whether just one listens to events of this functor, where there is any."""
-        return len(self._listeners[functor]) == 1 and None not in self._listeners
-
     def _changed(self, functor: Optional[Functor]) -> None:
         self.on_change()
         if functor is None:
             self._plans.clear()
-            self.lanes.clear()
+            self.fused.clear()
         else:
             self._plans.pop(functor, None)
-            self.lanes.pop(functor, None)
+            self.fused.pop(functor, None)
         for gates in list(self._gates.values()) if functor is None else self._gates_of(functor):
             for gate in list(gates.values()):
                 gate.set(None)
@@ -149,15 +139,16 @@ class Audience:
         gates = self._gates.get(functor)
         return [] if gates is None else [gates]
 
-    def _plan(self, functor: Functor) -> Plan:
+    def plan(self, functor: Functor) -> Plan:
+        """Return what is done with the events of a functor, and have its gates know it."""
         listeners = [*self._listeners.get(functor, ()), *self._listeners.get(None, ())]
         listeners.sort(key=lambda listener: listener.order)
         plan = self._plans.keep(functor, make_plan(listeners), len(functor.name))
         for gates in self._gates_of(functor):
             for gate in list(gates.values()):
                 gate.set(plan)
-        if len(listeners) == 1 and listeners[0].lane is not None and takes_all(listeners[0].pattern):
-            self.lanes[functor] = listeners[0].lane()
+        if len(listeners) == 1 and listeners[0].fused is not None and takes_all(listeners[0].pattern):
+            self.fused[functor] = listeners[0].fused()
         return plan
 
 

@@ -9,8 +9,8 @@ from ...prolog.logic import Logic
 from ...prolog.machine import Budget, Frame, PrologError, keep_back
 from ...prolog.terms import Atom, EventAction, Functor, Term, Values, Var, copy, deref, is_ground, is_plain
 from .audience import Audience, functor_of_event
-from .plans import Choice, Onlookers, Sole
-from .serving import AT_ONCE, CAUSE_AGAIN, LEFT_OUT, SERVE_AGAIN, Dispatch, Lane, event_of
+from .plans import Choice
+from .serving import AT_ONCE, CAUSE_AGAIN, DEPTH, GROUND, SERVE, TERM, TOKEN, Context
 
 Result = TypeVar("Result")
 
@@ -23,17 +23,15 @@ class Dispatcher(Audience):
         max_depth: how many events may be derived one from the other; the first of all is none of them.
 
     Attributes:
-        current: what is being served, or None: a `Dispatch`, or what `event` makes one of where somebody asks:
-            term, start and end of one, what was being served before, and whether it has no variables, where that is
-            not sure.
+        current: the `Context` of the event that is being served; None for none.
         mark: makes the token of an event; tracking replaces it.
         tracked: whether tokens tell what events came from.
         retractions: how often events were taken back, with what came from them.
         cause: where that is tracked, the rule and match whose goal is running, or the token of the event that asked
             the query that is answered.
         shortcuts: by the functor of an event, what can take the values of a rule's match in place of the event:
-            takes the rule and the action that makes the event; gives an action and a lane for a rule of one event,
-            or None where the rule's head does not allow it.
+            takes the rule and the action that makes the event; gives an action that may be fused, or None where
+            the rule's head does not allow it.
     """
 
     def __init__(self, logic: Optional[Logic] = None, max_depth: int = 1000) -> None:
@@ -42,12 +40,14 @@ class Dispatcher(Audience):
         self._deepest = max_depth + 1
         self._at_once = min(AT_ONCE, self._deepest)
         self._machine: Any = None if logic is None else logic.machine
+        self._done: Any = None if logic is None else logic.machine.done
+        self._run: Any = None if logic is None else logic.machine.run
         self._budget = Budget() if logic is None else logic.machine.budget
         self._tokens = count(1)
         self.current: Any = None
         self.cause: Any = None
-        self.shortcuts: Dict[Functor, Callable[[Any, EventAction], Optional[Tuple[EventAction, Lane]]]] = {}
-        self.mark: Callable[[Dispatch], Any] = lambda event: next(self._tokens)
+        self.shortcuts: Dict[Functor, Callable[[Any, EventAction], Optional[EventAction]]] = {}
+        self.mark: Callable[[Context], Any] = lambda context: next(self._tokens)
         self.tracked = False
         self.retractions = 0
 
@@ -85,8 +85,6 @@ class Dispatcher(Audience):
             UsageError: where the term is not an event, the interval is reversed, or the chain of derived events
                 is too long.
         """
-        # What is common stays in one piece: to call `Dispatch.run` in place of the loop takes 5 % more instructions
-        # where rules of one event follow one from another, all that is done for an event counted.
         if start > end:
             raise UsageError(f"an event cannot end before it starts ({start} > {end} ns)")
         kind = term.__class__
@@ -99,48 +97,22 @@ class Dispatcher(Audience):
             functor = functor_of_event(term)
         plan: Any = self._plans.get(functor)
         if plan is None:
-            plan = self._plan(functor)
+            plan = self.plan(functor)
         while plan.__class__ is Choice:
             plan = plan.branch(term)
         if not plan:
             return after
         if not own:
             term, ground = _own(term)
-        if plan.__class__ is Onlookers:
-            return self.show(plan, term, start, end, after)
         parent = self.current
-        if parent is None and plan.__class__ is Sole and token is None:
-            [(matcher, action)] = plan
-            values = None
-            if not plan.bare:
-                values = matcher(term)
-                if values is None:
-                    return after
-            self.current = (term, start, end, None, ground)
-            frame: Frame = (SERVE_AGAIN, self, None, after)
-            next_frame = action(term, values, start, end, frame)
-            if next_frame is not frame:
-                return next_frame  # type: ignore[no-any-return]
-            self.current = None
-            return after
-        event = Dispatch()
-        event.dispatcher = self
-        event.steps = steps = iter(plan)
-        event.term = term
-        event.start = start
-        event.end = end
-        event.token = token
-        event.cause = self.cause
-        event.ground = ground
-        if parent.__class__ is tuple:
-            parent = self.event()
-        event.parent = parent
-        event.depth = depth = 1 if parent is None else parent.depth + 1
-        frame = (event, after)
+        depth = 1 if parent is None else parent[DEPTH] + 1
+        context = [term, start, end, parent, depth, ground, self.cause, token]
+        steps = iter(plan)
+        frame: Frame = (SERVE, self, steps, context, after)
         if depth > self._at_once:
             return self._later(frame, depth)
-        self.current = event
-        for matcher, action in steps:  # as `Dispatch.run`
+        self.current = context
+        for matcher, action in steps:  # as `_Serve.run`, whose call would be 5 % of a short event
             values = matcher(term)
             if values is not None:
                 next_frame = action(term, values, start, end, frame)
@@ -149,31 +121,36 @@ class Dispatcher(Audience):
         self.current = parent
         return after
 
-    def show(self, plan: Onlookers, term: Term, start: int, end: int, after: Frame) -> Frame:
-        """Call those who only look on, for an event whose dispatch need not be set up; return the next frame."""
-        current = self.current
-        if current.__class__ is tuple and current[3] is not None:
-            current = self.event()
-        if current.__class__ is Dispatch and current.depth >= self._deepest:
-            raise self._too_deep()
-        self.current = (term, start, end, current)
-        for matcher, action in plan:
-            values = matcher(term)
-            if values is not None:
-                action(term, values, start, end, after)
-        self.current = current
-        return after
+    def serve(self, term: Any, start: int, end: int, ground: Optional[bool]) -> None:
+        """Serve an event that comes in, with all that is derived from it, by a fused action if there is one.
+
+        If anything raises, what was being served before is being served again. The arguments and the errors are
+        those of `dispatch`.
+        """
+        current, cause, done = self.current, self.cause, self._done
+        try:
+            fused = (
+                self.fused.get(term[0]) if ground and current is None and term.__class__ is tuple else None
+            )
+            if fused is None:
+                frame = self.dispatch(term, start, end, done, None, ground)
+            else:
+                self.current = [term, start, end, None, 1, True, cause, None]
+                frame = fused(term, None, start, end, done)  # type: ignore[arg-type]
+            if frame is not done:
+                self._run(frame)
+            self.current = current
+        except BaseException:
+            self.restore(current, cause)
+            raise
 
     def _later(self, frame: Frame, depth: int) -> Frame:
         """Return the frame of an event that the machine's loop is to serve, where that may still be derived."""
         if depth > self._deepest:
-            raise self._too_deep()
+            raise UsageError(f"more than {self.max_depth} events were derived one from another")
         if self._budget.closed:
             self._refuse_past_limits()
         return frame
-
-    def _too_deep(self) -> UsageError:
-        return UsageError(f"more than {self.max_depth} events were derived one from another")
 
     def _refuse_past_limits(self) -> None:
         """Raise an error where all is used up that what came in may use: it derives no more long chains of events."""
@@ -182,17 +159,6 @@ class Dispatcher(Audience):
         except PrologError as error:
             keep_back(error)
             raise UsageError(f"no more events are derived from it ({error.message})") from error
-
-    def left_out(self, functor: Functor) -> Optional[Dispatch]:
-        """Return what is to be current in place of an event that need not be made; None where it has to be.
-
-        It need not where just one listens to it, and may do at once what there is to do.
-        """
-        current = self.current
-        if current is None or not self.one_listens(functor):
-            return None
-        depth = 1 if current.__class__ is tuple else current.depth
-        return LEFT_OUT[depth] if depth < self._at_once else None
 
     def call(
         self,
@@ -221,20 +187,22 @@ class Dispatcher(Audience):
             end: handed on.
             after: the frame to go on with where there is no solution, too.
         """
-        event = self.event()
-        if event is not None and event.depth > AT_ONCE:
-            return self._call_by_frames(event, goal, given, on_error, solved, term, values, start, end, after)
+        context = self.current
+        if context is not None and context[DEPTH] > AT_ONCE:
+            return self._call_by_frames(
+                context, goal, given, on_error, solved, term, values, start, end, after
+            )
         try:
             found = goal.test(given)
         except PrologError as error:
-            self.current = event
+            self.current = context
             on_error(values, error)
             return after
         return after if found is None else solved(term, values + found, start, end, after)
 
     def _call_by_frames(
         self,
-        event: Dispatch,
+        context: Context,
         goal: CompiledGoal,
         given: Values,
         on_error: Callable[[Values, PrologError], None],
@@ -251,7 +219,7 @@ class Dispatcher(Audience):
         """
 
         def failed(error: PrologError) -> None:
-            self.current = event
+            self.current = context
             on_error(values, error)
 
         return self._machine.attempt(  # type: ignore[no-any-return]
@@ -323,45 +291,29 @@ class Dispatcher(Audience):
         finally:
             self.restore(*state)
 
-    def event(self) -> Optional[Dispatch]:
-        """Return the event that is being served, or None."""
-        current = self.current
-        if current.__class__ is not tuple:
-            return current  # type: ignore[no-any-return]
-        made = self.current = self._made(*current)
-        return made
-
-    def _made(self, term: Term, start: int, end: int, before: Any, ground: Optional[bool] = True) -> Dispatch:
-        """Return the event of its parts, and of what was served when it came."""
-        parent = self._made(*before) if before.__class__ is tuple else before
-        event = event_of(self, term, start, end, 1 if parent is None else parent.depth + 1)
-        event.parent = parent
-        event.cause = self.cause
-        event.ground = ground
-        return event
-
     def ground(self) -> bool:
         """Tell whether the event that is being served has no variables."""
-        event = self.event()
-        assert event is not None
-        known = event.ground
-        if known is None:
-            known = event.ground = is_ground(event.term)
-        return known
+        context = self._served()
+        if context[GROUND] is None:
+            context[GROUND] = is_ground(context[TERM])
+        return context[GROUND]  # type: ignore[no-any-return]
 
     def is_of_ground(self, match: Any) -> bool:
         """Tell whether a match is of the event alone that is being served, and that has no variables."""
-        event = self.event()
-        return match.parts is None and event is not None and match.term is event.term and self.ground()
+        context = self.current
+        return match.parts is None and context is not None and match.term is context[TERM] and self.ground()
 
     def token(self) -> Any:
         """Return what tells the event that is being served from all others."""
-        event = self.event()
-        assert event is not None
-        token = event.token
-        if token is None:
-            token = event.token = self.mark(event)
-        return token
+        context = self._served()
+        if context[TOKEN] is None:
+            context[TOKEN] = self.mark(context)
+        return context[TOKEN]
+
+    def _served(self) -> Context:
+        context: Optional[Context] = self.current
+        assert context is not None
+        return context
 
 
 def _own(term: Term) -> Tuple[Term, bool]:

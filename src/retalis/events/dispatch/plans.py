@@ -14,25 +14,6 @@ Steps = Tuple[ListenerStep, ...]
 NOBODY: Steps = ()
 
 
-class Onlookers(tuple):  # type: ignore[type-arg]
-    """The steps of listeners that only look on: they are served without setting up the event's dispatch.
-
-    With it an event that a plain subscription takes would cost 8 % more.
-    """
-
-
-class Sole(tuple):  # type: ignore[type-arg]
-    """The one step of a listener that may leave `Dispatcher.current` to `Dispatcher.event`.
-
-    Events that follow from no other are served without setting up their dispatch.
-
-    Attributes:
-        bare: whether its pattern takes all such events, and its action needs no values.
-    """
-
-    bare = False
-
-
 _OTHER = object()
 _DEEPEST = 6
 """How many tests a plan makes at most; the matchers make the rest."""
@@ -119,14 +100,7 @@ def _plan(listeners: List[Listener], tested: Tuple[Path, ...], depth: int) -> "P
         return NOBODY
     path = _best_path(listeners, tested) if depth > 0 else None
     if path is None:
-        steps = [(listener.matcher, listener.action) for listener in listeners]
-        if all(listener.looks_on for listener in listeners):
-            return Onlookers(steps)
-        if len(listeners) > 1 or not listeners[0].sole:
-            return tuple(steps)
-        sole = Sole(steps)
-        sole.bare = takes_all(listeners[0].pattern)
-        return sole
+        return tuple([(listener.matcher, listener.action) for listener in listeners])
     return Choice(path, listeners, tested, depth)
 
 

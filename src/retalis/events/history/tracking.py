@@ -7,7 +7,7 @@ from typing import Any, Callable, Deque, Dict, Hashable, Iterator, List, Optiona
 
 from ...prolog.machine import Frame, Meter
 from ...prolog.terms import Term, Values, Var, functor, term_key
-from ..dispatch import Dispatch, Listener, Stage
+from ..dispatch import CAUSE, END, PARENT, START, TERM, TOKEN, Context, Listener, Stage
 from ..matches import Held, Match, Run, counted, sources
 from .occurrences import Occurrence, Suppressed, Tracked, Tried, TriesAgain, following, known_in
 from .owners import Fired, Remembered
@@ -110,19 +110,19 @@ class Tracker:
 
     # ---- remembering ---------------------------------------------------------------------------------
 
-    def _mark(self, event: Dispatch) -> Occurrence:
+    def _mark(self, context: Context) -> Occurrence:
         """Return the token of an event that has none: one from outside, or made by a goal."""
-        cause = event.cause
+        term, start, end, cause = context[TERM], context[START], context[END], context[CAUSE]
         if cause.__class__ is Occurrence:  # the event of a query that has waited
-            released = Occurrence(event.term, event.start, event.end, None, None)
+            released = Occurrence(term, start, end, None, None)
             released.follows([cause])
             return released
         rule, match = cause or (None, None)
-        occurrence = Occurrence(event.term, event.start, event.end, rule, match)
+        occurrence = Occurrence(term, start, end, rule, match)
         known = [] if match is None else known_in(match)
-        parent = event.parent
-        if not known and parent is not None and _is_synchronized(parent.term) and parent.token is not None:
-            known = [parent.token]
+        parent = context[PARENT]
+        if not known and parent is not None and _is_synchronized(parent[TERM]) and parent[TOKEN] is not None:
+            known = [parent[TOKEN]]
         occurrence.follows(known)
         return occurrence
 

@@ -5,7 +5,7 @@ from typing import AbstractSet, Any, Callable, Dict, Hashable, Iterator, List, T
 
 from ...prolog.machine import Frame
 from ...prolog.terms import Term, Values, Var, deref, functor, is_ground, term_key
-from ..dispatch import NOBODY, Dispatcher, Stage
+from ..dispatch import GROUND, NOBODY, Dispatcher, Stage
 from .memory import NEVER, Memory, MemoryRecord
 from .recording import Recording
 
@@ -157,9 +157,10 @@ class Recorder:
     def _arrive(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         if self._everything and self._is_own_update(term):
             return after
-        ground = self._dispatcher.current.ground
+        dispatcher = self._dispatcher
+        ground = dispatcher.current[GROUND]
         if ground is None:
-            ground = self._dispatcher.ground()
+            ground = dispatcher.ground()
         kept = self._take(term, values, ground)
         if kept is None:
             return after

@@ -119,7 +119,6 @@ class Subscriptions:
             Stage.SUBSCRIPTIONS,
             pattern,
             self._action(shape, tally, topic_text, name, rate),
-            looks_on=shape is itself,
             unused=unused_variables(pattern, conditions, form, () if part is None else looked_at(part)),
         )
         self._all[key] = Subscription(listener, name, tally, copied, rate)

@@ -7,7 +7,8 @@ from ...foundation import UsageError
 from ...prolog.logic import Logic
 from ...prolog.machine import Frame
 from ...prolog.terms import Term, Values, Var, functor, make_list, timestamps
-from ..dispatch import Dispatcher, EventAction, Lane, Stage, stand_in
+from ..dispatch import Dispatcher, EventAction, Stage
+from ..fused import question_action
 from ..network import Rule
 from .conditions import Behind, behind, compile_conditions
 from .memories import Memories
@@ -193,7 +194,7 @@ class WaitingQueries:
             lambda: machine.run(self._dispatcher.dispatch(told, instant, instant, machine.done))
         )
 
-    def _shortcut(self, rule: Rule, otherwise: EventAction) -> Optional[Tuple[EventAction, Lane]]:
+    def _shortcut(self, rule: Rule, otherwise: EventAction) -> Optional[EventAction]:
         """Return what takes the values of a rule's match in place of its head; see `Dispatcher.shortcuts`."""
         head: Any = rule.definition.head  # it has the functor that this is the shortcut of
         key, event, query, conditions = head
@@ -216,9 +217,7 @@ class WaitingQueries:
                 return after
             return asked.ask(values, start, end, after)
 
-        return stand_in(
-            self._dispatcher, self._logic.machine, key, rule.ground_with_event, ask_or_wait, otherwise
-        )
+        return question_action(self._dispatcher, key, rule.ground_with_event, ask_or_wait, otherwise)
 
     def _drop(self, event: Term, error: UsageError) -> None:
         self._warn(f"{self._logic.brief(event)} is dropped: {error}", ("dropped", kind_of(event)))

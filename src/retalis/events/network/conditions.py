@@ -16,7 +16,7 @@ from ...prolog.terms import (
     positions,
     variables,
 )
-from ..dispatch import AT_ONCE, Completion, goal_lane
+from ..fused import Completion, goal_action
 from ..matches import Match, counted, emit_each
 from .owners import RuleOwner
 
@@ -123,30 +123,15 @@ class RuleGoal:
         """
         act, solved = self.act, completion.action
         dispatcher = self._dispatcher
+
+        def plain(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+            return act(term, values, start, end, dispatcher.ground(), solved, after)
+
         if self.outputs or not self._takes_all or not self.known:
-            return Completion(
-                lambda term, values, start, end, after: act(
-                    term, values, start, end, dispatcher.ground(), solved, after
-                )
-            )
-        goal = self._plain
-        code = goal.code
-        machine = self.rule.network.logic.machine
-        check, done = machine.check, machine.done
-
-        def acted(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
-            event = dispatcher.current
-            if not code.steady or not event.ground or event.depth > AT_ONCE:
-                return act(term, values, start, end, dispatcher.ground(), solved, after)
-            try:  # as `act`, in 13 % fewer instructions of an event that others listen to as well
-                found = check((code, *values, done), goal)
-            except PrologError as error:
-                dispatcher.restore(event, dispatcher.cause)
-                self.failed(error)
-                return after
-            return solved(term, values, start, end, after) if found else after
-
-        return Completion(acted, goal_lane(self, completion))
+            return Completion(plain)
+        return Completion(
+            goal_action(self._plain, len(self.known), self.rule, self.failed, plain, completion), True
+        )
 
     def act_on_all(
         self,

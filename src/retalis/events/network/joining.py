@@ -6,6 +6,7 @@ from ...foundation import shared_function
 from ...prolog.machine import Frame
 from ...prolog.syntax import EventOperator
 from ...prolog.terms import Var, positions
+from ..fused import QuickPair, Taking, quick_absent, quick_side
 from ..matches import (
     Absence,
     Emit,
@@ -31,7 +32,6 @@ from .conditions import Test
 from .limits import kept_for_late
 from .nodes import Leaf, NetworkNode, Quick
 from .owners import Buffer, RuleOwner
-from .quicksides import QuickPair, Taking, quick_absent, quick_side
 from .telling import Name, found_here
 
 

@@ -8,14 +8,15 @@ from typing import AbstractSet, Any, Callable, Dict, List, Optional, Sequence, T
 
 from ...prolog.machine import Frame
 from ...prolog.terms import EventAction, Term, Values, Var, positions, variables
-from ..dispatch import Completion, MakeLane, takes_all
+from ..dispatch import MakeAction, takes_all
+from ..fused import Completion
 from ..matches import Absence, Emit, Emitting, Found, Match, NetworkOptions, RuledOutSweep
 from .conditions import RuleGoal, Test
 from .owners import Buffer, RuleOwner
 from .telling import found_here
 
-Quick = Callable[[EventAction], Tuple[EventAction, Optional[MakeLane]]]
-"""Makes of the plain way of an event a quicker one that does the same, and what makes its lane, if it has one."""
+Quick = Callable[[EventAction], Tuple[EventAction, Optional[MakeAction]]]
+"""Makes of the plain way of an event a fused one, and what makes that for events that come in, if it may."""
 
 
 class NetworkNode:
@@ -134,15 +135,15 @@ class Leaf(NetworkNode):
             if quick is None:
                 rule.listen(self, plain)
             else:
-                rule.listen(self, *quick(plain), sole=True)
+                rule.listen(self, *quick(plain))
         else:
             takes = (lambda start: True) if self.forbids else rule.skipping.takes
             rule.listen(self, arrive_unskipped)
 
     def bind_alone(self, completion: Completion) -> None:
         """Listen for a rule whose pattern is one event; see `NetworkNode.alone`."""
-        lane = completion.lane
-        self.rule.listen(self, completion.action, None if lane is None else lambda: lane)
+        action = completion.action
+        self.rule.listen(self, action, (lambda: action) if completion.fused else None)
 
 
 class Filter(NetworkNode):

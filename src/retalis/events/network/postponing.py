@@ -34,7 +34,7 @@ class Postponing:
 
     def put_off(self, step: PutOff) -> None:
         """Do something later."""
-        self._steps.append((self._dispatcher.event(), step))
+        self._steps.append((self._dispatcher.current, step))
 
     def while_at_work(self, work: Callable[[], Any]) -> Any:
         """Return what work returns, which is that of the operator."""

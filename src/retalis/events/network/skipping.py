@@ -6,6 +6,7 @@ All that an event completes is completed first. What has been skipped and waits 
 from typing import Any, Dict, Hashable, Iterable, List, NamedTuple, Optional, Set, Tuple
 
 from ...prolog.machine import Frame
+from ..dispatch import DEPTH
 from ..matches import AfterMatch, Emit, Expiries, Match, NetworkOptions
 from .nodes import Acting, Filter, NetworkNode
 from .owners import RuleOwner
@@ -100,11 +101,11 @@ class Skipping:
         served = self._served
         if served and served[-1].token == event:
             return
-        current: Any = self._rule.network.dispatcher.event()
-        while served and served[-1].token != event and served[-1].depth >= current.depth:
+        depth = self._rule.network.dispatcher.current[DEPTH]
+        while served and served[-1].token != event and served[-1].depth >= depth:
             served.pop()
         if not served or served[-1].token != event:
-            served.append(Served(current.depth, event, set()))
+            served.append(Served(depth, event, set()))
         self._sweep()
 
     def _sweep(self) -> None:

@@ -6,7 +6,8 @@ from typing import Any, Callable, Dict, Iterable, Iterator, List, NamedTuple, Op
 from ...foundation import RuleError
 from ...prolog.machine import Frame, Meter
 from ...prolog.terms import Term, Values, Var, WholeSeconds
-from ..dispatch import Completion, EventAction
+from ..dispatch import EventAction
+from ..fused import Completion
 from ..history import known_in
 from ..language import Pattern
 from ..matches import (

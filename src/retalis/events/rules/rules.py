@@ -9,7 +9,7 @@ from ...foundation import Place, RetalisError, RuleError
 from ...prolog.logic import Logic
 from ...prolog.machine import keep_back
 from ...prolog.terms import SECOND, Term, Trail, copy, deref, from_seconds, term_key, unify, variables
-from ..dispatch import Dispatcher, Stage
+from ..dispatch import TERM, Dispatcher, Stage
 from ..history import Fired, Justifier, Occurrence, Store, Tracker
 from ..language import UNDECLARED, Property, RuleDefinition, called_by, is_absolute, is_rule
 from ..matches import NetworkOptions, with_property
@@ -403,8 +403,8 @@ class Rules:
     def rule_failed(self, rule: RuleOwner, error: RuleError) -> None:
         """Report what stopped a rule from firing."""
         rule.firings.errors += 1
-        event = self.dispatcher.event()
-        met = "" if event is None else f", at event {self.logic.brief(event.term)}"
+        context = self.dispatcher.current
+        met = "" if context is None else f", at event {self.logic.brief(context[TERM])}"
         self.on_error(RuleError(f"{rule.name}{met}: {error.message}", rule.place))
 
     def goal_failed(self, rule: RuleOwner, goal: Term, error: RetalisError) -> None:

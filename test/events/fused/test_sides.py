@@ -55,7 +55,7 @@ def stream(source, late):
     return found
 
 
-def run(text, goals, events, cap, cut, change, posted, looks_on):
+def run(text, goals, events, cap, cut, change, posted):
     """Return what fires and is reported, and what is known at last.
 
     Args:
@@ -65,8 +65,7 @@ def run(text, goals, events, cap, cut, change, posted, looks_on):
         cap: how many matches may wait.
         cut: where what waits is mended, as after an interrupt, and put back as a snapshot has it.
         change: a goal that is called there.
-        posted: whether events of an instant are posted, and take the lanes that there are.
-        looks_on: whether who listens to what is fired only looks on.
+        posted: whether events of an instant are posted, and may be served by fused actions.
     """
     found, reports = [], []
 
@@ -83,7 +82,6 @@ def run(text, goals, events, cap, cut, change, posted, looks_on):
             Stage.SUBSCRIPTIONS,
             pattern,
             lambda term, values, start, end, after: found.append(shown(engine, term, start, end)) or after,
-            looks_on=looks_on,
         )
     parts.rules.cap = cap
     for at, (term, start, end) in enumerate(events):
@@ -144,13 +142,13 @@ def compare(seed):
     cap, cut = source.choice((10**6, 10**6, 3)), source.choice((99, 5, 10))
     text = source.choice(RULES)
     events = stream(source, source.random() < 0.3)
-    ways = source.random() < 0.7, source.random() < 0.7
-    quick = run(text, goals, events, cap, cut, change, *ways)
+    posted = source.random() < 0.7
+    quick = run(text, goals, events, cap, cut, change, posted)
     side = patch.object(joining, "quick_side", lambda side, pair, taking, rule, plain, emit: given(plain))
     absent = patch.object(joining, "quick_absent", lambda absence, rule, whole, plain: given(plain))
     with side, absent:
-        plain = run(text, goals, events, cap, cut, change, *ways)
-    assert quick == plain, (seed, text, goals, change, ways)
+        plain = run(text, goals, events, cap, cut, change, posted)
+    assert quick == plain, (seed, text, goals, change, posted)
 
 
 @pytest.mark.parametrize("part", range(3))
@@ -182,7 +180,7 @@ def test_what_has_left_is_not_held_until_its_time_is_over(cap):
     assert len(rule.expiries) < 1200
 
 
-def test_what_only_one_side_of_a_rule_takes_has_a_lane():
+def test_what_only_one_side_of_a_rule_takes_has_a_fused_action():
     engine = Engine()
     engine.load(
         rules="out(K) <- (a(K) seq b(K)) cnot c(K). out(K) <- d(K) seq d(K). out(K) <- e(K, 1) seq f(K)."
@@ -191,4 +189,4 @@ def test_what_only_one_side_of_a_rule_takes_has_a_lane():
     for made in ones.values():
         engine.post(made(1), 1)
     engine.post(functor("e", 2)(1, 1), 2)
-    assert {key.name for key in parts_of(engine).dispatcher.lanes} == {"a", "b", "c", "f"}
+    assert {key.name for key in parts_of(engine).dispatcher.fused} == {"a", "b", "c", "f"}

@@ -7,14 +7,13 @@ has changed.
 
 from typing import Any, Callable, Dict, NamedTuple, Optional, Sequence, Tuple
 
-from ...foundation import codegen
+from ...foundation import shared_function
 from ...prolog.machine import Frame
 from ...prolog.syntax import EventOperator
 from ...prolog.terms import Atom, EventAction, String, Var
-from ..dispatch import Completion, MakeLane, firing_source
+from ..dispatch import MakeAction
 from ..matches import Absence, Emit, Found, Match, MatchBuffer, Side
-from .conditions import Test
-from .sidecode import Body, made_of
+from .heads import Completion
 
 _PLAIN = frozenset((Atom, int, String))
 """The kinds of terms that are their own keys."""
@@ -42,7 +41,7 @@ class QuickPair(NamedTuple):
     span: Optional[int]
     taken: Sequence[Tuple[Var, str]]
     blocks: Sequence[Callable[..., bool]]
-    tests: Sequence[Test]
+    tests: Sequence[Callable[..., Any]]
     tested: Sequence[Var]
     found: Callable[..., Any]
     complete: Optional[Completion]
@@ -178,8 +177,8 @@ return emit(Match(met, start, end, None, None, {parts}), after)
 
 def quick_side(
     side: Side, pair: QuickPair, taking: Optional[Taking], rule: Any, plain: EventAction, emit: Emit
-) -> Tuple[EventAction, Optional[MakeLane]]:
-    """Return what takes the values of an event that is a side of a pair, and its lane where they are its arguments.
+) -> Tuple[EventAction, Optional[MakeAction]]:
+    """Return what takes the values of an event that is a side of a pair, and what makes its fused action.
 
     Args:
         side: the side.
@@ -202,20 +201,25 @@ def quick_side(
     given.update((f"absence{at}", one) for at, one in enumerate(pair.blocks))
     given.update((f"test{at}", one) for at, one in enumerate(pair.tests))
 
-    def write(pair: QuickPair) -> Body:
-        names = codegen.Names(dict(given))
-        return _source(side, pair, taking, rule, names), names.values
+    return _actions(
+        _source(side, pair, taking, rule), given, pair.whole[0 if side.left else 1], "side of a pair"
+    )
 
-    complete = pair.complete
-    without = pair if complete is None else pair._replace(complete=complete._replace(head=None))
-    # The head is in the lane alone: actions are alike for all heads then, which load in two thirds of the time.
-    return made_of(write(without), pair.whole[0 if side.left else 1], lambda: write(pair), "side of a pair")
+
+def _actions(
+    body: str, names: Dict[str, Any], whole: bool, title: str
+) -> Tuple[EventAction, Optional[MakeAction]]:
+    """Return the action of a body, and what gives it as a fused one where it reads the event itself."""
+    filled = body.replace("{values}", "term[1:]" if whole else "values")
+    lines = [line for line in filled.splitlines() if line.strip()]
+    source = "\n".join(["def made(term, values, s, e, after):", *lines, ""])
+    action: EventAction = shared_function(source, names, title)
+    return action, (lambda: action) if whole else None
 
 
 def _common(rule: Any, own: MatchBuffer, plain: EventAction) -> Dict[str, Any]:
     """Return what the sources of all sides may name."""
     network = rule.network
-    machine = network.logic.machine
     return {
         "rule": rule,
         "network": network,
@@ -230,32 +234,28 @@ def _common(rule: Any, own: MatchBuffer, plain: EventAction) -> Dict[str, Any]:
         "Match": Match,
         "PLAIN": _PLAIN,
         "SPARE": SPARE,
-        "dispatcher": network.dispatcher,
-        "run": machine.run,
-        "done": machine.done,
-        "ONCE": (None,),
     }
 
 
 def quick_absent(
     absence: Absence, rule: Any, whole: bool, plain: EventAction
-) -> Tuple[EventAction, Optional[MakeLane]]:
+) -> Tuple[EventAction, Optional[MakeAction]]:
     """Return what takes the values of an event that must not happen, where no other waits under its key.
 
     Args:
         absence: where it waits.
         rule: the rule.
-        whole: whether its values are its arguments; it has a lane then.
+        whole: whether its values are its arguments; it may be fused then.
         plain: the plain way, for all else.
     """
     buffer = absence.buffer
     names = {**_common(rule, buffer, plain), "other": buffer, "absence": absence}
     body = _key([one for one, _ in absence.shared], whole) + _ABSENT + _before(buffer, rule, True)
     body += _waiting(buffer, rule, whole, False) + "    return after"
-    return made_of((body, names), whole, lambda: (body, names), "absent event")
+    return _actions(body, names, whole, "absent event")
 
 
-def _source(side: Side, pair: QuickPair, taking: Optional[Taking], rule: Any, names: codegen.Names) -> str:
+def _source(side: Side, pair: QuickPair, taking: Optional[Taking], rule: Any) -> str:
     """Return the body: it has nothing of the program's in it but spans, and how many of what there are."""
     whole = pair.whole[0 if side.left else 1]
     begin = _key([one for one, _ in side.shared], whole)
@@ -276,7 +276,7 @@ def _source(side: Side, pair: QuickPair, taking: Optional[Taking], rule: Any, na
             found="if met is not None and partner.buffer is not None" if tested else "if True",
             leave=_indented(_LEAVE.format(one="partner", place="other", newest="partners", key="key"), 4),
             stays=_indented(wait, 3) if side.stays else "",
-            give=_indented(_give(side, pair, names), 4),
+            give=_indented(_give(side, pair), 4),
             waits=waits,
         )
     else:
@@ -285,7 +285,7 @@ def _source(side: Side, pair: QuickPair, taking: Optional[Taking], rule: Any, na
             pair=_pair(side, pair),
             tests=_indented(_tests(side, pair), 2),
             found="if met is not None" if tested else "if True",
-            give=_indented(_give(side, pair, names), 3),
+            give=_indented(_give(side, pair), 3),
             waits=waits,
         )
     return begin + rest
@@ -340,13 +340,8 @@ def _pair(side: Side, pair: QuickPair) -> str:
         start=_said(pair.operator.start, side),
         end=_said(pair.operator.end, side),
         fits=" and ".join(fits) or "True",
-        met=f"        met = {values}" if _has_values(pair) else "",
+        met=f"        met = {values}",
     )
-
-
-def _has_values(pair: QuickPair) -> bool:
-    """Tell whether the values of a pair are taken together; not where they are put into an event at once."""
-    return bool(pair.blocks or pair.tests) or pair.complete is None or pair.complete.head is None
 
 
 def _said(source: str, side: Side) -> str:
@@ -384,18 +379,13 @@ def _tests(side: Side, pair: QuickPair) -> str:
     return "\n".join(lines)
 
 
-def _give(side: Side, pair: QuickPair, names: codegen.Names) -> str:
+def _give(side: Side, pair: QuickPair) -> str:
     """Return the lines that give a pair on."""
     if pair.complete is None:
         parts = ["match", "partner"] if side.left else ["partner", "match"]
         parts += ["Found(found(met))"] if pair.tested else []
         return _EMIT.replace("{parts}", _tuple(parts))
-    if pair.complete.head is None:
-        return _COMPLETE
-    known = {var: _value(source, side, pair) for var, source in pair.taken}
-    if _has_values(pair):
-        known = {var: f"met[{at}]" for at, var in enumerate([*known, *pair.tested])}
-    return firing_source(pair.complete.head, known, names)
+    return _COMPLETE
 
 
 def _indented(text: str, by: int) -> str:

@@ -1,0 +1,23 @@
+"""Fused paths: generated functions that do in one call what the plain way of an event does in several.
+
+Each of them does the same as the plain way, by the same protocol: an action takes an event, the values of its
+pattern's variables, start, end and the next frame, and returns the frame to go on with.
+"""
+
+from .goals import goal_action
+from .heads import Completion, Head, firing_action
+from .questions import question_action
+from .sides import SPARE, QuickPair, Taking, quick_absent, quick_side
+
+__all__ = [
+    "Completion",
+    "firing_action",
+    "goal_action",
+    "Head",
+    "question_action",
+    "quick_absent",
+    "quick_side",
+    "QuickPair",
+    "SPARE",
+    "Taking",
+]
