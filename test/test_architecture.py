@@ -13,7 +13,7 @@ QUOTED = re.compile(r"`([^`\n]+)`")
 NO_NAMES = {
     *("float", "int", "struct"),  # Python's
     *("ar_marker(...)", "split_tf", "new_event(tf(Parent, Child, V, Q), Sec, NSec)"),  # the example's
-    *("synchronized(Event, Query, Conditions)", "geometry_msgs__0__PoseStamped", "tf__0__tfMessage"),
+    *("synchronized(Event, Query, Conditions)", "geometry_msgs__0__PoseStamped"),
     *("tf", "retalisInputEvents", "embedded", "receive_once", "retalis"),  # ROS's
 }
 """What the page quotes besides."""

@@ -21,7 +21,7 @@ FIRST, LAST = 60, 460
 
 SEEN_TO_AT = (
     ("events.dispatch.audience", "_GATES"),
-    ("events.network.quicksides", "SPARE"),
+    ("events.fused.sides", "SPARE"),
     ("events.network.rule", "SPARE"),
     ("events.matches.expiry", "_SPARE"),
     ("events.matches.absence", "_SPARE"),

@@ -31,7 +31,7 @@ EQUIVALENT = Path(__file__).with_name("equivalent.txt")
 
 GROUPS = {
     "matches": ("events/matches/*.py", "events/network/joining.py", "events/network/rule.py"),
-    "dispatch": ("events/dispatch/*.py", "engine/intake.py"),
+    "dispatch": ("events/dispatch/*.py", "events/fused/*.py", "engine/intake.py"),
     "encoding": ("messages/*.py",),
     "memories": ("events/knowledge/*.py",),
     "limits": (

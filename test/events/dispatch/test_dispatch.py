@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retalis.engine import Engine, Settings, parts_of
-from retalis.events.dispatch import Dispatcher, Listener, Stage
+from retalis.events.dispatch import TERM, Dispatcher, Listener, Stage
 from retalis.foundation import UsageError
 from retalis.prolog.terms import (
     NIL,
@@ -255,7 +255,7 @@ TERMS = st.recursive(
     LEAVES, lambda inner: st.tuples(st.just(F), inner) | st.tuples(st.just(B), inner, inner), max_leaves=6
 )
 EVENTS = st.tuples(st.just(B), TERMS, TERMS) | st.tuples(st.just(A), TERMS) | st.just(atom("x"))
-LISTENERS = st.tuples(EVENTS | st.just("X"), st.sampled_from(Stage), st.booleans(), st.booleans())
+LISTENERS = st.tuples(EVENTS | st.just("X"), st.sampled_from(Stage))
 
 
 def with_variables(term, known):
@@ -282,15 +282,14 @@ def matched(pattern, term):
 def test_an_event_is_served_to_all_that_unify_with_it_in_order(listeners, events, data):
     dispatcher, got, waiting = Dispatcher(), [], []
 
-    def listen(number, pattern, stage, looks_on, sole):
+    def listen(number, pattern, stage):
         def action(term, values, start, end, after):
-            taken = values if values is not None else term[1:]  # a sole listener may get none
-            text = text_of((functor("values", len(taken)), *taken)) if taken else "values"
+            text = text_of((functor("values", len(values)), *values)) if values else "values"
             got.append((number, text, start, end))
-            assert not (looks_on or sole) or dispatcher.event().term is term
+            assert dispatcher.current[TERM] is term
             return after
 
-        listener = dispatcher.listen(stage, pattern, action, looks_on=looks_on, sole=sole)
+        listener = dispatcher.listen(stage, pattern, action)
         waiting.append((stage, number, pattern, listener))
 
     for number, (pattern, *rest) in enumerate(listeners):

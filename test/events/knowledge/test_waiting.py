@@ -21,7 +21,6 @@ from watched import Watched  # noqa: E402
 
 ASK = "syncronized(answer(X, V), (prev(m, v(V), _, _, T)), [[m, T]]) <- ask(X, T).\n"
 MEMORY = "memorize(v(_), [], _, m, 10)\n"
-SYNCHRONIZED = functor("syncronized", 3)
 
 
 class Overheard(Engine):
