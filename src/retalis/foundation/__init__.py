@@ -2,7 +2,7 @@
 
 from . import codegen
 from .caches import Cache, Texts
-from .codegen import LARGEST, shared_function
+from .codegen import LARGEST, Block, Statement, shared_function, source_of
 from .errors import (
     LONGEST,
     SHOWN,
@@ -45,7 +45,10 @@ __all__ = [
     "beginning",
     "BULK",
     "Cache",
+    "Block",
     "codegen",
+    "source_of",
+    "Statement",
     "counted",
     "Errors",
     "LARGEST",

@@ -9,7 +9,7 @@ no files, no evaluation of texts.
 import builtins
 import re
 from itertools import count
-from typing import Any, Callable, Dict, Hashable, Iterable, Mapping, Tuple
+from typing import Any, Callable, Dict, Hashable, Iterable, Mapping, NamedTuple, Sequence, Tuple, Union
 
 from .caches import Cache
 from .errors import shortened
@@ -100,6 +100,39 @@ class Names:
             name = self._constants[key] = self.name("k")
             self.values[name] = value
         return name
+
+
+class Block(NamedTuple):
+    """A compound statement.
+
+    >>> print(source_of([Block("if a:", ["b = 1", Block("while b:", ["b = c()"])])]))
+    if a:
+        b = 1
+        while b:
+            b = c()
+
+    Attributes:
+        header: its first line, as ``if a:``.
+        body: the statements in it; without any it is left out.
+    """
+
+    header: str
+    body: "Sequence[Statement]"
+
+
+Statement = Union[str, Block]
+"""A statement of generated source: a line, or a block."""
+
+
+def source_of(statements: Iterable[Statement], depth: int = 0) -> str:
+    """Return the source of statements, indented by so many steps."""
+    lines = []
+    for statement in statements:
+        if isinstance(statement, str):
+            lines.append("    " * depth + statement)
+        elif statement.body:
+            lines += ["    " * depth + statement.header, source_of(statement.body, depth + 1)]
+    return "\n".join(lines)
 
 
 def define(source: str, names: Dict[str, Any], title: str) -> Dict[str, Any]:

@@ -144,8 +144,8 @@ def compare(seed):
     events = stream(source, source.random() < 0.3)
     posted = source.random() < 0.7
     quick = run(text, goals, events, cap, cut, change, posted)
-    side = patch.object(joining, "quick_side", lambda side, pair, taking, rule, plain, emit: given(plain))
-    absent = patch.object(joining, "quick_absent", lambda absence, rule, whole, plain: given(plain))
+    side = patch.object(joining, "fused_side", lambda side, pair, taking, rule, plain, emit: given(plain))
+    absent = patch.object(joining, "fused_absence", lambda absence, rule, whole, plain: given(plain))
     with side, absent:
         plain = run(text, goals, events, cap, cut, change, posted)
     assert quick == plain, (seed, text, goals, change, posted)

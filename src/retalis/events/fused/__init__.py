@@ -7,7 +7,7 @@ pattern's variables, start, end and the next frame, and returns the frame to go 
 from .goals import goal_action
 from .heads import Completion, Head, firing_action
 from .questions import question_action
-from .sides import SPARE, QuickPair, Taking, quick_absent, quick_side
+from .sides import SPARE, FusedPair, Taking, fused_absence, fused_side
 
 __all__ = [
     "Completion",
@@ -15,9 +15,9 @@ __all__ = [
     "goal_action",
     "Head",
     "question_action",
-    "quick_absent",
-    "quick_side",
-    "QuickPair",
+    "fused_absence",
+    "fused_side",
+    "FusedPair",
     "SPARE",
     "Taking",
 ]

@@ -1,50 +1,13 @@
 """A goal that is called for one event, and what follows it, in one function."""
 
-from typing import Any, Callable
+from typing import Any, Callable, List
 
-from ...foundation import shared_function
+from ...foundation import Block, Statement, shared_function, source_of
 from ...prolog.database import CompiledGoal
 from ...prolog.machine import PrologError
 from ...prolog.terms import EventAction, undo
-from ..dispatch import AT_ONCE, NOBODY
+from ..dispatch import AT_ONCE, DEPTH, GROUND, NOBODY
 from .heads import Completion
-
-_GOAL = """
-def made(term, values, start, end, after):
-    context = dispatcher.current
-    if not code.steady or not context[5] or context[4] > {at_once}:
-        return plain(term, term[1:] if values is None else values, start, end, after)
-    if values is None:
-        _, {values} = term
-    else:
-        {values}, = values
-    frame = (code, {values}, done)
-    mark = len(trail)
-    asked = budget.goal
-    try:  # as `Machine.check`
-        if budget.closed:
-            budget.admit()
-        budget.goal = goal
-        left = code.run(frame)
-        found = (left is done and len(trail) == mark) or machine.settle(left, mark)
-    except Exception as exc:
-        dispatcher.current = context
-        budget.goal = asked
-        failed(machine.error(exc, frame, mark))
-        return after
-    except BaseException:
-        undo(trail, mark)
-        raise
-    finally:
-        budget.goal = asked
-    if not found:
-        return after
-    if gate.plan is NOBODY:
-        firings.number += 1
-        firings.last = end
-        return after
-    return solved(term, ({values},), start, end, after)
-"""
 
 
 def goal_action(
@@ -82,6 +45,46 @@ def goal_action(
         "done": machine.done,
         "undo": undo,
     }
-    values = ", ".join(f"a{at}" for at in range(inputs))
-    made: EventAction = shared_function(_GOAL.format(values=values, at_once=AT_ONCE), names, "goal of a rule")
+    made: EventAction = shared_function(_source(inputs), names, "goal of a rule")
     return made
+
+
+def _source(inputs: int) -> str:
+    """Return the source of the action of a goal with so many inputs."""
+    values = ", ".join(f"a{at}" for at in range(inputs))
+    body: List[Statement] = [
+        "context = dispatcher.current",
+        Block(
+            f"if not code.steady or not context[{GROUND}] or context[{DEPTH}] > {AT_ONCE}:",
+            ["return plain(term, term[1:] if values is None else values, start, end, after)"],
+        ),
+        Block("if values is None:", [f"_, {values} = term"]),
+        Block("else:", [f"{values}, = values"]),
+        f"frame = (code, {values}, done)",
+        "mark = len(trail)",
+        "asked = budget.goal",
+        Block(  # as `Machine.check`
+            "try:",
+            [
+                Block("if budget.closed:", ["budget.admit()"]),
+                "budget.goal = goal",
+                "left = code.run(frame)",
+                "found = (left is done and len(trail) == mark) or machine.settle(left, mark)",
+            ],
+        ),
+        Block(
+            "except Exception as exc:",
+            [
+                "dispatcher.current = context",
+                "budget.goal = asked",
+                "failed(machine.error(exc, frame, mark))",
+                "return after",
+            ],
+        ),
+        Block("except BaseException:", ["undo(trail, mark)", "raise"]),
+        Block("finally:", ["budget.goal = asked"]),
+        Block("if not found:", ["return after"]),
+        Block("if gate.plan is NOBODY:", ["firings.number += 1", "firings.last = end", "return after"]),
+        f"return solved(term, ({values},), start, end, after)",
+    ]
+    return source_of([Block("def made(term, values, start, end, after):", body)]) + "\n"

@@ -1,8 +1,8 @@
-"""How a rule fires: its event is made of the values of a match, and served."""
+"""The event of a rule, made of the values of a match and dispatched by one function."""
 
-from typing import Any, Callable, NamedTuple, Optional, Sequence
+from typing import Any, Callable, List, NamedTuple, Optional, Sequence
 
-from ...foundation import UsageError, codegen, shared_function
+from ...foundation import Block, Statement, UsageError, codegen, shared_function, source_of
 from ...prolog.machine import Budget, Frame
 from ...prolog.terms import EventAction, Term, Var
 from ..dispatch import NOBODY, Gate, builder_source
@@ -25,7 +25,7 @@ class Completion(NamedTuple):
 
 
 class Head(NamedTuple):
-    """How a rule fires, for code that does so in place; `firing_source` writes it.
+    """The head of a rule with what is needed to fire it.
 
     Attributes:
         term: the head, which is no alarm.
@@ -44,30 +44,18 @@ class Head(NamedTuple):
     failed: Callable[[UsageError, Frame], Frame]
 
 
-_METERED = """
-pattern_steps[0] = steps_left = pattern_steps[0] - 1
-if steps_left < 0 and stops(fired):
-    return after
-"""
-"""As the function that `Budget.meter` returns."""
-_FIRE = """
-firings.number += 1
-firings.last = end
-if gate.plan is NOBODY:
-    return after
-{lines}
-try:
-    return dispatch({event}, start, end, after)
-except UsageError as error:
-    return failed(error, after)
-"""
-
-
 def firing_action(head: Head, order: Sequence[Var]) -> EventAction:
     """Return what takes the values of a match, in the order of their variables, and fires."""
     names = codegen.Names({})
     lines, event = builder_source(head.term, {var: f"values[{at}]" for at, var in enumerate(order)}, names)
-    source = _FIRE.format(lines="\n".join(lines), event=event)
+    body: List[Statement] = [
+        "firings.number += 1",
+        "firings.last = end",
+        Block("if gate.plan is NOBODY:", ["return after"]),
+        *lines,
+        Block("try:", [f"return dispatch({event}, start, end, after)"]),
+        Block("except UsageError as error:", ["return failed(error, after)"]),
+    ]
     names.values.update(
         firings=head.rule.firings,
         gate=head.gate,
@@ -76,11 +64,12 @@ def firing_action(head: Head, order: Sequence[Var]) -> EventAction:
         NOBODY=NOBODY,
         UsageError=UsageError,
     )
-    if head.budget is not None:
-        source = _METERED + source
+    if head.budget is not None:  # as the function that `Budget.meter` returns
+        body[:0] = [
+            "pattern_steps[0] = steps_left = pattern_steps[0] - 1",
+            Block("if steps_left < 0 and stops(fired):", ["return after"]),
+        ]
         names.values.update(pattern_steps=head.budget.pattern_steps, stops=head.budget.stops, fired=head.rule)
-    body = "".join(f"    {line}\n" for line in source.splitlines() if line.strip())
-    made: EventAction = shared_function(
-        f"def made(term, values, start, end, after):\n{body}", names.values, "head of a rule"
-    )
+    source = source_of([Block("def made(term, values, start, end, after):", body)]) + "\n"
+    made: EventAction = shared_function(source, names.values, "head of a rule")
     return made

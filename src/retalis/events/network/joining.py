@@ -6,7 +6,7 @@ from ...foundation import shared_function
 from ...prolog.machine import Frame
 from ...prolog.syntax import EventOperator
 from ...prolog.terms import Var, positions
-from ..fused import QuickPair, Taking, quick_absent, quick_side
+from ..fused import FusedPair, Taking, fused_absence, fused_side
 from ..matches import (
     Absence,
     Emit,
@@ -30,7 +30,7 @@ from ..matches import (
 )
 from .conditions import Test
 from .limits import kept_for_late
-from .nodes import Leaf, NetworkNode, Quick
+from .nodes import Fuse, Leaf, NetworkNode
 from .owners import Buffer, RuleOwner
 from .telling import Name, found_here
 
@@ -146,14 +146,14 @@ class Joining(NetworkNode):
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
         """Connect the node, and those of a sequence on its left; see `NetworkNode.bind`."""
         node: NetworkNode = self
-        quick: Optional[Quick] = None
+        fuse: Optional[Fuse] = None
         while isinstance(node, Joining):
-            out, quick = node.bind_right(out, mode)
+            out, fuse = node.bind_right(out, mode)
             node = node.left
-        _bind(node, out, mode, quick)
+        _bind(node, out, mode, fuse)
 
-    def bind_right(self, out: Emit, mode: NetworkOptions) -> Tuple[Emit, Optional[Quick]]:
-        """Connect all but the left side; return where that sends its matches, and what makes a quick way of it."""
+    def bind_right(self, out: Emit, mode: NetworkOptions) -> Tuple[Emit, Optional[Fuse]]:
+        """Connect all but the left side; return where that sends its matches, and what fuses it."""
         operator = self.operator
         self.out = out
         self.joined = self._join(True)
@@ -168,7 +168,7 @@ class Joining(NetworkNode):
         self.right_buffer.identify(None if self._keeps(mode) else right_name)
         found = self._bind_sides(self._left_side(), self._right_side(mode), out, mode)
         for negated, absence in zip(self.negated, self.absences):
-            _bind(negated, absence.arrive, mode, self._quick_absent(negated, absence, mode))
+            _bind(negated, absence.arrive, mode, self._fuse_absence(negated, absence, mode))
             absence.bind_carried(mode)
         for absence, node in self.carried:
             absence.bind(node, mode)
@@ -205,11 +205,11 @@ class Joining(NetworkNode):
 
     def _bind_sides(
         self, left: Side, right: Side, out: Emit, mode: NetworkOptions
-    ) -> Tuple[Emit, Optional[Quick]]:
-        """Connect the right side by the policy; return what the left one does, and what makes a quick way of it."""
+    ) -> Tuple[Emit, Optional[Fuse]]:
+        """Connect the right side by the policy; return what the left one does, and what fuses it."""
         policy, operator, late = mode.policy, self.operator, self._is_late(mode)
         both = operator.either
-        only_waits = waiting_only(left), self._quick(left, False, out, mode)
+        only_waits = waiting_only(left), self._fuse(left, False, out, mode)
         if self._keeps(mode):
             tracker = self.rule.network.tracker
             only_waits = first_side(tracker, left, policy.consuming, operator.everything, out), None
@@ -218,23 +218,23 @@ class Joining(NetworkNode):
             if not late:
                 return only_waits
             if policy.consuming:
-                return taking_one(left, policy.newest, True, out), self._quick(left, True, out, mode)
+                return taking_one(left, policy.newest, True, out), self._fuse(left, True, out, mode)
             return taking_all_at_once(left, False, out), None
-        quick = self._quick(right, True, out, mode)
+        fuse = self._fuse(right, True, out, mode)
         if not policy.consuming:
-            _bind(self.right, taking_all(right, out), mode, quick)
-            return (taking_all(left, out), self._quick(left, True, out, mode)) if both or late else only_waits
+            _bind(self.right, taking_all(right, out), mode, fuse)
+            return (taking_all(left, out), self._fuse(left, True, out, mode)) if both or late else only_waits
         once = self.completed if self.double and both and operator.alone else None
-        _bind(self.right, taking_one(right, policy.newest, True, out, once), mode, quick)
+        _bind(self.right, taking_one(right, policy.newest, True, out, once), mode, fuse)
         if not both and not late:
             return only_waits
         arrive = taking_one(left, policy.newest, True, out, once)
         if right.wait and both:
             return self._after_waiting(arrive), None
-        return arrive, self._quick(left, True, out, mode)
+        return arrive, self._fuse(left, True, out, mode)
 
-    def _quick(self, side: Side, takes: bool, out: Emit, mode: NetworkOptions) -> Optional[Quick]:
-        """Return what makes a quick way of the plain one of events that are a side; None where there is none.
+    def _fuse(self, side: Side, takes: bool, out: Emit, mode: NetworkOptions) -> Optional[Fuse]:
+        """Return what fuses a side whose events are taken one by one; None where nothing does.
 
         Args:
             side: the side.
@@ -243,10 +243,10 @@ class Joining(NetworkNode):
             mode: how the network runs.
         """
         rule = self.rule
-        if not self._is_quick(mode):
+        if not self._may_fuse(mode):
             return None
         whole = rule.completion if rule.root is self else None
-        pair = QuickPair(
+        pair = FusedPair(
             (_is_whole(self.left), _is_whole(self.right)),
             self.operator,
             self.span,
@@ -259,19 +259,19 @@ class Joining(NetworkNode):
         )
         newest, uses = mode.policy.newest, mode.policy.consuming
         taking = Taking(newest, uses, among_others(side, newest, out)) if takes else None
-        return lambda plain: quick_side(side, pair, taking, rule, plain, out)
+        return lambda plain: fused_side(side, pair, taking, rule, plain, out)
 
-    def _is_quick(self, mode: NetworkOptions) -> bool:
+    def _may_fuse(self, mode: NetworkOptions) -> bool:
         """Tell whether nothing looks at the events by which matches come to be."""
         rule = self.rule
         looked_at = mode.tracked or mode.revised or rule.double or rule.skipping is not None
         return not looked_at and not rule.collects
 
-    def _quick_absent(self, negated: NetworkNode, absence: Absence, mode: NetworkOptions) -> Optional[Quick]:
+    def _fuse_absence(self, negated: NetworkNode, absence: Absence, mode: NetworkOptions) -> Optional[Fuse]:
         rule = self.rule
-        if not self._is_quick(mode):
+        if not self._may_fuse(mode):
             return None
-        return lambda plain: quick_absent(absence, rule, _is_whole(negated), plain)
+        return lambda plain: fused_absence(absence, rule, _is_whole(negated), plain)
 
     def _wait_later(self, match: Match, key: Hashable) -> None:
         """Let a right side wait when its event has been tried as a left side too.
@@ -377,9 +377,9 @@ def _is_whole(node: NetworkNode) -> bool:
     return isinstance(node, Leaf) and node.whole
 
 
-def _bind(node: NetworkNode, out: Emit, mode: NetworkOptions, quick: Optional[Quick]) -> None:
-    """Connect a side; a quick way is for the events of a leaf."""
-    if quick is not None and isinstance(node, Leaf):
-        node.bind(out, mode, quick)
+def _bind(node: NetworkNode, out: Emit, mode: NetworkOptions, fuse: Optional[Fuse]) -> None:
+    """Connect a side; only a leaf is fused with its node."""
+    if fuse is not None and isinstance(node, Leaf):
+        node.bind(out, mode, fuse)
     else:
         node.bind(out, mode)

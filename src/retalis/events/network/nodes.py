@@ -15,7 +15,7 @@ from .conditions import RuleGoal, Test
 from .owners import Buffer, RuleOwner
 from .telling import found_here
 
-Quick = Callable[[EventAction], Tuple[EventAction, Optional[MakeAction]]]
+Fuse = Callable[[EventAction], Tuple[EventAction, Optional[MakeAction]]]
 """Makes of the plain way of an event a fused one, and what makes that for events that come in, if it may."""
 
 
@@ -96,13 +96,13 @@ class Leaf(NetworkNode):
         self.rank = 0
         self.vars = variables(term)
 
-    def bind(self, out: Emit, mode: NetworkOptions, quick: Optional[Quick] = None) -> None:
+    def bind(self, out: Emit, mode: NetworkOptions, fuse: Optional[Fuse] = None) -> None:
         """Listen; the token of an event is asked for only where something looks at it.
 
         Args:
             out: where its matches go.
             mode: how the network runs.
-            quick: makes of the plain way a quicker one that does the same; None where there is none.
+            fuse: makes a fused action of the plain one; None where there is none.
         """
         rule = self.rule
         token = rule.network.dispatcher.token
@@ -132,10 +132,10 @@ class Leaf(NetworkNode):
         known = rule.double or mode.tracked
         if rule.skipping is None:
             plain = arrive_known if known else arrive_timed if rule.timed else arrive
-            if quick is None:
+            if fuse is None:
                 rule.listen(self, plain)
             else:
-                rule.listen(self, *quick(plain))
+                rule.listen(self, *fuse(plain))
         else:
             takes = (lambda start: True) if self.forbids else rule.skipping.takes
             rule.listen(self, arrive_unskipped)
