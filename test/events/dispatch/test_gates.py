@@ -48,6 +48,7 @@ def test_a_gate_lets_all_pass_while_nothing_is_known():
     assert gate.passes(1, 1, X)
 
 
+@pytest.mark.fused
 def test_a_gate_tells_by_constants_who_is_not_wanted():
     dispatcher = Dispatcher()
     listen(dispatcher, TF(X, Var()))
@@ -61,6 +62,7 @@ def test_a_gate_tells_by_constants_who_is_not_wanted():
     assert blind.passes(1, 1)
 
 
+@pytest.mark.fused
 def test_a_gate_looks_at_the_second_constant_too():
     dispatcher = Dispatcher()
     listen(dispatcher, TF(X, Y))
@@ -71,6 +73,7 @@ def test_a_gate_looks_at_the_second_constant_too():
     assert [gate.passes(1, 1, p, c) for p in (X, Y) for c in (X, Y)] == [False, True, False, False]
 
 
+@pytest.mark.fused
 @pytest.mark.parametrize("time", [(1.5, 0), (-1, 0), (1, 10**9), (1, -1), (10**12, 0), (Var(), 0), (1, X)])
 def test_what_is_wrong_or_unusual_about_a_time_passes(time):
     dispatcher = Dispatcher()
@@ -80,6 +83,7 @@ def test_what_is_wrong_or_unusual_about_a_time_passes(time):
     assert gate.passes(*time, X, Y)
 
 
+@pytest.mark.fused
 def test_gates_follow_those_who_come_and_go():
     dispatcher = Dispatcher()
     gate = dispatcher.gate(A, (1,))

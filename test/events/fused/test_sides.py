@@ -180,6 +180,7 @@ def test_what_has_left_is_not_held_until_its_time_is_over(cap):
     assert len(rule.expiries) < 1200
 
 
+@pytest.mark.fused
 def test_what_only_one_side_of_a_rule_takes_has_a_fused_action():
     engine = Engine()
     engine.load(

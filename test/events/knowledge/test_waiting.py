@@ -260,6 +260,7 @@ def test_what_is_dropped_again_and_again_is_no_flood(run, caplog):
     assert len(caplog.records) == 7
 
 
+@pytest.mark.fused
 def test_events_that_only_queries_listen_to_are_not_made(monkeypatch):
     dispatched, dispatch = [], Dispatcher.dispatch
 

@@ -92,6 +92,7 @@ def test_both_ways_give_and_know_the_same(kinds, grouped, limit, events, cap, cu
         assert run(text, events, cap, cut) == quick
 
 
+@pytest.mark.fused
 def test_what_is_common_goes_the_quick_way(monkeypatch):
     """Of a hundred items in order few go the plain way, those of the beginning among them."""
     plainly = []
