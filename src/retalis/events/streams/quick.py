@@ -51,7 +51,7 @@ _SUM = _MeasureText(
         y{at} = x{at} * s{at}.factor
         if not y{at}.is_integer():
             return plain(term, values, start, end, after)
-        y{at} = int(y{at})
+        y{at} = y{at}.__trunc__()
     elif x{at}.__class__ is int:
         y{at} = x{at} << s{at}.scale
     else:
@@ -66,7 +66,7 @@ _SUM = _MeasureText(
         value = old.values[{place}]
         total = left.measures[{at}].sum
         if value.__class__ is float and (scaled := value * total.factor).is_integer():
-            total.total -= int(scaled)
+            total.total -= scaled.__trunc__()
             total.floats -= 1
         else:
             total.change(value, -1)
@@ -109,9 +109,9 @@ def made(term, values, start, end, after):
         or group._starts is not None
         or stream._heap
         or not stream.clock <= end <= stream._until
-        or end - start >= span
+        or (start is not end and end - start >= span)
         or start < queue[-1].start
-        or end < group.members[-1].end
+        or end < (last := group.members[-1]).end
         or stream.number >= network.cap
     ):
         return plain(term, values, start, end, after)
@@ -137,7 +137,7 @@ def made(term, values, start, end, after):
     item.match = None
     item.start = start
     item.end = end
-    item.by = {group}
+    item.by = last.by
     item.key = key
     item.values = {taken}
     item.order = stream._order = order = stream._order + 1
@@ -206,11 +206,12 @@ def quick_sliding(
 def _source(form: QuickForm, limited: bool) -> str:
     """Return the source: it has nothing of the program's in it but how many of what there are, and where."""
     by: List[str] = []
+    keys = ["key"] if len(form.groups) == 1 else [f"key{at}" for at in range(len(form.groups))]
     for at, where in enumerate(form.groups):
-        by += [f"    k{at} = value = values[{where}]"]
-        by += [f"    key{at} = value if value.__class__ in PLAIN else term_key(value)"]
-    keys = [f"key{at}" for at in range(len(form.groups))]
-    by.append(f"    key = {keys[0] if len(keys) == 1 else _tuple(keys)}")
+        by += [f"    k{at} = {keys[at]} = values[{where}]"]
+        by += [f"    if k{at}.__class__ not in PLAIN:", f"        {keys[at]} = term_key(k{at})"]
+    if len(keys) != 1:
+        by.append(f"    key = {_tuple(keys)}")
     parts: List[_MeasureText] = []
     taken: List[str] = []
     for at, (kind, place) in enumerate(zip(form.kinds, form.values)):
@@ -223,7 +224,6 @@ def _source(form: QuickForm, limited: bool) -> str:
         by="\n".join(by),
         check="".join(one.check for one in parts),
         remove="".join(one.remove for one in parts),
-        group=_tuple(group),
         taken=_tuple(taken),
         add="".join(one.add for one in parts),
         found=_tuple(group + [one.result for one in parts]),
