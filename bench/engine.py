@@ -22,7 +22,7 @@ import workload as work  # noqa: E402
 from arguments import existing, interpreter, positive, target  # noqa: E402
 
 from retalis.engine import Engine  # noqa: E402
-from retalis.engine.runtime import limit_gc_pauses  # noqa: E402
+from retalis.engine.runtime import StreamClock, limit_gc_pauses  # noqa: E402
 from retalis.prolog.terms import functor  # noqa: E402
 
 
@@ -190,7 +190,7 @@ def synchronized(delay: Optional[int]) -> Callable[[str, bool], Result]:
     """S9: 1,000 queries a second: not synchronized (None), due at once (0), or ``delay`` seconds later."""
 
     def case(name: str, messages: bool) -> Result:
-        engine = Engine()
+        engine = Engine(StreamClock(BASE * 10**9))
         engine.load(goals="set_etalis_flag(event_consumption_policy, unrestricted)")
         engine.load_rules((work.APPLICATION / "eventRules.txt").read_text(encoding="utf-8"))
         rule = (

@@ -7,11 +7,13 @@ minutes.
 import os
 import subprocess
 import sys
+from importlib.util import find_spec
 
 import pytest
 from events.fused.switching import PATHS
 from source import ROOT
 
+SHARED = ["-n", str(os.cpu_count() or 1)] if find_spec("xdist") else []
 ALONE = [[path] for path in PATHS] if os.environ.get("RETALIS_TEST_FUSED") == "1" else []
 
 
@@ -30,7 +32,7 @@ def test_the_tests_of_rules_pass_without(off):
         "not slow and not fused",
     ]
     run = subprocess.run(
-        [*command, "-p", "events.fused.switching", "test/events", "--without-fused", *off],
+        [*command, "-p", "events.fused.switching", "test/events", "--without-fused", *off, *SHARED],
         cwd=str(ROOT),
         env={**os.environ, "PYTHONPATH": f"{ROOT / 'src'}{os.pathsep}{ROOT / 'test'}"},
         stdout=subprocess.PIPE,

@@ -133,7 +133,7 @@ class Audience:
             self.fused.pop(functor, None)
         for gates in list(self._gates.values()) if functor is None else self._gates_of(functor):
             for gate in list(gates.values()):
-                gate.set(None)
+                gate.plan = None
 
     def _gates_of(self, functor: Functor) -> "List[WeakValueDictionary[Tuple[int, ...], Gate]]":
         gates = self._gates.get(functor)
@@ -146,7 +146,7 @@ class Audience:
         plan = self._plans.keep(functor, make_plan(listeners), len(functor.name))
         for gates in self._gates_of(functor):
             for gate in list(gates.values()):
-                gate.set(plan)
+                gate.plan = plan
         if len(listeners) == 1 and listeners[0].fused is not None and takes_all(listeners[0].pattern):
             self.fused[functor] = listeners[0].fused()
         return plan
