@@ -30,7 +30,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "test" / "ros"), str(HERE.parent / 
 
 from arguments import above_zero, positive, target  # noqa: E402
 from player import Player  # noqa: E402
-from processes import ROSPY_IDLE, Started, build_roscpp, cpu, free_port, machine, resident  # noqa: E402
+from processes import ROSPY_IDLE, Started, build_roscpp, cpu, machine, own_master, resident  # noqa: E402
 
 LAUNCH = ["roslaunch", "retalis", "retalis.launch", "use_sim_time:=false"]
 WAYS = {
@@ -355,25 +355,8 @@ def arguments(given: Optional[List[str]] = None) -> argparse.Namespace:
 def main() -> int:
     """Run what the command line asks for."""
     options = arguments()
-    try:
-        import rosgraph
-        import rospy
-
-        import retalis.srv  # noqa: F401
-    except ImportError as error:
-        raise SystemExit(f"needs ROS and the built package (source devel/setup.bash): {error}") from error
-    os.environ["ROS_MASTER_URI"] = f"http://127.0.0.1:{free_port()}"
-    os.environ["ROS_HOSTNAME"] = "127.0.0.1"
-    started = Started()
-    started(["roscore", "-p", os.environ["ROS_MASTER_URI"].rsplit(":", 1)[1]])
-    try:
-        while not rosgraph.is_master_online():
-            time.sleep(0.1)
-        rospy.init_node("bench", disable_signals=True)
-        with tempfile.TemporaryDirectory() as folder:
-            result = measure(options, Path(folder))
-    finally:
-        started.end()
+    with own_master("bench"), tempfile.TemporaryDirectory() as folder:
+        result = measure(options, Path(folder))
     report(result)
     if options.json:
         Path(options.json).write_text(json.dumps(result, indent=1) + "\n")

@@ -6,8 +6,10 @@ import signal
 import socket
 import subprocess
 import sys
+import time
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Dict, List, Optional
+from typing import Dict, Iterator, List, Optional
 
 TOPICS = ("tf", "ar_pose_marker", "face_recognition/feedback")
 
@@ -65,6 +67,37 @@ def free_port() -> int:
     with socket.socket() as found:
         found.bind(("127.0.0.1", 0))
         return int(found.getsockname()[1])
+
+
+@contextmanager
+def own_master(node: str) -> Iterator[None]:
+    """Run a master on a free port, with this process as a node.
+
+    Args:
+        node: the name of the node.
+
+    Raises:
+        SystemExit: if ROS or the built package is not on the path.
+    """
+    try:
+        import rosgraph
+        import rospy
+
+        import retalis.srv  # noqa: F401
+    except ImportError as error:
+        raise SystemExit(f"needs ROS and the built package (source devel/setup.bash): {error}") from error
+    port = free_port()
+    os.environ["ROS_MASTER_URI"] = f"http://127.0.0.1:{port}"
+    os.environ["ROS_HOSTNAME"] = "127.0.0.1"
+    started = Started()
+    started(["roscore", "-p", str(port)])
+    try:
+        while not rosgraph.is_master_online():
+            time.sleep(0.1)
+        rospy.init_node(node, disable_signals=True)
+        yield
+    finally:
+        started.end()
 
 
 def cpu(pid: int) -> float:

@@ -29,7 +29,7 @@ from .services import InterfaceServices
 from .texts import TextPublisher
 from .unread import UnreadArguments
 
-HOLD = 0.002
+HOLD = 0.0018
 """Seconds for which a message may wait for the next ones, to be read and sent on together."""
 
 

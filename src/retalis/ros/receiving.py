@@ -26,6 +26,12 @@ WINDOW = 128
 LATE = WINDOW // 32
 """Waits of a window that may have been in vain."""
 
+MIN_FURTHER = 2
+"""Further messages that have to arrive within the hold time on average before any is waited for.
+
+With a single one, a message would be delayed by a whole interval of its topic to save every second wake-up.
+"""
+
 TIMEOUT = pack("ll", 0, 4000)
 """How long the system waits for further messages: a ``timeval``, rounded up to its ticks (4 milliseconds mostly)."""
 
@@ -55,7 +61,7 @@ _size = Struct("<I").unpack_from
 class Pace:
     """How many bytes there have to be at a connection before its thread is woken.
 
-    Where messages come one by one faster than the first may be held, the system is told to wait for several
+    If messages arrive one by one, and `MIN_FURTHER` while the first may be held, the system waits for several
     (``SO_RCVLOWAT``). That needs no timer, unlike a sleep between two reads, which costs more than it saves. Where
     the further ones then stay away again and again (a burst has ended), each is read at once as before.
 
@@ -95,12 +101,12 @@ class Pace:
     def _look(self) -> None:
         """Choose how many messages to wait for, from what came in the last window."""
         rate = self._messages / max(self._now() - self._since, 1e-9)
-        wanted = 1 + int(rate * self._hold)
-        if wanted == 1 or (self.least == 1 and self._messages >= wanted * self._wakes):
+        further = int(rate * self._hold)
+        if further < MIN_FURTHER or (self.least == 1 and self._messages >= (further + 1) * self._wakes):
             self.wait_for(1)
         else:
             each = self._bytes // max(1, self._messages)
-            self.wait_for(min((wanted - 1) * each + 1, BUFFER // 4))
+            self.wait_for(min(further * each + 1, BUFFER // 4))
         self._begin(1)
 
     def wait_for(self, least: int) -> None:
