@@ -1,6 +1,5 @@
 """ROS 1 message definitions: their slots, how large they are, and the checksum of all that."""
 
-from dataclasses import dataclass, field, replace
 from struct import calcsize
 from typing import Dict, Iterable, List, NamedTuple, Optional, Tuple, Union
 
@@ -114,7 +113,6 @@ def measured(fields: Iterable[Field]) -> Measure:
     return found
 
 
-@dataclass(frozen=True, eq=False)
 class Definition:
     """A message type with all the types it is made of.
 
@@ -135,22 +133,26 @@ class Definition:
         MessageError: for a name that is none.
     """
 
-    name: str
-    fields: Tuple[Field, ...]
-    constants: Tuple[Constant, ...] = ()
-    text: str = ""
-    event: str = ""
-    md5sum: str = field(init=False, default="")
-    measure: Measure = field(init=False, default=Measure())
-
-    def __post_init__(self) -> None:
+    def __init__(
+        self,
+        name: str,
+        fields: Tuple[Field, ...],
+        constants: Tuple[Constant, ...] = (),
+        text: str = "",
+        event: str = "",
+    ):
         from hashlib import md5  # noqa: PLC0415 - loads OpenSSL, and many programs have no messages
 
-        fault = type_fault(self.name)
+        fault = type_fault(name)
         if fault is not None:
             raise MessageError(fault)
-        object.__setattr__(self, "measure", measured(self.fields))
-        object.__setattr__(self, "md5sum", md5(_checksum_text(self).encode()).hexdigest())
+        self.name = name
+        self.fields = fields
+        self.constants = constants
+        self.text = text
+        self.event = event
+        self.measure = measured(fields)
+        self.md5sum = md5(_checksum_text(self).encode()).hexdigest()
 
     @property
     def functor_name(self) -> str:
@@ -201,7 +203,9 @@ class Definition:
         >>> Definitions().find("std_msgs/Bool").as_event("bumper_left").functor_name
         'bumper_left'
         """
-        return self if event == self.event else replace(self, event=event)
+        if event == self.event:
+            return self
+        return Definition(self.name, self.fields, self.constants, self.text, event)
 
     def __repr__(self) -> str:
         return f"Definition({self.name!r}, md5sum={self.md5sum!r})"

@@ -15,9 +15,9 @@
 The parameters are the first arguments of the predicate; the result is unified with the last.
 """
 
-import inspect
 from contextlib import closing
 from typing import (
+    TYPE_CHECKING,
     Any,
     Callable,
     Generator,
@@ -38,6 +38,9 @@ from ...foundation import RetalisError, UsageError, counted
 from ..logic import Logic
 from ..machine import Machine, PrologError, permission_error
 from ..terms import SLASH, Functor, String, Term, Var, atom, functor
+
+if TYPE_CHECKING:
+    from inspect import Parameter
 from .values import reader_of, to_term
 
 _ERROR = functor("error", 2)
@@ -108,20 +111,24 @@ def foreign(
     """
 
     def mark(function: Function) -> Function:
+        from inspect import isgeneratorfunction  # noqa: PLC0415 - imports much, and few programs have functions
+
         hints = get_type_hints(function)
         count = outputs
         if count is None:
             count = 0 if hints.get("return", 1) in (bool, type(None)) else 1
         readers = [reader_of(hints.get(one.name)) for one in _parameters(function)]
-        spec = _Spec(name or function.__name__, count, readers, inspect.isgeneratorfunction(function))
+        spec = _Spec(name or function.__name__, count, readers, isgeneratorfunction(function))
         setattr(function, _MARK, spec)
         return function
 
     return mark if function is None else mark(function)
 
 
-def _parameters(function: Callable[..., object]) -> List[inspect.Parameter]:
-    found = list(inspect.signature(function).parameters.values())
+def _parameters(function: Callable[..., object]) -> "List[Parameter]":
+    from inspect import signature  # noqa: PLC0415 - see `foreign`
+
+    found = list(signature(function).parameters.values())
     for one in found:
         if one.kind not in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD):
             raise UsageError(
