@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from retalis.events.matches import Match, arrival, identity
+from retalis.events.matches import EventMatch, Match, arrival, identity
 from retalis.events.matches.matches import Identity
 from retalis.prolog.terms import atom
 
@@ -51,3 +51,12 @@ def test_a_match_without_parts_has_an_identity():
 
 def test_a_match_of_events_that_are_not_tracked_has_the_arrival_number_0():
     assert arrival(nested(3, "a")) == 0
+
+
+def test_a_match_of_an_event_is_a_match_that_takes_less_memory():
+    event, full = EventMatch(), Match((1,), 5, 5, None, ("a", 1), None)
+    event.start = event.end = 5
+    event.term = ("a", 1)
+    assert (event.values, event.event, event.parts, event.used) == (full.values, None, None, None)
+    assert identity(event) == identity(full)
+    assert sys.getsizeof(full) - sys.getsizeof(event) == 24

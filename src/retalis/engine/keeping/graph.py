@@ -6,7 +6,7 @@ These objects know one another in circles, so each is a row, in which others sta
 from typing import Any, Callable, Dict, List, Sequence, Tuple
 
 from ...events.history import Occurrence, Suppressed
-from ...events.matches import NOTHING_HELD, Chain, Found, Held, Log, Match, Run, Token, Train
+from ...events.matches import NOTHING_HELD, Chain, EventMatch, Found, Held, Log, Match, Run, Token, Train
 from ...events.network import NetworkNode, Repeating, Rule, Running, Streaming
 from ...events.streams import StreamItem
 from ...foundation import UsageError
@@ -53,7 +53,7 @@ FIELDS: Dict[str, Tuple[Any, Tuple[str, ...]]] = {
 }
 """The kinds of objects: their class, and which attributes are kept. The others are made anew."""
 
-_KINDS = {kind: name for name, (kind, _) in FIELDS.items()}
+_KINDS = {EventMatch: "match", **{kind: name for name, (kind, _) in FIELDS.items()}}
 
 _AS_IT_IS = frozenset((int, bool, type(None)))
 

@@ -12,7 +12,7 @@ from ...prolog.machine import Frame
 from ...prolog.syntax import EventOperator
 from ...prolog.terms import Atom, EventAction, String, Var
 from ..dispatch import MakeAction
-from ..matches import Absence, Emit, Found, Match, MatchBuffer, Side
+from ..matches import Absence, Emit, EventMatch, Found, Match, MatchBuffer, Side
 from .heads import Completion
 
 _PLAIN = frozenset((Atom, int, String))
@@ -133,6 +133,7 @@ def _common_names(rule: Any, own: MatchBuffer, plain: EventAction) -> Dict[str, 
         "late": rule.expiries.late,
         "plain": plain,
         "new": object.__new__,
+        "EventMatch": EventMatch,
         "Match": Match,
         "PLAIN": _PLAIN,
         "SPARE": SPARE,
@@ -234,7 +235,8 @@ class _Writer:
             file = [f"expiries.add({own.span}, match, number)" if anew else f"{self.queue}.append(match)"]
         sweep = "number > rule.sweep_at or " if self.rule.sweeps_ruled_out else ""
         return [
-            "match = new(Match)",
+            "alone = key not in waiting",
+            "match = new(Match)" if keep else "match = new(EventMatch if alone else Match)",
             *keep,
             "match.start = s",
             "match.end = e",
@@ -242,7 +244,7 @@ class _Writer:
             "match.key = key",
             "rule.order = match.order = rule.order + 1",
             Block(
-                "if key not in waiting:",
+                "if alone:",
                 ["match.buffer = own", "match.older = match.newer = waiting[key] = match"],
             ),
             Block("else:", ["own.join(match)"]),

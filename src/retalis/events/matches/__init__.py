@@ -5,6 +5,7 @@ from .chains import Chain, Log, joined_at_once, joined_one_by_one, pieces_of, re
 from .expiry import VISITED_SLICE, ByStart, Expiries, drop_gone
 from .matches import (
     NOTHING_HELD,
+    EventMatch,
     Found,
     Held,
     Holder,
@@ -67,6 +68,7 @@ __all__ = [
     "key_function",
     "leaves",
     "Log",
+    "EventMatch",
     "Match",
     "NetworkOptions",
     "Moving",

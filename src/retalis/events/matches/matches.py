@@ -37,16 +37,19 @@ class Waited(Protocol):
         """Take out a match that waits here."""
 
 
-class Match:
-    """What a node of a pattern has found.
+class EventMatch:
+    """A match of one event whose arguments are the values of its pattern.
+
+    It has the attributes of a `Match` and is annotated as one, but it takes 32 bytes less: many millions may wait.
+    Only `values`, `event` and `parts` cannot be set.
 
     Attributes:
-        values: the values of the node's variables.
+        values: the arguments of the event.
         start: where the interval starts.
         end: where it ends.
-        event: the token of the event, where the match is of one single event; else None.
-        term: the event, where it is the match of an event pattern.
-        parts: what else it was put together from: matches, `Held` and `Found`, and the number of a branch.
+        event: None.
+        term: the event.
+        parts: None.
         buffer: where it waits; None while it does not wait (any more).
         key: under which key it waits there.
         older: the one that began to wait under the key before it; that of the oldest is the newest.
@@ -57,12 +60,9 @@ class Match:
     """
 
     __slots__ = (
-        "values",
         "start",
         "end",
-        "event",
         "term",
-        "parts",
         "buffer",
         "key",
         "older",
@@ -72,31 +72,28 @@ class Match:
         "used",
     )
 
+    start: int
+    end: int
+    term: Any  # whoever asks for it knows that it is of one event
+    buffer: Optional[Waited]
     key: Hashable
     older: "Match"
     newer: "Match"
     order: int
     identity: Hashable
+    used: "Optional[Match]"
 
-    def __init__(
-        self,
-        values: Values,
-        start: int,
-        end: int,
-        event: Hashable,
-        term: Optional[Term],
-        parts: "Optional[Parts]",
-    ):
-        self.values = values
-        self.start = start
-        self.end = end
-        self.event = event
-        self.term: Any = term  # whoever asks for it knows that it is of one event
-        self.parts = parts
-        self.buffer: Optional[Waited] = None
-        self.used: Optional[Match] = None
+    if TYPE_CHECKING:
+        values: Values
+        event: Hashable
+        parts: "Optional[Parts]"
+    else:
+        event = parts = None
 
-    if not TYPE_CHECKING:
+        @property
+        def values(self) -> Values:
+            """The arguments of the event."""
+            return self.term[1:]
 
         def __getattr__(self, name: str) -> Any:
             """Give a match the attribute that it was made without: the values are the arguments of its event."""
@@ -122,7 +119,40 @@ class Match:
     def leave(self) -> None:
         """Take the match out of where it waits, if it does."""
         if self.buffer is not None:
-            self.buffer.remove(self)
+            self.buffer.remove(self)  # type: ignore[arg-type]  # annotated as what it is like
+
+
+class Match(EventMatch):
+    """A match of a node of a pattern.
+
+    Attributes:
+        values: the values of the node's variables.
+        event: the token of the event, where the match is of one single event; else None.
+        term: the event, where it is the match of an event pattern.
+        parts: what else it was put together from: matches, `Held` and `Found`, and the number of a branch.
+
+    The other attributes are those of `EventMatch`.
+    """
+
+    __slots__ = ("values", "event", "parts")
+
+    def __init__(
+        self,
+        values: Values,
+        start: int,
+        end: int,
+        event: Hashable,
+        term: Optional[Term],
+        parts: "Optional[Parts]",
+    ):
+        self.values = values
+        self.start = start
+        self.end = end
+        self.event = event
+        self.term = term
+        self.parts = parts
+        self.buffer = None
+        self.used = None
 
 
 _LEFT_OUT = frozenset(("values", "event", "parts", "identity", "used"))
@@ -247,14 +277,14 @@ class Identity:
         return True
 
 
-def identity(match: Match) -> Hashable:
+def identity(match: EventMatch) -> Hashable:
     """Return a key: equal for two matches of a node made of identical event terms, carried values apart."""
     if match.parts is None:
         return term_key(match.term)
-    path = [match]
+    path: List[EventMatch] = [match]
     while path[-1].__class__ is not Match or path[-1].identity is None:
         parts = path[-1].parts
-        if not parts or not isinstance(parts[0], Match):
+        if not parts or not isinstance(parts[0], EventMatch):
             break
         path.append(parts[0])
     last = path[-1]
@@ -268,14 +298,14 @@ def identity(match: Match) -> Hashable:
     return found
 
 
-def _identity_of(match: Match, key: Tuple[Hashable, ...]) -> Hashable:
+def _identity_of(match: EventMatch, key: Tuple[Hashable, ...]) -> Hashable:
     """Return the identity of a match, given those of its first parts."""
     parts = match.parts
     if parts is None:
         return term_key(match.term)
     part: Any
     for part in parts[len(key) :]:
-        if isinstance(part, Match):
+        if isinstance(part, EventMatch):
             key += (identity(part),)
         elif part.__class__ is Found:
             key += (tuple([term_key(value) for value in part.values]),)
@@ -287,14 +317,14 @@ def _identity_of(match: Match, key: Tuple[Hashable, ...]) -> Hashable:
 def leaves(match: Match) -> Iterator[Hashable]:
     """Yield the tokens of the events that a match was made of, in the order of the pattern."""
     inner: Any
-    stack = [match]
+    stack: List[EventMatch] = [match]
     while stack:
         part = stack.pop()
         if part.parts is None:
             yield part.event
         else:
             for inner in reversed(part.parts):
-                if isinstance(inner, Match):
+                if isinstance(inner, EventMatch):
                     stack.append(inner)
                 elif inner.__class__ is Held or isinstance(inner, Repetitions):
                     stack.extend(reversed(inner.matches))
@@ -303,14 +333,14 @@ def leaves(match: Match) -> Iterator[Hashable]:
 def sources(match: Match) -> Iterator[Hashable]:
     """Yield the tokens of the events that a match was made of; for those of repetitions the last `Held`."""
     inner: Any
-    stack = [match]
+    stack: List[EventMatch] = [match]
     while stack:
         part = stack.pop()
         if part.parts is None:
             yield part.event
             continue
         for inner in reversed(part.parts):
-            if isinstance(inner, Match):
+            if isinstance(inner, EventMatch):
                 stack.append(inner)
             elif inner.__class__ is Held:
                 if inner.match is not None:
