@@ -209,7 +209,7 @@ class _Writer:
                             "place = gone.buffer",
                             Block(
                                 "if place is own or place is other:",
-                                _leave("gone", "place", "place.newest", "gone.key"),
+                                ["place.remove(gone)"],
                             ),
                             Block("elif place is not None:", ["gone.leave()"]),
                         ],
@@ -258,22 +258,6 @@ class _Writer:
         ]
 
 
-def _leave(match: str, place: str, newest: str, key: str) -> List[Statement]:
-    """Return the statements by which a match leaves a buffer: as `MatchBuffer.remove`; mostly it is alone."""
-    return [
-        Block(
-            f"if {match}.older is {match} and not ({place}.indices or {place}.names):",
-            [
-                f"{match}.buffer = None",
-                "rule.waiting -= 1",
-                f"del {newest}[{key}]",
-                f"{match}.older = {match}.newer = None",
-            ],
-        ),
-        Block("else:", [f"{place}.remove({match})"]),
-    ]
-
-
 class _SideWriter(_Writer):
     """Writes the function of a side of a pair.
 
@@ -311,7 +295,7 @@ class _SideWriter(_Writer):
         """Return the statements that use up the newest or the oldest partner."""
         last = "partner" if newest else "last"
         give = [
-            *_leave("partner", "other", "partners", "key"),
+            "other.remove(partner)",
             *(wait if self.side.stays else []),
             *self._give(),
         ]
