@@ -47,7 +47,7 @@ def without_absences():
 
 
 def without_windows():
-    streaming.quick_sliding = lambda form, span, node, plain, complete, too_large: plain
+    streaming.fused_window = lambda form, span, node, plain, complete, too_large: plain
 
 
 PATHS = {

@@ -8,9 +8,13 @@ from .goals import goal_action
 from .heads import Completion, Head, firing_action
 from .questions import question_action
 from .sides import SPARE, FusedPair, Taking, fused_absence, fused_side
+from .windows import FusedWindow, fused_window, has_fused_measures
 
 __all__ = [
     "Completion",
+    "fused_window",
+    "FusedWindow",
+    "has_fused_measures",
     "firing_action",
     "goal_action",
     "Head",

@@ -18,6 +18,7 @@ from ...prolog.terms import (
     variables,
 )
 from ..dispatch import compile_builder
+from ..fused import FusedWindow, has_fused_measures
 from ..language import (
     Awaited,
     Pattern,
@@ -36,14 +37,12 @@ from ..streams import (
     FromFirst,
     Hopping,
     Newest,
-    QuickForm,
     RunningWindow,
     Settled,
     Sliding,
     Spaced,
     SteppedWindow,
     StreamOperator,
-    is_quick,
 )
 from .asking import Asking, Evaluate, Folding
 from .deferred import Built, Negated, absence_of
@@ -144,20 +143,25 @@ def measuring(
         )
     make = partial(_WINDOWS[form.kind], measures, form)
     clocked = form.kind == "first" or (form.kind == "every" and not form.running)
-    calls, quick = "fold" in part.kinds, _quick_form(part, places, groups)
-    return Making(lambda mode: make(), item, result, clocked, _LATE, calls, quick)
+    calls, fused = "fold" in part.kinds, _fused_form(part, places, groups)
+    return Making(lambda mode: make(), item, result, clocked, _LATE, calls, fused)
 
 
-def _quick_form(part: Windowed, places: Dict[Var, int], groups: Sequence[Var]) -> Optional[QuickForm]:
-    """Return the form of a window that `quick_sliding` knows, for measures of variables; None for others."""
-    if part.window.kind != "last" or part.listed or not is_quick(part.kinds) or _fresh(part, groups) is None:
+def _fused_form(part: Windowed, places: Dict[Var, int], groups: Sequence[Var]) -> Optional[FusedWindow]:
+    """Return the form of a window that `fused_window` takes, for measures of variables; None for others."""
+    if (
+        part.window.kind != "last"
+        or part.listed
+        or not has_fused_measures(part.kinds)
+        or _fresh(part, groups) is None
+    ):
         return None
     values: List[Optional[int]] = []
     for value in part.values:
         if value is not None and (value.__class__ is not Var or value not in places):
             return None
         values.append(None if value is None else places[value])
-    return QuickForm(part.window.span, [places[var] for var in groups], part.kinds, values)
+    return FusedWindow(part.window.span, [places[var] for var in groups], part.kinds, values)
 
 
 def _fresh(part: Windowed, groups: Sequence[Var]) -> Optional[List[Var]]:

@@ -7,7 +7,7 @@ from ...foundation import RuleError
 from ...prolog.machine import Frame, Meter
 from ...prolog.terms import Term, Values, Var, WholeSeconds
 from ..dispatch import EventAction
-from ..fused import Completion
+from ..fused import Completion, FusedWindow, fused_window
 from ..history import known_in
 from ..language import Pattern
 from ..matches import (
@@ -27,12 +27,10 @@ from ..matches import (
 from ..streams import (
     MAX_WAYS_PER_START,
     KeyBounds,
-    QuickForm,
     StreamItem,
     StreamOperator,
     StreamOutput,
     WindowGroup,
-    quick_sliding,
 )
 from .limits import least
 from .nodes import NetworkNode
@@ -55,7 +53,7 @@ class Making(NamedTuple):
         clocked: whether items are taken by the present instant.
         past: what reports say of items that come too late to be taken.
         calls: whether the operator calls goals of the program.
-        quick: how a window looks whose common case has a way of its own; None for others.
+        fused: the window, if it can be fused; None for others.
     """
 
     stream: Callable[[NetworkOptions], StreamOperator]
@@ -64,7 +62,7 @@ class Making(NamedTuple):
     clocked: bool
     past: str
     calls: bool = False
-    quick: Optional[QuickForm] = None
+    fused: Optional[FusedWindow] = None
 
 
 class Streaming(NetworkNode):
@@ -161,10 +159,10 @@ class Streaming(NetworkNode):
             output = group.output(False)
             return after if output is None else self._give([output], after)
 
-        quick = self.making.quick
+        fused = self.making.fused
         action: EventAction = arrive
-        if quick is not None and not self.rule.mode.revised:  # twice the time of the whole event without it
-            action = quick_sliding(quick, self.span, self, arrive, complete, too_large)
+        if fused is not None and not self.rule.mode.revised:  # twice the time of the whole event without it
+            action = fused_window(fused, self.span, self, arrive, complete, too_large)
         self.children[0].bind_alone(Completion(action))
 
     def _connect(self, out: Emit, mode: NetworkOptions) -> None:

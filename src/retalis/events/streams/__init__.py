@@ -2,10 +2,9 @@
 
 from .awaiting import Agreement, Awaiting
 from .groups import WindowGroup
-from .items import KeyBounds, KnownState, StreamItem, StreamOperator, StreamOutput
+from .items import PLAIN, KeyBounds, KnownState, StreamItem, StreamOperator, StreamOutput
 from .measures import MEASURES
 from .numbers import ADDING, check_finite, check_ordered, is_number, is_number_expression, unfit
-from .quick import QuickForm, is_quick, quick_sliding
 from .shapes import Changing, Settled, Spaced
 from .stepping import MAX_WAYS_PER_START, SteppedWindow
 from .steps import StepMark, StepPlan, StepTest, WindowStep
@@ -22,12 +21,12 @@ __all__ = [
     "Changing",
     "FromFirst",
     "Hopping",
+    "PLAIN",
     "StreamItem",
     "KeyBounds",
     "KnownState",
     "StepMark",
     "Newest",
-    "QuickForm",
     "StreamOutput",
     "RunningWindow",
     "Settled",
@@ -43,7 +42,5 @@ __all__ = [
     "check_ordered",
     "is_number",
     "is_number_expression",
-    "is_quick",
-    "quick_sliding",
     "unfit",
 ]

@@ -1,4 +1,4 @@
-"""The quick way of sliding windows gives and knows what the plain way does, whatever comes."""
+"""A fused window gives and knows what the plain way does, whatever comes."""
 
 import pytest
 from hypothesis import example, given
@@ -86,17 +86,17 @@ def run(text, events, cap, cut):
 @example(["sum(X)"], True, "", [(1, 1e308, 0, 1, 0)] * 4 + [(1, 2, 0, 1, 0)] * 9, 1000, 99)
 def test_both_ways_give_and_know_the_same(kinds, grouped, limit, events, cap, cut):
     text = rule(kinds, grouped, limit)
-    quick = run(text, events, cap, cut)
+    fused = run(text, events, cap, cut)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(streaming, "quick_sliding", lambda form, limit, node, plain, *others: plain)
-        assert run(text, events, cap, cut) == quick
+        patch.setattr(streaming, "fused_window", lambda form, limit, node, plain, *others: plain)
+        assert run(text, events, cap, cut) == fused
 
 
 @pytest.mark.fused
-def test_what_is_common_goes_the_quick_way(monkeypatch):
+def test_what_is_common_is_fused(monkeypatch):
     """Of a hundred items in order few go the plain way, those of the beginning among them."""
     plainly = []
-    taken = streaming.quick_sliding
+    taken = streaming.fused_window
 
     def counting(form, limit, node, plain, *others):
         def counted(*arguments):
@@ -105,7 +105,7 @@ def test_what_is_common_goes_the_quick_way(monkeypatch):
 
         return taken(form, limit, node, counted, *others)
 
-    monkeypatch.setattr(streaming, "quick_sliding", counting)
+    monkeypatch.setattr(streaming, "fused_window", counting)
     text = rule(["count", "sum(X)", "avg(X)", "min(X)", "max(Y)"], True, "")
     found = run(text, [(atom("ab"[at % 2]), 0.5, at, 1, 0) for at in range(100)], 1000, 999)[0]
     assert len(found) == 200 and len(plainly) < 15  # what begins a group, and what asks how far time may go
