@@ -30,7 +30,7 @@ class FusedWindow(NamedTuple):
     values: Sequence[Optional[int]]
 
 
-class _Measure(NamedTuple):
+class _MeasureSource(NamedTuple):
     """The source of one measure of a window; ``x`` with its number is the value of the new item.
 
     Attributes:
@@ -46,13 +46,13 @@ class _Measure(NamedTuple):
     result: str
 
 
-def _count(at: int, place: int) -> _Measure:
-    return _Measure([], [], [], "number")
+def _count(at: int, place: int) -> _MeasureSource:
+    return _MeasureSource([], [], [], "number")
 
 
-def _sum(at: int, place: int) -> _Measure:
+def _sum(at: int, place: int) -> _MeasureSource:
     x, total, scaled = f"x{at}", f"s{at}", f"y{at}"
-    return _Measure(
+    return _MeasureSource(
         [
             f"{total} = group.measures[{at}].sum",
             Block(
@@ -80,15 +80,15 @@ def _sum(at: int, place: int) -> _Measure:
     )
 
 
-def _mean(at: int, place: int) -> _Measure:
+def _mean(at: int, place: int) -> _MeasureSource:
     total = f"s{at}"
     exact = f"{total}.total / (number << {total}.scale)"
     return _sum(at, place)._replace(result=f"{exact} if {total}.floats else {total}.over(number)")
 
 
-def _lowest(at: int, place: int, sign: str = "") -> _Measure:
+def _lowest(at: int, place: int, sign: str = "") -> _MeasureSource:
     x, heap = f"x{at}", f"lowest{at}"
-    return _Measure(
+    return _MeasureSource(
         [Block(f"if {x}.__class__ is not float and {x}.__class__ is not int or {x} != {x}:", [_PLAIN_WAY])],
         [
             f"{heap} = group.measures[{at}].lowest",
@@ -100,11 +100,11 @@ def _lowest(at: int, place: int, sign: str = "") -> _Measure:
     )
 
 
-def _highest(at: int, place: int) -> _Measure:
+def _highest(at: int, place: int) -> _MeasureSource:
     return _lowest(at, place, "-")
 
 
-_MEASURES: Dict[str, Callable[[int, int], _Measure]] = {
+_MEASURES: Dict[str, Callable[[int, int], _MeasureSource]] = {
     "count": _count,
     "sum": _sum,
     "avg": _mean,
