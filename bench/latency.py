@@ -113,7 +113,7 @@ class Probe:
             nodes = dict(running("/retalis"))
             wait_until(lambda: connected(nodes, "/retalisInputEvents", "/retalisOutputEvents"))
         # The subscriber notes a connection before the publisher does; then a first result shows that all is ready.
-        wait_until(lambda: self._publish(publisher, 10, 0.1) and self._received)
+        wait_until(lambda: self._received or not self._publish(publisher, 10, 0.1))
 
     def _publish(self, publisher: Any, rate: float, seconds: float) -> Dict[int, float]:
         """Publish messages at a rate; return the time at which each was published, by its timestamp in ns."""
@@ -166,7 +166,7 @@ def summary(runs: List[Dict[str, Any]]) -> List[Dict[str, Any]]:
 
 
 def percentile(values: List[float], share: float) -> Optional[float]:
-    """Return the smallest of the sorted values that at least this share of them does not exceed."""
+    """Return the value at a share of the sorted values, counted from the first; None without values."""
     if not values:
         return None
     return values[min(len(values) - 1, int(share * len(values)))]

@@ -1,4 +1,4 @@
-"""How events enter: stamped by the clock, after the alarms that are due, by the shortest way that serves them."""
+"""Event input: timestamps, due alarms, and dispatch."""
 
 import logging
 from typing import Callable, Optional
@@ -19,7 +19,7 @@ class Intake:
         logic: whose machine runs what events start.
         dispatcher: serves them.
         clock: what time it is.
-        followed: the same clock where stamped events move it; None for one that its owner moves.
+        followed: the same clock where stamped events move it; None if only its owner moves it.
         start_anew: called where time went back.
 
     Attributes:
@@ -97,7 +97,7 @@ class Intake:
         """Move the clock to the instant of an event, and let alarms ring that are due."""
         followed = self.followed
         if followed is not None:
-            followed.now()  # where somebody has put it back, that is seen first
+            followed.now()  # a clock that was set back is noticed first
             followed.move_to(instant)
         self._look_at_clock()
 

@@ -2,7 +2,7 @@
 
 from . import codegen
 from .caches import Cache, Texts
-from .codegen import LARGEST, Block, Statement, shared_function, source_of
+from .codegen import LARGEST, Block, Statement, shared_function, source_of, tuple_source
 from .errors import (
     LONGEST,
     SHOWN,
@@ -48,6 +48,7 @@ __all__ = [
     "Block",
     "codegen",
     "source_of",
+    "tuple_source",
     "Statement",
     "counted",
     "Errors",

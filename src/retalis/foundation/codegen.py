@@ -135,6 +135,11 @@ def source_of(statements: Iterable[Statement], depth: int = 0) -> str:
     return "\n".join(lines)
 
 
+def tuple_source(items: Iterable[str]) -> str:
+    """Return the source of a tuple of expressions."""
+    return f"({''.join(f'{item}, ' for item in items)})"
+
+
 def define(source: str, names: Dict[str, Any], title: str) -> Dict[str, Any]:
     """Add the functions of a source to the names that they may use, and return these.
 

@@ -142,7 +142,7 @@ class YoungCollector:
     YOUNG = 2000
     """Number of new objects after which the youngest generation is collected."""
     MIDDLE = 2
-    """Number of such collections after which the second generation is collected, of some 6,000 objects."""
+    """Number of such collections after which the second generation is collected, of some 8,000 objects."""
     RARELY = 1_000_000
     """Number of those after which CPython would collect the oldest generation, most of which is frozen."""
     SPARE_BLOCKS = 4_000_000

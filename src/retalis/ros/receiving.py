@@ -27,7 +27,7 @@ LATE = WINDOW // 32
 """Waits of a window that may have been in vain."""
 
 MIN_FURTHER = 2
-"""Further messages that have to arrive within the hold time on average before any is waited for.
+"""Further messages that must arrive within the hold time, on average, before the reader waits for them.
 
 With a single one, a message would be delayed by a whole interval of its topic to save every second wake-up.
 """
@@ -61,9 +61,9 @@ _size = Struct("<I").unpack_from
 class Pace:
     """How many bytes there have to be at a connection before its thread is woken.
 
-    If messages arrive one by one, and `MIN_FURTHER` while the first may be held, the system waits for several
-    (``SO_RCVLOWAT``). That needs no timer, unlike a sleep between two reads, which costs more than it saves. Where
-    the further ones then stay away again and again (a burst has ended), each is read at once as before.
+    If messages arrive one by one, and at least `MIN_FURTHER` more while the first is held, the system waits for
+    several (``SO_RCVLOWAT``). That needs no timer, unlike a sleep between two reads, which costs more than it saves.
+    If the further ones then stay away again and again (a burst has ended), each is read at once as before.
 
     Args:
         sock: the connection's socket.

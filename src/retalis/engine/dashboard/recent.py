@@ -90,8 +90,8 @@ class _Kind:
 class RecentEvents:
     """Counts events by their functors and keeps the last ones as text, while that is wanted.
 
-    A listener for all events takes from the engine what is faster where nobody looks on (`Lane`, `Gate`), so it is
-    there only while it is wanted. What it does for an event is bounded, and nobody waits for the engine here.
+    A listener for all events disables fused actions and gates (`Audience.fused`, `Gate`), so it is there only while
+    it is wanted. What it does for an event is bounded, and nobody waits for the engine here.
 
     Args:
         engine: whose events they are.

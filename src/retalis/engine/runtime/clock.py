@@ -306,7 +306,7 @@ class StreamClock(Clock):
         >>> StreamClock(5_000_000_000).stamp_at_once()
         5000000000
         """
-        # Apart from the clock of a computer: most messages are stamped here, and two calls more take 100 ns.
+        # Inlined: most messages are stamped here, and two more calls take 100 ns.
         time, pinned = self._time, self._pinned
         instant = time if pinned is None else pinned
         if (

@@ -33,7 +33,7 @@ def limit_gc_pauses() -> None:
     """Limit pauses by Python's garbage collector to a few milliseconds; call it after the program is loaded.
 
     By default CPython walks all live objects again and again, about 100 ns each: with a million partial matches,
-    single events wait for some 400 ms. From this call on, only new objects are walked, some 6,000 at a time. An
+    single events wait for some 400 ms. From this call on, only new objects are walked, some 8,000 at a time. An
     object is freed as before when its last reference goes; only objects in a reference cycle need the collector.
     Cycles that become garbage late are collected by `collect_when_idle`, or at the latest when the heap has grown to
     three times its size plus 4,000,000 blocks of memory (of some 60 bytes), without what the records of engines

@@ -1,4 +1,4 @@
-"""Gates: who is about to make an event asks whether it can concern anybody, before it is made.
+"""Gates: whether an event can match any listener, tested before it is made.
 
 A message that is taken apart gives many events of which few are wanted. A gate tells from the arguments that
 are at hand already, by the same tests that the dispatcher makes, which events nobody listens to.
@@ -39,7 +39,7 @@ _NAMES = {"Choice": Choice, "Atom": Atom, "NOBODY": NOBODY, "LAST": LAST // SECO
 
 
 def _passing(positions: Tuple[int, ...]) -> Callable[[Gate], Passes]:
-    """Return what makes the function of a gate: it walks the plan as far as known arguments are tested."""
+    """Return a factory of `Gate.passes`, which follows the plan as far as it tests known arguments."""
     parameters = ", ".join(["seconds", "nanoseconds", *[f"a{at}" for at in positions]])
     chosen = [
         Block(f"{'if' if number == 0 else 'elif'} at == {at}:", [f"value = a{at}"])
@@ -60,5 +60,5 @@ def _passing(positions: Tuple[int, ...]) -> Callable[[Gate], Passes]:
     source = source_of(
         [Block("def made(gate):", [Block(f"def passes({parameters}):", body), "return passes"])]
     )
-    made: Callable[[Gate], Passes] = shared_function(source + "\n", _NAMES, "gate")
+    made: Callable[[Gate], Passes] = shared_function(source, _NAMES, "gate")
     return made

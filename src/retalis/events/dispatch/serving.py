@@ -1,4 +1,4 @@
-"""What the dispatcher deals in: listeners, the stages in which they are served, and events that are being served."""
+"""Listeners, their stages, and the context of the event that is being served."""
 
 from enum import IntEnum
 from typing import Any, Callable, FrozenSet, List, Optional, Tuple
@@ -91,7 +91,7 @@ TOKEN = 7
 
 
 class _Serve:
-    """Code of a frame that serves the listeners of an event that are left."""
+    """Code of a frame that serves the remaining listeners of an event."""
 
     @staticmethod
     def run(frame: Frame) -> Frame:
@@ -110,7 +110,7 @@ class _Serve:
 
 
 class _RestoreContext:
-    """Code of a frame from which on an event is being served that was before."""
+    """Code of a frame that restores the previous context."""
 
     @staticmethod
     def run(frame: Frame) -> Frame:
@@ -121,7 +121,7 @@ class _RestoreContext:
 
 
 class _CauseAgain:
-    """Code of a frame from which on events have the cause again that they had before."""
+    """Code of a frame that restores the previous cause."""
 
     @staticmethod
     def run(frame: Frame) -> Frame:

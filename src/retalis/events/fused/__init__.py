@@ -7,7 +7,7 @@ pattern's variables, start, end and the next frame, and returns the frame to go 
 from .goals import goal_action
 from .heads import Completion, Head, firing_action
 from .questions import question_action
-from .sides import SPARE, FusedPair, Taking, fused_absence, fused_side
+from .sides import SPARE, FusedPair, PartnerChoice, fused_absence, fused_side
 from .windows import FusedWindow, fused_window, has_fused_measures
 
 __all__ = [
@@ -23,5 +23,5 @@ __all__ = [
     "fused_side",
     "FusedPair",
     "SPARE",
-    "Taking",
+    "PartnerChoice",
 ]

@@ -18,7 +18,7 @@ def goal_action(
     plain: EventAction,
     completion: Completion,
 ) -> EventAction:
-    """Return what calls a goal of a rule of one event; without it the NAO's events take 43 % more instructions.
+    """Return the action that calls a goal for each event of a rule whose pattern is a single event.
 
     Args:
         goal: the goal; its inputs are the values of the match, and it has no outputs.
@@ -63,7 +63,7 @@ def _source(inputs: int) -> str:
         f"frame = (code, {values}, done)",
         "mark = len(trail)",
         "asked = budget.goal",
-        Block(  # as `Machine.check`
+        Block(  # as `Machine.check`, in an entry that has been entered
             "try:",
             [
                 Block("if budget.closed:", ["budget.admit()"]),

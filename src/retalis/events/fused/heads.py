@@ -7,7 +7,8 @@ from ...prolog.machine import Budget, Frame
 from ...prolog.terms import EventAction, Term, Var
 from ..dispatch import NOBODY, Gate, builder_source
 
-OPEN = Gate((), None)
+_OPEN_GATE = Gate((), None)
+"""A gate that lets everything pass, as its plan is never known."""
 
 
 class Completion(NamedTuple):
@@ -21,7 +22,7 @@ class Completion(NamedTuple):
 
     action: EventAction
     fused: bool = False
-    gate: Gate = OPEN
+    gate: Gate = _OPEN_GATE
 
 
 class Head(NamedTuple):
@@ -45,7 +46,7 @@ class Head(NamedTuple):
 
 
 def firing_action(head: Head, order: Sequence[Var]) -> EventAction:
-    """Return what takes the values of a match, in the order of their variables, and fires."""
+    """Return the action that emits a rule's head for a match; its values come in the order of the variables."""
     names = codegen.Names({})
     lines, event = builder_source(head.term, {var: f"values[{at}]" for at, var in enumerate(order)}, names)
     body: List[Statement] = [

@@ -13,8 +13,9 @@ def question_action(
     known: int,
     ask: Callable[[Values, int, int, Frame], Frame],
     plain: EventAction,
+    meter: Optional[Callable[[int], bool]],
 ) -> EventAction:
-    """Return what does for the values of a match what the only listener of an event does, without the event.
+    """Return the action that asks a synchronized query with the values of a match, without making its event.
 
     Args:
         dispatcher: of the events.
@@ -22,6 +23,7 @@ def question_action(
         known: how many of the values of a match, the first ones, are ground where the event is.
         ask: what the listener does; takes values, start, end and the next frame.
         plain: makes the event and has it served.
+        meter: counts the pattern work of the rule; see `Budget.meter`.
     """
     gate, ground = dispatcher.gate(key), dispatcher.ground
     at_once = min(AT_ONCE, dispatcher.max_depth + 1)
@@ -42,6 +44,8 @@ def question_action(
             and not are_ground(values[known:] if ground() else values)
         ):
             return plain(term, values, start, end, after)
+        if meter is not None and meter(1):
+            return after
         dispatcher.current = [TRUE, start, end, context, context[DEPTH] + 1, True, dispatcher.cause, None]
         following = (RESTORE_CONTEXT, dispatcher, context, after)
         frame = ask(values, start, end, following)

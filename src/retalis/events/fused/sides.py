@@ -2,12 +2,12 @@
 
 The plain way is `waiting_only`, `taking_one` and `taking_all` on a `MatchBuffer`, for a `Joining` node. The functions
 generated here do the same to the same matches if the key is an atom, an integer or a string and one partner is
-enough. Everything else goes the plain way before anything has changed.
+enough. Everything else goes the plain way before a match is added or removed; the clock of the rule may have moved.
 """
 
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
-from ...foundation import Block, Statement, shared_function, source_of
+from ...foundation import Block, Statement, shared_function, source_of, tuple_source
 from ...prolog.machine import Frame
 from ...prolog.syntax import EventOperator
 from ...prolog.terms import Atom, EventAction, String, Var
@@ -51,29 +51,29 @@ class FusedPair(NamedTuple):
     complete: Optional[Completion]
 
 
-class Taking(NamedTuple):
-    """What a side does about partners; None in its place for a side that only waits.
+class PartnerChoice(NamedTuple):
+    """How a side chooses partners; None in its place for a side that only waits.
 
     Attributes:
         newest: whether it looks at the newest first; else at the oldest.
-        uses: whether it takes one partner and uses it up; else it takes all.
+        consumes: whether it takes one partner and consumes it; else it takes all.
         among: gives a match one of the partners but one that does not fit; see `among_others`.
     """
 
     newest: bool
-    uses: bool
+    consumes: bool
     among: Callable[..., Frame]
 
 
 def fused_side(
-    side: Side, pair: FusedPair, taking: Optional[Taking], rule: Any, plain: EventAction, emit: Emit
+    side: Side, pair: FusedPair, choice: Optional[PartnerChoice], rule: Any, plain: EventAction, emit: Emit
 ) -> Tuple[EventAction, Optional[MakeAction]]:
     """Return the action of an event that is a side of a pair, and what makes its fused action.
 
     Args:
         side: the side.
         pair: the node.
-        taking: what it does about partners; None where it only waits.
+        choice: how it chooses partners; None where it only waits.
         rule: the rule.
         plain: the plain way.
         emit: takes pairs as matches, where they are no whole ones.
@@ -85,12 +85,12 @@ def fused_side(
         "emit": emit,
         "complete": None if pair.complete is None else pair.complete.action,
         "found": pair.found,
-        "among": None if taking is None else taking.among,
+        "among": None if choice is None else choice.among,
         "Found": Found,
     }
     names.update((f"absence{at}", one) for at, one in enumerate(pair.blocks))
     names.update((f"test{at}", one) for at, one in enumerate(pair.tests))
-    return _SideWriter(side, pair, rule).action(taking, names)
+    return _SideWriter(side, pair, rule).action(choice, names)
 
 
 def fused_absence(
@@ -141,7 +141,7 @@ def _common_names(rule: Any, own: MatchBuffer, plain: EventAction) -> Dict[str, 
 
 
 class _Writer:
-    """Writes the function of an event that may wait: its source has nothing of the program in it but spans and sizes.
+    """Generates the action of an event that may wait. The source contains only spans and sizes of the program.
 
     Args:
         own: where it waits.
@@ -174,7 +174,7 @@ class _Writer:
                 f"{name} = term[{place + 1}]" if self.whole else f"{name} = values[{place}]",
                 Block(f"if {name}.__class__ not in PLAIN:", [self.plain]),
             ]
-        return found if len(places) == 1 else [*found, f"key = {_tuple(names)}"]
+        return found if len(places) == 1 else [*found, f"key = {tuple_source(names)}"]
 
     def clock(self, waits: bool) -> List[Statement]:
         """Return the statements that move the rule's clock, and leave what is out of order to the plain way."""
@@ -274,19 +274,19 @@ class _SideWriter(_Writer):
         self.tested = bool(pair.blocks or pair.tests)
 
     def action(
-        self, taking: Optional[Taking], names: Dict[str, Any]
+        self, choice: Optional[PartnerChoice], names: Dict[str, Any]
     ) -> Tuple[EventAction, Optional[MakeAction]]:
         """Return the action, and what gives it as a fused one."""
         side = self.side
         begin = self.key([one for one, _ in side.shared])
-        if taking is not None:
+        if choice is not None:
             begin.append(Block("if None in partners:", [self.plain]))
         begin += self.clock(side.waits or side.stays)
-        wait = self.wait(taking is not None and self.tested, bool(side.shared))
-        if taking is None:
+        wait = self.wait(choice is not None and self.tested, bool(side.shared))
+        if choice is None:
             rest = wait
-        elif taking.uses:
-            rest = self._use_one(wait, taking.newest)
+        elif choice.consumes:
+            rest = self._use_one(wait, choice.newest)
         else:
             rest = self._take_all(wait)
         return self.made([*begin, *rest, _RETURN], names, "side of a pair")
@@ -355,7 +355,7 @@ class _SideWriter(_Writer):
 
     def _met(self) -> str:
         """Return the statement that takes the values of the pair."""
-        return f"met = {_tuple([self._value(source) for _, source in self.pair.taken])}"
+        return f"met = {tuple_source([self._value(source) for _, source in self.pair.taken])}"
 
     def _instants(self, source: str) -> str:
         """Return the source of an operator with the instants of the side that has come and of its partner."""
@@ -391,9 +391,5 @@ class _SideWriter(_Writer):
         parts += ["Found(found(met))"] if self.pair.tested else []
         return [
             f"match = Match({self.values}, s, e, None, term, None)",
-            f"return emit(Match(met, start, end, None, None, {_tuple(parts)}), after)",
+            f"return emit(Match(met, start, end, None, None, {tuple_source(parts)}), after)",
         ]
-
-
-def _tuple(items: Sequence[str]) -> str:
-    return f"({''.join(f'{item}, ' for item in items)})"

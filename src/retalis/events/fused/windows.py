@@ -7,11 +7,13 @@ same groups and items; everything else goes the plain way before anything has ch
 from heapq import heappush
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence
 
-from ...foundation import Block, Statement, shared_function, source_of
+from ...foundation import Block, Statement, shared_function, source_of, tuple_source
 from ...prolog.terms import EventAction, term_key
 from ..streams import PLAIN, StreamItem
 
 _PLAIN_WAY = "return plain(term, values, start, end, after)"
+_STEPS = 2
+"""Steps of pattern work that the plain way counts for an item, without those of the event that is derived."""
 
 
 class FusedWindow(NamedTuple):
@@ -34,7 +36,7 @@ class _MeasureSource(NamedTuple):
     """The source of one measure of a window; ``x`` with its number is the value of the new item.
 
     Attributes:
-        check: looks at the value, and goes the plain way if it is not a common one.
+        check: tests the value; leaves unusual ones to the plain way.
         add: adds the value of ``item`` to the measure of ``group``.
         remove: removes the value of ``old`` from the measure of the group ``left``.
         result: the expression of the result for ``number`` items.
@@ -114,7 +116,7 @@ _MEASURES: Dict[str, Callable[[int, int], _MeasureSource]] = {
 
 
 def has_fused_measures(kinds: Sequence[str]) -> bool:
-    """Tell whether a window with measures of some kinds can be fused."""
+    """Return whether all measures can be fused."""
     return all(kind in _MEASURES for kind in kinds)
 
 
@@ -126,7 +128,7 @@ def fused_window(
     complete: EventAction,
     too_large: Callable[[Any, Any], Any],
 ) -> EventAction:
-    """Return what takes the values of matches of one event.
+    """Return the action that adds the values of an event to a sliding window.
 
     Args:
         window: the window.
@@ -151,11 +153,14 @@ def fused_window(
         "heappush": heappush,
         "OverflowError": OverflowError,
     }
-    made: EventAction = shared_function(_source(window, limit is not None), names, "window")
+    metered = node.rule.meter is not None
+    if metered:
+        names["pattern_steps"] = node.rule.network.logic.machine.budget.pattern_steps
+    made: EventAction = shared_function(_source(window, limit is not None, metered), names, "window")
     return made
 
 
-def _source(window: FusedWindow, limited: bool) -> str:
+def _source(window: FusedWindow, limited: bool, metered: bool) -> str:
     """Return the source: it has nothing of the program in it but numbers and places of groups and measures."""
     read = [f"x{at} = values[{place}]" for at, place in enumerate(window.values) if place is not None]
     taken = [f"x{at}" for at, place in enumerate(window.values) if place is not None]
@@ -172,7 +177,9 @@ def _source(window: FusedWindow, limited: bool) -> str:
         "groups = stream.states",
         "group = groups.get(key)",
         Block(f"if {_UNCOMMON}:", [_PLAIN_WAY]),
+        *([Block(f"if pattern_steps[0] < {_STEPS}:", [_PLAIN_WAY])] if metered else []),
         *(statement for one in measures for statement in one.check),
+        *([f"pattern_steps[0] -= {_STEPS}"] if metered else []),
         "stream.clock = end",
         "before = end - span",
         Block(
@@ -196,7 +203,7 @@ def _source(window: FusedWindow, limited: bool) -> str:
         "item.end = end",
         "item.by = last.by",
         "item.key = key",
-        f"item.values = {_tuple(taken)}",
+        f"item.values = {tuple_source(taken)}",
         "item.order = stream._order = order = stream._order + 1",
         "item.gone = False",
         Block("if group.number:", ["groups.move_to_end(key)"]),
@@ -207,7 +214,7 @@ def _source(window: FusedWindow, limited: bool) -> str:
         "members.append(item)",
         *(statement for one in measures for statement in one.add),
         "queue.append(item)",
-        Block("try:", [f"found = {_tuple(results)}"]),
+        Block("try:", [f"found = {tuple_source(results)}"]),
         Block("except OverflowError:", ["return too_large(group, after)"]),
         *([Block("if end - members[0].start > limit:", ["return after"])] if limited else []),
         "return complete(None, found, members[0].start, end, after)",
@@ -238,8 +245,4 @@ def _key(groups: Sequence[int]) -> List[Statement]:
             f"k{at} = {key} = values[{place}]",
             Block(f"if k{at}.__class__ not in PLAIN:", [f"{key} = term_key(k{at})"]),
         ]
-    return found if len(keys) == 1 else [*found, f"key = {_tuple(keys)}"]
-
-
-def _tuple(items: Sequence[str]) -> str:
-    return f"({''.join(f'{item}, ' for item in items)})"
+    return found if len(keys) == 1 else [*found, f"key = {tuple_source(keys)}"]

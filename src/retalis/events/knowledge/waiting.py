@@ -217,7 +217,8 @@ class WaitingQueries:
                 return after
             return asked.ask(values, start, end, after)
 
-        return question_action(self._dispatcher, key, rule.ground_with_event, ask_or_wait, otherwise)
+        known = rule.ground_with_event
+        return question_action(self._dispatcher, key, known, ask_or_wait, otherwise, rule.meter)
 
     def _drop(self, event: Term, error: UsageError) -> None:
         self._warn(f"{self._logic.brief(event)} is dropped: {error}", ("dropped", kind_of(event)))

@@ -6,7 +6,7 @@ from ...foundation import shared_function
 from ...prolog.machine import Frame
 from ...prolog.syntax import EventOperator
 from ...prolog.terms import Var, positions
-from ..fused import FusedPair, Taking, fused_absence, fused_side
+from ..fused import FusedPair, PartnerChoice, fused_absence, fused_side
 from ..matches import (
     Absence,
     Emit,
@@ -258,7 +258,7 @@ class Joining(NetworkNode):
             whole,
         )
         newest, uses = mode.policy.newest, mode.policy.consuming
-        taking = Taking(newest, uses, among_others(side, newest, out)) if takes else None
+        taking = PartnerChoice(newest, uses, among_others(side, newest, out)) if takes else None
         return lambda plain: fused_side(side, pair, taking, rule, plain, out)
 
     def _may_fuse(self, mode: NetworkOptions) -> bool:

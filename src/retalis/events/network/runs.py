@@ -285,7 +285,7 @@ class Running(RunValues):
         return True, self.result_of(run, found)
 
     def forget(self, run: Run, match: Match) -> bool:
-        """Tell whether later results of a run may hold without a repetition; `results_again` takes it out."""
+        """Return True: `results_again` removes repetitions whose events were retracted."""
         return True
 
     def results_again(self, run: Run) -> List[Match]:
