@@ -173,8 +173,7 @@ class MatchBuffer:
                 one = one.older
                 if one is last:
                     return None
-            # All have their names: one that was alone got it when the second came.
-            names = self.names[key] = {one.identity: one for one in self.with_key(key)}
+            names = self.names[key] = {one.identity or self._named(one): one for one in self.with_key(key)}
         return names.get(name)
 
     def _named(self, match: Match) -> Hashable:

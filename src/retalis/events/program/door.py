@@ -246,6 +246,8 @@ def _resolved(path: str, name: str, folders: Folders) -> str:
         PrologError: a permission error where it leads out of the folders.
     """
     try:
+        if "\0" in path:  # some versions of Python return such a path as it is
+            raise ValueError("embedded null byte")
         real = os.path.realpath(path)
     except (OSError, ValueError) as error:  # a name that the file system cannot have
         raise domain_error("source_sink", atom(name), str(error)) from error
