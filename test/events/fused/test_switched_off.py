@@ -14,7 +14,7 @@ from events.fused.switching import PATHS
 from source import ROOT
 
 WHOLE = os.environ.get("RETALIS_TEST_FUSED") == "1"
-FOLDERS = ["test/events"] if WHOLE else ["test/events/rules", "test/events/network"]
+FOLDERS = ["test/events"] if WHOLE else ["test/events/rules", "test/events/dispatch"]
 SHARED = ["-n", str(os.cpu_count() or 1)] if find_spec("xdist") else []
 
 
