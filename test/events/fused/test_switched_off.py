@@ -15,6 +15,7 @@ from source import ROOT
 
 WHOLE = os.environ.get("RETALIS_TEST_FUSED") == "1"
 FOLDERS = ["test/events"] if WHOLE else ["test/events/rules", "test/events/dispatch"]
+PATH = [str(ROOT / "src"), str(ROOT / "test"), *filter(None, [os.environ.get("PYTHONPATH")])]
 SHARED = ["-n", str(os.cpu_count() or 1)] if find_spec("xdist") else []
 
 
@@ -35,7 +36,7 @@ def test_the_tests_of_rules_pass_without(off):
     run = subprocess.run(
         [*command, "-p", "events.fused.switching", *FOLDERS, "--without-fused", *off, *SHARED],
         cwd=str(ROOT),
-        env={**os.environ, "PYTHONPATH": f"{ROOT / 'src'}{os.pathsep}{ROOT / 'test'}"},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(PATH)},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         check=False,
