@@ -51,7 +51,10 @@ class Intake:
             UsageError: if it ends before it starts, or has no start and the clock is not set.
         """
         if start is None or end is None:
-            start = end = self._stamp(term)
+            start = self._clock.stamp_at_once()
+            if start is None:
+                start = self._stamp_after_alarms(term)
+            end = start
         elif end < start:
             raise UsageError(f"{self._logic.brief(term)} ends before it starts")
         else:
@@ -66,7 +69,7 @@ class Intake:
         if instant is None:
             stamp = self._clock.stamp_at_once()
             if stamp is None:
-                stamp = self._stamp(term)
+                stamp = self._stamp_after_alarms(term)
         else:
             stamp = WholeSeconds(instant)  # the form in which the converter writes it
             followed = self.followed
@@ -75,16 +78,13 @@ class Intake:
         self.taken += 1
         self._serve(term, stamp, stamp, True)
 
-    def _stamp(self, term: Term) -> int:
+    def _stamp_after_alarms(self, term: Term) -> int:
         """Return the time of an event that has none, after the alarms that are due.
 
         Raises:
             UsageError: if the clock is not set.
         """
         clock = self._clock
-        stamp = clock.stamp_at_once()
-        if stamp is not None:
-            return stamp
         if not clock.is_set:
             raise UsageError(
                 f"event '{self._logic.brief(term)}': it has no time, "

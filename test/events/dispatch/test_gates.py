@@ -1,4 +1,4 @@
-"""Gates and lanes: what is not made or set up because nobody could notice, and what has to be all the same."""
+"""Gates and fused actions: what is not made or set up because nobody could notice, and what stays the same."""
 
 import logging
 
@@ -122,7 +122,7 @@ def test_a_wrong_time_is_an_error_though_nobody_listens(caplog):
     assert [record.getMessage() for record in caplog.records] != []
 
 
-def test_an_error_in_a_lane_names_the_event_and_the_next_one_is_served(caplog):
+def test_an_error_in_a_fused_action_names_the_event_and_the_next_one_is_served(caplog):
     caplog.set_level(logging.ERROR, "retalis")
     rules = "null do check(X) <- a(X).\ncheck(X) :- Y is X + 1, new_event(b(Y), 1, 1)."
     program = Counting(rules, "subscribe(b(_), [], _, t, i)")
@@ -135,7 +135,7 @@ def test_an_error_in_a_lane_names_the_event_and_the_next_one_is_served(caplog):
     assert "at event a(x)" in message and "x/0" in message
 
 
-def test_who_comes_while_an_event_is_served_in_a_lane_sees_the_next_one():
+def test_who_comes_while_an_event_is_served_by_a_fused_action_sees_the_next_one():
     rules = "null do more(X) <- a(X).\nmore(X) :- new_event(go, 1, 1), subscribe(a(_), [], _, t, X)."
     program = Counting(rules)
     program.engine.post(A(X))
@@ -144,7 +144,7 @@ def test_who_comes_while_an_event_is_served_in_a_lane_sees_the_next_one():
     assert program.outputs == ["a(y)"]
 
 
-def test_a_head_behind_a_lane_is_served_with_all_that_follows():
+def test_a_head_behind_a_fused_action_is_served_with_all_that_follows():
     rules = "b(X) do new_event(c(X), 1, 1) <- a(X).\nd(X) <- c(X) and b(X)."
     program = Counting(rules, "subscribe(d(_), [], _, t, i)")
     program.engine.post(A(X))
@@ -152,7 +152,7 @@ def test_a_head_behind_a_lane_is_served_with_all_that_follows():
 
 
 def test_a_rule_on_an_event_twice_takes_it_as_one():
-    """The token of an event that a lane serves is asked for by what its goal leads to only."""
+    """The token of an event that a fused action serves is asked for by what its goal leads to only."""
     rules = "null do new_event(b(X), 1, 1) <- a(X).\nc <- b(X) and b(X)."
     plain, observed = (
         Counting(rules, "subscribe(c, [], _, t, i)"),
@@ -166,7 +166,7 @@ def test_a_rule_on_an_event_twice_takes_it_as_one():
 
 
 @pytest.mark.parametrize("goal", ["loop(X)", "events(X)", "build(X, _)"])
-def test_limits_end_a_goal_that_runs_in_a_lane(goal, caplog):
+def test_limits_end_a_goal_of_a_fused_action(goal, caplog):
     caplog.set_level(logging.ERROR, "retalis")
     rules = f"""
     null do {goal} <- a(X).
@@ -195,7 +195,7 @@ PATTERNS = ["tf(x, C)", "tf(P, y)", "tf(x, y)", "tf(P, P)", "tf(P, C)", "pack(_)
     st.lists(st.sampled_from(PATTERNS), max_size=2),
 )
 def test_the_same_comes_out_where_somebody_sees_every_event(stream, wanted, later):
-    """Who sees every event keeps all gates open and all lanes unused."""
+    """Who sees every event keeps all gates open and all fused actions unused."""
     rules = SPLIT + "e(P) <- tf(P, x) seq tf(P, y).\nnull do new_event(f(P), 1, 1) <- e(P)."
     programs = [
         Counting(rules, "subscribe(f(_), [], _, t, f)"),

@@ -111,7 +111,7 @@ def test_who_comes_later_and_reads_it_never_sees_that_it_was_left_out(goal):
     assert sum("data" in term for term in engine.outputs) == 1
 
 
-def test_a_rule_that_takes_messages_whole_by_a_lane_does_not_take_those_either():
+def test_a_rule_that_takes_messages_whole_by_a_fused_action_does_not_take_those_either():
     engine = made("seen(H, 1) <- image(H, _, _).")
     assert told(engine) == {2, 3}
     engine.call("del_event_rule((seen(H, 1) <- image(H, _, _)))")

@@ -8,57 +8,39 @@ from retalis.events.knowledge import waiting
 from retalis.events.network import conditions, joining, streaming
 
 
+class OpenGate(gates.Gate):
+    """A gate whose plan is never known, so that it lets everything pass."""
+
+    __slots__ = ()
+    plan = property(lambda gate: None, lambda gate, plan: None)
+
+
 def plain_action(plain):
     """Return an action that serves any event by the plain way, also one that comes without values."""
     return lambda term, values, *rest: plain(term, term[1:] if values is None else values, *rest)
 
 
-def without_fused_incoming():
-    listen = Dispatcher.listen
-    Dispatcher.listen = lambda self, stage, pattern, action, rank=(), fused=None, **rest: listen(
-        self, stage, pattern, action, rank, None, **rest
+def listening_unfused(listen):
+    """Return what listens like `Dispatcher.listen`, but with no action that is called without values."""
+    return lambda self, stage, pattern, action, rank=(), fused=False, **rest: listen(
+        self, stage, pattern, action, rank, **rest
     )
 
 
-def without_gates():
-    class OpenGate(gates.Gate):
-        """A gate whose plan is never known, so that it lets everything pass."""
-
-        __slots__ = ()
-        plan = property(lambda gate: None, lambda gate, plan: None)
-
-    audience.Gate = OpenGate
-
-
-def without_goals():
-    conditions.goal_action = lambda goal, inputs, rule, failed, plain, completion: plain_action(plain)
-
-
-def without_questions():
-    waiting.question_action = lambda *arguments: None
-
-
-def without_sides():
-    joining.fused_side = lambda side, pair, taking, rule, plain, emit: (plain_action(plain), None)
-
-
-def without_absences():
-    joining.fused_absence = lambda absence, rule, whole, plain: (plain_action(plain), None)
-
-
-def without_windows():
-    streaming.fused_window = lambda form, span, node, plain, complete, too_large: plain
-
-
 PATHS = {
-    "incoming": without_fused_incoming,
-    "gates": without_gates,
-    "goals": without_goals,
-    "questions": without_questions,
-    "sides": without_sides,
-    "absences": without_absences,
-    "windows": without_windows,
+    "incoming": (Dispatcher, "listen", listening_unfused(Dispatcher.listen)),
+    "gates": (audience, "Gate", OpenGate),
+    "goals": (
+        conditions,
+        "goal_action",
+        lambda goal, inputs, rule, failed, plain, completion: plain_action(plain),
+    ),
+    "questions": (waiting, "question_action", lambda *arguments: None),
+    "sides": (joining, "fused_side", lambda side, pair, choice, rule, plain, emit: plain_action(plain)),
+    "absences": (joining, "fused_absence", lambda absence, rule, whole, plain: plain_action(plain)),
+    "windows": (streaming, "fused_window", lambda window, limit, node, plain, *rest: plain),
 }
+"""By path: where it is bound, and what to bind there to switch it off."""
 
 
 def pytest_addoption(parser):
@@ -67,4 +49,4 @@ def pytest_addoption(parser):
 
 def pytest_configure(config):
     for path in config.getoption("--without-fused"):
-        PATHS[path]()
+        setattr(*PATHS[path])

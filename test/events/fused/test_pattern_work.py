@@ -1,28 +1,16 @@
 """Fused paths count the same pattern work as the plain way, so that limits end both alike."""
 
 import pytest
-from events.fused.switching import plain_action
+from events.fused.switching import PATHS
 
 from retalis.engine import Engine, Settings, parts_of
-from retalis.events.knowledge import waiting
-from retalis.events.network import conditions, joining, streaming
 from retalis.prolog.machine import Limits
 
-OFF = {
-    "window": (streaming, "fused_window", lambda window, limit, node, plain, *rest: plain),
-    "question": (waiting, "question_action", lambda *arguments: None),
-    "side": (
-        joining,
-        "fused_side",
-        lambda side, pair, choice, rule, plain, emit: (plain_action(plain), None),
-    ),
-    "goal": (conditions, "goal_action", lambda goal, inputs, rule, failed, plain, done: plain_action(plain)),
-}
 RULES = {
-    "window": "o(K, N, A) <- aggregate([count, avg(X)], e(K, X), [N, A], last(10)).",
-    "question": "syncronized(done(K, X), true, []) <- e(K, X).",
-    "side": "o(K) <- (e(K, X) seq f(K, Y)) within 10. f(K, X) <- e(K, X).",
-    "goal": "o(K) do atom_length(K, X) <- e(K, X).",
+    "windows": "o(K, N, A) <- aggregate([count, avg(X)], e(K, X), [N, A], last(10)).",
+    "questions": "syncronized(done(K, X), true, []) <- e(K, X).",
+    "sides": "o(K) <- (e(K, X) seq f(K, Y)) within 10. f(K, X) <- e(K, X).",
+    "goals": "o(K) do atom_length(K, X) <- e(K, X).",
 }
 
 
@@ -39,8 +27,8 @@ def steps(rules):
     return found
 
 
-@pytest.mark.parametrize("path", OFF)
+@pytest.mark.parametrize("path", RULES)
 def test_a_fused_path_counts_what_the_plain_way_counts(path, monkeypatch):
     fused = steps(RULES[path])
-    monkeypatch.setattr(*OFF[path])
+    monkeypatch.setattr(*PATHS[path])
     assert fused == steps(RULES[path])

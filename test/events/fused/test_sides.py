@@ -5,11 +5,11 @@ import re
 from unittest.mock import patch
 
 import pytest
+from events.fused.switching import PATHS
 
 from retalis.engine import Engine, Settings, parts_of
 from retalis.engine.runtime import StreamClock
 from retalis.events.dispatch import Stage
-from retalis.events.network import joining
 from retalis.prolog.terms import SECOND, Var, atom, functor, is_ground
 
 POLICIES = ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")
@@ -125,11 +125,6 @@ def known(engine, rule):
     )
 
 
-def given(plain):
-    """Return the plain way, which needs the values of events that come without."""
-    return (lambda term, values, *rest: plain(term, term[1:] if values is None else values, *rest)), None
-
-
 def compare(seed):
     """Compare both ways for what is drawn from a seed."""
     source = random.Random(seed)
@@ -144,9 +139,7 @@ def compare(seed):
     events = stream(source, source.random() < 0.3)
     posted = source.random() < 0.7
     quick = run(text, goals, events, cap, cut, change, posted)
-    side = patch.object(joining, "fused_side", lambda side, pair, taking, rule, plain, emit: given(plain))
-    absent = patch.object(joining, "fused_absence", lambda absence, rule, whole, plain: given(plain))
-    with side, absent:
+    with patch.object(*PATHS["sides"]), patch.object(*PATHS["absences"]):
         plain = run(text, goals, events, cap, cut, change, posted)
     assert quick == plain, (seed, text, goals, change, posted)
 

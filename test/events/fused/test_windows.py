@@ -1,6 +1,7 @@
 """A fused window gives and knows what the plain way does, whatever comes."""
 
 import pytest
+from events.fused.switching import PATHS
 from hypothesis import example, given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
@@ -88,7 +89,7 @@ def test_both_ways_give_and_know_the_same(kinds, grouped, limit, events, cap, cu
     text = rule(kinds, grouped, limit)
     fused = run(text, events, cap, cut)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(streaming, "fused_window", lambda form, limit, node, plain, *others: plain)
+        patch.setattr(*PATHS["windows"])
         assert run(text, events, cap, cut) == fused
 
 

@@ -59,14 +59,20 @@ def add_by_start(expiries, match, waiting):
     expiries.add(10, match, waiting)
 
 
-@pytest.mark.parametrize(("expiries", "add"), [(Expiries(), add_to_expiries), (ByStart(10), add_by_start)])
-def test_those_that_left_are_dropped_a_part_at_a_time(expiries, add):
-    number = 20 * SLICE
+def fill(expiries, add, number):
+    """Add so many matches, of which a quarter stays, and return them all."""
     matches = [Counted(order) for order in range(number)]
     for match in matches:
         add(expiries, match, number)
     for match in matches[::2] + matches[1::4]:  # those that stay lie among them
         match.leave()
+    return matches
+
+
+@pytest.mark.parametrize(("expiries", "add"), [(Expiries(), add_to_expiries), (ByStart(10), add_by_start)])
+def test_those_that_left_are_dropped_a_part_at_a_time(expiries, add):
+    number = 20 * SLICE
+    matches = fill(expiries, add, number)
     waiting = len(matches) // 4
     Counted.asked = 0
     for order in range(number, number + 100):
@@ -96,11 +102,7 @@ def add_by_start_late(expiries, match, waiting):
 )
 def test_those_that_came_out_of_order_and_left_are_dropped_a_part_at_a_time(expiries, add):
     number = 40 * HEAP_SLICE
-    matches = [Counted(order) for order in range(number)]
-    for match in matches:
-        add(expiries, match, number)
-    for match in matches[::2] + matches[1::4]:  # those that stay lie among them
-        match.leave()
+    matches = fill(expiries, add, number)
     waiting = number // 4
     for order in range(number, number + 60):
         before = Counted.asked

@@ -18,7 +18,6 @@ from .serving import (
     TOKEN,
     Context,
     Listener,
-    MakeAction,
     Stage,
 )
 from .unread import NOT_READ
@@ -36,7 +35,6 @@ __all__ = [
     "Gate",
     "GROUND",
     "Listener",
-    "MakeAction",
     "NOBODY",
     "NOT_READ",
     "PARENT",

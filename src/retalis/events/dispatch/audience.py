@@ -12,7 +12,7 @@ from ...prolog.terms import Atom, EventAction, Functor, Term, Var, copy, term_ke
 from .gates import Gate
 from .matching import Matcher, compile_matcher
 from .plans import Plan, make_plan, takes_all
-from .serving import Listener, MakeAction, Stage
+from .serving import Listener, Stage
 from .unread import Unread, unread_positions
 
 
@@ -25,7 +25,7 @@ _GATES = 1000
 
 
 class Audience:
-    """Who listens to which events, and what is made of that: plans, gates and fused actions.
+    """The listeners of events, with the plans, gates and fused actions that follow from them.
 
     Attributes:
         fused: actions that take the events of a functor without their values, by functor; see `listen`.
@@ -50,7 +50,7 @@ class Audience:
         pattern: Term,
         action: EventAction,
         rank: Tuple[int, ...] = (),
-        fused: Optional[MakeAction] = None,
+        fused: bool = False,
         unused: AbstractSet[Var] = frozenset(),
     ) -> Listener:
         """Have ``action`` called for every event that unifies with ``pattern``.
@@ -62,9 +62,9 @@ class Audience:
             pattern: an atom, a compound term, or a variable for any event. It is copied.
             action: does its part and returns the frame to go on with, ``next`` if there is nothing more to do.
             rank: place within the stage; by default after all there are.
-            fused: makes the action that is called where nobody else listens, and the pattern takes all events of
-                its functor: for events without variables that come in. It gets None for the values, which are
-                the arguments of the event.
+            fused: whether ``action`` may get None for the values, which are the arguments of the event then. It
+                does for events without variables that come in, if no other listener takes events of the functor
+                and the pattern takes all of them.
             unused: variables of the pattern whose values nobody looks at, so that they may be `NOT_READ`. Where
                 the pattern is one of them, it gets events as they come, with `NOT_READ` in them.
 
@@ -147,8 +147,8 @@ class Audience:
         for gates in self._gates_of(functor):
             for gate in list(gates.values()):
                 gate.plan = plan
-        if len(listeners) == 1 and listeners[0].fused is not None and takes_all(listeners[0].pattern):
-            self.fused[functor] = listeners[0].fused()
+        if len(listeners) == 1 and listeners[0].fused and takes_all(listeners[0].pattern):
+            self.fused[functor] = listeners[0].action
         return plan
 
 

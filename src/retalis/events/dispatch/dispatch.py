@@ -25,6 +25,7 @@ class Dispatcher(Audience):
     Attributes:
         current: the `Context` of the event that is being served; None for none.
         mark: makes the token of an event; tracking replaces it.
+        at_once: to this depth events are served inside the call that makes them.
         tracked: whether tokens tell what events came from.
         retractions: how often events were taken back, with what came from them.
         cause: where that is tracked, the rule and match whose goal is running, or the token of the event that asked
@@ -38,7 +39,7 @@ class Dispatcher(Audience):
         super().__init__()
         self.max_depth = max_depth
         self._deepest = max_depth + 1
-        self._at_once = min(AT_ONCE, self._deepest)
+        self.at_once = min(AT_ONCE, self._deepest)
         self._machine: Any = None if logic is None else logic.machine
         self._done: Any = None if logic is None else logic.machine.done
         self._run: Any = None if logic is None else logic.machine.run
@@ -109,7 +110,7 @@ class Dispatcher(Audience):
         context = [term, start, end, parent, depth, ground, self.cause, token]
         steps = iter(plan)
         frame: Frame = (SERVE, self, steps, context, after)
-        if depth > self._at_once:
+        if depth > self.at_once:
             return self._later(frame, depth)
         self.current = context
         for matcher, action in steps:  # as `_Serve.run`, whose call would be 5 % of a short event

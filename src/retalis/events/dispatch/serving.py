@@ -1,13 +1,10 @@
 """Listeners, their stages, and the context of the event that is being served."""
 
 from enum import IntEnum
-from typing import Any, Callable, FrozenSet, List, Optional, Tuple
+from typing import Any, FrozenSet, List, Optional, Tuple
 
 from ...prolog.terms import EventAction, Frame, Functor, Term
 from .matching import Matcher
-
-MakeAction = Callable[[], EventAction]
-"""Makes the fused action of a listener, where it is to be used: most listeners never need theirs."""
 
 
 class Stage(IntEnum):
@@ -31,7 +28,7 @@ class Listener:
 
     Attributes:
         unread: the arguments of the event, counted from 1, that the action never looks at.
-        fused: makes an action for events that come in, if no other listener takes them; see `Audience.listen`.
+        fused: whether the action may be called without values; see `Audience.listen`.
         partial: whether it takes events of all kinds, and those too in which something is missing that nobody reads.
     """
 
@@ -53,7 +50,7 @@ class Listener:
         functor: Optional[Functor],
         matcher: Matcher,
         action: EventAction,
-        fused: Optional[MakeAction],
+        fused: bool,
         unread: FrozenSet[int],
         partial: bool,
     ):
@@ -87,7 +84,7 @@ GROUND = 5
 CAUSE = 6
 """`Dispatcher.cause` when the event came."""
 TOKEN = 7
-"""What tells the event from all others; None until somebody asks `Dispatcher.token`."""
+"""The token of the event, which no other event has; None until `Dispatcher.token` is called."""
 
 
 class _Serve:

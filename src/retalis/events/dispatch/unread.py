@@ -81,7 +81,7 @@ class Unread:
             missing = self._told.get(functor, NONE) - listener.unread
             if missing:
                 listener.matcher = _guarded(listener.matcher, sorted(missing))
-                listener.fused = None
+                listener.fused = False
         elif self._told and not listener.partial:
             listener.matcher = _guarded_all(listener.matcher)
 

@@ -4,24 +4,21 @@ Each of them does the same as the plain way, by the same protocol: an action tak
 pattern's variables, start, end and the next frame, and returns the frame to go on with.
 """
 
-from .goals import goal_action
-from .heads import Completion, Head, firing_action
-from .questions import question_action
+from .actions import Completion, firing_action, goal_action, question_action
 from .sides import SPARE, FusedPair, PartnerChoice, fused_absence, fused_side
 from .windows import FusedWindow, fused_window, has_fused_measures
 
 __all__ = [
     "Completion",
-    "fused_window",
-    "FusedWindow",
-    "has_fused_measures",
     "firing_action",
-    "goal_action",
-    "Head",
-    "question_action",
     "fused_absence",
     "fused_side",
+    "fused_window",
     "FusedPair",
-    "SPARE",
+    "FusedWindow",
+    "goal_action",
+    "has_fused_measures",
     "PartnerChoice",
+    "question_action",
+    "SPARE",
 ]

@@ -10,13 +10,10 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tu
 from ...foundation import Block, Statement, shared_function, source_of, tuple_source
 from ...prolog.machine import Frame
 from ...prolog.syntax import EventOperator
-from ...prolog.terms import Atom, EventAction, String, Var
-from ..dispatch import MakeAction
+from ...prolog.terms import PLAIN, EventAction, Var
 from ..matches import Absence, Emit, EventMatch, Found, Match, MatchBuffer, Side
-from .heads import Completion
+from .actions import Completion
 
-_PLAIN = frozenset((Atom, int, String))
-"""The kinds of terms that are their own keys."""
 SPARE = 1000
 """Matches that may have left a rule's arrivals before these are looked through."""
 
@@ -52,7 +49,7 @@ class FusedPair(NamedTuple):
 
 
 class PartnerChoice(NamedTuple):
-    """How a side chooses partners; None in its place for a side that only waits.
+    """The choice of partners by a side; None in its place for a side that only waits.
 
     Attributes:
         newest: whether it looks at the newest first; else at the oldest.
@@ -67,8 +64,8 @@ class PartnerChoice(NamedTuple):
 
 def fused_side(
     side: Side, pair: FusedPair, choice: Optional[PartnerChoice], rule: Any, plain: EventAction, emit: Emit
-) -> Tuple[EventAction, Optional[MakeAction]]:
-    """Return the action of an event that is a side of a pair, and what makes its fused action.
+) -> EventAction:
+    """Return the action of an event that is a side of a pair.
 
     Args:
         side: the side.
@@ -93,19 +90,17 @@ def fused_side(
     return _SideWriter(side, pair, rule).action(choice, names)
 
 
-def fused_absence(
-    absence: Absence, rule: Any, whole: bool, plain: EventAction
-) -> Tuple[EventAction, Optional[MakeAction]]:
+def fused_absence(absence: Absence, rule: Any, whole: bool, plain: EventAction) -> EventAction:
     """Return the action of an event that must not happen, where no other waits under its key; see `fused_side`.
 
     Args:
         absence: where it waits.
         rule: the rule.
-        whole: whether its values are its arguments; it may be fused then.
+        whole: whether its values are its arguments.
         plain: the plain way.
     """
     writer = _Writer(absence.buffer, rule, whole)
-    names = {**_common_names(rule, absence.buffer, plain), "other": absence.buffer, "absence": absence}
+    names = {**_common_names(rule, absence.buffer, plain), "absence": absence}
     return writer.made(
         [
             *writer.key([one for one, _ in absence.shared]),
@@ -135,7 +130,7 @@ def _common_names(rule: Any, own: MatchBuffer, plain: EventAction) -> Dict[str, 
         "new": object.__new__,
         "EventMatch": EventMatch,
         "Match": Match,
-        "PLAIN": _PLAIN,
+        "PLAIN": PLAIN,
         "SPARE": SPARE,
     }
 
@@ -157,13 +152,11 @@ class _Writer:
         self.plain = f"return plain(term, {self.values}, s, e, after)"
         self.queue = "queue" if own.span == rule.expiries.span else "queued"
 
-    def made(
-        self, body: Sequence[Statement], names: Dict[str, Any], title: str
-    ) -> Tuple[EventAction, Optional[MakeAction]]:
-        """Return the action of a body, and what gives it as a fused one where it reads the event itself."""
-        source = source_of([Block("def made(term, values, s, e, after):", body)]) + "\n"
+    def made(self, body: Sequence[Statement], names: Dict[str, Any], title: str) -> EventAction:
+        """Return the action of a body."""
+        source = source_of([Block("def made(term, values, s, e, after):", body)])
         action: EventAction = shared_function(source, names, title)
-        return action, (lambda: action) if self.whole else None
+        return action
 
     def key(self, places: Sequence[int]) -> List[Statement]:
         """Return the statements that take the key from values at some places."""
@@ -207,11 +200,7 @@ class _Writer:
                         [
                             "gone = queue.popleft()",
                             "place = gone.buffer",
-                            Block(
-                                "if place is own or place is other:",
-                                ["place.remove(gone)"],
-                            ),
-                            Block("elif place is not None:", ["gone.leave()"]),
+                            Block("if place is not None:", ["place.remove(gone)"]),
                         ],
                     ),
                     Block("if late.heap or late.rest or expiries.others:", ["expiries.expire(e)"]),
@@ -259,7 +248,7 @@ class _Writer:
 
 
 class _SideWriter(_Writer):
-    """Writes the function of a side of a pair.
+    """Generates the action of a side of a pair.
 
     Args:
         side: the side.
@@ -273,10 +262,8 @@ class _SideWriter(_Writer):
         self.pair = pair
         self.tested = bool(pair.blocks or pair.tests)
 
-    def action(
-        self, choice: Optional[PartnerChoice], names: Dict[str, Any]
-    ) -> Tuple[EventAction, Optional[MakeAction]]:
-        """Return the action, and what gives it as a fused one."""
+    def action(self, choice: Optional[PartnerChoice], names: Dict[str, Any]) -> EventAction:
+        """Return the action."""
         side = self.side
         begin = self.key([one for one, _ in side.shared])
         if choice is not None:

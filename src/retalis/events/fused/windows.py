@@ -8,8 +8,8 @@ from heapq import heappush
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence
 
 from ...foundation import Block, Statement, shared_function, source_of, tuple_source
-from ...prolog.terms import EventAction, term_key
-from ..streams import PLAIN, StreamItem
+from ...prolog.terms import PLAIN, EventAction, term_key
+from ..streams import StreamItem
 
 _PLAIN_WAY = "return plain(term, values, start, end, after)"
 _STEPS = 2
@@ -132,11 +132,11 @@ def fused_window(
 
     Args:
         window: the window.
-        limit: the longest interval that is given on, in ns; None for no bound.
+        limit: the longest interval of an output, in ns; None for no bound.
         node: has the `Sliding` as ``stream``, and the rule's network, which says how many items it may hold.
         plain: the plain way.
         complete: takes the values of groups and the results.
-        too_large: gives on the error of a group whose results are too large for a float.
+        too_large: reports a group whose results are too large for a float.
     """
     names: Dict[str, Any] = {
         "node": node,
@@ -219,7 +219,7 @@ def _source(window: FusedWindow, limited: bool, metered: bool) -> str:
         *([Block("if end - members[0].start > limit:", ["return after"])] if limited else []),
         "return complete(None, found, members[0].start, end, after)",
     ]
-    return source_of([Block("def made(term, values, start, end, after):", body)]) + "\n"
+    return source_of([Block("def made(term, values, start, end, after):", body)])
 
 
 _UNCOMMON = " or ".join(

@@ -3,7 +3,7 @@
 import heapq
 from typing import Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Set, Tuple
 
-from ...prolog.terms import Atom, String, Values, freeze
+from ...prolog.terms import PLAIN, Values, freeze
 from .matches import Match
 from .owners import Owner
 from .reach import Reach
@@ -14,7 +14,6 @@ FEW, FEWER = 32, 4
 _LISTED_IN_A_STEP = 16
 """Partners that are listed in the time in which a step of pattern work takes one."""
 _ANY: TimeBounds = (LEAST, MOST, LEAST, MOST)
-_PLAIN = frozenset((Atom, int, String))
 
 
 class MatchBuffer:
@@ -336,6 +335,6 @@ def key_function(positions: Tuple[int, ...]) -> Callable[[Values], Hashable]:
 
     def key(values: Values) -> Hashable:
         value = values[at]
-        return value if value.__class__ in _PLAIN else freeze(value)
+        return value if value.__class__ in PLAIN else freeze(value)
 
     return key

@@ -8,15 +8,15 @@ from typing import AbstractSet, Any, Callable, Dict, List, Optional, Sequence, T
 
 from ...prolog.machine import Frame
 from ...prolog.terms import EventAction, Term, Values, Var, positions, variables
-from ..dispatch import MakeAction, takes_all
+from ..dispatch import takes_all
 from ..fused import Completion
 from ..matches import Absence, Emit, Emitting, Found, Match, NetworkOptions, RuledOutSweep
 from .conditions import RuleGoal, Test
 from .owners import Buffer, RuleOwner
 from .telling import found_here
 
-Fuse = Callable[[EventAction], Tuple[EventAction, Optional[MakeAction]]]
-"""Makes of the plain way of an event a fused one, and what makes that for events that come in, if it may."""
+Fuse = Callable[[EventAction], EventAction]
+"""Makes a fused action of the plain one; see `Audience.listen`."""
 
 
 class NetworkNode:
@@ -135,15 +135,14 @@ class Leaf(NetworkNode):
             if fuse is None:
                 rule.listen(self, plain)
             else:
-                rule.listen(self, *fuse(plain))
+                rule.listen(self, fuse(plain), fused=True)
         else:
             takes = (lambda start: True) if self.forbids else rule.skipping.takes
             rule.listen(self, arrive_unskipped)
 
     def bind_alone(self, completion: Completion) -> None:
         """Listen for a rule whose pattern is one event; see `NetworkNode.alone`."""
-        action = completion.action
-        self.rule.listen(self, action, (lambda: action) if completion.fused else None)
+        self.rule.listen(self, completion.action, completion.fused)
 
 
 class Filter(NetworkNode):

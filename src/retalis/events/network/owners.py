@@ -5,7 +5,7 @@ from typing import Any, Hashable, List, Optional, Protocol, Tuple
 from ...foundation import RetalisError, RuleError
 from ...prolog.machine import Frame
 from ...prolog.terms import Term
-from ..dispatch import EventAction, Listener, MakeAction
+from ..dispatch import EventAction, Listener
 from ..fused import Completion
 from ..history import Fired, Remembered, Tracker
 from ..matches import Match, MatchBuffer, NetworkOptions, Owner
@@ -202,7 +202,7 @@ class RuleOwner(Owner, Fired, Protocol):
     def tick(self, end: int) -> None:
         """Move the rule's clock and remove what is too old by it."""
 
-    def listen(self, leaf: Listening, action: EventAction, fused: Optional[MakeAction] = None) -> None:
+    def listen(self, leaf: Listening, action: EventAction, fused: bool = False) -> None:
         """Have a leaf's action called for its events."""
 
     def add_later(self, buffer: MatchBuffer, match: Match, key: Hashable) -> None:

@@ -6,8 +6,8 @@ from typing import Any, Callable, Deque, Dict, Hashable, List, Optional, Tuple
 from ...foundation import LARGEST, RuleError, UsageError
 from ...prolog.machine import Frame
 from ...prolog.terms import Atom, Functor, Term, Values, Var, deref, is_larger
-from ..dispatch import EventAction, Listener, MakeAction, Stage, compile_builder
-from ..fused import SPARE, Completion, Head, firing_action
+from ..dispatch import EventAction, Listener, Stage, compile_builder
+from ..fused import SPARE, Completion, firing_action
 from ..language import Pattern, RuleDefinition, alarm_of
 from ..matches import (
     VISITED_SLICE,
@@ -240,7 +240,7 @@ class Rule:
         self.expiries.reset(self._span)
         self._by_end = Expiries()
 
-    def listen(self, leaf: Listening, action: EventAction, fused: Optional[MakeAction] = None) -> None:
+    def listen(self, leaf: Listening, action: EventAction, fused: bool = False) -> None:
         """Have a leaf's action called for its events; see `Audience.listen`."""
         listen = self.network.dispatcher.listen
         rank = (self.serial, leaf.rank)
@@ -500,9 +500,7 @@ class Rule:
             self.network.rule_failed(self, RuleError(error.message))
             return after
 
-        budget = None if self.meter is None else self.network.logic.machine.budget
-        firing = Head(head, self, budget, gate, dispatcher.dispatch, failed)
-        complete = firing_action(firing, self.root.vars)
+        complete = firing_action(head, self.root.vars, self, gate, failed)
         shortcut = dispatcher.shortcuts.get(head[0]) if head.__class__ is tuple else None
         instead = shortcut and shortcut(self, complete)
         return Completion(instead, True, gate) if instead else Completion(complete, False, gate)

@@ -2,7 +2,7 @@
 
 from .awaiting import Agreement, Awaiting
 from .groups import WindowGroup
-from .items import PLAIN, KeyBounds, KnownState, StreamItem, StreamOperator, StreamOutput
+from .items import KeyBounds, KnownState, StreamItem, StreamOperator, StreamOutput
 from .measures import MEASURES
 from .numbers import ADDING, check_finite, check_ordered, is_number, is_number_expression, unfit
 from .shapes import Changing, Settled, Spaced
@@ -21,7 +21,6 @@ __all__ = [
     "Changing",
     "FromFirst",
     "Hopping",
-    "PLAIN",
     "StreamItem",
     "KeyBounds",
     "KnownState",

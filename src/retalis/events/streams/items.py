@@ -10,7 +10,7 @@ from typing import Any, Callable, Hashable, List, NamedTuple, Optional, Protocol
 
 from ...foundation import RuleError
 from ...prolog.machine import Meter
-from ...prolog.terms import Atom, String, Values, term_key
+from ...prolog.terms import PLAIN, Values, term_key
 
 
 class StreamItem:
@@ -70,8 +70,6 @@ class StreamOutput(NamedTuple):
 
 KnownState = Tuple[Any, ...]
 """What an operator knows, as numbers, terms, items and lists of them."""
-PLAIN = frozenset((Atom, int, String))
-"""The kinds of terms that are their own keys."""
 NEVER = -(1 << 63)
 """An instant before all others."""
 

@@ -4,8 +4,8 @@ import heapq
 from collections import OrderedDict
 from typing import Dict, Hashable, List, Tuple
 
-from ...prolog.terms import term_key
-from .items import NEVER, PLAIN, KeyedOperator, KnownState, StreamItem, StreamOutput
+from ...prolog.terms import PLAIN, term_key
+from .items import NEVER, KeyedOperator, KnownState, StreamItem, StreamOutput
 
 
 class Spaced(KeyedOperator):

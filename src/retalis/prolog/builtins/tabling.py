@@ -21,9 +21,8 @@ from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Set,
 from ..database import Predicate
 from ..machine import Code, Frame, Guard, uninstantiation_error
 from ..terms import (
-    Atom,
+    PLAIN,
     Functor,
-    String,
     Term,
     Values,
     Var,
@@ -43,7 +42,6 @@ from .tables import Follower, Reads, Table, VersionedSource
 
 _ANSWER = functor("answer", 0)
 AS, INCREMENTAL = functor("as", 2), atom("incremental")
-_PLAIN = frozenset((Atom, int, String))
 """Kinds of terms that are their own keys."""
 
 _SPARE = 1000
@@ -163,7 +161,7 @@ class Tables:
             for arg in frame[1:-1]:
                 while arg.__class__ is Var and arg.ref is not None:
                     arg = arg.ref
-                if arg.__class__ in _PLAIN:
+                if arg.__class__ in PLAIN:
                     key.append(arg)
                 elif arg.__class__ is Var and arg not in free:
                     free.append(arg)
@@ -285,7 +283,7 @@ class Tables:
             value: Any = var.ref
             while value.__class__ is Var and value.ref is not None:
                 value = value.ref
-            if value.__class__ not in _PLAIN:
+            if value.__class__ not in PLAIN:
                 whole = copy((_ANSWER, *free))
                 key = term_key(whole)
                 answer = whole[1:]

@@ -20,7 +20,7 @@ variables see after `LATE` steps whether they walk one, and go on with each part
 
 from . import timestamps
 from .cycles import LATE, LATE_ROUND, refuse_cycles
-from .keys import term_key, variant_key
+from .keys import PLAIN, term_key, variant_key
 from .kinds import (
     COLON,
     COMMA,
@@ -140,6 +140,7 @@ __all__ = [
     "Stamp",
     "String",
     "Term",
+    "PLAIN",
     "term_key",
     "timestamps",
     "Trail",

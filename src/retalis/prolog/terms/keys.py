@@ -8,16 +8,17 @@ from .kinds import Atom, String, Term, Var, deref
 from .steps import ROUNDS
 from .walking import freeze
 
-_PLAIN = frozenset((Atom, int, String))
+PLAIN = frozenset((Atom, int, String))
+"""The classes of terms that are their own keys."""
 
 
 def term_key(term: Term) -> Hashable:
     """Return a hashable key: equal for two terms exactly when they are variants of each other."""
-    if term.__class__ in _PLAIN:
+    if term.__class__ in PLAIN:
         return term
     if term.__class__ is tuple:
         for item in term[1:]:
-            if item.__class__ not in _PLAIN:
+            if item.__class__ not in PLAIN:
                 if item.__class__ is Var and item.ref is None:
                     return variant_key(term)
                 break
