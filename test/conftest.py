@@ -13,6 +13,7 @@ import os
 import pytest
 
 from retalis.foundation import PYPY
+from retalis.messages import Definitions
 
 FAST = "not slow"
 MOST = 8
@@ -51,6 +52,12 @@ def pytest_collection(session):
         if not PYPY:
             gc.freeze()
             gc.set_threshold(*LOOKS)
+
+
+@pytest.fixture(scope="module")
+def definitions():
+    """The message definitions that are installed."""
+    return Definitions()
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -13,7 +13,6 @@ from retalis import Engine
 from retalis.engine import parts_of
 from retalis.events.checks import Overview, look_through
 from retalis.events.program import Topics
-from retalis.messages import Definitions
 from retalis.prolog.syntax import Operators, read_program
 from retalis.prolog.terms import timestamps
 
@@ -76,11 +75,6 @@ PARTS = (
     "unbounded-keys",
 )
 """What is found in a part of a program because the rest of it is not there; the number of keys also depends on it."""
-
-
-@pytest.fixture(scope="module")
-def definitions():
-    return Definitions()
 
 
 @pytest.mark.parametrize("text", list(prolog()))

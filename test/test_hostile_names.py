@@ -7,7 +7,7 @@ are free it has to come back as it was; where ROS says what a name is, it is ref
 import re
 
 import pytest
-from held import held
+from reachability import reachable
 
 from retalis import Engine, PrologError, foreign
 from retalis.events.program import read_topics, topic_type
@@ -64,7 +64,7 @@ def sources(monkeypatch):
         return define(source, names, title)
 
     monkeypatch.setattr(codegen, "define", collecting)
-    for cache in held(list(vars(codegen).values()), Cache):
+    for cache in reachable(list(vars(codegen).values()), Cache):
         cache.clear()
     yield found
     assert "harm" not in "".join(found)

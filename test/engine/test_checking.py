@@ -11,11 +11,6 @@ from retalis.prolog.syntax import Operators, read_term
 TOPICS = Topics((topic_type("said", "std_msgs/String"),))
 
 
-@pytest.fixture(scope="module")
-def definitions():
-    return Definitions()
-
-
 @pytest.mark.parametrize(
     ("pattern", "said"),
     [

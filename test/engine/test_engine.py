@@ -1,11 +1,10 @@
 """The façade: loading, events, queries, outputs, errors."""
 
 import logging
-import sys
 import threading
-from pathlib import Path
 
 import pytest
+from recording_engine import RecordingEngine
 
 from retalis import foreign
 from retalis.engine import Engine, Settings, parts_of
@@ -14,12 +13,11 @@ from retalis.foundation import ProgramErrors, RetalisError, SyntaxFault, UsageEr
 from retalis.prolog.machine import Limits, PrologError
 from retalis.prolog.terms import SECOND, atom, deref, functor, make_list, timestamps
 
-sys.path.append(str(Path(__file__).resolve().parents[1]))
-from watched import Watched  # noqa: E402
-
 
 def test_a_rule_fires_and_a_subscriber_gets_it():
-    engine = Watched("alarm(X) <- smoke(X) seq heat(X).", "subscribe(alarm(X), [], warn(X), alarms, a)")
+    engine = RecordingEngine(
+        "alarm(X) <- smoke(X) seq heat(X).", "subscribe(alarm(X), [], warn(X), alarms, a)"
+    )
     engine.event("smoke(kitchen)", 1)
     engine.event("heat(cellar)", 2)
     engine.event("heat(kitchen)", 3)
@@ -28,7 +26,7 @@ def test_a_rule_fires_and_a_subscriber_gets_it():
 
 
 def test_an_event_without_stamp_gets_the_clock_and_never_the_same_twice():
-    engine = Watched()
+    engine = RecordingEngine()
     engine.clock.move_to(5)
     engine.event("a")
     engine.event("b")
@@ -36,7 +34,7 @@ def test_an_event_without_stamp_gets_the_clock_and_never_the_same_twice():
 
 
 def test_stamped_events_move_the_clock_and_late_ones_do_not_move_it_back():
-    engine = Watched("out(X) <- (a(X) seq b(X)) within 60.\nexceptionAlarm(ring(X), 5) <- a(X).")
+    engine = RecordingEngine("out(X) <- (a(X) seq b(X)) within 60.\nexceptionAlarm(ring(X), 5) <- a(X).")
     for second in range(200):
         engine.event(f"a({second})", second)
     assert engine.clock.now() == 199 * 10**9
@@ -50,7 +48,7 @@ def test_stamped_events_move_the_clock_and_late_ones_do_not_move_it_back():
 
 
 def test_a_clock_of_ones_own_is_moved_by_nobody_else():
-    engine = Watched(clock=StreamClock(7))
+    engine = RecordingEngine(clock=StreamClock(7))
     engine.event("a", 100)
     assert engine.clock.now() == 7
 
@@ -60,7 +58,7 @@ STAMPED = "late(D) <- (s seq e) check (t1(S), t2(E), E - S >= 9.5, E > S, D is E
 
 @pytest.mark.parametrize("way", ["event", "post", "text", "datime", "now"])
 def test_arithmetic_on_stamps_is_the_same_by_every_way_in(way):
-    engine = Watched(STAMPED)
+    engine = RecordingEngine(STAMPED)
     for name, seconds in (("s", 5), ("e", 15.25)):
         instant = int(seconds * 10**9)
         if way == "event":
@@ -84,7 +82,7 @@ def test_what_is_no_date_is_no_number():
 
 
 def test_a_text_that_is_too_long_to_read_is_refused(caplog, monkeypatch):
-    engine = Watched(clock=StreamClock(7))
+    engine = RecordingEngine(clock=StreamClock(7))
     monkeypatch.setattr("retalis.engine.textinput.LONGEST_INPUT", 20)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.post_text("event(a(1234567890))")
@@ -95,7 +93,7 @@ def test_a_text_that_is_too_long_to_read_is_refused(caplog, monkeypatch):
 
 
 def test_stamps_are_terms_numbers_or_ros_times():
-    engine = Watched()
+    engine = RecordingEngine()
     stamp = timestamps.datime(7 * 10**9 + 1)
     engine.event("a", stamp, stamp)
     engine.event("b", 1.5, 2)
@@ -103,7 +101,7 @@ def test_stamps_are_terms_numbers_or_ros_times():
 
 
 def test_an_end_before_the_start_is_refused():
-    engine = Watched()
+    engine = RecordingEngine()
     with pytest.raises(RetalisError):
         engine.event("a", 2, 1)
     with pytest.raises(UsageError):
@@ -113,11 +111,11 @@ def test_an_end_before_the_start_is_refused():
 
 def test_text_that_is_no_term_is_refused():
     with pytest.raises(SyntaxFault):
-        Watched().event("a(", 1)
+        RecordingEngine().event("a(", 1)
 
 
 def test_queries_give_values_by_name():
-    engine = Watched("p(1). p(2). p(3).")
+    engine = RecordingEngine("p(1). p(2). p(3).")
     assert [deref(answer["X"]) for answer in engine.query("p(X), X > 1")] == [2, 3]
     assert len(engine.query("p(_)", most=1)) == 1
     assert engine.query("p(9)") == []
@@ -125,7 +123,7 @@ def test_queries_give_values_by_name():
 
 
 def test_a_failing_or_wrong_goal_is_reported_with_its_place_and_the_others_are_called():
-    engine = Watched()
+    engine = RecordingEngine()
     with pytest.raises(ProgramErrors) as caught:
         engine.call_goals("assertz(a(1))\nfail\nno_such_goal(1)\nb(\nassertz(a(2))\n", "goals.txt")
     errors = caught.value.errors
@@ -141,7 +139,7 @@ def test_a_rule_file_is_found_beside_the_goal_file(tmp_path):
     (tmp_path / "goalPredicates.txt").write_text("compile_event_file('more/rules.txt')\n")
     (tmp_path / "more").mkdir()
     (tmp_path / "more" / "rules.txt").write_text("b(X) <- a(X).\n")
-    engine = Watched()
+    engine = RecordingEngine()
     engine.load_program(tmp_path)
     engine.event("a(1)", 1)
     assert [event for event, _, _ in engine.events] == ["a(1)", "b(1)"]
@@ -150,7 +148,7 @@ def test_a_rule_file_is_found_beside_the_goal_file(tmp_path):
 def test_errors_of_a_rule_file_come_at_once_and_nothing_of_it_is_active(tmp_path):
     (tmp_path / "goalPredicates.txt").write_text("compile_event_file('rules.txt')\n")
     (tmp_path / "rules.txt").write_text("ok <- a.\nb <- a seq.\nc <- (a.\nfact(1).\n")
-    engine = Watched()
+    engine = RecordingEngine()
     with pytest.raises(ProgramErrors) as caught:
         engine.load_program(tmp_path)
     assert [error.place.line for error in caught.value.errors] == [2, 3]
@@ -159,7 +157,7 @@ def test_errors_of_a_rule_file_come_at_once_and_nothing_of_it_is_active(tmp_path
 
 
 def test_a_goal_that_raises_stops_its_firing_only(caplog):
-    engine = Watched("null do no_such_goal(X) <- a(X).\nok(X) <- a(X).")
+    engine = RecordingEngine("null do no_such_goal(X) <- a(X).\nok(X) <- a(X).")
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("a(1)", 1)
     assert [event for event, _, _ in engine.events] == ["a(1)", "ok(1)"]
@@ -167,14 +165,14 @@ def test_a_goal_that_raises_stops_its_firing_only(caplog):
 
 
 def test_events_made_by_goals_are_finished_first():
-    engine = Watched("null do new_event(b, 5, 7) <- a.\nc <- b.\nd <- a.")
+    engine = RecordingEngine("null do new_event(b, 5, 7) <- a.\nc <- b.\nd <- a.")
     engine.event("a", 1)
     assert [event for event, _, _ in engine.events] == ["a", "b", "c", "null", "d"]
     assert engine.events[1][1:] == (5 * 10**9 + 7,) * 2
 
 
 def test_a_chain_without_end_is_stopped_and_the_engine_goes_on(caplog):
-    engine = Watched("a(Y) <- a(X) where Y is X + 1.\nb(1) <- b.", max_depth=50)
+    engine = RecordingEngine("a(Y) <- a(X) where Y is X + 1.\nb(1) <- b.", max_depth=50)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("a(0)", 1)
     assert len(engine.events) == 51
@@ -184,7 +182,7 @@ def test_a_chain_without_end_is_stopped_and_the_engine_goes_on(caplog):
 
 
 def test_a_long_chain_needs_no_stack():
-    engine = Watched("a(Y) <- a(X) where (X < 20000, Y is X + 1).", max_depth=100_000)
+    engine = RecordingEngine("a(Y) <- a(X) where (X < 20000, Y is X + 1).", max_depth=100_000)
     engine.event("a(0)", 1)
     assert engine.events[-1][0] == "a(20000)"
 
@@ -199,7 +197,7 @@ def test_a_long_chain_needs_no_stack():
     ],
 )
 def test_events_as_text(text):
-    engine = Watched()
+    engine = RecordingEngine()
     engine.post_text(text)
     assert engine.events == [("a(1)", 10**9, 10**9)]
 
@@ -208,7 +206,7 @@ def test_events_as_text(text):
     "text", ["assertz(x)", "event(", "event(X)", "event(1)", "event(a,[2,1])", "new_event(a,x,1)"]
 )
 def test_other_text_is_refused_with_a_warning(text, caplog):
-    engine = Watched()
+    engine = RecordingEngine()
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.post_text(text)
     assert len(caplog.records) == 1
@@ -217,13 +215,13 @@ def test_other_text_is_refused_with_a_warning(text, caplog):
 
 
 def test_any_goal_is_taken_where_that_is_allowed():
-    engine = Watched(allow_goals=True)
+    engine = RecordingEngine(allow_goals=True)
     engine.post_text("assertz(x(1))")
     assert engine.query("x(1)") == [{}]
 
 
 def test_time_that_goes_back_clears_what_was_remembered(caplog):
-    engine = Watched("c <- a seq b.", "memorize(a, [], _, m, 5)")
+    engine = RecordingEngine("c <- a seq b.", "memorize(a, [], _, m, 5)")
     engine.clock.move_to(100 * 10**9)
     engine.event("a", 100)
     assert len(engine.query("access_mem(m, _, _)")) == 1
@@ -257,7 +255,7 @@ def test_a_clock_that_is_moved_between_events_that_wait_parts_them():
 
 
 def test_an_alarm_rings_when_its_time_has_come():
-    engine = Watched("exceptionAlarm(late, 5) <- a.")
+    engine = RecordingEngine("exceptionAlarm(late, 5) <- a.")
     engine.event("a", 1)
     engine.clock.move_to(5 * 10**9)
     engine.advance()
@@ -268,7 +266,7 @@ def test_an_alarm_rings_when_its_time_has_come():
 
 
 def test_an_alarm_that_rings_inside_a_subscriber_leaves_the_event_as_it_was():
-    engine = Watched(
+    engine = RecordingEngine(
         "exceptionAlarm(late, 1) <- a. c <- b do true.",
         "subscribe(b, [], _, out, s)\nmemorize(b, [], b, m, 3)",
         clock=StreamClock(),
@@ -305,7 +303,7 @@ def test_an_alarm_that_rings_inside_a_subscriber_leaves_the_event_as_it_was():
     ids=["event", "goal", "goal file"],
 )
 def test_an_interrupt_leaves_no_event_behind(work):
-    engine = Watched("b <- a. c <- b. c <- a.", "subscribe(b, [], _, out, s)")
+    engine = RecordingEngine("b <- a. c <- b. c <- a.", "subscribe(b, [], _, out, s)")
 
     def stop(term, topic, name):
         if not engine.events or engine.events[-1][0] == "b":
@@ -337,7 +335,7 @@ def test_events_that_a_subscriber_makes_of_its_own_follow_from_what_it_was_sent(
 
 
 def test_a_query_and_events_from_many_threads():
-    engine = Watched("n(X) <- e(X).", "memorize(n(X), [], _, m, 10000)")
+    engine = RecordingEngine("n(X) <- e(X).", "memorize(n(X), [], _, m, 10000)")
     threads = [
         threading.Thread(target=lambda k=k: [engine.event(f"e({k})", i) for i in range(50)]) for k in range(4)
     ]
@@ -351,7 +349,7 @@ def test_a_query_and_events_from_many_threads():
 
 
 def test_a_goal_that_runs_for_ever_is_stopped():
-    engine = Watched("loop :- loop.\nnull do loop <- a.\nok <- a.", limits=Limits(inferences=100_000))
+    engine = RecordingEngine("loop :- loop.\nnull do loop <- a.\nok <- a.", limits=Limits(inferences=100_000))
     engine.event("a", 1)
     assert [event for event, _, _ in engine.events] == ["a", "ok"]
     with pytest.raises(RetalisError, match="inferences"):
@@ -395,7 +393,7 @@ def test_a_message_and_its_text_have_the_same_stamp():
 
 
 def test_a_subscriber_that_fails_cuts_nothing_off(caplog):
-    engine = Watched("b <- a.", "subscribe(a, [], _, t, 1)")
+    engine = RecordingEngine("b <- a.", "subscribe(a, [], _, t, 1)")
     engine.on_output(lambda term, topic, name: 1 / 0)
     with caplog.at_level(logging.ERROR, "retalis"):
         engine.event("a", 1)

@@ -16,6 +16,14 @@ def errors_of(rules):
     return [_shown(error) for error in caught.value.errors]
 
 
+def assert_refused(rule, column, part):
+    """Check that a rule in the second line is refused for one error, at this column and with this text."""
+    ((line, at, message),) = errors_of(f"% first\n{rule}")
+    assert line == 2
+    assert part.lower() in message.lower()
+    assert at == column
+
+
 def warnings_of(rules):
     """Return the warnings for a text that is accepted."""
     return [_shown(warning) for warning in Program(rules).warnings]

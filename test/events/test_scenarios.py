@@ -9,12 +9,14 @@ from typing import Any, NamedTuple
 
 import pytest
 from events.contradictions import CONTRADICTED, Contradiction
+from events.running import text_of
+from parsing import parse_term
 
 from retalis.engine import Engine, Settings, parts_of
 from retalis.engine.runtime import StreamClock
 from retalis.foundation import RetalisError
 from retalis.prolog.syntax import Operators, read_term, write_term
-from retalis.prolog.terms import SECOND, atom, copy, deref, functor, variables
+from retalis.prolog.terms import SECOND, atom, deref, functor
 from retalis.prolog.terms.timestamps import from_term, to_term
 
 FOLDER = Path(__file__).parent.parent / "data" / "scenarios"
@@ -23,18 +25,6 @@ OUTPUT = functor("output", 3)
 MEMORY_EVENTS = ("memory_created", "memory_updated", "memory_deleted")
 BASE = from_term(read_term("datime(2001,1,1,0,0,0)", Operators.prolog()).term)
 NOW = from_term(read_term("datime(2001,1,1,1,0,0)", Operators.prolog()).term)
-
-
-def normal(term):
-    """Return a term as text with its variables named in order; two variants give the same text."""
-    term = copy(term)
-    for number, var in enumerate(variables(term)):
-        var.ref = (functor("$VAR", 1), number)
-    return write_term(term, None, quoted=True, ignore_ops=True, numbervars=True)
-
-
-def read(text):
-    return read_term(text, Operators.prolog()).term
 
 
 class Run:
@@ -47,7 +37,7 @@ class Run:
         self.events, self.memory_events, self.outputs, self.errors = [], [], [], []
         self.engine.on_event(self._event)
         self.engine.on_output(
-            lambda term, topic, name: self.outputs.append(normal((OUTPUT, term, atom(topic), name)))
+            lambda term, topic, name: self.outputs.append(text_of((OUTPUT, term, atom(topic), name)))
         )
         parts_of(self.engine).rules.on_error = lambda error: self.errors.append(str(error))
         parts_of(self.engine).logic.define("sleep", 1, self._sleep)
@@ -63,7 +53,7 @@ class Run:
     def _event(self, term, start, end):
         name = term[0].name if term.__class__ is tuple else term.name
         into = self.memory_events if name in MEMORY_EVENTS else self.events
-        into.append((normal(term), start, end))
+        into.append((text_of(term), start, end))
 
     def _run(self, data, folder):
         for goal in data["goals"]:
@@ -79,15 +69,17 @@ class Run:
                 self.attempt(lambda item=item: self.engine.call(item["goal"]))
             else:
                 term, (start, end) = item
-                self.clock.move_to(from_term(read(end)))
-                self.attempt(lambda t=term, s=start, e=end: self.engine.event(t, read(s), read(e)))
+                self.clock.move_to(from_term(parse_term(end)))
+                self.attempt(
+                    lambda t=term, s=start, e=end: self.engine.event(t, parse_term(s), parse_term(e))
+                )
             self.engine.advance()
         self.answers = [self._solutions(goal) for goal in data.get("queries", ())]
 
     def _solutions(self, goal):
         try:
             term = read_term(goal, self.engine.operators).term
-            return [normal(term) for _ in parts_of(self.engine).logic.solutions(term)]
+            return [text_of(term) for _ in parts_of(self.engine).logic.solutions(term)]
         except RetalisError as error:
             return f"error: {error}"
 
@@ -101,7 +93,10 @@ class Run:
 
 def wanted_events(data, name):
     found = data.get(name + "_sane", data[name])
-    return [(normal(read(term)), from_term(read(start)), from_term(read(end))) for term, start, end in found]
+    return [
+        (text_of(parse_term(term)), from_term(parse_term(start)), from_term(parse_term(end)))
+        for term, start, end in found
+    ]
 
 
 def event_table(events):
@@ -164,12 +159,12 @@ def wanted_of(name, data):
     for at, result in enumerate(data.get("query_results") or ()):
         found = other.answers.get(at, result["solutions"] if sane is None else sane[at])
         failed = found and found[0].startswith("error: ")
-        answers.append("an error" if failed else [normal(read(text)) for text in found])
+        answers.append("an error" if failed else [text_of(parse_term(text)) for text in found])
     return Wanted(
         other.events,
         wanted_events(data, "expected"),
         wanted_events(data, "memory_events"),
-        [normal(read(text)) for text in (outputs if other.outputs is None else other.outputs)],
+        [text_of(parse_term(text)) for text in (outputs if other.outputs is None else other.outputs)],
         answers,
         bool(data.get("errors")) if other.errors is None else other.errors,
     )

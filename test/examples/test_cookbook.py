@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from examples.roboworld import BEGAN, SECOND, RobotWorld, to_slots
 
-from retalis import BagReader, Definitions, Playback
+from retalis import BagReader, Playback
 from retalis.cli import main
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "cookbook"
@@ -43,11 +43,6 @@ def recipes():
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-@pytest.fixture(scope="module")
-def definitions():
-    return Definitions()
 
 
 @pytest.mark.slow

@@ -4,11 +4,11 @@ import contextlib
 from itertools import count
 
 import pytest
+from parsing import parse_term
 
 from retalis.engine import Engine, parts_of
 from retalis.engine.runtime import StreamClock
 from retalis.events.knowledge.memory import Memory
-from retalis.prolog.syntax import Operators, read_term
 from retalis.prolog.terms import atom, functor
 
 from .__main__ import Campaign
@@ -25,10 +25,6 @@ def test_an_engine_that_was_interrupted_answers_as_one_that_was_not(way, number)
     campaign.run(number)
     assert sum(campaign.outcomes.values()) == number
     assert campaign.outcomes["interrupted"] + campaign.outcomes["ended with an error"] > 0
-
-
-def term_of(text):
-    return read_term(text, Operators.prolog()).term
 
 
 def interrupted(engine, work, prepare=lambda: None):
@@ -116,7 +112,7 @@ def test_a_side_of_a_pair_that_is_interrupted_anywhere_leaves_its_rule_in_order(
 @pytest.mark.slow
 def test_a_query_that_is_interrupted_anywhere_leaves_nothing_to_be_done_behind_it():
     engine = Engine(StreamClock(0))
-    goal = term_of("call_with_inference_limit(true, 1000, R)")
+    goal = parse_term("call_with_inference_limit(true, 1000, R)")
     assert sum(1 for _ in interrupted(engine, lambda: engine.query(goal))) > 1000
 
 
@@ -160,7 +156,7 @@ def test_solutions_that_are_closed_long_after_an_interrupt_disturb_no_other_goal
 
 def test_a_goal_that_is_called_leaves_nothing_on_the_trail():
     engine = Engine(StreamClock(0))
-    term = functor("=", 2)(functor("f", 1)(1), term_of("f(X)"))
+    term = functor("=", 2)(functor("f", 1)(1), parse_term("f(X)"))
     assert engine.call(term)
     assert engine.show(term) == "f(1)=f(1)"
     assert faults(engine) == []

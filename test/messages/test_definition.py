@@ -1,5 +1,5 @@
 import pytest
-from held import held
+from reachability import reachable
 
 from retalis.foundation import MessageError
 from retalis.messages import Definitions, Installed, type_name
@@ -222,7 +222,7 @@ def test_ever_new_definitions_do_not_pile_up():
         known.decoder(
             known.add("pkg/Type", f"int8 x{number}\npkg/N{number} n\n" + section(f"pkg/N{number}", ""))
         )
-    assert max(map(len, held(known, dict))) <= 1000
+    assert max(map(len, reachable(known, dict))) <= 1000
     assert known.known("pkg/N0") is not None
     assert [number for number in range(1, 3000) if known.known(f"pkg/N{number}") is not None] == []
     for number in range(999):

@@ -98,6 +98,19 @@ class Space:
         """Return what the started processes have printed."""
         return "\n".join(path.read_text(errors="replace") for path in sorted(self.logs.glob("*.out")))
 
+    def expect_printed(self, text):
+        """Wait until the started processes have printed a text."""
+        self.expect(lambda nodes, services: text in self.printed())
+
+    def query(self, goal):
+        """Return what service `query` of node retalis prints for a goal."""
+        return self.run("rosservice", "call", "/retalis/query", f"{{goal: '{goal}'}}")
+
+    def post_event(self, event):
+        """Publish an event for node retalis, as another node does."""
+        text = f"data: 'event({event})'"
+        self.run("rostopic", "pub", "-1", "/retalisInputEvents", "std_msgs/String", text)
+
     def state(self):
         """Return the master's nodes and services, or nothing where there is no master yet."""
         try:

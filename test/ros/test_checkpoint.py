@@ -41,15 +41,6 @@ def node(devel, program, tmp_path):
 READY = "1 event rule"
 
 
-def solutions(space, goal):
-    """Return what a query prints of its solutions."""
-    return space.run("rosservice", "call", "/retalis/query", f"{{goal: '{goal}'}}")
-
-
-def tell(space, event):
-    space.run("rostopic", "pub", "-1", "/retalisInputEvents", "std_msgs/String", f"data: 'event({event})'")
-
-
 def kill(space, process):
     """End the node as the kernel would where memory is short."""
     os.kill(space.pid("/retalis"), signal.SIGKILL)
@@ -71,19 +62,19 @@ def test_goes_on_after_it_was_killed(devel, node, tmp_path):
         "/add_memory",
         "{event: 'pair(_,_)', conditions: '', format: _, id: pairs, size: '9'}",
     )
-    tell(devel, "in(1)")
-    devel.expect(lambda found, services: "in(1)" in solutions(devel, "access_mem(m, R, _)"))
+    devel.post_event("in(1)")
+    devel.expect(lambda found, services: "in(1)" in devel.query("access_mem(m, R, _)"))
     now = time.time()
     devel.expect(lambda found, services: written(path) > now)
     kill(devel, process)
     process = node()
     assert f"goes on from {path}, written" in devel.printed()
-    tell(devel, "in(2)")
-    devel.expect(lambda found, services: "pair(1,2)" in solutions(devel, "access_mem(pairs, P, _)"))
+    devel.post_event("in(2)")
+    devel.expect(lambda found, services: "pair(1,2)" in devel.query("access_mem(pairs, P, _)"))
     os.kill(devel.pid("/retalis"), signal.SIGINT)
     assert process.wait(60) == 0
     node()
-    assert "pair(1,2)" in solutions(devel, "access_mem(pairs, P, _)")
+    assert "pair(1,2)" in devel.query("access_mem(pairs, P, _)")
     assert "Traceback" not in devel.printed()
 
 

@@ -43,10 +43,6 @@ def master(devel):
     return devel.start_master()
 
 
-def said(space, text):
-    space.expect(lambda found, services: text in space.printed())
-
-
 def ended(process, number):
     process.send_signal(number)
     return process.wait(SECONDS)
@@ -56,14 +52,14 @@ def ended(process, number):
 @pytest.mark.parametrize("number", SIGNALS)
 def test_where_there_is_no_master(devel, node, program, name, number):
     process = node(name, program())
-    said(devel, f"no master answers at http://localhost:{devel.port}")
+    devel.expect_printed(f"no master answers at http://localhost:{devel.port}")
     assert ended(process, number) == 0
     assert "Traceback" not in devel.printed()
 
 
 def test_a_master_that_comes_late_is_waited_for(devel, node, program):
     process = node("retalis_node", program())
-    said(devel, "no master answers")
+    devel.expect_printed("no master answers")
     devel.start_master()
     devel.expect(lambda found, services: "/add_memory" in services)
     assert ended(process, signal.SIGINT) == 0
@@ -74,7 +70,7 @@ def test_in_a_goal_without_end(devel, master, node, program, number):
     process = node(
         "retalis_node", program("writeln('it has begun'), flush_output, repeat, fail", "writeln('the next')")
     )
-    said(devel, "it has begun")
+    devel.expect_printed("it has begun")
     assert ended(process, number) == 0
     assert "the next" not in devel.printed()
     assert devel.state() == (set(), set())
@@ -97,7 +93,7 @@ def test_while_an_event_is_at_work_that_never_ends(devel, master, node, program)
     devel.expect(lambda found, services: "/add_memory" in services)
     command = ("rostopic", "pub", "-1", "/retalisInputEvents", "std_msgs/String", "data: 'event(begin)'")
     devel.run(*command)
-    said(devel, "it has begun")
+    devel.expect_printed("it has begun")
     assert ended(process, signal.SIGINT) == 0
     assert devel.state() == (set(), set())
 
@@ -114,7 +110,7 @@ c <- begin do (forall(between(1, 50000, N), event(a([[[N], [N]], [[N], [N]], [[N
     devel.expect(lambda found, services: "/add_memory" in services)
     command = ("rostopic", "pub", "-1", "/retalisInputEvents", "std_msgs/String", "data: 'event(begin)'")
     devel.run(*command)
-    said(devel, "all came")
+    devel.expect_printed("all came")
     others = seconds_of_children()
     before = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
     ticks = sum(map(int, before[11:15]))  # its own, and of its children

@@ -10,7 +10,7 @@ import pytest
 
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
-from held import held  # noqa: E402
+from reachability import reachable  # noqa: E402
 from rospy.exceptions import TransportTerminated  # noqa: E402
 
 from retalis.engine.runtime import Reports  # noqa: E402
@@ -266,10 +266,10 @@ def test_connections_of_another_make_get_their_messages_by_their_own_way(outlet,
 def test_connections_that_are_gone_are_forgotten(outlet, link):
     it = outlet()
     it.send(b"frame")
-    assert link in held(it, Link)
+    assert link in reachable(it, Link)
     it.publisher.impl.connections = []
     it.send(b"frame")
-    assert held(it, Link) == []
+    assert reachable(it, Link) == []
     it.publisher.impl = None
     it.send(b"frame")
     assert list(it.links()) == []

@@ -31,52 +31,43 @@ def start(devel, tmp_path):
     return start
 
 
-def send(space, event):
-    """Post an event as another node does."""
-    space.run("rostopic", "pub", "-1", "/retalisInputEvents", "std_msgs/String", f"data: 'event({event})'")
-
-
-def said(space, text):
-    space.expect(lambda found, services: text in space.printed())
-
-
 def test_an_event_is_named_after_a_second_and_ended_after_ten(devel, start):
     start()
-    send(devel, "endless")
-    said(devel, "goal loop is running at event endless; event(endless) has taken")
+    devel.post_event("endless")
+    devel.expect_printed("goal loop is running at event endless; event(endless) has taken")
     assert ENDED not in devel.printed()
-    said(devel, ENDED)
-    send(devel, "short")
-    said(devel, "it goes on")
+    devel.expect_printed(ENDED)
+    devel.post_event("short")
+    devel.expect_printed("it goes on")
 
 
 def test_goals_at_the_start_are_exempt_and_events_are_not(devel, start):
     start("_max_seconds:=0.5")
     assert "it has started" in devel.printed()
     assert ENDED not in devel.printed()
-    send(devel, "long")
-    said(devel, ENDED)
-    send(devel, "short")
-    said(devel, "it goes on")
+    devel.post_event("long")
+    devel.expect_printed(ENDED)
+    devel.post_event("short")
+    devel.expect_printed("it goes on")
     assert "| it was busy" not in devel.printed().splitlines()
 
 
 def test_zero_switches_both_off(devel, start):
     start("_max_seconds:=0", "_watchdog:=0")
-    send(devel, "long")
-    said(devel, "it was busy")
+    devel.post_event("long")
+    devel.expect_printed("it was busy")
     assert ENDED not in devel.printed()
     assert NAMED not in devel.printed()
 
 
 def test_what_goals_print_looks_like_no_log_and_ends_at_a_megabyte(devel, start):
     start("_max_seconds:=60")  # a busy machine takes long for a megabyte of lines
-    send(devel, r'say("\e[31mred\n[ERROR] [1.0]: forged")')
-    said(devel, "forged")
-    send(devel, "flood")
-    said(devel, "Not enough resources: output")
-    send(devel, "short")
-    said(devel, "it goes on")
+    devel.post_event(r'say("\e[31mred\n[ERROR] [1.0]: forged")')
+    devel.expect_printed("forged")
+    devel.post_event("flood")
+    devel.expect_printed("Not enough resources: output")
+    devel.post_event("short")
+    devel.expect_printed("it goes on")
     text = devel.printed()
     lines = text.splitlines()
     assert "\x1b[31mred" not in text

@@ -3,13 +3,14 @@
 import logging
 
 import pytest
+from parsing import parse_term
 
 from retalis.engine import Engine
 from retalis.engine.playback import BagError, BagReader, BagWriter, Playback
 from retalis.events.program import TopicType
 from retalis.events.rules import timers
 from retalis.messages import Definitions
-from retalis.prolog.syntax import Operators, read_term, to_text
+from retalis.prolog.syntax import to_text
 from retalis.prolog.terms import deref
 
 SECOND = 10**9
@@ -19,10 +20,6 @@ STAMPED = (
     + "=" * 80
     + "\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
 )
-
-
-def term(text):
-    return read_term(text, Operators.prolog()).term
 
 
 @pytest.fixture
@@ -57,7 +54,7 @@ def bag(tmp_path, definitions):
             for time, topic, kind, text in messages:
                 if topic not in connections:
                     connections[topic] = writer.add(topic, definitions.find(kind))
-                writer.write(connections[topic], time, definitions.encoder(kind).encode(term(text)))
+                writer.write(connections[topic], time, definitions.encoder(kind).encode(parse_term(text)))
         return path
 
     return write
@@ -96,7 +93,7 @@ def test_messages_become_events_and_outputs_become_messages(program, bag, defini
     (output,) = outputs
     assert (output.topic, output.time, output.definition.name) == ("out", 7 * SECOND, "my_msgs/Point")
     decoded = deref(definitions.decoder("my_msgs/Point").decode(output.data))
-    assert decoded == term("my_msgs__0__Point(13.0)")
+    assert decoded == parse_term("my_msgs__0__Point(13.0)")
 
 
 def test_a_header_stamps_its_event_and_a_zero_stamp_counts_as_none(program, bag):

@@ -5,8 +5,8 @@ import subprocess
 import sys
 
 import pytest
-from deeds import deed, marked
 from source import ROOT
+from worker_tasks import run_task, run_task_in_folder
 
 from retalis.engine.playback import Unfinished, in_processes, on_cluster
 from retalis.engine.playback.workers import MOST_DEATHS
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 
 
 def test_tasks_are_shared_between_processes_that_end_with_them(tmp_path):
-    done = dict(in_processes(deed, ["pid"] * 6, 2, str(tmp_path), pytest.fail))
+    done = dict(in_processes(run_task, ["pid"] * 6, 2, str(tmp_path), pytest.fail))
     assert sorted(done) == list(range(6))
     assert os.getpid() not in done.values()
     assert len(set(done.values())) <= 2
@@ -28,7 +28,9 @@ def test_tasks_are_shared_between_processes_that_end_with_them(tmp_path):
 def test_what_a_dead_worker_was_at_is_done_again_and_given_up_in_the_end(tmp_path):
     lost = []
     tasks = ["pid", "die always", "once a", "pid"]
-    done = dict(in_processes(deed, tasks, 2, str(tmp_path), lambda number, how: lost.append((number, how))))
+    done = dict(
+        in_processes(run_task, tasks, 2, str(tmp_path), lambda number, how: lost.append((number, how)))
+    )
     assert done[1] == Unfinished(f"its worker died {MOST_DEATHS} times, at last by SIGKILL")
     assert done[2] == "once a"
     assert isinstance(done[0], int) and isinstance(done[3], int)
@@ -39,10 +41,10 @@ def test_workers_end_where_nobody_waits_for_them_any_more():
     """Their standard output is that of the process that is killed: it ends when the last of them has."""
     script = (
         "import os, signal\n"
-        "from deeds import deed\n"
+        "from worker_tasks import run_task\n"
         "from retalis.engine.playback import in_processes\n"
         "if __name__ == '__main__':\n"
-        "    for number, process in in_processes(deed, ['pid'] * 2, 1, '', print):\n"
+        "    for number, process in in_processes(run_task, ['pid'] * 2, 1, '', print):\n"
         "        os.kill(os.getpid(), signal.SIGKILL)\n"
     )
     environment = {**os.environ, "PYTHONPATH": f"{ROOT / 'src'}{os.pathsep}{ROOT / 'test'}"}
@@ -59,7 +61,11 @@ def cluster():
 
 
 def test_a_cluster_does_again_what_a_lost_worker_was_at(cluster, tmp_path):
-    done = dict(on_cluster(marked, [f"{task} in {tmp_path}" for task in ("once a", "pid", "die b")], cluster))
+    done = dict(
+        on_cluster(
+            run_task_in_folder, [f"{task} in {tmp_path}" for task in ("once a", "pid", "die b")], cluster
+        )
+    )
     assert done[0] == "once a"
     assert isinstance(done[1], int)
     assert isinstance(done[2], Unfinished)
@@ -70,12 +76,12 @@ def test_a_scheduler_that_does_not_answer_is_an_error(monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("retalis.engine.playback.workers._CONNECT", 0.2)
     with pytest.raises(UsageError, match="--scheduler tcp://127.0.0.1:1: no scheduler answers: "):
-        list(on_cluster(deed, ["pid"], "tcp://127.0.0.1:1"))
+        list(on_cluster(run_task, ["pid"], "tcp://127.0.0.1:1"))
     with pytest.raises(UsageError, match="--scheduler nonsense://: no scheduler answers: "):
-        list(on_cluster(deed, ["pid"], "nonsense://"))
+        list(on_cluster(run_task, ["pid"], "nonsense://"))
 
 
 def test_the_package_for_clusters_is_named_where_it_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(UsageError, match="needs the Python package distributed"):
-        list(on_cluster(deed, ["pid"], "tcp://127.0.0.1:1"))
+        list(on_cluster(run_task, ["pid"], "tcp://127.0.0.1:1"))

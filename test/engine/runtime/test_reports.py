@@ -1,7 +1,7 @@
 import logging
 
 import pytest
-from held import held
+from reachability import reachable
 
 from retalis.engine.runtime import Reports
 from retalis.foundation import Place, RetalisError, RuleError, place_at
@@ -89,7 +89,7 @@ def test_what_is_reported_is_bounded_in_length_and_kinds_keep_nothing_of_it(logg
         reports.warning(text, ("kind", text))
         reports.warning(text, "texts", texts=20)
     assert max(len(record.getMessage()) for record in logged.records) < 5000
-    kept = held(reports, str)
+    kept = reachable(reports, str)
     assert 201 <= len(kept) < 250
     assert max(map(len, kept)) <= 200
 

@@ -5,15 +5,9 @@ from events.checks.test_mistakes import said_of, write
 
 from retalis.engine import Engine as Whole
 from retalis.engine import add_rule
-from retalis.messages import Definitions
 
 NEAR = "\n:- event near(thing:atom, distance:number)."
 OUTSIDE = "input_event(near/2).\n"
-
-
-@pytest.fixture(scope="module")
-def definitions():
-    return Definitions()
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ import pytest
 from source import ROOT
 
 from retalis.engine import check_program
-from retalis.messages import Definitions
 
 TABLE = ROOT / "test" / "data" / "mistakes.txt"
 
@@ -55,11 +54,6 @@ def said_of(folder: Path, definitions):
     found = check_program(folder, definitions)
     said = "\n".join(f"{finding.severity}: {finding.problem}" for finding in found)
     return said.replace(f"{folder}/", "")
-
-
-@pytest.fixture(scope="module")
-def definitions():
-    return Definitions()
 
 
 @pytest.mark.parametrize("mistake", list(mistakes()))

@@ -6,14 +6,8 @@ from retalis.engine import Engine, parts_of
 from retalis.events.checks.numerals import numerals
 from retalis.events.checks.overview import Overview
 from retalis.events.program import Topics, topic_type
-from retalis.messages import Definitions
 
 TOPICS = Topics((topic_type("at", "geometry_msgs/Point"), topic_type("n", "std_msgs/Int32")))
-
-
-@pytest.fixture(scope="module")
-def definitions():
-    return Definitions()
 
 
 def said(definitions, rules="", goals=""):

@@ -2,9 +2,9 @@
 
 import pytest
 from events.running import Program, fired, text_of
-from held import entries, held
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reachability import count_entries, reachable
 
 from retalis.engine import Engine, Settings, parts_of
 from retalis.events.dispatch import TERM, Dispatcher, Listener, Stage
@@ -114,7 +114,7 @@ def test_removed_listeners_are_not_served():
     recorder.dispatcher.remove(listener)
     assert [name for name, _ in recorder.send((A, 1))] == ["other"]
     recorder.dispatcher.remove(other)
-    assert held(recorder.dispatcher, Listener) == []
+    assert reachable(recorder.dispatcher, Listener) == []
     assert recorder.send((A, 1)) == []
 
 
@@ -165,7 +165,7 @@ def test_events_of_ever_new_kinds_leave_nothing_behind():
     recorder.listen("any", Var())
     for number in range(20_005):
         assert recorder.send(atom(f"kind{number}"))
-    assert entries(recorder.dispatcher) <= 11_000
+    assert count_entries(recorder.dispatcher) <= 11_000
 
 
 def test_events_with_variables_match_what_they_unify_with():
@@ -310,4 +310,4 @@ def test_an_event_is_served_to_all_that_unify_with_it_in_order(listeners, events
         assert dispatcher.current is None
     for *_, listener in waiting:
         dispatcher.remove(listener)
-    assert held(dispatcher, Listener) == []
+    assert reachable(dispatcher, Listener) == []

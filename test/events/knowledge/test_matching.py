@@ -1,17 +1,13 @@
 """Look-ups for a record that matches."""
 
 import random
-import sys
-from pathlib import Path
 
 import pytest
+from recording_engine import RecordingEngine
 
 from retalis.engine import parts_of
 from retalis.prolog.machine import Limits, PrologError
 from retalis.prolog.terms import atom, deref, functor
-
-sys.path.append(str(Path(__file__).resolve().parents[2]))
-from watched import Watched  # noqa: E402
 
 
 def memory_of(engine):
@@ -20,7 +16,7 @@ def memory_of(engine):
 
 @pytest.fixture
 def objects():
-    engine = Watched(goals="memorize(seen(Name, Place), [], o(Name, Place), objects, 5)")
+    engine = RecordingEngine(goals="memorize(seen(Name, Place), [], o(Name, Place), objects, 5)")
     for time, name in ((1, "cup"), (2, "cup"), (3, "cup"), (4, "pen"), (5, "pen"), (6, "box"), (7, "pen")):
         engine.event(f"seen({name}, p({time}))", time)
     return engine  # that at 1 and 2 are over the size
@@ -68,7 +64,7 @@ def test_what_is_no_stamp_is_an_error(objects, at):
 
 
 def test_there_is_one_solution_and_nothing_stays_bound_by_records_that_do_not_match():
-    engine = Watched(goals="memorize(v(_, _), [], _, m, 9)")
+    engine = RecordingEngine(goals="memorize(v(_, _), [], _, m, 9)")
     engine.event("v(X, X)", 1)
     engine.event("v(1, 2)", 2)
     engine.event("v(3, _)", 3)
@@ -86,7 +82,7 @@ def brute(records, name, low, high, newest_first):
 def test_it_is_the_record_that_looking_at_all_of_them_finds(seed):
     pick = random.Random(seed)
     size = pick.choice([1, 3, 20, 60])
-    engine = Watched(goals=f"memorize(v(_, _), [], _, m, {size})")
+    engine = RecordingEngine(goals=f"memorize(v(_, _), [], _, m, {size})")
     names = ["a", "b", "1", "1.0", '"a"', "f(a)"]
     kept = []
     for step in range(150):
@@ -110,7 +106,7 @@ def test_it_is_the_record_that_looking_at_all_of_them_finds(seed):
 
 
 def test_a_known_argument_leads_to_its_records_without_looking_at_the_others():
-    engine = Watched(goals="memorize(v(_, _), [], _, m, 900)")
+    engine = RecordingEngine(goals="memorize(v(_, _), [], _, m, 900)")
     for time in range(400):
         engine.event(f"v({'rare' if time == 7 else 'often'}, {time})", time)
     memory = memory_of(engine)
@@ -129,7 +125,7 @@ def test_a_known_argument_leads_to_its_records_without_looking_at_the_others():
 
 
 def test_a_long_search_is_work_of_the_goal_that_searches():
-    engine = Watched(goals="memorize(v(_), [], _, m, 3000)")
+    engine = RecordingEngine(goals="memorize(v(_), [], _, m, 3000)")
     parts_of(engine).logic.limits = Limits(inferences=2000)
     term = functor("v", 1)(functor("f", 1)(0))
     for time in range(3000):
@@ -139,7 +135,7 @@ def test_a_long_search_is_work_of_the_goal_that_searches():
 
 
 def test_what_is_found_by_goes_with_the_lists_of_the_memory():
-    engine = Watched(goals="memorize(v(_), [], _, m, 3)")
+    engine = RecordingEngine(goals="memorize(v(_), [], _, m, 3)")
     memory = memory_of(engine)
     gone = 0
     for time in range(100):
@@ -154,7 +150,7 @@ def test_what_is_found_by_goes_with_the_lists_of_the_memory():
 
 
 def test_finding_records_by_an_argument_costs_as_much_as_there_are_records():
-    engine = Watched(goals="memorize(v(_), [], _, m, 5000)")
+    engine = RecordingEngine(goals="memorize(v(_), [], _, m, 5000)")
     for time in range(5000):
         memory_of(engine).add((functor("v", 1)(time), time, time))
     parts_of(engine).logic.limits = Limits(inferences=10_000)

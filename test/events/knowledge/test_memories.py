@@ -2,18 +2,14 @@
 
 import logging
 import re
-import sys
-from pathlib import Path
 
 import pytest
+from recording_engine import RecordingEngine
 
 from retalis.engine import Engine, parts_of
 from retalis.foundation import UsageError
 from retalis.prolog.machine import PrologError
 from retalis.prolog.terms import SECOND, atom, deref, list_items
-
-sys.path.append(str(Path(__file__).resolve().parents[2]))
-from watched import Watched  # noqa: E402
 
 
 def records(engine, name="m"):
@@ -26,41 +22,41 @@ def names(engine):
 
 
 def test_records_matching_events_in_their_own_form():
-    engine = Watched(goals="memorize(tf(a, B, X), [X > 0], kept(B, X), m, 10)")
+    engine = RecordingEngine(goals="memorize(tf(a, B, X), [X > 0], kept(B, X), m, 10)")
     for text in ("tf(a, b, 1)", "tf(c, b, 2)", "tf(a, d, -1)", "tf(a, e, 3)"):
         engine.event(text, 1)
     assert records(engine) == ["kept(e,3)", "kept(b,1)"]
 
 
 def test_a_variable_as_record_keeps_the_event():
-    engine = Watched(goals="memorize(v(X), [X > 1], _, m, 10)")
+    engine = RecordingEngine(goals="memorize(v(X), [X > 1], _, m, 10)")
     engine.event("v(1)", 1)
     engine.event("v(2)", 2)
     assert records(engine) == ["v(2)"]
 
 
 def test_pattern_conditions_and_record_share_their_variables_and_one_solution_counts():
-    engine = Watched(goals="memorize(v(X), [member(Y, [10, 20]), Z is X + Y], w(X, Z), m, 10)")
+    engine = RecordingEngine(goals="memorize(v(X), [member(Y, [10, 20]), Z is X + Y], w(X, Z), m, 10)")
     engine.event("v(1)", 1)
     assert records(engine) == ["w(1,11)"]
 
 
 def test_records_with_variables_are_fresh_for_each_reader():
-    engine = Watched(goals="memorize(v(X), [], pair(X, _), m, 10)")
+    engine = RecordingEngine(goals="memorize(v(X), [], pair(X, _), m, 10)")
     engine.event("v(1)", 1)
     assert engine.query("access_mem(m, pair(1, a), _), access_mem(m, pair(1, b), _)") != []
     assert engine.query("prev(m, P, _, _, 5), P = pair(_, a), prev(m, Q, _, _, 5), Q = pair(_, b)") != []
 
 
 def test_an_event_with_variables_is_recorded_with_fresh_ones():
-    engine = Watched("null do (new_event(v(_, 2), 1, 0)) <- go.", "memorize(v(X, Y), [], _, m, 10)")
+    engine = RecordingEngine("null do (new_event(v(_, 2), 1, 0)) <- go.", "memorize(v(X, Y), [], _, m, 10)")
     engine.event("go", 1)
     assert engine.query("access_mem(m, v(a, 2), _), access_mem(m, v(b, 2), _)") != []
 
 
 @pytest.fixture
 def three():
-    engine = Watched(goals="memorize(v(X), [], _, m, 3)")
+    engine = RecordingEngine(goals="memorize(v(X), [], _, m, 3)")
     for value, time in ((1, 10), (2, 20), (3, 30), (4, 25), (5, 5)):
         engine.event(f"v({value})", time)
     return engine
@@ -101,7 +97,7 @@ def test_look_ups(three, goal, found):
 
 
 def test_look_ups_give_the_interval_in_the_form_it_came_in():
-    engine = Watched(goals="memorize(v(_), [], _, m, 3)")
+    engine = RecordingEngine(goals="memorize(v(_), [], _, m, 3)")
     engine.event("v(1)", 5, 7.5)
     (answer,) = engine.query("prev(m, _, T1, T2, 8)")
     assert (deref(answer["T1"]), deref(answer["T2"])) == (5, 7.5)
@@ -117,7 +113,7 @@ def test_sizes_and_counts(three):
 
 
 def test_an_active_memory_tells_and_another_does_not():
-    engine = Watched(goals="memorize(v(_), [], _, m, 3)\nmemorize_diactive(v(_), [], _, quiet, 3)")
+    engine = RecordingEngine(goals="memorize(v(_), [], _, m, 3)\nmemorize_diactive(v(_), [], _, quiet, 3)")
     engine.event("v(1)", 5)
     engine.call("delete_memory(m), delete_memory(quiet)")
     kinds = [name.split("(")[0] for name in names(engine)]
@@ -135,19 +131,19 @@ def test_an_active_memory_tells_and_another_does_not():
     ],
 )
 def test_the_event_of_a_new_memory_tells_what_is_kept(definition, told):
-    engine = Watched(goals=f"memorize({definition})")
+    engine = RecordingEngine(goals=f"memorize({definition})")
     assert engine.call(f"{names(engine)[0]} =@= memory_created({told}, m, 3)")
 
 
 def test_a_rule_may_wait_for_an_update():
-    engine = Watched("seen(Id) <- memory_updated(Id, _).", "memorize(v(_), [], _, m, 3)")
+    engine = RecordingEngine("seen(Id) <- memory_updated(Id, _).", "memorize(v(_), [], _, m, 3)")
     engine.event("v(1)", 5)
     assert "seen(m)" in names(engine)
 
 
 def test_an_update_that_is_too_deep_to_be_told_cuts_nothing_off(caplog):
     rules = "a(Y) <- a(X) where (X < 20, Y is X + 1). told(I) <- memory_updated(I, _). done <- a(1)."
-    engine = Watched(rules, "memorize(a(20), [], _, m, 5)", max_depth=19)
+    engine = RecordingEngine(rules, "memorize(a(20), [], _, m, 5)", max_depth=19)
     engine.event("a(1)", 1)
     assert "update of memory m is not reported" in caplog.text
     assert records(engine) == ["a(20)"]
@@ -155,14 +151,14 @@ def test_an_update_that_is_too_deep_to_be_told_cuts_nothing_off(caplog):
 
 
 def test_an_active_memory_of_everything_leaves_out_its_own_updates():
-    engine = Watched(goals="memorize(E, [], _, m, 100)")
+    engine = RecordingEngine(goals="memorize(E, [], _, m, 100)")
     engine.event("a", 1)
     assert [record.split("(")[0] for record in records(engine)].count("memory_updated") == 0
     assert "a" in records(engine)
 
 
 def test_deleting_an_unknown_memory_warns_and_succeeds(caplog):
-    engine = Watched()
+    engine = RecordingEngine()
     with caplog.at_level(logging.WARNING, "retalis"):
         assert engine.call("delete_memory(nothing)")
     assert "nothing" in caplog.text
@@ -183,7 +179,7 @@ def test_deleting_an_unknown_memory_warns_and_succeeds(caplog):
     ],
 )
 def test_what_is_no_memory_is_an_error_and_nothing_is_half_made(goal, error):
-    engine = Watched(goals="memorize(v(X), [], _, m, 3)")
+    engine = RecordingEngine(goals="memorize(v(X), [], _, m, 3)")
     with pytest.raises(PrologError) as caught:
         engine.call(goal)
     assert engine.show(caught.value.term[1]) == error
@@ -191,7 +187,7 @@ def test_what_is_no_memory_is_an_error_and_nothing_is_half_made(goal, error):
 
 
 def test_a_condition_that_raises_is_reported_and_the_event_goes_on(caplog):
-    engine = Watched("ok <- v(_).", "memorize(v(X), [Y is X + 1], w(Y), m, 3)")
+    engine = RecordingEngine("ok <- v(_).", "memorize(v(X), [Y is X + 1], w(Y), m, 3)")
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("v(a)", 1)
     assert names(engine)[-1] == "ok"
@@ -200,7 +196,7 @@ def test_a_condition_that_raises_is_reported_and_the_event_goes_on(caplog):
 
 
 def test_ids_may_be_any_ground_term():
-    engine = Watched(goals="memorize(v(_), [], _, room(1), 3)\nmemorize(v(_), [], _, 1, 3)")
+    engine = RecordingEngine(goals="memorize(v(_), [], _, room(1), 3)\nmemorize(v(_), [], _, 1, 3)")
     engine.event("v(x)", 1)
     assert records(engine, "room(1)") == records(engine, "1") == ["v(x)"]
     assert records(engine, "1.0") == []
@@ -234,13 +230,13 @@ def test_a_condition_that_fails_in_an_event_of_its_own_leaves_the_event_as_it_wa
     ],
 )
 def test_conditions_see_the_variables_of_an_event(definition, kept):
-    engine = Watched(goals=f"memorize({definition}, m, 10)")
+    engine = RecordingEngine(goals=f"memorize({definition}, m, 10)")
     engine.event("v(_)", 1)
     assert [re.sub(r"_\w+", "A", record) for record in records(engine)] == kept
 
 
 def test_a_form_under_conditions_has_what_they_found_and_variables_of_its_own():
-    engine = Watched(goals="memorize(v(X), [member(Y-Z, [X-_, 3-4])], w(Y, Z, _), m, 10)")
+    engine = RecordingEngine(goals="memorize(v(X), [member(Y-Z, [X-_, 3-4])], w(Y, Z, _), m, 10)")
     engine.event("v(1)", 1)
     assert engine.query("prev(m, w(1, a, b), _, _, 5), prev(m, w(1, c, d), _, _, 5)") == [{}]
 
@@ -252,7 +248,7 @@ full(Id, N) :- memory_counter(Id, C), C >= N.
 
 
 def test_how_many_records_there_were_is_known_of_one_memory_or_of_each():
-    engine = Watched(SIZES, "memorize(v(_), [], _, m, 2)\nmemorize(w(_), [], _, n(1), 5)")
+    engine = RecordingEngine(SIZES, "memorize(v(_), [], _, m, 2)\nmemorize(w(_), [], _, n(1), 5)")
     for number in range(4):
         engine.event(f"v({number})", number)
     for _ in range(20):  # until it is compiled
@@ -267,14 +263,14 @@ def test_how_many_records_there_were_is_known_of_one_memory_or_of_each():
 
 
 def test_a_memory_may_look_at_itself_to_stop_when_it_is_full():
-    engine = Watched(goals="memorize(v(X), [memory_counter(m, N), N < 2], _, m, 5)")
+    engine = RecordingEngine(goals="memorize(v(X), [memory_counter(m, N), N < 2], _, m, 5)")
     for number in range(4):
         engine.event(f"v({number})", number)
     assert records(engine) == ["v(1)", "v(0)"]
 
 
 def test_which_memories_are_behind():
-    engine = Watched(goals="memorize(a, [], _, m, 5)\nmemorize(b, [], _, n, 5)")
+    engine = RecordingEngine(goals="memorize(a, [], _, m, 5)\nmemorize(b, [], _, n, 5)")
     knowledge = parts_of(engine).knowledge
     engine.event("a", 2)
     engine.event("b", 1)

@@ -1,17 +1,12 @@
 """Subscriptions with a shape, ``P with S``: they send what a rule with that shape would let through."""
 
-import sys
-from pathlib import Path
-
 import pytest
+from recording_engine import RecordingEngine
 
 from retalis.engine import Engine, parts_of
 from retalis.engine.runtime import Clock
 from retalis.prolog.machine import PrologError
 from retalis.prolog.terms import SECOND
-
-sys.path.append(str(Path(__file__).resolve().parents[2]))
-from watched import Watched  # noqa: E402
 
 STREAM = "1:1:a 2:2:a 2:2.5:b 2:3:a 3:4:a 3:6:a 4:6.5:b 4:7:a 4:7.2:a 5:12:a"
 
@@ -43,7 +38,9 @@ def test_they_send_what_a_rule_lets_through(shape):
 
 
 def test_conditions_are_asked_first_so_that_what_is_not_sent_holds_nothing_up():
-    engine = Watched(goals="subscribe(t(X) with throttle(5), [X > 80, Y is X - 80], hot(Y), alarms, 1)")
+    engine = RecordingEngine(
+        goals="subscribe(t(X) with throttle(5), [X > 80, Y is X - 80], hot(Y), alarms, 1)"
+    )
     for at, value in enumerate((70, 90, 85, 60, 95, 99, 82)):
         engine.event(f"t({value})", at)
     assert [term for term, _, _ in engine.outputs] == ["hot(10)", "hot(2)"]
@@ -81,7 +78,7 @@ def test_the_clock_sends_without_an_event_and_before_rules_of_the_same_instant()
     ],
 )
 def test_what_is_no_shape_is_one_error_and_nothing_is_made(pattern, said):
-    engine = Watched()
+    engine = RecordingEngine()
     with pytest.raises(PrologError, match=r"subscription") as raised:
         engine.call(f"subscribe(({pattern}), [], _, t, 1)")
     assert said in str(raised.value)
@@ -89,7 +86,7 @@ def test_what_is_no_shape_is_one_error_and_nothing_is_made(pattern, said):
 
 
 def test_what_is_deleted_rings_no_more_and_one_that_is_made_again_knows_nothing():
-    engine = Watched(
+    engine = RecordingEngine(
         goals="subscribe(a(X) with debounce(2), [], _, t, 1)\nsubscribe(a(X) with throttle(9), [], _, t, 2)"
     )
     engine.event("a(1)", 1)
@@ -102,7 +99,7 @@ def test_what_is_deleted_rings_no_more_and_one_that_is_made_again_knows_nothing(
 
 
 def test_one_that_is_deleted_by_the_event_that_it_takes_is_not_woken_for_it():
-    engine = Watched(goals="subscribe(a(X) with debounce(2), [], _, t, 1)")
+    engine = RecordingEngine(goals="subscribe(a(X) with debounce(2), [], _, t, 1)")
     parts_of(engine).knowledge.subscriptions.items()[0][1].rate.stop()
     engine.event("a(1)", 1)
     engine.event("b", 9)
@@ -110,7 +107,7 @@ def test_one_that_is_deleted_by_the_event_that_it_takes_is_not_woken_for_it():
 
 
 def test_what_comes_too_late_or_is_too_much_is_counted_and_said():
-    engine = Watched(goals="subscribe(a(X) with debounce(2, X), [], _, t, 1)")
+    engine = RecordingEngine(goals="subscribe(a(X) with debounce(2, X), [], _, t, 1)")
     reports = []
     parts_of(engine).reports.warning = lambda text, *rest: reports.append(text)
     rate = parts_of(engine).knowledge.subscriptions.items()[0][1].rate
@@ -132,7 +129,7 @@ def test_what_comes_too_late_or_is_too_much_is_counted_and_said():
 def test_a_clock_that_goes_back_and_a_program_that_resets_have_them_forget():
     goal = "subscribe(a(X) with throttle(100), [], _, t, 1)\nsubscribe(a(X) with debounce(2), [], _, t, 2)"
     for reset in ("reset_db", "reset_etalis_state"):
-        engine = Watched(goals=goal)
+        engine = RecordingEngine(goals=goal)
         engine.event("a(1)", 1)
         engine.call(reset)
         engine.event("b", 9)
@@ -195,7 +192,7 @@ def test_they_go_on_where_a_program_is_read_again(tmp_path):
 
 
 def test_an_interrupt_may_leave_it_half_done_and_it_is_put_right():
-    engine = Watched(goals="subscribe(a(X) with debounce(2), [], _, t, 1)")
+    engine = RecordingEngine(goals="subscribe(a(X) with debounce(2), [], _, t, 1)")
     engine.event("a(1)", 1)
     rate = parts_of(engine).knowledge.subscriptions.items()[0][1].rate
     parts_of(engine).rules.deadlines.clear()
@@ -207,6 +204,6 @@ def test_an_interrupt_may_leave_it_half_done_and_it_is_put_right():
 
 
 def test_its_event_is_as_it_is_declared():
-    engine = Watched(rules=":- event in(x:integer).\nb(X) <- in(X).")
+    engine = RecordingEngine(rules=":- event in(x:integer).\nb(X) <- in(X).")
     with pytest.raises(PrologError, match="in/2 is not as it is declared"):
         engine.call("subscribe(in(a, b) with throttle(1), [], _, t, 1)")

@@ -1,10 +1,9 @@
 """Subscriptions made and deleted by goals."""
 
 import logging
-import sys
-from pathlib import Path
 
 import pytest
+from recording_engine import RecordingEngine
 
 from retalis.engine import Engine, parts_of
 from retalis.events.dispatch import Stage
@@ -12,12 +11,9 @@ from retalis.events.knowledge import recording
 from retalis.prolog.machine import PrologError
 from retalis.prolog.terms import atom
 
-sys.path.append(str(Path(__file__).resolve().parents[2]))
-from watched import Watched  # noqa: E402
-
 
 def test_delivers_what_its_conditions_let_through_in_its_own_form():
-    engine = Watched(goals="subscribe(a(X), [X > 1, Y is X * 2], b(X, Y), topic, 1)")
+    engine = RecordingEngine(goals="subscribe(a(X), [X > 1, Y is X * 2], b(X, Y), topic, 1)")
     for value in (1, 2, 3):
         engine.event(f"a({value})", value)
     assert engine.outputs == [("b(2,4)", "topic", "1"), ("b(3,6)", "topic", "1")]
@@ -25,19 +21,21 @@ def test_delivers_what_its_conditions_let_through_in_its_own_form():
 
 def test_several_are_served_in_the_order_they_were_made_and_before_rules():
     rules = "a(2) <- a(1)."
-    engine = Watched(rules, "subscribe(a(X), [], one(X), t, 1)\nsubscribe(a(_), [], _, t, 2)")
+    engine = RecordingEngine(rules, "subscribe(a(X), [], one(X), t, 1)\nsubscribe(a(_), [], _, t, 2)")
     engine.event("a(1)", 1)
     assert [term for term, _, _ in engine.outputs] == ["one(1)", "a(1)", "one(2)", "a(2)"]
 
 
 def test_one_solution_of_the_conditions_counts():
-    engine = Watched(goals="subscribe(a, [member(X, [p, q])], b(X), t, 1)")
+    engine = RecordingEngine(goals="subscribe(a, [member(X, [p, q])], b(X), t, 1)")
     engine.event("a", 1)
     assert engine.outputs == [("b(p)", "t", "1")]
 
 
 def test_topic_and_id_together_are_the_key():
-    engine = Watched(goals="subscribe(a, [], _, t, 1)\nsubscribe(a, [], _, u, 1)\nsubscribe(a, [], _, t, 2)")
+    engine = RecordingEngine(
+        goals="subscribe(a, [], _, t, 1)\nsubscribe(a, [], _, u, 1)\nsubscribe(a, [], _, t, 2)"
+    )
     with pytest.raises(PrologError):
         engine.call("subscribe(b, [], _, t, 1)")
     engine.event("b", 1)
@@ -48,7 +46,7 @@ def test_topic_and_id_together_are_the_key():
 
 
 def test_a_topic_with_a_slash_is_a_name_however_it_is_written():
-    engine = Watched(goals="subscribe(a, [], _, robot/marker, 1)")
+    engine = RecordingEngine(goals="subscribe(a, [], _, robot/marker, 1)")
     engine.event("a", 1)
     assert engine.outputs == [("a", "robot/marker", "1")]
     engine.call("delete_subscription('robot/marker', 1)")
@@ -57,7 +55,7 @@ def test_a_topic_with_a_slash_is_a_name_however_it_is_written():
 
 
 def test_a_topic_is_written_without_quotes():
-    engine = Watched(goals="subscribe(a, [], _, 'Front Left'/'Camera', 1)")
+    engine = RecordingEngine(goals="subscribe(a, [], _, 'Front Left'/'Camera', 1)")
     engine.event("a", 1)
     assert engine.outputs == [("a", "Front Left/Camera", "1")]
     subscriptions = parts_of(engine).knowledge.subscriptions
@@ -65,7 +63,7 @@ def test_a_topic_is_written_without_quotes():
 
 
 def test_subscriptions_are_restored_as_they_were():
-    engine = Watched(goals="subscribe(a, [], one, t, 1)\nsubscribe(a, [], two, t, 2)")
+    engine = RecordingEngine(goals="subscribe(a, [], one, t, 1)\nsubscribe(a, [], two, t, 2)")
     subscriptions = parts_of(engine).knowledge.subscriptions
     engine.event("a", 1)
     before = subscriptions.items()
@@ -78,7 +76,7 @@ def test_subscriptions_are_restored_as_they_were():
 
 
 def test_a_listener_that_an_interrupt_has_left_is_removed():
-    engine = Watched(goals="subscribe(a, [], one, t, 1)")
+    engine = RecordingEngine(goals="subscribe(a, [], one, t, 1)")
     parts = parts_of(engine)
     parts.dispatcher.listen(Stage.SUBSCRIPTIONS, atom("a"), lambda *event: pytest.fail("delivered"))
     parts.knowledge.subscriptions.mend()
@@ -88,7 +86,7 @@ def test_a_listener_that_an_interrupt_has_left_is_removed():
 
 def test_deleting_an_unknown_one_warns_and_succeeds(caplog):
     with caplog.at_level(logging.WARNING, "retalis"):
-        assert Watched().call("delete_subscription(t, never)")
+        assert RecordingEngine().call("delete_subscription(t, never)")
     assert "never" in caplog.text
 
 
@@ -104,7 +102,7 @@ def test_deleting_an_unknown_one_warns_and_succeeds(caplog):
     ],
 )
 def test_what_is_no_subscription_is_an_error_and_nothing_is_half_made(goal):
-    engine = Watched()
+    engine = RecordingEngine()
     with pytest.raises(PrologError):
         engine.call(goal)
     assert list(parts_of(engine).knowledge.subscriptions) == []
@@ -113,7 +111,7 @@ def test_what_is_no_subscription_is_an_error_and_nothing_is_half_made(goal):
 
 
 def test_a_condition_that_raises_is_reported_and_the_event_goes_on(caplog):
-    engine = Watched("b <- a(_).", "subscribe(a(X), [X > 1], _, t, s)")
+    engine = RecordingEngine("b <- a(_).", "subscribe(a(X), [X > 1], _, t, s)")
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("a(x)", 1)
     assert "subscription s" in caplog.text
@@ -121,7 +119,7 @@ def test_a_condition_that_raises_is_reported_and_the_event_goes_on(caplog):
 
 
 def test_everything_may_be_subscribed():
-    engine = Watched("b <- a.", "subscribe(E, [], _, t, all)")
+    engine = RecordingEngine("b <- a.", "subscribe(E, [], _, t, all)")
     engine.event("a", 1)
     assert [term for term, _, _ in engine.outputs] == ["a", "b"]
 

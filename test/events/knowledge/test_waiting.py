@@ -6,18 +6,14 @@ both ways.
 
 import logging
 import re
-import sys
-from pathlib import Path
 
 import pytest
+from recording_engine import RecordingEngine
 
 from retalis.engine import Engine, Settings, parts_of
 from retalis.events.dispatch import DEPTH, Dispatcher, Stage
 from retalis.prolog.machine import Limits
 from retalis.prolog.terms import Var, atom, functor
-
-sys.path.append(str(Path(__file__).resolve().parents[2]))
-from watched import Watched  # noqa: E402
 
 ASK = "syncronized(answer(X, V), (prev(m, v(V), _, _, T)), [[m, T]]) <- ask(X, T).\n"
 MEMORY = "memorize(v(_), [], _, m, 10)\n"
@@ -42,7 +38,7 @@ class Overheard(Engine):
 KINDS = (("a", 0), ("done", 0), ("answer", 2), ("done", 1), ("done", 2), ("v", 1))
 
 
-@pytest.fixture(params=[Watched, Overheard], ids=["heard by others too", "not made"])
+@pytest.fixture(params=[RecordingEngine, Overheard], ids=["heard by others too", "not made"])
 def run(request):
     return request.param
 
@@ -289,7 +285,7 @@ def unnumbered(text):
 def test_events_that_are_not_made_count_in_a_chain(depth, caplog):
     rules = "syncronized(a, true, []) <- a. syncronized(done, true, []) <- a. done(1) <- done. a <- done(1)."
     found = []
-    for kind in (Watched, Overheard):
+    for kind in (RecordingEngine, Overheard):
         engine = kind(rules, max_depth=depth)
         with caplog.at_level(logging.WARNING, "retalis"):
             engine.event("a", 1)
@@ -339,7 +335,7 @@ def test_what_follows_an_event_that_is_not_made_is_of_the_event_before():
 )
 def test_what_a_rule_asks_is_the_same_whether_its_event_is_made_or_not(head, told, caplog):
     reports = []
-    for kind in (Watched, Overheard):
+    for kind in (RecordingEngine, Overheard):
         condition = " where N = 3" if "N" in head else ""
         engine = kind(f"syncronized({head}) <- ask(T){condition}.\ndeeper :- missing.", MEMORY)
         engine.event("v(1)", 5)

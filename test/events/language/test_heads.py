@@ -1,7 +1,7 @@
 """Heads of rules: what is no event, alarm or query that waits."""
 
 import pytest
-from events.refusals import errors_of, warnings_of
+from events.refusals import assert_refused, warnings_of
 from events.running import Program
 
 from retalis.engine.runtime import StreamClock
@@ -35,10 +35,7 @@ from retalis.engine.runtime import StreamClock
     ],
 )
 def test_refused(rule, column, part):
-    ((line, at, message),) = errors_of(f"% first\n{rule}")
-    assert line == 2
-    assert part in message
-    assert at == column
+    assert_refused(rule, column, part)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """Labels that are none, and properties without a value."""
 
 import pytest
-from events.refusals import errors_of, warnings_of
+from events.refusals import assert_refused, warnings_of
 
 from retalis.events.language.labels import WORDS
 from retalis.events.matches import AfterMatch, Policy
@@ -36,10 +36,7 @@ FORMS = "a label is an atom, or Label([property(Name, Value), ...])"
     ],
 )
 def test_refused(rule, column, part):
-    ((line, at, message),) = errors_of(f"% first\n{rule}")
-    assert line == 2
-    assert part in message
-    assert at == column
+    assert_refused(rule, column, part)
 
 
 def test_an_unknown_property_is_warned_of_at_its_name():

@@ -3,23 +3,19 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from parsing import parse_term
 
 from retalis.events.language import schedule_fault, schedule_of, sets_timer
 from retalis.foundation import UsageError
-from retalis.prolog.syntax import Operators, read_term
 from retalis.prolog.terms import SECOND
 
 DAY = 86_400
 
 
-def term(text):
-    return read_term(text, Operators.prolog()).term
-
-
 @given(st.integers(1, 10**6), st.integers(1, 4 * 10**18), st.booleans())
 def test_the_next_instant_is_the_first_multiple_after_now(milliseconds, now, aligned):
     period = milliseconds * 10**6
-    schedule = schedule_of(term(f"every({milliseconds / 1000}{'' if aligned else ', from_now'})"))
+    schedule = schedule_of(parse_term(f"every({milliseconds / 1000}{'' if aligned else ', from_now'})"))
     found = schedule.next(now)
     assert schedule.repeats and schedule.period == period
     assert now < found <= now + period
@@ -40,7 +36,7 @@ def test_the_next_instant_is_the_first_multiple_after_now(milliseconds, now, ali
     ],
 )
 def test_instants_of_the_day_and_single_ones(text, now, wanted):
-    found = schedule_of(term(text)).next(int(now * SECOND))
+    found = schedule_of(parse_term(text)).next(int(now * SECOND))
     assert found == (None if wanted is None else round(wanted * SECOND))
 
 
@@ -67,14 +63,14 @@ def test_instants_of_the_day_and_single_ones(text, now, wanted):
 )
 def test_what_is_no_time_is_told_what_was_expected(text, said):
     with pytest.raises(UsageError) as raised:
-        schedule_of(term(text))
+        schedule_of(parse_term(text))
     assert said in raised.value.message
-    assert said in schedule_fault(term(text))
+    assert said in schedule_fault(parse_term(text))
 
 
 @pytest.mark.parametrize("text", ["W", "every(N)", "at(H,0,0)", "every(2)", "at(datime(Y,1,1,0,0,0,0))"])
 def test_what_may_yet_become_a_time_is_no_fault(text):
-    assert schedule_fault(term(text)) is None
+    assert schedule_fault(parse_term(text)) is None
 
 
 @pytest.mark.parametrize(
@@ -82,4 +78,4 @@ def test_what_may_yet_become_a_time_is_no_fault(text):
     [("timer(a, every(1))", True), ("timer(a, W)", True), ("timer(a, 5)", False), ("timer", False)],
 )
 def test_goals_that_set_timers_are_told_from_facts(text, sets):
-    assert sets_timer(term(text)) is sets
+    assert sets_timer(parse_term(text)) is sets

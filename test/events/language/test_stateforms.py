@@ -1,24 +1,20 @@
 """Declarations of states."""
 
 import pytest
+from parsing import parse_term
 
 from retalis.events.language import asked_state, declares_state, state_form
 from retalis.foundation import UsageError
-from retalis.prolog.syntax import Operators, read_term
 from retalis.prolog.terms import SECOND
 
 
-def term(text):
-    return read_term(text, Operators.prolog()).term
-
-
 def test_a_declaration_says_what_begins_and_ends_a_state():
-    form = state_form(term("state(at(R, P), from(arrive(R, P)), until(leave(R)))"))
+    form = state_form(parse_term("state(at(R, P), from(arrive(R, P)), until(leave(R)))"))
     assert (form.within, form.past, form.open) == (None, 1000, 10_000)
     assert str(form.functor) == "at/2"
-    same = state_form(term("state(at(X, Y), from(come(X, Y, _)), until(all_out))"))
+    same = state_form(parse_term("state(at(X, Y), from(come(X, Y, _)), until(all_out))"))
     assert same.key == form.key
-    form = state_form(term("state(on, from(go), until(stop), [open(1), within(2.5), past(0)])"))
+    form = state_form(parse_term("state(on, from(go), until(stop), [open(1), within(2.5), past(0)])"))
     assert (form.within, form.past, form.open) == (int(2.5 * SECOND), 0, 1)
 
 
@@ -45,7 +41,7 @@ def test_a_declaration_says_what_begins_and_ends_a_state():
 )
 def test_what_is_no_declaration_is_told_what_was_expected(text, said):
     with pytest.raises(UsageError) as raised:
-        state_form(term(text))
+        state_form(parse_term(text))
     assert said in raised.value.message
 
 
@@ -59,7 +55,7 @@ def test_what_is_no_declaration_is_told_what_was_expected(text, said):
     ],
 )
 def test_declarations_are_told_from_facts(text, declares):
-    assert declares_state(term(text)) is declares
+    assert declares_state(parse_term(text)) is declares
 
 
 @pytest.mark.parametrize(
@@ -67,5 +63,5 @@ def test_declarations_are_told_from_facts(text, declares):
     [("holds(a)", "a/0"), ("holds_at(a(X), 1)", "a/1"), ("holds(X, T)", None), ("held(a)", None)],
 )
 def test_questions_name_a_state(text, asked):
-    found = asked_state(term(text))
+    found = asked_state(parse_term(text))
     assert (found and str(found)) == asked

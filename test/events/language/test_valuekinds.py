@@ -1,10 +1,10 @@
 """Which values are of which kind, and which kinds exclude each other."""
 
 import pytest
+from parsing import parse_term
 
 from retalis.events.language.valuekinds import KINDS, SLOT_KINDS, form_of, read_kind
 from retalis.foundation import UsageError
-from retalis.prolog.syntax import Operators, read_term
 
 VALUES = {
     "left": "any atom event",
@@ -26,14 +26,10 @@ VALUES = {
 }
 
 
-def term(text):
-    return read_term(text, Operators.prolog()).term
-
-
 @pytest.mark.parametrize("value", VALUES)
 def test_a_value_is_of_its_kinds_and_no_others(value):
     kinds = [*KINDS, "std_msgs__0__Empty", "std_msgs__0__Bool"]
-    found = [name for name in kinds if read_kind(term(name)).takes(term(value))]
+    found = [name for name in kinds if read_kind(parse_term(name)).takes(parse_term(value))]
     assert sorted(found) == sorted(VALUES[value].split())
 
 
@@ -46,17 +42,17 @@ def test_kinds_exclude_each_other_where_no_value_is_of_both(one, other):
 
 
 def test_every_form_is_one_that_terms_or_stamps_have():
-    forms = {form_of(term(value)) for value in VALUES} | {"stamp"}
+    forms = {form_of(parse_term(value)) for value in VALUES} | {"stamp"}
     assert frozenset().union(*(kind.forms for kind in (*KINDS.values(), *SLOT_KINDS.values()))) == forms
 
 
 def test_messages_of_two_types_exclude_each_other():
-    one, other = (read_kind(term(f"std_msgs__0__{name}")) for name in ("Bool", "Empty"))
+    one, other = (read_kind(parse_term(f"std_msgs__0__{name}")) for name in ("Bool", "Empty"))
     assert one.excludes(other) and not one.excludes(one) and not one.excludes(KINDS["event"])
 
 
 def test_lists_in_lists():
-    assert read_kind(term("list(list(atom))")).items.items is KINDS["atom"]
+    assert read_kind(parse_term("list(list(atom))")).items.items is KINDS["atom"]
 
 
 @pytest.mark.parametrize(
@@ -72,5 +68,5 @@ def test_lists_in_lists():
 )
 def test_what_is_no_kind(kind, said):
     with pytest.raises(UsageError) as caught:
-        read_kind(term(kind))
+        read_kind(parse_term(kind))
     assert caught.value.message.startswith(said)

@@ -3,9 +3,9 @@
 from unittest.mock import patch
 
 import pytest
-from held import held
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reachability import reachable
 
 from retalis.events.matches import Match, MatchBuffer, places, reach_of
 from retalis.events.matches.timeindex import TimeIndex
@@ -57,7 +57,7 @@ def test_partners_are_those_of_the_key_at_the_right_time(buffer, number):
 def test_far_matches_are_found_by_time_once_many_are_not_in_time(buffer):
     for at in range(1000):
         wait(buffer, 0, at, at)
-    assert ends(buffer.partners(0, 999, 999, True)) == [999] and held(buffer, TimeIndex)
+    assert ends(buffer.partners(0, 999, 999, True)) == [999] and reachable(buffer, TimeIndex)
     assert ends(buffer.partners(0, 500, 500, False)) == [500]
     for match in buffer.all()[:999]:
         match.leave()
@@ -69,10 +69,10 @@ def test_an_index_goes_when_it_is_not_used(buffer):
     for at in range(100):
         wait(buffer, 0, at, at)
     assert ends(buffer.partners(0, 3, 3, True)) == [3]
-    assert held(buffer, TimeIndex)
+    assert reachable(buffer, TimeIndex)
     for at in range(200):
         wait(buffer, 0, at, at)
-    assert not held(buffer, TimeIndex)
+    assert not reachable(buffer, TimeIndex)
     assert ends(buffer.partners(0, 3, 3, True)) == [3, 3]
 
 

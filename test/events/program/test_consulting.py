@@ -10,12 +10,6 @@ from retalis.foundation import ProgramErrors
 from retalis.messages import Definitions
 
 
-@pytest.fixture
-def program(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return Program(folder=tmp_path)
-
-
 def answers(program, goal):
     return [
         {name: program.engine.show(value) for name, value in one.items()}

@@ -13,12 +13,6 @@ from retalis.prolog.machine import PrologError
 from retalis.prolog.terms import atom
 
 
-@pytest.fixture
-def program(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return Program(folder=tmp_path)
-
-
 def write(folder, **texts):
     for name, text in texts.items():
         path = folder / name.replace("__", "/")

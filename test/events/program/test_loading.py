@@ -3,6 +3,7 @@
 import linecache
 
 import pytest
+from events.refusals import assert_refused, errors_of
 from events.running import Program, fired
 
 from retalis import Engine
@@ -10,14 +11,6 @@ from retalis.engine import parts_of
 from retalis.foundation import ProgramErrors
 from retalis.prolog.database import Predicate
 from retalis.prolog.terms import atom, functor
-
-
-def errors_of(rules):
-    program = Program()
-    with pytest.raises(ProgramErrors) as caught:
-        program.engine.load(rules=rules)
-    assert parts_of(program.engine).rules.rules == []
-    return [(error.place.line, error.place.column, error.message) for error in caught.value.errors]
 
 
 @pytest.mark.parametrize(
@@ -58,10 +51,7 @@ def errors_of(rules):
     ],
 )
 def test_refused(rule, column, part):
-    ((line, at, message),) = errors_of(f"% first\n{rule}")
-    assert line == 2
-    assert part.lower() in message.lower()
-    assert at == column
+    assert_refused(rule, column, part)
 
 
 @pytest.mark.parametrize("pattern", ["a seq (" * 1500 + "a" + ")" * 1500, " and ".join(["a"] * 3000)])

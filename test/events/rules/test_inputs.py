@@ -1,5 +1,5 @@
 import pytest
-from held import entries
+from reachability import count_entries
 
 from retalis.events.rules import InputReader, event_of
 from retalis.foundation import RetalisError
@@ -64,14 +64,14 @@ def test_the_short_way_gives_what_the_long_one_gives(text):
 
 def test_stamps_of_many_seconds_keep_their_instants():
     reader = InputReader(Operators.prolog())
-    before = entries(reader)
+    before = count_entries(reader)
     for second in list(range(60)) * 2:
         for minute in (3, 4):
             stamp = f"datime(1970,1,1,0,{minute},{second},5)"
             made = reader.event(f"event(a,[{stamp},{stamp}])")
             assert made.start == made.end == (minute * 60 + second) * 10**9 + 5
             assert type(made.start) is WholeSeconds
-    assert entries(reader) - before <= 64 + 10
+    assert count_entries(reader) - before <= 64 + 10
 
 
 def test_an_event_of_an_event_with_stamps_is_that_event():

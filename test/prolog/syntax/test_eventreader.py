@@ -1,9 +1,9 @@
 import re
 
 import pytest
-from held import entries, held
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from reachability import count_entries, reachable
 from sample_terms import shape, terms
 
 from retalis.foundation import Cache, SyntaxFault
@@ -41,10 +41,10 @@ def test_reads_a_tf_event_as_the_full_reader_does():
     reader = EventReader()
     assert to_text(reader.read(TF)) == TF
     assert to_text(reader.read(TF)) == TF
-    known = entries(reader) + 1  # the frames that come next
+    known = count_entries(reader) + 1  # the frames that come next
     other = TF.replace("0.1", "-7").replace("/odom", "/map")
     assert to_text(reader.read(other)) == other
-    assert entries(reader) == known
+    assert count_entries(reader) == known
 
 
 @pytest.mark.parametrize(
@@ -220,7 +220,7 @@ def test_memory_is_bounded():
     reader = EventReader()
     for number in range(600):
         reader.read(f"e{number}(1)")
-    assert max(map(len, held(reader, Cache))) <= 512
+    assert max(map(len, reachable(reader, Cache))) <= 512
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import sys
 import threading
 
 import pytest
-from held import held
+from reachability import reachable
 
 from retalis.prolog.terms import atom, functor, kinds
 
@@ -29,7 +29,7 @@ def test_atoms_that_no_term_holds_are_forgotten():
     for number in range(1000):
         atom(f"text {number}")
     gc.collect()
-    assert not any(name.startswith("text ") for name in held(list(vars(kinds).values()), str))
+    assert not any(name.startswith("text ") for name in reachable(list(vars(kinds).values()), str))
     assert atom("kept text") is kept
 
 
@@ -65,4 +65,4 @@ def test_functors_that_nothing_holds_are_forgotten():
     assert kept[0] is functor("for_a_moment", 2)
     del kept
     gc.collect()
-    assert ("for_a_moment", 2) not in held(list(vars(kinds).values()), tuple)
+    assert ("for_a_moment", 2) not in reachable(list(vars(kinds).values()), tuple)

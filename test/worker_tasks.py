@@ -1,0 +1,26 @@
+"""Tasks for worker processes, which import them by name."""
+
+import os
+import signal
+from pathlib import Path
+
+
+def run_task(task, scratch):
+    """Return this process's number for `pid`; otherwise kill the process.
+
+    `die NAME` kills it each time. Any other task kills it at the first attempt and is returned at the second.
+    """
+    kind, _, name = task.partition(" ")
+    if kind == "pid":
+        return os.getpid()
+    is_repetition = Path(scratch, name).exists()
+    if kind == "die" or not is_repetition:
+        Path(scratch, name).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return task
+
+
+def run_task_in_folder(task, scratch):
+    """Run a task `TASK in FOLDER` with a folder that all workers share instead of the one for this worker."""
+    task, _, folder = task.partition(" in ")
+    return run_task(task, folder)
