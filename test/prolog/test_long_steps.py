@@ -266,9 +266,11 @@ def test_the_arguments_of_a_wide_term_count(walk):
 def test_what_is_allocated_in_one_piece_is_announced(logic, goal):
     """A limit of memory can refuse an allocation before it is made."""
     logic.limits = NO_LIMITS
-    setup = "" if "A" not in goal else "length(Cs, 300000), maplist(=(0'a), Cs), atom_codes(A, Cs), "
     asked = []
-    work = read_term(f"{setup}nb_setval(begins, 1), {goal}", logic.operators).term
+    read = read_term(goal, logic.operators)
+    if "A" in read.names:
+        read.names["A"].ref = atom("a" * 300_000)
+    work = read.term
 
     before = watched_by(lambda pieces, size: asked.append(size))
     try:
