@@ -171,7 +171,7 @@ def _source(window: FusedWindow, limited: bool, metered: bool) -> str:
     results = [*(f"k{at}" for at in range(len(window.groups))), *(one.result for one in measures)]
     body: List[Statement] = [
         "stream = node.stream",
-        "queue = stream._queue",
+        "queue = stream.queue",
         *_key(window.groups),
         *read,
         "groups = stream.states",
@@ -188,7 +188,7 @@ def _source(window: FusedWindow, limited: bool, metered: bool) -> str:
                 "old = queue.popleft()",
                 Block("if old.gone:", ["continue"]),
                 "left = groups[old.key]",
-                Block("if left._starts is not None:", ["stream._leave(old)", "continue"]),
+                Block("if left.starts is not None:", ["stream.remove(old)", "continue"]),
                 "old.gone = True",
                 "left.members.popleft()",
                 "left.number = number = left.number - 1",
@@ -204,7 +204,7 @@ def _source(window: FusedWindow, limited: bool, metered: bool) -> str:
         "item.by = last.by",
         "item.key = key",
         f"item.values = {tuple_source(taken)}",
-        "item.order = stream._order = order = stream._order + 1",
+        "item.order = stream.last_order = order = stream.last_order + 1",
         "item.gone = False",
         Block("if group.number:", ["groups.move_to_end(key)"]),
         Block("else:", ["groups[key] = group"]),
@@ -225,9 +225,9 @@ def _source(window: FusedWindow, limited: bool, metered: bool) -> str:
 _UNCOMMON = " or ".join(
     [
         "group is None",
-        "group._starts is not None",
-        "stream._heap",
-        "not stream.clock <= end <= stream._until",
+        "group.starts is not None",
+        "stream.disordered",
+        "not stream.clock <= end <= stream.newest_allowed",
         "(start is not end and end - start >= span)",
         "start < queue[-1].start",
         "end < (last := group.members[-1]).end",

@@ -29,9 +29,11 @@ class WindowGroup:
     Attributes:
         since: the instant from which its time counts: the clock at its last item, or for windows that begin with an
             item the end of that item.
+        starts: the starts of the items; None while the items have come in the order of their starts and ends.
+        ends: the ends of the items, negated; None under the same condition.
     """
 
-    __slots__ = ("members", "number", "measures", "checks", "since", "_starts", "_ends")
+    __slots__ = ("members", "number", "measures", "checks", "since", "starts", "ends")
 
     def __init__(self, measures: Sequence[WindowMeasure], since: int = 0):
         self.members: Deque[StreamItem] = deque()
@@ -39,20 +41,20 @@ class WindowGroup:
         self.measures = measures
         self.checks = [measure.check for measure in measures if measure.picky]
         self.since = since
-        self._starts: Optional[Lowest] = None
-        self._ends: Optional[Lowest] = None
+        self.starts: Optional[Lowest] = None
+        self.ends: Optional[Lowest] = None
 
     def add(self, item: StreamItem) -> None:
         """Take an item in."""
         members = self.members
-        if self._starts is not None and self._ends is not None:
-            self._starts.add(item.start, item)
-            self._ends.add(-item.end, item)
+        if self.starts is not None and self.ends is not None:
+            self.starts.add(item.start, item)
+            self.ends.add(-item.end, item)
         elif members and (item.start < members[-1].start or item.end < members[-1].end):
-            self._starts, self._ends = Lowest(), Lowest()  # from here on the first and last do not say it
+            self.starts, self.ends = Lowest(), Lowest()  # from here on the first and last do not say it
             for one in [one for one in members if not one.gone] + [item]:
-                self._starts.add(one.start, one)
-                self._ends.add(-one.end, one)
+                self.starts.add(one.start, one)
+                self.ends.add(-one.end, one)
         members.append(item)
         self.number += 1
         for measure in self.measures:
@@ -69,9 +71,9 @@ class WindowGroup:
             members.pop()
         if len(members) > 2 * self.number + 64:
             self.members = deque([one for one in members if not one.gone])
-        if self._starts is not None and self._ends is not None:
-            self._starts.remove()
-            self._ends.remove()
+        if self.starts is not None and self.ends is not None:
+            self.starts.remove()
+            self.ends.remove()
         for measure in self.measures:
             measure.remove(item)
 
@@ -110,8 +112,8 @@ class WindowGroup:
         return tuple(reversed(found))
 
     def _interval(self) -> Tuple[int, int]:
-        if self._starts is None or self._ends is None:
+        if self.starts is None or self.ends is None:
             return self.members[0].start, self.members[-1].end
-        low, high = self._starts.top(), self._ends.top()
+        low, high = self.starts.top(), self.ends.top()
         assert low is not None and high is not None  # it is asked where there are items
         return low[2].start, high[2].end

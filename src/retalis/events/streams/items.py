@@ -160,6 +160,7 @@ class KeyedOperator:
 
     Attributes:
         clock: the newest end of the items so far. Ends further in the future than stamps may be do not count.
+        newest_allowed: the result of the last call of ``allowed``, in ns.
         states: the state of each key. For operators that drop idle keys the order is that of the last use, and
             ``since`` of each state is the clock at that use.
     """
@@ -176,7 +177,7 @@ class KeyedOperator:
         self.meter: Optional[Meter] = None
         self.allowed: Callable[[], int] = lambda: 1 << 64
         self.set_bounds(KeyBounds())
-        self.clock = self._until = NEVER
+        self.clock = self.newest_allowed = NEVER
         # The first key of a plain dict is searched for among all that were deleted before it.
         self.states: OrderedDict[Hashable, Any] = OrderedDict()
 
@@ -204,12 +205,12 @@ class KeyedOperator:
 
     def _is_ahead(self, end: int) -> bool:
         """Tell whether an end is further in the future than stamps may be: others do not wait for its time."""
-        if end > self._until:
-            self._until = self.allowed()  # which rises: it is asked where it may matter
-        return end > self._until
+        if end > self.newest_allowed:
+            self.newest_allowed = self.allowed()  # which rises: it is asked where it may matter
+        return end > self.newest_allowed
 
     def _move_on(self, end: int) -> None:
-        if self.clock < end and (end <= self._until or not self._is_ahead(end)):
+        if self.clock < end and (end <= self.newest_allowed or not self._is_ahead(end)):
             self.clock = end
 
     def _forget_idle(self) -> None:

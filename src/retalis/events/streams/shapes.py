@@ -104,7 +104,7 @@ class Changing(KeyedOperator):
         looked_at = item.values[0]
         value: Hashable = looked_at if looked_at.__class__ in PLAIN else term_key(looked_at)
         end, key, states = item.end, item.key, self.states
-        if self.clock < end and (end <= self._until or not self._is_ahead(end)):
+        if self.clock < end and (end <= self.newest_allowed or not self._is_ahead(end)):
             self.clock = end
         if self._idle is not None:
             self._forget_idle()

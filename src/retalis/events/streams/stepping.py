@@ -198,7 +198,7 @@ class SteppedWindow(KeyedOperator):
         for check in self._checks:
             check(item)
         clock, end, span, idle = self.clock, item.end, self._longest, self._idle
-        if clock < end and (end <= self._until or not self._is_ahead(end)):
+        if clock < end and (end <= self.newest_allowed or not self._is_ahead(end)):
             clock = end
         group = self.states.get(item.key)
         if group is None or (idle is not None and group.since < clock - idle):

@@ -25,9 +25,9 @@ class FromFirst(Window):
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
         group: Optional[WindowGroup] = self._group_of(item)
-        if item.end > self._until:
-            self._until = self.allowed()
-        if item.end > self._until:  # nothing else may wait for its time
+        if item.end > self.newest_allowed:
+            self.newest_allowed = self.allowed()
+        if item.end > self.newest_allowed:  # nothing else may wait for its time
             self.late += 1
             return []
         self._move_on(item.end)
@@ -206,4 +206,4 @@ class Hopping(Window):
         while self._by_end and self._by_end[0][0] < before:
             item = heapq.heappop(self._by_end)[2]
             if not item.gone:
-                self._leave(item)
+                self.remove(item)

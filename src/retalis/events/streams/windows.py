@@ -23,6 +23,7 @@ class Window(KeyedOperator):
 
     Attributes:
         number: how many items are in groups.
+        last_order: order of the newest item.
     """
 
     KEY_BYTES, ITEM_BYTES = 1350, 800
@@ -33,7 +34,7 @@ class Window(KeyedOperator):
         self.states: OrderedDict[Hashable, WindowGroup] = OrderedDict()
         self._lists = any(measure.lists for measure in make())
         self.number = 0
-        self._order = 0
+        self.last_order = 0
 
     def __len__(self) -> int:
         return self.number
@@ -41,7 +42,7 @@ class Window(KeyedOperator):
     def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`: of the group that was least recently used."""
         group = next(iter(self.states.values()))
-        self._leave(next(one for one in group.members if not one.gone))
+        self.remove(next(one for one in group.members if not one.gone))
         self._tidy()
         return []
 
@@ -57,11 +58,11 @@ class Window(KeyedOperator):
         groups = [
             (group.since, [one for one in group.members if not one.gone]) for group in self.states.values()
         ]
-        return (self.clock, self.next, self.late, self._order, groups)
+        return (self.clock, self.next, self.late, self.last_order, groups)
 
     def restore(self, kept: KnownState) -> None:
         """See `StreamOperator.restore`."""
-        self.clock, self.next, self.late, self._order, groups = kept[:5]
+        self.clock, self.next, self.late, self.last_order, groups = kept[:5]
         self.states.clear()
         self.number = 0
         for since, members in groups:
@@ -84,14 +85,14 @@ class Window(KeyedOperator):
         return group
 
     def _came(self, item: StreamItem) -> None:
-        self._order += 1
-        item.order = self._order
+        self.last_order += 1
+        item.order = self.last_order
 
     def _used_group(self, item: StreamItem) -> WindowGroup:
         """Return the group of an item that uses it now, after idle groups were dropped."""
         group = self._group_of(item)
         end = item.end
-        if self.clock < end and (end <= self._until or not self._is_ahead(end)):
+        if self.clock < end and (end <= self.newest_allowed or not self._is_ahead(end)):
             self.clock = end
         if self._idle is not None:
             self._forget_idle()
@@ -116,7 +117,8 @@ class Window(KeyedOperator):
         self._empty(self.states[key], key)
         self._tidy()
 
-    def _leave(self, item: StreamItem) -> None:
+    def remove(self, item: StreamItem) -> None:
+        """Remove an item from its group, and the group if it was the last."""
         group = self.states[item.key]
         group.remove(item)
         self.number -= 1
@@ -141,13 +143,18 @@ class Window(KeyedOperator):
 
 
 class Sliding(Window):
-    """The items that began less than ``span`` ns before the newest end; given on at each item."""
+    """The items that began less than ``span`` ns before the newest end; given on at each item.
+
+    Attributes:
+        queue: the items that began in the order in which they came, oldest first.
+        disordered: heap of the items that began before the newest of the queue when they came, by their start.
+    """
 
     def __init__(self, make: Make, span: int):
         super().__init__(make)
         self.span = span
-        self._queue: Deque[StreamItem] = deque()
-        self._heap: List[Tuple[int, int, StreamItem]] = []
+        self.queue: Deque[StreamItem] = deque()
+        self.disordered: List[Tuple[int, int, StreamItem]] = []
 
     def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
@@ -164,27 +171,27 @@ class Sliding(Window):
         return self._given(group)
 
     def _note(self, item: StreamItem) -> None:
-        queue = self._queue
+        queue = self.queue
         if not queue or queue[-1].start <= item.start:
             queue.append(item)
         else:
-            heapq.heappush(self._heap, (item.start, item.order, item))
+            heapq.heappush(self.disordered, (item.start, item.order, item))
 
     def _tidy(self) -> None:
-        if len(self._queue) + len(self._heap) > 2 * self.number + 64:
-            self._queue = deque([one for one in self._queue if not one.gone])
-            self._heap = without_gone(self._heap)
+        if len(self.queue) + len(self.disordered) > 2 * self.number + 64:
+            self.queue = deque([one for one in self.queue if not one.gone])
+            self.disordered = without_gone(self.disordered)
 
     def _leave_before(self, before: int) -> None:
-        queue, heap = self._queue, self._heap
+        queue, heap = self.queue, self.disordered
         while queue and queue[0].start <= before:
             item = queue.popleft()
             if not item.gone:
-                self._leave(item)
+                self.remove(item)
         while heap and heap[0][0] <= before:
             item = heapq.heappop(heap)[2]
             if not item.gone:
-                self._leave(item)
+                self.remove(item)
 
 
 class Newest(Window):
@@ -200,7 +207,7 @@ class Newest(Window):
         self._came(item)
         self._enter(item, group)
         while group.number > self.most:  # more than one where an interrupt came before it left
-            self._leave(group.members[0])
+            self.remove(group.members[0])
         return self._given(group)
 
 
