@@ -129,7 +129,6 @@ class Raised(logging.Handler):
 LOGGED = Raised()
 log = logging.getLogger("retalis")
 log.addHandler(LOGGED)
-log.propagate = False
 
 
 def silent_engine(settings=SETTINGS):
