@@ -57,8 +57,8 @@ def ros(session: nox.Session) -> None:
 
 @nox.session(name="all", python=False)
 def everything(session: nox.Session) -> None:
-    """What has to hold before a change is taken: style and all tests, on Python 3.8 too where there is one."""
-    session.run(".ci/run", external=True)
+    """All three stages of ``.ci/run``; ``nox -s all -- fast`` runs one of them."""
+    session.run(".ci/run", *session.posargs, external=True)
 
 
 @nox.session
