@@ -330,7 +330,7 @@ class _StateReader:
     def _sequence(self, items: Any) -> Any:
         """Return a compound term as a tuple, and any other sequence as a list."""
         if not items:
-            return []
+            return items
         first = items[0].__class__
         if first is Functor:
             if len(items) == items[0].arity + 1 and (
@@ -344,7 +344,7 @@ class _StateReader:
             _IN_KEYS.issuperset(map(type, items)) if items[0] is Var else len(items) == 2
         ):
             return FlatKey(items)
-        return list(items)
+        return items
 
     def _extension(self, code: int, data: bytes) -> Any:
         """Return what an extension type stands for."""
@@ -380,7 +380,7 @@ class _StateReader:
 def _unpacker(data: bytes, sequence: Any = None, extension: Any = None) -> Any:
     most = max(len(data), 1)
     return msgpack.Unpacker(
-        use_list=False,
+        use_list=True,
         raw=False,
         strict_map_key=False,
         unicode_errors="surrogatepass",

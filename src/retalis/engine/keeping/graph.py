@@ -133,6 +133,8 @@ class GraphWriter:
 
 _MATCHES = ("match", "run", "token")
 
+_NUMBER = optional(count)
+
 
 class GraphReader:
     """Makes objects of rows, each attribute checked.
@@ -154,6 +156,9 @@ class GraphReader:
         self._objects: List[Any] = []
         self._sources: List[List[int]] = []
         self._current: List[int] = []
+        self.match = self.ref(*_MATCHES)
+        """Check of a reference to a match of any kind."""
+        self._refer_to_event = self.ref("event")
         checks = self._checks()
         rows = [items(row) for row in items(rows)]
         for row in rows:
@@ -216,7 +221,7 @@ class GraphReader:
 
     def token(self, value: Decoded) -> Decoded:
         """Check what tells an event from others: a number, or where events are tracked the event."""
-        return self._event(value) if value.__class__ is Ref else optional(count)(value)
+        return self._event(value) if value.__class__ is Ref else _NUMBER(value)
 
     def token_key(self, value: Decoded) -> Decoded:
         """Check a key that is made of terms, or of what tells events from others."""
@@ -227,13 +232,9 @@ class GraphReader:
         return key(value)
 
     def _event(self, value: Decoded) -> Decoded:
-        found = self.ref("event")(value)
+        found = self._refer_to_event(value)
         self._current.append(value.number)
         return found
-
-    def match(self, value: Decoded) -> Decoded:
-        """Check a reference to a match of any kind."""
-        return self.ref(*_MATCHES)(value)
 
     def _of_item(self, value: Decoded) -> Decoded:
         """Check what an item of a stream was made of: a match, the event that a subscription sends, or nothing."""
@@ -252,7 +253,7 @@ class GraphReader:
                 return of_parts(value)
             return count(value) if value.__class__ is int else Found(*found(value))
 
-        match_ref = self.ref(*_MATCHES)
+        match_ref = self.match
         of_node = fixed(
             self.ref("node"),
             self.ref("run", "node", "train"),

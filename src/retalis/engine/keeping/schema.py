@@ -183,10 +183,9 @@ def each(
     def check_each(value: Decoded) -> Decoded:
         if most is not None and len(items(value)) > most:
             raise wrong(value, f"at most {most} items")
-        found = []
+        found: List[Decoded] = []
         try:
-            for item in items(value):
-                found.append(check(item))
+            found += map(check, items(value))  # if an item is refused, those before it stay in the list
         except UsageError as error:
             raise UsageError(f"item {len(found)}: {error.message}") from None
         return found if make is list else make(found)
