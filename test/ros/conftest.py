@@ -106,10 +106,9 @@ class Space:
         """Return what service `query` of node retalis prints for a goal."""
         return self.run("rosservice", "call", "/retalis/query", f"{{goal: '{goal}'}}")
 
-    def post_event(self, event):
-        """Publish an event for node retalis, as another node does."""
-        text = f"data: 'event({event})'"
-        self.run("rostopic", "pub", "-1", "/retalisInputEvents", "std_msgs/String", text)
+    def post_events(self, *events):
+        """Publish events for node retalis, as another node does."""
+        self.run("python3", str(Path(__file__).with_name("event_publisher.py")), *events)
 
     def state(self):
         """Return the master's nodes and services, or nothing where there is no master yet."""

@@ -62,14 +62,14 @@ def test_goes_on_after_it_was_killed(devel, node, tmp_path):
         "/add_memory",
         "{event: 'pair(_,_)', conditions: '', format: _, id: pairs, size: '9'}",
     )
-    devel.post_event("in(1)")
+    devel.post_events("in(1)")
     devel.expect(lambda found, services: "in(1)" in devel.query("access_mem(m, R, _)"))
     now = time.time()
     devel.expect(lambda found, services: written(path) > now)
     kill(devel, process)
     process = node()
     assert f"goes on from {path}, written" in devel.printed()
-    devel.post_event("in(2)")
+    devel.post_events("in(2)")
     devel.expect(lambda found, services: "pair(1,2)" in devel.query("access_mem(pairs, P, _)"))
     os.kill(devel.pid("/retalis"), signal.SIGINT)
     assert process.wait(60) == 0

@@ -11,13 +11,23 @@ import pytest
 LIVE = ("rosrun", "retalis", "retalis")
 
 
-@pytest.fixture
-def node(space):
-    """Node retalis, on a master of its own."""
+def start_node(space):
+    """Return the space after a master and node retalis have been started in it."""
     space.start_master()
     space.start("rosrun", "retalis", "retalis_node", "_explain:=true")
     space.expect(lambda found, services: "/retalis/delete_rule" in services)
     return space
+
+
+@pytest.fixture
+def node(devel):
+    return start_node(devel)
+
+
+@pytest.fixture
+def node_of_space(space):
+    """Node retalis in each space: for commands that find files of the package."""
+    return start_node(space)
 
 
 def said(space, *words, wrong=False, text=None):
@@ -34,21 +44,23 @@ def test_without_a_master_or_a_node(space):
     assert said(space, "query", "true", wrong=True) == "retalis: no node retalis runs\n"
 
 
-def test_goals_are_asked(node):
-    assert said(node, "query", "member(X, [1, f(_)])") == "X = 1\nX = f(_1)\n"
-    found = said(node, "query", "member(X-Y, [a-1, b-[2]])", "--json", "--node", "/retalis")
+def test_goals_are_asked(node_of_space):
+    assert said(node_of_space, "query", "member(X, [1, f(_)])") == "X = 1\nX = f(_1)\n"
+    found = said(node_of_space, "query", "member(X-Y, [a-1, b-[2]])", "--json", "--node", "/retalis")
     assert [json.loads(line) for line in found.splitlines()] == [{"X": "a", "Y": 1}, {"X": "b", "Y": [2]}]
-    assert "column 4" in said(node, "query", "f(X", wrong=True)
-    assert "those that run are /retalis" in said(node, "query", "true", "--node", "other", wrong=True)
-    late = said(node, "query", "true", "--wait-for", "odom_base", "--timeout", "0.01", wrong=True)
+    assert "column 4" in said(node_of_space, "query", "f(X", wrong=True)
+    assert "those that run are /retalis" in said(
+        node_of_space, "query", "true", "--node", "other", wrong=True
+    )
+    late = said(node_of_space, "query", "true", "--wait-for", "odom_base", "--timeout", "0.01", wrong=True)
     assert "in memory odom_base (nothing yet) after 0.01 s" in late
-    assert said(node, "explain", "no_such(1)").startswith("no_such(1) did not happen\n")
-    answered = said(node, "console", "--node", "retalis", text="X = 1 ; X = 2.\nfail.\n")
+    assert said(node_of_space, "explain", "no_such(1)").startswith("no_such(1) did not happen\n")
+    answered = said(node_of_space, "console", "--node", "retalis", text="X = 1 ; X = 2.\nfail.\n")
     assert answered == "X = 1 ;\nX = 2.\nfalse.\n"
-    listed = json.loads(said(node, "list", "--json"))
+    listed = json.loads(said(node_of_space, "list", "--json"))
     assert [memory["id"] for memory in listed["memories"]][:2] == ["odom_base", "base_torso"]
     assert listed["memories"][0]["oldest"] is None and listed["inputs"][0]["age"] is None
-    shown = said(node, "status", "--once", "--every", "0.1").split("\n")
+    shown = said(node_of_space, "status", "--once", "--every", "0.1").split("\n")
     assert shown[0].startswith("/retalis  idle  0.0 events/s  0.0 firings/s") and "memories" in shown
     assert max(map(len, shown)) <= 80
     assert not any(re.search(r"\d{9}", line) for line in shown)  # no seconds since the epoch
@@ -179,13 +191,15 @@ def test_outputs_and_events_are_watched(node):
     assert watching.returncode == 0
 
 
-def test_names_are_completed_by_the_shell(node):
+def test_names_are_completed_by_the_shell(node_of_space):
     script = (
         "COMP_WORDS=(retalis query x --wait-for odo); COMP_CWORD=4; _retalis_complete; echo ${COMPREPLY[@]};"
         "COMP_WORDS=(retalis query --node /re); COMP_CWORD=3; _retalis_complete; echo ${COMPREPLY[@]};"
         "COMP_WORDS=(retalis exp); COMP_CWORD=1; _retalis_complete; echo ${COMPREPLY[@]};"
         "COMP_WORDS=(retalis watch --in); COMP_CWORD=2; _retalis_complete; echo ${COMPREPLY[@]}"
     )
-    words = ["bash", "-c", f'source "$0"; {script}', str(node.script)]
-    done = subprocess.run(words, env=node.env, stdout=subprocess.PIPE, text=True, timeout=60, check=True)
+    words = ["bash", "-c", f'source "$0"; {script}', str(node_of_space.script)]
+    done = subprocess.run(
+        words, env=node_of_space.env, stdout=subprocess.PIPE, text=True, timeout=60, check=True
+    )
     assert done.stdout == "odom_base\n/retalis\nexplain\n--inputs\n"

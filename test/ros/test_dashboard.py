@@ -80,8 +80,7 @@ def test_the_page_is_served_on_the_loopback_address_and_shows_what_comes(space, 
     with opened(free, "/stream") as stream:
         look = next_look(stream)
         assert (look["title"], look["queries"], look["explains"]) == ("/retalis", False, False)
-        text = "data: 'event(known_face(anna),[1,1])'"
-        space.run("rostopic", "pub", "-1", "/retalisInputEvents", "std_msgs/String", text)
+        space.post_events("known_face(anna),[1,1]")
         while not any(one["text"] == "known_face(anna)" for one in look["events"]):
             look = next_look(stream)
         while not any(one["publishers"] is not None for one in look["topics"]):  # told by the other node

@@ -41,12 +41,12 @@ def happen(space, *events):
     said(space, "query", ", ".join(f"new_event({event}, {second}, 0)" for event, second in events))
 
 
-def test_a_program_is_read_again(space, folder):
-    start(space, folder)
-    happen(space, ("smoke(hall)", 1), ("heat(hall)", 2), ("smoke(attic)", 3))
-    assert "rules: 0 new, 0 gone, 1 kept, with 1 partial match\n" in said(space, "reload")
+def test_a_program_is_read_again(devel, folder):
+    start(devel, folder)
+    happen(devel, ("smoke(hall)", 1), ("heat(hall)", 2), ("smoke(attic)", 3))
+    assert "rules: 0 new, 0 gone, 1 kept, with 1 partial match\n" in said(devel, "reload")
     (folder / "rules.txt").write_text(RULES + "fire <- smoke.\nwrong <- a seq.\n")
-    error = said(space, "reload", wrong=True)
+    error = said(devel, "reload", wrong=True)
     assert f"{folder}/rules.txt:3:" in error
     assert "\nwrong <- a seq.\n" in error
     assert "^" in error
@@ -54,17 +54,17 @@ def test_a_program_is_read_again(space, folder):
     (folder / "pub_sub.xml").write_text(
         '<publish_subscribe><subscribe_to name="a" msg_type="std_msgs/String"/></publish_subscribe>\n'
     )
-    told = json.loads(said(space, "reload", "--json"))
+    told = json.loads(said(devel, "reload", "--json"))
     assert told[0] == "rules: 1 new, 0 gone, 1 kept, with 1 partial match"
     assert "memories: 0 new, 0 gone, 1 kept, with 1 record" in told
     assert told[-1].startswith("topics: pub_sub.xml has changed")
-    happen(space, ("heat(attic)", 4))
-    assert said(space, "query", "memory_counter(alarms, N)") == "N = 2\n"
+    happen(devel, ("heat(attic)", 4))
+    assert said(devel, "query", "memory_counter(alarms, N)") == "N = 2\n"
     (folder / "pub_sub.xml").write_text("<publish_subscribe>\n")
-    assert "is not closed" in said(space, "reload", wrong=True)
+    assert "is not closed" in said(devel, "reload", wrong=True)
 
 
-def test_a_program_that_goals_could_write_is_not_read_again(space, folder):
-    start(space, folder, f"_write_folders:=[{folder.parent}]")
-    assert "of ~write_folders" in said(space, "reload", wrong=True)
-    assert said(space, "query", "memory_counter(alarms, N)") == "N = 0\n"
+def test_a_program_that_goals_could_write_is_not_read_again(devel, folder):
+    start(devel, folder, f"_write_folders:=[{folder.parent}]")
+    assert "of ~write_folders" in said(devel, "reload", wrong=True)
+    assert said(devel, "query", "memory_counter(alarms, N)") == "N = 0\n"

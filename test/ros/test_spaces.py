@@ -117,9 +117,7 @@ def test_goals_of_a_node_open_files_in_the_folders_of_its_parameters_only(space,
     )
     space.expect(lambda found, services: "/add_memory" in services)
     names = ["some", str(data / "some"), str(out / "some"), str(other / "some")]
-    for name in names:
-        text = f"event(file('{name}'),[1,1])"
-        space.run("rostopic", "pub", "-1", "/retalisInputEvents", "std_msgs/String", f'data: "{text}"')
+    space.post_events(*(f"file('{name}'),[1,1]" for name in names))
     written = out / "persistent.txt"
     wanted = [
         *(f"event(read({name}),[1,1])." for name in ("some", *(f"'{name}'" for name in names[1:3]))),

@@ -33,11 +33,11 @@ def start(devel, tmp_path):
 
 def test_an_event_is_named_after_a_second_and_ended_after_ten(devel, start):
     start()
-    devel.post_event("endless")
+    devel.post_events("endless")
     devel.expect_printed("goal loop is running at event endless; event(endless) has taken")
     assert ENDED not in devel.printed()
     devel.expect_printed(ENDED)
-    devel.post_event("short")
+    devel.post_events("short")
     devel.expect_printed("it goes on")
 
 
@@ -45,16 +45,16 @@ def test_goals_at_the_start_are_exempt_and_events_are_not(devel, start):
     start("_max_seconds:=0.5")
     assert "it has started" in devel.printed()
     assert ENDED not in devel.printed()
-    devel.post_event("long")
+    devel.post_events("long")
     devel.expect_printed(ENDED)
-    devel.post_event("short")
+    devel.post_events("short")
     devel.expect_printed("it goes on")
     assert "| it was busy" not in devel.printed().splitlines()
 
 
 def test_zero_switches_both_off(devel, start):
     start("_max_seconds:=0", "_watchdog:=0")
-    devel.post_event("long")
+    devel.post_events("long")
     devel.expect_printed("it was busy")
     assert ENDED not in devel.printed()
     assert NAMED not in devel.printed()
@@ -62,11 +62,11 @@ def test_zero_switches_both_off(devel, start):
 
 def test_what_goals_print_looks_like_no_log_and_ends_at_a_megabyte(devel, start):
     start("_max_seconds:=60")  # a busy machine takes long for a megabyte of lines
-    devel.post_event(r'say("\e[31mred\n[ERROR] [1.0]: forged")')
+    devel.post_events(r'say("\e[31mred\n[ERROR] [1.0]: forged")')
     devel.expect_printed("forged")
-    devel.post_event("flood")
+    devel.post_events("flood")
     devel.expect_printed("Not enough resources: output")
-    devel.post_event("short")
+    devel.post_events("short")
     devel.expect_printed("it goes on")
     text = devel.printed()
     lines = text.splitlines()
