@@ -33,12 +33,17 @@ sys.path[:0] = [str(ROOT / "bench"), str(ROOT / "src")]
 from arguments import above_zero, existing, positive, target  # noqa: E402
 from corpus import chosen, closed, is_closed, kind  # noqa: E402
 
-from retalis.engine import Engine, Settings, parts_of  # noqa: E402
-from retalis.foundation import RetalisError, SyntaxFault, TermTooLarge  # noqa: E402
-from retalis.prolog.logic import Logic  # noqa: E402
-from retalis.prolog.machine import LimitError, Limits, PrologError  # noqa: E402
-from retalis.prolog.syntax import read_term, write_term  # noqa: E402
-from retalis.prolog.terms import Term, copy, deref, functor, variables  # noqa: E402
+from retalis.engine.engine import Engine  # noqa: E402
+from retalis.engine.engine_parts import parts_of  # noqa: E402
+from retalis.engine.engine_settings import Settings  # noqa: E402  # noqa: E402
+from retalis.foundation.errors import RetalisError, SyntaxFault, TermTooLarge  # noqa: E402
+from retalis.prolog.machine.errors import PrologError  # noqa: E402
+from retalis.prolog.machine.resource_limits import LimitError, Limits  # noqa: E402  # noqa: E402
+from retalis.prolog.syntax.term_reader import read_term  # noqa: E402
+from retalis.prolog.syntax.term_writer import write_term  # noqa: E402  # noqa: E402
+from retalis.prolog.system.prolog_system import PrologSystem  # noqa: E402
+from retalis.prolog.terms.term_traversal import copy, variables  # noqa: E402
+from retalis.prolog.terms.types import Term, deref, functor  # noqa: E402  # noqa: E402
 
 MOST_SOLUTIONS = 5
 PRINTED = 20_000
@@ -257,7 +262,7 @@ def tell(path: Path, goals: List[str], seconds: float) -> None:
         print(end=_END)
 
 
-def result(logic: Logic, text: str) -> str:
+def result(logic: PrologSystem, text: str) -> str:
     """Return the instances of a goal that are true, or the error."""
     try:
         goal = read_term(text, logic.operators).term

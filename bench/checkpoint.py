@@ -26,9 +26,11 @@ sys.path[:0] = [str(ROOT / "src"), str(ROOT / "test" / "engine")]
 
 from checkpoint_victim import GOALS, RULES  # noqa: E402
 
-from retalis import Engine, Reports, StreamClock  # noqa: E402
-from retalis.engine import CheckpointFile, Checkpoints  # noqa: E402
-from retalis.prolog.terms import atom, functor  # noqa: E402
+from retalis.engine.checkpoints import Checkpointer, CheckpointStorage  # noqa: E402
+from retalis.engine.engine import Engine  # noqa: E402
+from retalis.engine.runtime.clock import StreamClock  # noqa: E402
+from retalis.engine.runtime.problem_reports import Reports  # noqa: E402  # noqa: E402
+from retalis.prolog.terms.types import atom, functor  # noqa: E402
 
 JOINTS = (
     ("/odom", "/base_link"),
@@ -88,7 +90,7 @@ def keep_while_running(seconds: float) -> None:
     engine = Engine(StreamClock())
     engine.load_program(program)
     with tempfile.TemporaryDirectory() as folder:
-        kept = Checkpoints(engine, CheckpointFile(Path(folder) / "state.db"), program, Reports(), 0.5)
+        kept = Checkpointer(engine, CheckpointStorage(Path(folder) / "state.db"), program, Reports(), 0.5)
         instants = itertools.count()
 
         def take(messages: int) -> None:

@@ -13,9 +13,9 @@ import sys
 import time
 from typing import List
 
-from retalis.engine import Engine
-from retalis.prolog.machine import resident_bytes
-from retalis.prolog.terms import functor
+from retalis.engine.engine import Engine
+from retalis.prolog.machine.resource_limits import resident_bytes
+from retalis.prolog.terms.types import functor
 
 RULES = {
     "steps": "aggregate(count, q(K, V), X, steps([up where V == 0, later(down) where V == 2]))",

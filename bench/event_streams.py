@@ -10,11 +10,13 @@ import time
 from contextlib import contextmanager
 from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Tuple
 
-from retalis.engine import Engine, parts_of
-from retalis.engine.runtime import limit_gc_pauses, restore_gc
-from retalis.events.dispatch import Stage
-from retalis.events.rules import timers
-from retalis.prolog.terms import SECOND, Term, Var, atom, functor
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.runtime.gc_tuning import limit_gc_pauses, restore_gc
+from retalis.events.dispatch.listeners import ListenerPhase
+from retalis.events.rules import timer_service
+from retalis.prolog.terms.timestamps import SECOND
+from retalis.prolog.terms.types import Term, Var, atom, functor
 
 MOST_STEPS = 100_000
 """How many steps a figure is of, where a row does not go in periods."""
@@ -307,16 +309,16 @@ class StreamBench:
         self.engine = engine = Engine()
         parts = parts_of(engine)
         parts.rules.cap = size if row.capped else 10**8
-        timers.MOST = max(timers.MOST, size)
+        timer_service.MAX_TIMERS = max(timer_service.MAX_TIMERS, size)
         for at in range(0, size if row.declares else 0, 1000):
             names = ", ".join(f"e{number}(x:integer)" for number in range(at, min(at + 1000, size)))
             engine.load(rules=f":- event {names}.")
         text = row.rules.replace("#10", str(max(1, size // 10))).replace("#2", str(2 * size))
         engine.load(rules=text.replace("#", str(size)) + "\n", goals=row.goals)
         self.results = 0
-        parts.dispatcher.listen(Stage.SUBSCRIPTIONS, atom("out"), self._count)
-        parts.dispatcher.listen(Stage.SUBSCRIPTIONS, functor("out", 1)(Var()), self._count)
-        parts.dispatcher.listen(Stage.SUBSCRIPTIONS, functor("out", 2)(Var(), Var()), self._count)
+        parts.dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, atom("out"), self._count)
+        parts.dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, functor("out", 1)(Var()), self._count)
+        parts.dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, functor("out", 2)(Var(), Var()), self._count)
         self._steps = 0
 
     def _count(self, term: Term, values: Any, start: int, end: int, after: Any) -> Any:

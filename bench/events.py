@@ -39,15 +39,12 @@ import event_streams  # noqa: E402
 import event_tables  # noqa: E402
 from arguments import above_zero, existing, positive, target  # noqa: E402
 
-from retalis.engine import Engine, parts_of  # noqa: E402
-from retalis.engine.runtime import StreamClock  # noqa: E402
-from retalis.events.dispatch import Stage  # noqa: E402
-from retalis.prolog.terms import (  # noqa: E402
-    SECOND,  # noqa: E402
-    Term,
-    atom,
-    functor,
-)
+from retalis.engine.engine import Engine  # noqa: E402
+from retalis.engine.engine_parts import parts_of  # noqa: E402  # noqa: E402
+from retalis.engine.runtime.clock import StreamClock  # noqa: E402
+from retalis.events.dispatch.listeners import ListenerPhase  # noqa: E402
+from retalis.prolog.terms.timestamps import SECOND  # noqa: E402
+from retalis.prolog.terms.types import Term, atom, functor  # noqa: E402
 
 POLICIES = ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")
 Interval = Tuple[int, int]
@@ -271,7 +268,7 @@ class Counter:
     def __init__(self, engine: Engine):
         self.number = 0
         listen = parts_of(engine).dispatcher.listen
-        listen(Stage.SUBSCRIPTIONS, atom("out"), self._count)
+        listen(ListenerPhase.SUBSCRIPTIONS, atom("out"), self._count)
 
     def _count(self, term: Term, values: Any, start: int, end: int, after: Any) -> Any:
         self.number += 1

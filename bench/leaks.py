@@ -19,13 +19,16 @@ sys.path[:0] = [str(ROOT / "bench"), str(ROOT / "src")]
 
 from arguments import positive  # noqa: E402
 
-from retalis import Engine  # noqa: E402
-from retalis.engine import Settings, parts_of  # noqa: E402
-from retalis.engine.runtime import Reports  # noqa: E402
-from retalis.foundation import RetalisError  # noqa: E402
-from retalis.messages import Definitions, Installed  # noqa: E402
-from retalis.prolog.syntax import EventReader, Operators, event_text, read_term, to_text  # noqa: E402
-from retalis.prolog.terms import atom, functor  # noqa: E402
+from retalis.engine.engine import Engine  # noqa: E402
+from retalis.engine.engine_parts import parts_of  # noqa: E402
+from retalis.engine.engine_settings import Settings  # noqa: E402  # noqa: E402
+from retalis.engine.runtime.problem_reports import Reports  # noqa: E402
+from retalis.foundation.errors import RetalisError  # noqa: E402
+from retalis.messages.type_registry import Definitions, Installed  # noqa: E402
+from retalis.prolog.syntax.event_text import EventReader, event_text, to_text  # noqa: E402
+from retalis.prolog.syntax.operators import Operators  # noqa: E402
+from retalis.prolog.syntax.term_reader import read_term  # noqa: E402  # noqa: E402
+from retalis.prolog.terms.types import atom, functor  # noqa: E402
 
 Round = Callable[[int], Any]
 CASES: Dict[str, Callable[[], Round]] = {}

@@ -26,9 +26,9 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "src")]
 import others  # noqa: E402
 from arguments import interpreter, positive, target  # noqa: E402
 
-from retalis.engine.runtime import limit_gc_pauses  # noqa: E402
-from retalis.prolog.logic import Logic  # noqa: E402
-from retalis.prolog.syntax import read_program, read_term  # noqa: E402
+from retalis.engine.runtime.gc_tuning import limit_gc_pauses  # noqa: E402
+from retalis.prolog.syntax.term_reader import read_program, read_term  # noqa: E402
+from retalis.prolog.system.prolog_system import PrologSystem  # noqa: E402
 
 PROGRAMS = HERE / "logic" / "programs.pl"
 OURS = "retalis"
@@ -72,9 +72,9 @@ CASES = {
 }
 
 
-def load() -> Logic:
+def load() -> PrologSystem:
     """Return a Prolog with the programs of all cases."""
-    logic = Logic()
+    logic = PrologSystem()
     for read in read_program(PROGRAMS.read_text(), logic.operators, str(PROGRAMS)):
         logic.load([(read.term, read.place)], lambda message, place: sys.exit(f"{place}: {message}"))
     return logic

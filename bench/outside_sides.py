@@ -23,10 +23,11 @@ RULES = {
 
 def rules(work: str, events: List[StreamEvent], emit: Emit) -> Run:
     """The engine, with one rule. It gets terms, and its clock stands at the last of them: none is of the future."""
-    from retalis.engine import Engine, parts_of
-    from retalis.engine.runtime import StreamClock
-    from retalis.events.dispatch import Stage
-    from retalis.prolog.terms import Var, functor
+    from retalis.engine.engine import Engine
+    from retalis.engine.engine_parts import parts_of
+    from retalis.engine.runtime.clock import StreamClock
+    from retalis.events.dispatch.listeners import ListenerPhase
+    from retalis.prolog.terms.types import Var, functor
 
     engine = Engine(StreamClock(events[-1][2]))
     engine.load(rules=RULES[work])
@@ -39,7 +40,7 @@ def rules(work: str, events: List[StreamEvent], emit: Emit) -> Run:
 
     size = RULES[work].partition(")")[0].count(",") + 1
     result = functor("out", size)(*(Var() for _ in range(size)))
-    parts.dispatcher.listen(Stage.SUBSCRIPTIONS, result, heard)
+    parts.dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, result, heard)
     if work == "sliding":
         x = functor("x", 2)
         ready = [(x(key, value), time) for key, value, time in events]

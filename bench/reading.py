@@ -16,11 +16,13 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
 
-from retalis.events.program import read_goals  # noqa: E402
-from retalis.events.program.folder import _TopicReader  # noqa: E402
-from retalis.foundation import RetalisError, SyntaxFault  # noqa: E402
-from retalis.messages.parsing import parse  # noqa: E402
-from retalis.prolog.syntax import EventReader, Operators, read_program, read_term  # noqa: E402
+from retalis.events.program.goal_file import read_goals  # noqa: E402
+from retalis.events.program.program_folder import _TopicReader  # noqa: E402
+from retalis.foundation.errors import RetalisError, SyntaxFault  # noqa: E402
+from retalis.messages.type_definition import parse  # noqa: E402
+from retalis.prolog.syntax.event_text import EventReader  # noqa: E402
+from retalis.prolog.syntax.operators import Operators  # noqa: E402
+from retalis.prolog.syntax.term_reader import read_program, read_term  # noqa: E402  # noqa: E402
 
 Shape = Callable[[int], str]
 Read = Callable[[str], bool]

@@ -2,8 +2,10 @@
 
 from typing import Dict, List, Tuple
 
-from retalis.prolog.syntax import Operators, read_program, write_term
-from retalis.prolog.terms import Term, deref, functor
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_program
+from retalis.prolog.syntax.term_writer import write_term
+from retalis.prolog.terms.types import Term, deref, functor
 
 NAMES: Dict[Tuple[str, int], Tuple[str, Tuple[int, ...]]] = {
     ("tf__0__tfMessage", 1): ("robot__0__Links", (1,)),

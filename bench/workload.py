@@ -6,11 +6,13 @@ from typing import Callable, Iterator, List, NamedTuple, Tuple
 
 from renamed import make_renamed, renamed_program
 
-from retalis.engine import Engine
-from retalis.engine.runtime import StreamClock
-from retalis.messages import Definitions
-from retalis.prolog.syntax import Operators, read_term
-from retalis.prolog.terms import Term, atom, functor, make_list
+from retalis.engine.engine import Engine
+from retalis.engine.runtime.clock import StreamClock
+from retalis.messages.type_registry import Definitions
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_term
+from retalis.prolog.terms.list_terms import make_list
+from retalis.prolog.terms.types import Term, atom, functor
 
 APPLICATION = Path(__file__).resolve().parent.parent / "application_source"
 BASE = 1_413_748_205

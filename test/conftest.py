@@ -12,8 +12,8 @@ import os
 
 import pytest
 
-from retalis.foundation import PYPY
-from retalis.messages import Definitions
+from retalis.foundation.python_interpreter import PYPY
+from retalis.messages.type_registry import Definitions
 
 FAST = "not slow"
 MOST = 8

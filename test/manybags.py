@@ -2,8 +2,8 @@
 
 import struct
 
-from retalis.engine.playback import BagWriter
-from retalis.messages import Definitions
+from retalis.messages.type_registry import Definitions
+from retalis.playback.rosbag1 import BagWriter
 
 SECOND = 10**9
 STRING = Definitions().add("std_msgs/String", "string data")

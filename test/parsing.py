@@ -1,6 +1,7 @@
 """Terms from text."""
 
-from retalis.prolog.syntax import Operators, read_term
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_term
 
 
 def parse_term(text):

@@ -1,6 +1,7 @@
 """An engine for tests that records its events and outputs."""
 
-from retalis.engine import Engine, Settings
+from retalis.engine.engine import Engine
+from retalis.engine.engine_settings import Settings
 
 
 class RecordingEngine(Engine):

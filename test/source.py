@@ -1,16 +1,16 @@
-"""The package's source, parsed once for all tests that look at it: by ``docs/house.py``, which draws the rooms."""
+"""Source files of the package, parsed once for all tests by ``docs/packages.py``."""
 
 import importlib.util
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-_spec = importlib.util.spec_from_file_location("house", str(ROOT / "docs" / "house.py"))
-house = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(house)
+_spec = importlib.util.spec_from_file_location("packages", str(ROOT / "docs" / "packages.py"))
+packages = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(packages)
 
-SOURCE = house.SOURCE
+SOURCE = packages.SOURCE
 
-FILES = {module.path.relative_to(SOURCE).as_posix(): module for module in house.MODULES.values()}
+FILES = {module.path.relative_to(SOURCE).as_posix(): module for module in packages.MODULES.values()}
 """Each file, by its path below the package."""
 
 TREES = {path: module.tree for path, module in FILES.items()}

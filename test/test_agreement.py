@@ -5,9 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from retalis.engine.playback import BagReader, Playback
-from retalis.messages import Definitions
-from retalis.prolog.terms import deref, list_items
+from retalis.messages.type_registry import Definitions
+from retalis.playback.playback import Playback
+from retalis.playback.rosbag1 import BagReader
+from retalis.prolog.terms.list_terms import list_items
+from retalis.prolog.terms.types import deref
 
 HERE = Path(__file__).resolve().parent
 NAO = HERE.parent / "examples" / "nao"

@@ -12,7 +12,7 @@ from typing import Iterator
 import pytest
 
 import retalis
-from retalis.prolog.terms import kinds
+from retalis.prolog.terms import types
 
 PROGRAM = """\
 <publish_subscribe>
@@ -55,7 +55,7 @@ def docstring(name, one):
     """Return the text that explains a name; an alias of a type has it below, in its file."""
     if inspect.isclass(one) or inspect.isroutine(one):
         return inspect.getdoc(one)
-    body = ast.parse(Path(kinds.__file__).read_text(encoding="utf-8")).body
+    body = ast.parse(Path(types.__file__).read_text(encoding="utf-8")).body
     for statement, after in zip(body, body[1:]):
         bound = {node.id for node in ast.walk(statement) if isinstance(node, ast.Name)}
         if isinstance(statement, (ast.If, ast.Assign)) and name in bound and isinstance(after, ast.Expr):
@@ -121,7 +121,7 @@ def test_an_engine_needs_neither_bags_nor_openssl_and_leaves_the_collector_as_it
         "import gc, sys, retalis\n"
         "assert retalis.Engine and gc.isenabled()\n"
         "retalis.Engine()\n"
-        "assert not {'hashlib', 'multiprocessing', 'retalis.engine.playback'} & set(sys.modules)\n"
+        "assert not {'hashlib', 'multiprocessing', 'retalis.playback'} & set(sys.modules)\n"
         "gc.disable()\n"
         "assert retalis.Playback and not gc.isenabled()\n"
     )

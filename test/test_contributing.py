@@ -12,9 +12,10 @@ PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 QUOTED = re.compile(r"`([^`\n]+)`")
 SECTIONS = re.compile(r"^### ([^\n]*)\(([^\n]*)\)\n(.*?)(?=^##)", re.MULTILINE | re.DOTALL)
 NOT_OF_EACH = {
-    "src/retalis/events/language/reading.py",
-    "src/retalis/events/network/compiling.py",
-    "src/retalis/prolog/builtins/registry.py",
+    "src/retalis/prolog/builtins/all_builtins.py",
+    "src/retalis/events/language/pattern_parser.py",
+    "src/retalis/events/network/rule_compiler.py",
+    "src/retalis/prolog/builtins/builtin_registry.py",
     "src/retalis/prolog/builtins/__init__.py",
     "src/retalis/prolog/library/",
 }

@@ -9,11 +9,13 @@ from xml.etree import ElementTree
 
 import pytest
 
-from retalis import Engine
-from retalis.engine import parts_of
-from retalis.events.checks import Overview, look_through
-from retalis.events.program import Topics
-from retalis.prolog.syntax import Operators, read_program
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.events.checks.check_registry import look_through
+from retalis.events.checks.program_model import ProgramModel
+from retalis.events.program.program_folder import Topics
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_program
 from retalis.prolog.terms import timestamps
 
 pytestmark = pytest.mark.docs
@@ -86,7 +88,7 @@ def test_rules_and_goals_in_the_pages_load_and_check_has_nothing_to_say_of_them(
         assert list(read_program(text, Operators.prolog(), "snippet"))
         engine.load(rules=text)
     parts = parts_of(engine)
-    found = look_through(Overview(parts.rules, parts.knowledge, definitions, Topics()))
+    found = look_through(ProgramModel(parts.rules, parts.knowledge, definitions, Topics()))
     meant = (*PARTS, "waits-for-ever") if "unrestricted" in text else PARTS  # which is what it shows
     assert [str(one.problem) for one in found if one.check not in meant] == []
 

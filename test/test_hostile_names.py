@@ -9,20 +9,21 @@ import re
 import pytest
 from reachability import reachable
 
-from retalis import Engine, PrologError, foreign
-from retalis.events.program import read_topics, topic_type
-from retalis.foundation import (
-    Cache,
-    MessageError,
-    ProgramErrors,
-    SyntaxFault,
-    UsageError,
-    codegen,
-    printable,
-)
-from retalis.messages import Definitions, Installed, ros2_type, text_writer
-from retalis.prolog.syntax import Operators, read_term, writeq
-from retalis.prolog.terms import Var, atom, functor, list_items, make_list
+from retalis.engine.engine import Engine
+from retalis.events.program.program_folder import read_topics, topic_type
+from retalis.foundation import codegen
+from retalis.foundation.bounded_caches import Cache
+from retalis.foundation.errors import MessageError, ProgramErrors, SyntaxFault, UsageError, printable
+from retalis.messages.message_to_text import text_writer
+from retalis.messages.ros2_types import ros2_type
+from retalis.messages.type_registry import Definitions, Installed
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_term
+from retalis.prolog.syntax.term_writer import writeq
+from retalis.prolog.system.foreign_functions import foreign
+from retalis.prolog.terms.list_terms import list_items, make_list
+from retalis.prolog.terms.types import Var, atom, functor
 
 NAMES = [
     '__import__("os").system("harm")',

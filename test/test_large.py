@@ -8,12 +8,13 @@ import re
 
 import pytest
 
-from retalis import Engine
-from retalis.engine import parts_of
-from retalis.events.dispatch import building, matching
-from retalis.foundation import ProgramErrors, codegen
-from retalis.prolog.compiler import goals
-from retalis.prolog.database import clause
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.events.dispatch import matcher_compiler
+from retalis.foundation import codegen
+from retalis.foundation.errors import ProgramErrors
+from retalis.prolog.compiler import goal_code
+from retalis.prolog.database import clause_index
 
 
 def slots(count):
@@ -156,8 +157,8 @@ def test_what_is_run_without_code_of_its_own_does_the_same(monkeypatch):
         "a(1.0, f(1))",
     ]
     compiled = run(text, goals_text, events)
-    for module in (matching, building, clause, goals):
-        monkeypatch.setattr(module, "LARGEST", 0)
+    for module in (matcher_compiler, clause_index, goal_code):
+        monkeypatch.setattr(module, "MAX_TERM_ARGUMENTS", 0)
     assert run(text, goals_text, events) == compiled
     assert len(compiled) > 8
 

@@ -2,9 +2,13 @@
 
 import pytest
 
-from retalis.engine import Engine, Settings, parts_of
-from retalis.prolog.machine import Limits, PrologError, budget
-from retalis.prolog.terms import functor
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+from retalis.prolog.machine import resource_limits
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.machine.resource_limits import Limits
+from retalis.prolog.terms.types import functor
 
 RULES = """
 loop :- loop.
@@ -45,7 +49,7 @@ def ticking(monkeypatch):
         now[0] += 0.001
         return now[0]
 
-    monkeypatch.setattr(budget, "monotonic", tick)
+    monkeypatch.setattr(resource_limits, "monotonic", tick)
     return now
 
 

@@ -5,9 +5,12 @@ import time
 
 import pytest
 
-from retalis.engine import Engine, Settings, parts_of
-from retalis.engine.runtime import Reports
-from retalis.prolog.machine import Limits, PrologError
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+from retalis.engine.runtime.problem_reports import Reports
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.machine.resource_limits import Limits
 
 UNRESTRICTED = ":- set_etalis_flag(event_consumption_policy, unrestricted).\n"
 CHAIN = UNRESTRICTED + "".join(f"e{at + 1}(X) <- e{at}(X) and e{at}(Y).\n" for at in range(30))

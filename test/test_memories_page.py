@@ -5,12 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from retalis import Engine
-from retalis.cli.answers import bindings
-from retalis.engine import parts_of
-from retalis.prolog.logic import Logic
-from retalis.prolog.machine import PrologError
-from retalis.prolog.syntax import read_program, read_term, write_term
+from retalis.cli.prompt import bindings
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.syntax.term_reader import read_program, read_term
+from retalis.prolog.syntax.term_writer import write_term
+from retalis.prolog.system.prolog_system import PrologSystem
 
 pytestmark = pytest.mark.docs
 
@@ -57,7 +58,9 @@ def test_goals_answer_as_shown(section):
 
 def test_every_predicate_of_an_engine_is_on_a_page():
     """Those of the logic have a page of their own, with a test of its own."""
-    added = {str(key) for key in parts_of(Engine()).logic.names()} - {str(key) for key in Logic().names()}
+    added = {str(key) for key in parts_of(Engine()).logic.names()} - {
+        str(key) for key in PrologSystem().names()
+    }
     pages = " ".join(
         (PAGE.parent / name).read_text() for name in ("language.md", "memories.md", "foreign.md", "prolog.md")
     )

@@ -5,12 +5,13 @@ import struct
 
 import pytest
 
-from retalis import Engine, StreamClock
-from retalis.cli import main
-from retalis.engine.dashboard.recent import RecentEvents
-from retalis.engine.playback import BagReader, BagWriter
-from retalis.messages import Definitions
-from retalis.prolog.syntax import to_text
+from retalis.cli.command_line import main
+from retalis.dashboard.view_model import RecentEvents
+from retalis.engine.engine import Engine
+from retalis.engine.runtime.clock import StreamClock
+from retalis.messages.type_registry import Definitions
+from retalis.playback.rosbag1 import BagReader, BagWriter
+from retalis.prolog.syntax.event_text import to_text
 
 SECOND = 10**9
 NOTE = "my_msgs/Note"

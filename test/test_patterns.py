@@ -17,8 +17,8 @@ from typing import Any, Dict, Iterator, List, NamedTuple, Set, Tuple
 import pytest
 from source import FILES
 
-from retalis.foundation import PYPY
-from retalis.prolog.syntax import tokens
+from retalis.foundation.python_interpreter import PYPY
+from retalis.prolog.syntax import tokenizer
 
 SIZE = 100_000
 SECONDS = 20.0
@@ -93,17 +93,17 @@ CASES: Dict[str, Case] = {
         ("", "1.0e5", "."),
         ("1", "1.1", ".", "e", "1.0e-5,", "1.0e123", "1e5", "1.0e"),
     ),
-    # engine/drawing/timeline.py
+    # visualization/timeline.py
     r"'(?:[^'\\]|\\.|'')*'|[^(]*": Case(
         "match", "a quote that is never closed: all once more", ("", "'"), ("a", "''", "\\'")
     ),
-    # engine/drawing/dot.py
+    # visualization/program_graph.py
     r"\b\w+?__0__": Case(
         "search", "one run of word characters: it begins at none inside", ("",), ("a", "_", "a ")
     ),
     r"\b_G\d+\b": Case("search", "one run of digits", ("",), ("_G1", "_G", "1", "_")),
     r"(,|\)(?=\w))": Case("search", "two characters", ("",), (",", ")", "a")),
-    # events/program/ofevents.py
+    # events/program/file_kind.py
     r"<-|'rule:'|'?\b(?:do|iff|IFF|event_rule_property|include)\b": Case(
         "search",
         "a word that begins as one of these",
@@ -116,7 +116,7 @@ CASES: Dict[str, Case] = {
         ("", ":-", ":- ("),
         (" ", ":-", ":- ", ":- (", "(", "A", "a"),
     ),
-    # prolog/syntax/eventreader.py
+    # prolog/syntax/event_text.py
     r"([(,\[|] *)"
     r"(-?(?:[0-9]{1,200}(?:\.[0-9]{1,200}(?:[eE](?:-[0-9]{1,3}|\+?[0-9]{1,2}))?)?|inf|nan))"
     r"(?=[,)\]|])": Case(
@@ -136,15 +136,15 @@ CASES: Dict[str, Case] = {
     "\0([(,\\[|] *)\0": Case(
         "search", "the blanks behind a comma once more", ("", "\0,"), (" ", "\0", "\0,", "\0, ")
     ),
-    # foundation/rosnames.py
+    # foundation/ros_names.py
     r"([^/]+)/(?:msg|action)/([^/]+)": Case(
         "match", "each part once", ("", "a/", "a/msg/"), ("a", "/", "a/msg/", "/msg", "msg")
     ),
-    # messages/text.py
+    # messages/field_values.py
     "[\0-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]": Case(
         "search", "one look at each character", ("",), ("a", "\n", "ü")
     ),
-    # messages/ros2.py
+    # messages/ros2_types.py
     r"\s*(?P<type>[\w/]+)(?P<bound><=[0-9]+)?(?P<array>\[(?:<=)?[0-9]*\])?\s+"
     r"(?P<name>\w+)(?P<rest>(?:[\s=#].*)?)$": Case(
         "match",
@@ -159,11 +159,11 @@ CASES: Dict[str, Case] = {
         ("a", "\\", '\\"', " ", "#", "'"),
     ),
     r"\\(.)": Case("search", "two characters", ("",), ("\\", "a", "\\\n")),
-    # engine/playback/ros2bags.py
+    # playback/rosbag2.py
     r"^(?:={20,}|IDL:.*)$": Case(
         "search", "a line once more", ("", "=" * 20, "IDL:"), ("=", "a", "IDL:", "=\n", "IDL:\n")
     ),
-    # prolog/syntax/atoms.py
+    # prolog/syntax/literals.py
     r"[^\W\d_]\w*\Z|[-+*/\\^<>=~:.?@#&$]+\Z|\[\]\Z|\{\}\Z|[!;]\Z": Case(
         "match",
         "a name with a blank at its end: its characters once more",
@@ -173,7 +173,7 @@ CASES: Dict[str, Case] = {
     r"""[^ -&(-\[\]-~]|[\\'"`]""": Case(
         "search", "one look at each character", ("",), ("a", "'", "\\", "\n")
     ),
-    # prolog/syntax/quoted.py
+    # prolog/syntax/quoted_text.py
     r"""\\(?: x([0-9a-fA-F]+)\\?
           | ([0-7]+)\\?
           | u([0-9a-fA-F]{4}) | U([0-9a-fA-F]{8})
@@ -213,7 +213,7 @@ CASES: Dict[str, Case] = {
     ),
     r"[A-Za-z/~][A-Za-z0-9_/]*": Case("match", "one run", ("", "~"), ("a", "/", "_")),
     r"[^A-Za-z0-9_/~]": Case("search", "one look at each character", ("",), ("a", "!")),
-    # messages/definition.py: one line each
+    # messages/type_definition.py: one line each
     r"#.*": Case("search", "the rest of the line is one run", ("",), ("#", "a", "\n")),
     r"\s*string\s+(?P<name>\w+)\s*=(?P<value>.*)": Case(
         "match",
@@ -233,14 +233,14 @@ CASES: Dict[str, Case] = {
         ("", "a", "a[", "a[1", "a[1 ", "a[1] ", "a a", "a a "),
         (*BLANKS, "a", "1", "1 ", "[ ", "a "),
     ),
-    # messages/eventtexts.py
+    # messages/message_to_text.py
     r"(^|,)(-?[0-9]+)e": Case(
         "search",
         "a number without an exponent: its digits once more",
         ("", ","),
         (",", "-", "1", ",1", ",-1", "e"),
     ),
-    # messages/text.py
+    # messages/field_values.py
     r"[ -~\t\n\r\v\f]*\Z": Case(
         "match", "bytes that cannot be shown at the end: all once more", ("",), ("a", "\n")
     ),
@@ -255,7 +255,7 @@ CASES: Dict[str, Case] = {
         ("1", "T", "-", "+"),
     ),
     r"%(\d{0,2})f": Case("search", "three characters at each", ("", "%"), ("%", "1", "%1", "%12")),
-    # prolog/syntax/tokens.py, by the name of the token
+    # prolog/syntax/tokenizer.py, by the name of the token
     "LAYOUT": Case("match", "one run", ("",), BLANKS),
     "LINE_COMMENT": Case("match", "one run", ("%",), ("%", "a", " ")),
     "BLOCK_COMMENT": Case(
@@ -281,7 +281,7 @@ CASES: Dict[str, Case] = {
 }
 
 USES = frozenset(("compile", "match", "fullmatch", "search", "sub", "subn", "split", "findall", "finditer"))
-TOKENS = "prolog/syntax/tokens.py"
+TOKENS = "prolog/syntax/tokenizer.py"
 """It compiles the patterns of the tokens as one; here each is tested alone."""
 
 
@@ -343,7 +343,7 @@ def all_patterns() -> Dict[str, Any]:
             for text in patterns_of(path):
                 verbose = re.VERBOSE if "\n " in text else 0
                 found[text] = re.compile(text, verbose | (re.MULTILINE if text[0] == "^" else 0))
-    for name, pattern in tokens.TOKEN_PATTERNS.items():
+    for name, pattern in tokenizer.TOKEN_PATTERNS.items():
         found[name] = re.compile(pattern)
     return found
 

@@ -5,11 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from retalis.cli.answers import bindings
-from retalis.prolog.logic import Logic
-from retalis.prolog.machine import Limits, PrologError
-from retalis.prolog.syntax import read_term, write_term
-from retalis.prolog.terms import Var, functor
+from retalis.cli.prompt import bindings
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.machine.resource_limits import Limits
+from retalis.prolog.syntax.term_reader import read_term
+from retalis.prolog.syntax.term_writer import write_term
+from retalis.prolog.system.prolog_system import PrologSystem
+from retalis.prolog.terms.types import Var, functor
 
 pytestmark = pytest.mark.docs
 
@@ -33,7 +35,7 @@ ROWS = list(rows())
 
 
 def test_every_predicate_is_on_the_page_and_no_other():
-    defined = {str(key) for key in Logic().names() if not key.name.startswith("$")}
+    defined = {str(key) for key in PrologSystem().names() if not key.name.startswith("$")}
     named = [key for keys, *_ in ROWS for key in keys]
     assert sorted(defined - set(named)) == []
     assert sorted(set(named) - defined) == []
@@ -42,7 +44,7 @@ def test_every_predicate_is_on_the_page_and_no_other():
 
 @pytest.fixture
 def logic():
-    made = Logic()
+    made = PrologSystem()
     made.limits = Limits(inferences=500_000)
     return made
 
@@ -70,7 +72,7 @@ WRONG = [Var, lambda: (functor("foo", 1), 1), lambda: 1]
 
 
 def test_errors_of_wrong_arguments_are_listed():
-    logic = Logic()
+    logic = PrologSystem()
     logic.limits = Limits(inferences=20_000)
     logic.output = logic.error_output = lambda text: None
     for keys, errors, _, _ in ROWS:

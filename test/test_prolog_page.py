@@ -5,8 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from retalis import Engine, Settings, UsageError
-from retalis.prolog.swi.binding import find_library
+from retalis.engine.engine import Engine
+from retalis.engine.engine_settings import Settings
+from retalis.foundation.errors import UsageError
+from retalis.prolog.swi.libswipl import find_library
 
 pytestmark = pytest.mark.docs
 

@@ -1,3 +1,4 @@
+# ruff: noqa: E501 - texts of the page
 """The limits that docs/security.md and the launch file state are those of the code."""
 
 import ast
@@ -7,17 +8,18 @@ from xml.etree import ElementTree
 import pytest
 from source import ROOT, TREES
 
-from retalis.engine import Settings
-from retalis.engine.textinput import LONGEST_INPUT
-from retalis.events.knowledge import declaring
-from retalis.events.language import stateforms
-from retalis.events.program import folder
-from retalis.events.rules import timers
-from retalis.foundation import LONGEST, SHOWN, errors, rosnames
-from retalis.messages import registry, slots
-from retalis.prolog.arithmetic import evaluation
-from retalis.prolog.builtins import streams, text
-from retalis.prolog.terms import steps
+from retalis.engine.engine_settings import Settings
+from retalis.engine.event_input import MAX_EVENT_TEXT_CHARACTERS
+from retalis.events.knowledge import event_states
+from retalis.events.language import state_parser
+from retalis.events.program import program_folder
+from retalis.events.rules import timer_service
+from retalis.foundation import errors, ros_names
+from retalis.foundation.errors import MAX_MESSAGE_CHARACTERS, SHOWN
+from retalis.messages import type_definition, type_registry
+from retalis.prolog.builtins import text_arguments, text_streams
+from retalis.prolog.machine import arithmetic
+from retalis.prolog.terms import term_traversal
 
 PAGE = (ROOT / "docs" / "security.md").read_text(encoding="utf-8")
 MILLION = 1_000_000
@@ -36,24 +38,22 @@ def millions(number):
     return f"{number // MILLION} million"
 
 
-STATES = (
-    f"{declaring.MOST:,} declarations; of each {stateforms.OPEN:,} open and {stateforms.PAST:,} that are over"
-)
+STATES = f"{event_states.MAX_STATES:,} declarations; of each {state_parser.OPEN:,} open and {state_parser.PAST:,} that are over"
 FIXED = {
-    "names of packages, types, slots": f"a letter first; {rosnames.LONGEST} characters",
-    "the text of an event": f"{millions(LONGEST_INPUT)} characters",
+    "names of packages, types, slots": f"a letter first; {ros_names.MAX_NAME_CHARACTERS} characters",
+    "the text of an event": f"{millions(MAX_EVENT_TEXT_CHARACTERS)} characters",
     "definitions of message types that publishers send": (
-        f"{registry.MOST_TYPES:,} types, {millions(registry.MOST_TEXT)} characters in all; each "
-        f"{millions(registry.LONGEST_TEXT)} characters, {slots.MOST_SLOTS:,} slots, depth {slots.DEEPEST}"
+        f"{type_registry.MOST_TYPES:,} types, {millions(type_registry.MOST_TEXT)} characters in all; each "
+        f"{millions(type_registry.MAX_DEFINITION_CHARACTERS)} characters, {type_definition.MAX_SLOTS:,} slots, depth {type_definition.MAX_TYPE_DEPTH}"
     ),
-    "`pub_sub.xml`": f"{millions(folder.LARGEST)} characters, depth {folder.DEEPEST}, no DOCTYPE",
-    "errors of one file that are kept and shown": f"{errors.MOST_ERRORS}, and how many more",
-    "characters of a text from outside that are kept and shown": f"{SHOWN}; of a whole error {LONGEST:,}",
-    "streams that are open at once": f"{streams.MOST};",
-    "integers": f"{evaluation.HUGE:,} bits ({int(evaluation.HUGE * log10(2)) + 1:,} digits)",
-    "texts that goals make": f"{millions(text.LONGEST)} characters",
-    "terms that goals walk through": f"{millions(steps.MOST)} parts",
-    "timers": f"{timers.MOST:,}, each every millisecond at most; {timers.MOST_AT_ONCE:,} times at once",
+    "`pub_sub.xml`": f"{millions(program_folder.MAX_XML_CHARACTERS)} characters, depth {program_folder.MAX_XML_DEPTH}, no DOCTYPE",
+    "errors of one file that are kept and shown": f"{errors.MAX_ERRORS}, and how many more",
+    "characters of a text from outside that are kept and shown": f"{SHOWN}; of a whole error {MAX_MESSAGE_CHARACTERS:,}",
+    "streams that are open at once": f"{text_streams.MAX_OPEN_STREAMS};",
+    "integers": f"{arithmetic.MAX_INTEGER_BITS:,} bits ({int(arithmetic.MAX_INTEGER_BITS * log10(2)) + 1:,} digits)",
+    "texts that goals make": f"{millions(text_arguments.MAX_TEXT_CHARACTERS)} characters",
+    "terms that goals walk through": f"{millions(term_traversal.MAX_STEPS)} parts",
+    "timers": f"{timer_service.MAX_TIMERS:,}, each every millisecond at most; {timer_service.MAX_RINGS_PER_JUMP:,} times at once",
     "states": STATES,
 }
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from retalis.cli import main
+from retalis.cli.command_line import main
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "seeing.md").read_text(encoding="utf-8")

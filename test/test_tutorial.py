@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from retalis.cli import main
+from retalis.cli.command_line import main
 
 pytestmark = pytest.mark.docs
 

@@ -3,7 +3,7 @@
 
     PYTHONPATH=src docs/editors/make.py    # writes docs/editors/vim and docs/editors/vscode
 
-What is a word, a number, a quoted text or a comment is as in ``src/retalis/prolog/syntax/tokens.py``.
+What is a word, a number, a quoted text or a comment is as in ``src/retalis/prolog/syntax/tokenizer.py``.
 """
 
 import json
@@ -11,8 +11,8 @@ import re
 from pathlib import Path
 from typing import Dict, List
 
-from retalis.prolog.syntax import Operators
-from retalis.prolog.syntax.eventoperators import EVENT_OPERATORS, OperatorKind
+from retalis.prolog.syntax.event_operators import EVENT_OPERATORS, OperatorKind
+from retalis.prolog.syntax.operators import Operators
 
 HERE = Path(__file__).resolve().parent
 

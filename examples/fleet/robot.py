@@ -2,7 +2,9 @@
 
 from pathlib import Path
 
-from retalis import Engine, RetalisError, StreamClock
+from retalis.engine.engine import Engine
+from retalis.engine.runtime.clock import StreamClock
+from retalis.foundation.errors import RetalisError
 
 PROGRAM = Path(__file__).resolve().parent
 

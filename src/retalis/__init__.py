@@ -18,25 +18,25 @@ from pkgutil import extend_path
 from typing import TYPE_CHECKING, Any, List
 
 if TYPE_CHECKING:  # for type checkers; a program gets them by `__getattr__`
-    from .engine import (
+    from .engine.engine import Engine
+    from .engine.engine_parts import OnEvent, OnOutput
+    from .engine.engine_settings import Settings
+    from .engine.engine_status import (
         AwaitedMemory,
-        Engine,
         LeftOut,
         MemoryStatus,
-        OnEvent,
-        OnOutput,
         RuleStatus,
-        Settings,
         Status,
         SubscriptionStatus,
         WaitingStatus,
         Work,
     )
-    from .engine.explaining import Explanation, ExplanationLine, explain, record_origins
-    from .engine.playback import BagError, BagReader, BagWriter, Output, Playback, Record, Topic
-    from .engine.runtime import Clock, Reports, StreamClock, collect_when_idle, limit_gc_pauses, restore_gc
-    from .events.program import TopicType
-    from .foundation import (
+    from .engine.runtime.clock import Clock, StreamClock
+    from .engine.runtime.gc_tuning import collect_when_idle, limit_gc_pauses, restore_gc
+    from .engine.runtime.problem_reports import Reports
+    from .events.program.program_folder import TopicType
+    from .explanation.explain import Explanation, ExplanationLine, explain, record_origins
+    from .foundation.errors import (
         MessageError,
         Omission,
         Place,
@@ -46,11 +46,19 @@ if TYPE_CHECKING:  # for type checkers; a program gets them by `__getattr__`
         SyntaxFault,
         UsageError,
     )
-    from .messages import Decoder, Definition, Definitions, Encoder
-    from .prolog.foreign import Compound, foreign, to_python, to_term
-    from .prolog.machine import Limits, PrologError
-    from .prolog.syntax import Operators
-    from .prolog.terms import Atom, Functor, String, Term, Var, atom, deref, functor, list_items, make_list
+    from .messages.decoder import Decoder
+    from .messages.encoder import Encoder
+    from .messages.type_definition import Definition
+    from .messages.type_registry import Definitions
+    from .playback.playback import Output, Playback
+    from .playback.rosbag1 import BagError, BagReader, BagWriter, Record, Topic
+    from .prolog.machine.errors import PrologError
+    from .prolog.machine.resource_limits import Limits
+    from .prolog.syntax.operators import Operators
+    from .prolog.system.foreign_functions import foreign
+    from .prolog.system.value_conversion import Compound, to_python, to_term
+    from .prolog.terms.list_terms import list_items, make_list
+    from .prolog.terms.types import Atom, Functor, String, Term, Var, atom, deref, functor
 
 # catkin puts the generated retalis.msg and retalis.srv into a folder of their own, in devel space: both are `retalis`
 __path__ = extend_path(__path__, __name__)
@@ -117,22 +125,70 @@ __all__ = [
     "Work",
 ]
 
-_ROOMS = (
-    "foundation",
-    "prolog.terms",
-    "messages",
-    "prolog.syntax",
-    "prolog.machine",
-    "prolog.foreign",
-    "events.program",
-    "engine.runtime",
-    "engine",
-    "engine.explaining",
-    "engine.playback",
-)
-"""Where the names stand: a room comes after those that it imports.
+_MODULES = {
+    "Atom": "prolog.terms.types",
+    "atom": "prolog.terms.types",
+    "AwaitedMemory": "engine.engine_status",
+    "BagError": "playback.rosbag1",
+    "BagReader": "playback.rosbag1",
+    "BagWriter": "playback.rosbag1",
+    "Clock": "engine.runtime.clock",
+    "collect_when_idle": "engine.runtime.gc_tuning",
+    "Compound": "prolog.system.value_conversion",
+    "Decoder": "messages.decoder",
+    "Definition": "messages.type_definition",
+    "Definitions": "messages.type_registry",
+    "deref": "prolog.terms.types",
+    "Encoder": "messages.encoder",
+    "Engine": "engine.engine",
+    "explain": "explanation.explain",
+    "Explanation": "explanation.explain",
+    "ExplanationLine": "explanation.explain",
+    "foreign": "prolog.system.foreign_functions",
+    "Functor": "prolog.terms.types",
+    "functor": "prolog.terms.types",
+    "LeftOut": "engine.engine_status",
+    "limit_gc_pauses": "engine.runtime.gc_tuning",
+    "Limits": "prolog.machine.resource_limits",
+    "list_items": "prolog.terms.list_terms",
+    "make_list": "prolog.terms.list_terms",
+    "MemoryStatus": "engine.engine_status",
+    "MessageError": "foundation.errors",
+    "Omission": "foundation.errors",
+    "OnEvent": "engine.engine_parts",
+    "OnOutput": "engine.engine_parts",
+    "Operators": "prolog.syntax.operators",
+    "Output": "playback.playback",
+    "Place": "foundation.errors",
+    "Playback": "playback.playback",
+    "ProgramErrors": "foundation.errors",
+    "PrologError": "prolog.machine.errors",
+    "Record": "playback.rosbag1",
+    "record_origins": "explanation.explain",
+    "Reports": "engine.runtime.problem_reports",
+    "restore_gc": "engine.runtime.gc_tuning",
+    "RetalisError": "foundation.errors",
+    "RuleError": "foundation.errors",
+    "RuleStatus": "engine.engine_status",
+    "Settings": "engine.engine_settings",
+    "Status": "engine.engine_status",
+    "StreamClock": "engine.runtime.clock",
+    "String": "prolog.terms.types",
+    "SubscriptionStatus": "engine.engine_status",
+    "SyntaxFault": "foundation.errors",
+    "Term": "prolog.terms.types",
+    "to_python": "prolog.system.value_conversion",
+    "to_term": "prolog.system.value_conversion",
+    "Topic": "playback.rosbag1",
+    "TopicType": "events.program.program_folder",
+    "UsageError": "foundation.errors",
+    "Var": "prolog.terms.types",
+    "WaitingStatus": "engine.engine_status",
+    "Work": "engine.engine_status",
+}
+"""The module that defines each public name.
 
-They are looked for when somebody asks, so that ``retalis.srv`` costs no engine, and an error no bag.
+A name is imported at its first use, so that ``retalis.srv`` costs no engine, and an error no bag.
 """
 
 
@@ -142,18 +198,16 @@ def __dir__() -> List[str]:
 
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for, and keep it."""
-    if name in __all__:
-        # The imports make 100,000 objects and no garbage: looking for some would take a tenth of their time.
-        was_enabled = gc.isenabled()
-        gc.disable()
-        try:
-            for room in _ROOMS:
-                home = import_module(f"{__name__}.{room}")
-                if name in home.__all__:
-                    found = globals()[name] = getattr(home, name)
-                    return found
-        finally:
-            if was_enabled:
-                gc.enable()
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    """Import a public name at its first use."""
+    module = _MODULES.get(name)
+    if module is None:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    # The imports make 100,000 objects and no garbage: looking for some would take a tenth of their time.
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        value = globals()[name] = getattr(import_module(f"{__name__}.{module}"), name)
+        return value
+    finally:
+        if was_enabled:
+            gc.enable()

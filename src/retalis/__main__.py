@@ -10,9 +10,9 @@ def main() -> int:
     # While modules are imported, ctrl-C ends the process at once, and there is no garbage to collect.
     default = signal.signal(signal.SIGINT, signal.SIG_DFL)
     gc.disable()
-    from .cli import import_commands  # noqa: PLC0415
-    from .cli import main as command_line  # noqa: PLC0415
-    from .foundation import stop_collecting  # noqa: PLC0415
+    from .cli.command_line import import_commands  # noqa: PLC0415
+    from .cli.command_line import main as command_line  # noqa: PLC0415
+    from .foundation.python_interpreter import stop_collecting  # noqa: PLC0415
 
     import_commands(sys.argv[1:])
     stop_collecting()  # modules stay: later collections, and those at the exit, do not visit them

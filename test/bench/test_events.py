@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from retalis.engine import parts_of
+from retalis.engine.engine_parts import parts_of
 
 BENCH = Path(__file__).resolve().parents[2] / "bench"
 

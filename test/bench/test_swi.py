@@ -7,8 +7,8 @@ import sys
 import pytest
 from source import ROOT
 
-from retalis.foundation import UsageError
-from retalis.prolog.swi.binding import find_library
+from retalis.foundation.errors import UsageError
+from retalis.prolog.swi.libswipl import find_library
 
 
 @pytest.mark.slow

@@ -4,7 +4,8 @@ import argparse
 
 import pytest
 
-from retalis.cli import completion, main
+from retalis.cli import completion
+from retalis.cli.command_line import main
 
 
 def after(*words, names=lambda kind, node: []):

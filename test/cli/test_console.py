@@ -12,14 +12,14 @@ from types import SimpleNamespace
 
 import pytest
 
-from retalis.cli.answers import bindings
 from retalis.cli.console import Console
-from retalis.cli.prompt import Lines, Terminal, completions
-from retalis.cli.report import Report
-from retalis.engine import Settings
-from retalis.foundation import PYPY
-from retalis.prolog.machine import Limits
-from retalis.prolog.syntax import Operators, read_term
+from retalis.cli.error_report import Report
+from retalis.cli.prompt import Lines, Terminal, bindings, completions
+from retalis.engine.engine_settings import Settings
+from retalis.foundation.python_interpreter import PYPY
+from retalis.prolog.machine.resource_limits import Limits
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_term
 
 SOURCE = Path(__file__).resolve().parents[2] / "src"
 

@@ -5,11 +5,11 @@ import os
 
 import pytest
 
-from retalis.cli import helping, main
-from retalis.cli.console import MOST, Console
-from retalis.cli.helping import CONSOLE, described, mentioned
+from retalis.cli import console
+from retalis.cli.command_line import main
+from retalis.cli.console import CONSOLE, DEFAULT_SHOWN_SOLUTIONS, Console, described, mentioned
+from retalis.cli.error_report import Report
 from retalis.cli.prompt import Lines
-from retalis.cli.report import Report
 
 
 @pytest.fixture
@@ -87,8 +87,8 @@ def test_a_pipe_gets_the_first_solutions_only(capsys, monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO("between(1, inf, X).\n"))
     assert main(["console"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == MOST + 1
-    assert lines[-2:] == [f"X = {MOST} .", "% there may be more (see --most)"]
+    assert len(lines) == DEFAULT_SHOWN_SOLUTIONS + 1
+    assert lines[-2:] == [f"X = {DEFAULT_SHOWN_SOLUTIONS} .", "% there may be more (see --most)"]
 
 
 def test_help_says_what_there_is(ask):
@@ -103,7 +103,7 @@ def test_help_says_what_there_is(ask):
 
 
 def test_the_console_goes_on_where_the_page_of_predicates_is_missing(ask, monkeypatch):
-    monkeypatch.setattr(helping, "PAGE", "docs/no_such_page.md")
+    monkeypatch.setattr(console, "PAGE", "docs/no_such_page.md")
     found = ask("help(append).\napropos(append).\nX = 1.\n")
     assert found.out == "X = 1.\n"
     assert (

@@ -6,7 +6,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-from retalis.cli import COMMANDS, main, version
+from retalis.cli import command_line
+from retalis.cli.command_line import COMMANDS, main
 
 SOURCES = Path(__file__).resolve().parents[2] / "src"
 
@@ -16,17 +17,17 @@ def test_the_version_is_that_of_the_manifest(capsys, monkeypatch, tmp_path):
         main(["--version"])
     manifest = ElementTree.parse(SOURCES.parent / "package.xml").getroot()
     assert (ended.value.code, capsys.readouterr().out) == (0, f"retalis {manifest.findtext('version')}\n")
-    monkeypatch.setattr(version, "MANIFEST", tmp_path / "package.xml")
+    monkeypatch.setattr(command_line, "MANIFEST", tmp_path / "package.xml")
     monkeypatch.setattr("importlib.metadata.version", lambda name: f"9 of {name}")
-    assert version.version() == "9 of retalis"
+    assert command_line.version() == "9 of retalis"
     (tmp_path / "package.xml").write_text("<package><name>other</name><version>5</version></package>")
-    assert version.version() == "9 of retalis"
+    assert command_line.version() == "9 of retalis"
 
 
 def imported(*arguments):
     """Return the modules of the package that a command imports in a process of its own."""
     code = """import sys
-from retalis.cli import main
+from retalis.cli.command_line import main
 try:
     main(sys.argv[1:])
 except SystemExit:
@@ -51,9 +52,9 @@ def test_the_version_imports_no_engine():
 
 def test_a_command_imports_no_other_command_and_bags_only_if_it_reads_them():
     found = imported("events", "--help")
-    assert "retalis.cli.events" in found
-    assert not [name for name in found if name.startswith("retalis.engine.playback")]
-    assert not found & {f"retalis.cli.{module}" for module in COMMANDS.values() if module != "events"}
+    assert "retalis.cli.events_command" in found
+    assert not [name for name in found if name.startswith("retalis.playback")]
+    assert not found & {f"retalis.cli.{module}" for module in COMMANDS.values() if module != "events_command"}
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -3,7 +3,7 @@
 import pytest
 from manybags import make_bag, make_program
 
-from retalis.cli import main
+from retalis.cli.command_line import main
 
 
 @pytest.fixture

@@ -8,17 +8,16 @@ import sys
 import pytest
 from manybags import SECOND, make_bag, make_program
 
-from retalis.cli.bag import add_parser
-from retalis.cli.manybags import _OPTIONS
-from retalis.cli.onebag import _SAID, BagTask, play_bag
-from retalis.engine.playback import BagReader
+from retalis.cli.bag_command import add_parser
+from retalis.cli.many_bags import _OPTIONS, _SAID, BagTask, play_bag
+from retalis.playback.rosbag1 import BagReader
 
 
 @pytest.fixture(autouse=True)
 def tightened(monkeypatch):
     """Note that the collector is asked to free a bag's program; do not, it would walk what all tests have loaded."""
     asked = []
-    monkeypatch.setattr("retalis.cli.onebag.restore_gc", lambda: asked.append(True))
+    monkeypatch.setattr("retalis.cli.many_bags.restore_gc", lambda: asked.append(True))
     return asked
 
 
@@ -87,7 +86,7 @@ def test_a_bag_that_cannot_be_played_leaves_nothing(program, tmp_path):
 def test_whatever_goes_wrong_is_the_bags_failure(program, tmp_path, monkeypatch, tightened):
     bag = make_bag(tmp_path / "a.bag", "x")
     asked = task(program, bag, tmp_path / "result", None)
-    monkeypatch.setattr("retalis.cli.onebag.play", lambda *given: 1 / 0)
+    monkeypatch.setattr("retalis.cli.many_bags.play", lambda *given: 1 / 0)
     assert play_bag(asked, str(tmp_path)).failure == "ZeroDivisionError: division by zero"
     assert tightened == [True]
 
@@ -95,7 +94,7 @@ def test_whatever_goes_wrong_is_the_bags_failure(program, tmp_path, monkeypatch,
 def test_of_what_is_said_the_beginning_is_kept(program, tmp_path, monkeypatch):
     bag = make_bag(tmp_path / "a.bag", "x")
     asked = task(program, bag, tmp_path / "result", None)
-    monkeypatch.setattr("retalis.cli.onebag.play", lambda *given: sys.stderr.write("e" * (_SAID + 7)))
+    monkeypatch.setattr("retalis.cli.many_bags.play", lambda *given: sys.stderr.write("e" * (_SAID + 7)))
     assert play_bag(asked, str(tmp_path)).said == "e" * _SAID + "\n... and 7 more characters\n"
 
 

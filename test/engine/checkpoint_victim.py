@@ -8,8 +8,11 @@ import sys
 import time
 from pathlib import Path
 
-from retalis import Clock, Reports, Settings
-from retalis.engine import CheckpointFile, Checkpoints, Engine, resume
+from retalis.engine.checkpoints import Checkpointer, CheckpointStorage, resume
+from retalis.engine.engine import Engine
+from retalis.engine.engine_settings import Settings
+from retalis.engine.runtime.clock import Clock
+from retalis.engine.runtime.problem_reports import Reports
 
 RULES = """
 pair(X, Y) <- in(X) seq in(Y).
@@ -42,7 +45,7 @@ def main(folder, every="0.02"):
         print(f"pair({last},{last + 1})" in seen or not last, f"n({last + 1})" in seen, flush=True)
         first += 1
     files = None if found is None else found[1].files
-    kept = Checkpoints(engine, CheckpointFile(path), folder, reports, float(every), files)
+    kept = Checkpointer(engine, CheckpointStorage(path), folder, reports, float(every), files)
     kept.begin()
     print("ready", flush=True)
     for number in range(first + 1, 10_000_000):

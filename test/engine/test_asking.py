@@ -4,10 +4,14 @@ import threading
 
 import pytest
 
-from retalis.engine import Engine, Settings, ask, await_memories, parts_of
-from retalis.foundation import SyntaxFault, UsageError
-from retalis.prolog.machine import Limits, PrologError
-from retalis.prolog.terms import atom
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+from retalis.engine.external_queries import ask, await_memories
+from retalis.foundation.errors import SyntaxFault, UsageError
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.machine.resource_limits import Limits
+from retalis.prolog.terms.types import atom
 
 
 def values(answer):

@@ -6,12 +6,19 @@ import threading
 import pytest
 from recording_engine import RecordingEngine
 
-from retalis import foreign
-from retalis.engine import Engine, Settings, parts_of
-from retalis.engine.runtime import Clock, Reports, StreamClock
-from retalis.foundation import ProgramErrors, RetalisError, SyntaxFault, UsageError
-from retalis.prolog.machine import Limits, PrologError
-from retalis.prolog.terms import SECOND, atom, deref, functor, make_list, timestamps
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+from retalis.engine.runtime.clock import Clock, StreamClock
+from retalis.engine.runtime.problem_reports import Reports
+from retalis.foundation.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.machine.resource_limits import Limits
+from retalis.prolog.system.foreign_functions import foreign
+from retalis.prolog.terms import timestamps
+from retalis.prolog.terms.list_terms import make_list
+from retalis.prolog.terms.timestamps import SECOND
+from retalis.prolog.terms.types import atom, deref, functor
 
 
 def test_a_rule_fires_and_a_subscriber_gets_it():
@@ -83,7 +90,7 @@ def test_what_is_no_date_is_no_number():
 
 def test_a_text_that_is_too_long_to_read_is_refused(caplog, monkeypatch):
     engine = RecordingEngine(clock=StreamClock(7))
-    monkeypatch.setattr("retalis.engine.textinput.LONGEST_INPUT", 20)
+    monkeypatch.setattr("retalis.engine.event_input.MAX_EVENT_TEXT_CHARACTERS", 20)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.post_text("event(a(1234567890))")
         engine.post_text("event(a(12345678901))")

@@ -2,10 +2,12 @@
 
 import pytest
 
-from retalis.engine import Engine, Settings, add_rule, ask, do_for_others
-from retalis.prolog.machine import PrologError
-from retalis.prolog.syntax import read_term
-from retalis.prolog.terms import atom
+from retalis.engine.engine import Engine
+from retalis.engine.engine_settings import Settings
+from retalis.engine.external_queries import add_rule, ask, do_for_others
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.syntax.term_reader import read_term
+from retalis.prolog.terms.types import atom
 
 SET = "set_etalis_flag(event_consumption_policy, unrestricted)"
 OWN = "null do set_etalis_flag(event_consumption_policy, chronological) <- own(_).\n"

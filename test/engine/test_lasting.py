@@ -4,12 +4,18 @@ import random
 
 import pytest
 
-from retalis import Engine, PrologError, Settings, StreamClock, foreign
-from retalis.engine import Engine as Whole
-from retalis.engine import parts_of
-from retalis.engine.explaining import record_origins
-from retalis.foundation import UsageError
-from retalis.prolog.terms import functor, make_list, variables
+from retalis.engine.engine import Engine
+from retalis.engine.engine import Engine as Whole
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+from retalis.engine.runtime.clock import StreamClock
+from retalis.explanation.explain import record_origins
+from retalis.foundation.errors import UsageError
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.system.foreign_functions import foreign
+from retalis.prolog.terms.list_terms import make_list
+from retalis.prolog.terms.term_traversal import variables
+from retalis.prolog.terms.types import functor
 
 ALARM = "exceptionAlarm(late(X), 5) <- start(X).\nwarned(X) <- late(X)."
 

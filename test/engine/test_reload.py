@@ -4,11 +4,14 @@ import threading
 
 import pytest
 
-from retalis.engine import Engine, Settings, add_rule, delete_rule, parts_of
-from retalis.foundation import ProgramErrors, RetalisError, UsageError
-from retalis.prolog.foreign import foreign
-from retalis.prolog.machine import Limits
-from retalis.prolog.terms import Var, atom, functor
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+from retalis.engine.external_queries import add_rule, delete_rule
+from retalis.foundation.errors import ProgramErrors, RetalisError, UsageError
+from retalis.prolog.machine.resource_limits import Limits
+from retalis.prolog.system.foreign_functions import foreign
+from retalis.prolog.terms.types import Var, atom, functor
 
 FIRE = functor("fire", 1)
 

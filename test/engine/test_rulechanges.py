@@ -2,8 +2,9 @@
 
 import pytest
 
-from retalis.engine import Engine, add_rule, delete_rule
-from retalis.foundation import ProgramErrors, RetalisError, SyntaxFault, UsageError
+from retalis.engine.engine import Engine
+from retalis.engine.external_queries import add_rule, delete_rule
+from retalis.foundation.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError
 
 
 @pytest.fixture

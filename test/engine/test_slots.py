@@ -4,12 +4,12 @@ import struct
 
 import pytest
 
-from retalis.engine import Engine
-from retalis.engine.explaining import explain, record_origins
-from retalis.engine.runtime import Reports
-from retalis.events.program import read_topics
-from retalis.foundation import ProgramErrors
-from retalis.messages import Definitions, Installed
+from retalis.engine.engine import Engine
+from retalis.engine.runtime.problem_reports import Reports
+from retalis.events.program.program_folder import read_topics
+from retalis.explanation.explain import explain, record_origins
+from retalis.foundation.errors import ProgramErrors
+from retalis.messages.type_registry import Definitions, Installed
 
 POINT = "my_msgs__0__Point"
 RULES = f"""

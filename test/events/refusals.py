@@ -3,8 +3,8 @@
 import pytest
 from events.running import Program
 
-from retalis.engine import parts_of
-from retalis.foundation import ProgramErrors
+from retalis.engine.engine_parts import parts_of
+from retalis.foundation.errors import ProgramErrors
 
 
 def errors_of(rules):

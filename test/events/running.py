@@ -1,9 +1,13 @@
 """Programs over short streams, for tests: ``a@1 b(2)@3-5`` is a stream and an answer alike."""
 
-from retalis.engine import Engine, Settings, parts_of
-from retalis.engine.runtime import StreamClock
-from retalis.prolog.syntax import write_term
-from retalis.prolog.terms import SECOND, copy, functor, variables
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+from retalis.engine.runtime.clock import StreamClock
+from retalis.prolog.syntax.term_writer import write_term
+from retalis.prolog.terms.term_traversal import copy, variables
+from retalis.prolog.terms.timestamps import SECOND
+from retalis.prolog.terms.types import functor
 
 FUTURE = 1_000_000 * SECOND
 

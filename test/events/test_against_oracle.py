@@ -18,9 +18,9 @@ from oracle.patterns import Check, Cnot, Fnot, Sub, walk
 from oracle.strategies import cases, drawn_cases
 from oracle.text import stream, write_rule
 
-from retalis.events.matches import places, timeindex
-from retalis.prolog.terms import SECOND, atom, functor
-from retalis.prolog.terms.timestamps import datime, datime6, to_term
+from retalis.events.matches import interval_index, match_buffer
+from retalis.prolog.terms.timestamps import SECOND, datime, datime6, to_term
+from retalis.prolog.terms.types import atom, functor
 
 quick = settings(max_examples=60, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 
@@ -73,7 +73,7 @@ def test_oracle_with_operators_on_streams(case):
 @settings(quick, max_examples=150)
 @given(cases())
 def test_oracle_with_every_partner_looked_up_by_time(case):
-    with patch.multiple(places, FEW=0, FEWER=0), patch.object(timeindex, "FULL", 4):
+    with patch.multiple(match_buffer, FEW=0, FEWER=0), patch.object(interval_index, "FULL", 4):
         assert difference(case) is None
 
 

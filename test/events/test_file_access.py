@@ -8,10 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from retalis.engine import Engine, Settings, parts_of
-from retalis.engine.runtime import StreamClock
-from retalis.foundation import ProgramErrors, RetalisError
-from retalis.prolog.terms import CONS, NIL, atom, functor, make_list
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+from retalis.engine.runtime.clock import StreamClock
+from retalis.foundation.errors import ProgramErrors, RetalisError
+from retalis.prolog.terms.list_terms import make_list
+from retalis.prolog.terms.types import CONS, NIL, atom, functor
 
 SRC = Path(__file__).resolve().parents[2] / "src"
 
@@ -473,7 +476,7 @@ def test_what_is_swapped_before_it_is_opened_is_not_read(place, monkeypatch, goa
             swap(path, place / "outside")
         return real(opened, *arguments, **named)
 
-    monkeypatch.setattr(f"retalis.events.program.door.os.{hook}", swapping)
+    monkeypatch.setattr(f"retalis.events.program.file_sandbox.os.{hook}", swapping)
     text = told(lambda: engine.call(GOALS[goal]("sub/in.pl")))
     monkeypatch.undo()
     os.chdir(str(place / "here"))
@@ -500,7 +503,7 @@ def test_what_is_swapped_before_it_is_opened_is_not_written(place, monkeypatch, 
         calls.append(opened)
         return real(opened, *arguments, **named)
 
-    monkeypatch.setattr("retalis.events.program.door.os.open", swapping)
+    monkeypatch.setattr("retalis.events.program.file_sandbox.os.open", swapping)
     persistent(place, write_folders=(folder,))
     monkeypatch.undo()
     os.chdir(str(place / "here"))
@@ -513,7 +516,7 @@ SCRIPT = """
 import json, os, sys
 from events.test_file_access import GOALS, cases, engine_of, one
 from pathlib import Path
-from retalis.engine import parts_of
+from retalis.engine.engine_parts import parts_of
 from retalis import RetalisError, atom, functor
 
 place = Path(sys.argv[1])

@@ -5,9 +5,9 @@ import random
 import pytest
 from events.running import Program, fired, text_of
 
-from retalis import Engine
-from retalis.engine import parts_of
-from retalis.events.network.repeating import Repeating
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.events.network.repeat_node import RepeatNode
 
 POLICIES = ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")
 
@@ -198,7 +198,7 @@ def test_as_many_events_as_repetitions_cost_so_many_steps(policy, times):
     assert rule.waiting == times - 1
     assert program.feed(f"a(1,0)@{times}") == f"c(1)@0-{times}"
     assert program.feed(f"a(1,0)@{times + 1}") == f"c(1)@1-{times + 1}"
-    (node,) = [node for node, _, _ in rule.nodes if isinstance(node, Repeating)]
+    (node,) = [node for node, _, _ in rule.nodes if isinstance(node, RepeatNode)]
     assert node.visits == times + 1
 
 
@@ -208,7 +208,7 @@ def test_a_window_removes_what_is_too_old_from_the_longest_on():
         program.engine.event(f"a({at})", at, at)
     rule = parts_of(program.engine).rules.rules[0]
     assert rule.waiting == 10
-    (node,) = [node for node, _, _ in rule.nodes if isinstance(node, Repeating)]
+    (node,) = [node for node, _, _ in rule.nodes if isinstance(node, RepeatNode)]
     assert node.visits == 100
     assert sum(len(train.tokens) for train in node.trains.values()) <= 12
 
@@ -218,7 +218,7 @@ def test_of_values_that_do_not_wait_nothing_is_kept():
     for at in range(5000):
         program.engine.event(f"a({at})", at, at)
     (node,) = [
-        node for node, _, _ in parts_of(program.engine).rules.rules[0].nodes if isinstance(node, Repeating)
+        node for node, _, _ in parts_of(program.engine).rules.rules[0].nodes if isinstance(node, RepeatNode)
     ]
     assert len(node.trains) <= 11
 

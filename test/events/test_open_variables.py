@@ -5,7 +5,7 @@ from oracle.comparison import Case, answer, difference
 from oracle.matches import POLICIES
 from oracle.text import brief, rule, stream
 
-from retalis.prolog.terms import SECOND
+from retalis.prolog.terms.timestamps import SECOND
 
 TOLD_APART = [
     ("seq(seq(seq(d,star_times(b(V))),b(V)),star_times(a))", "d@8-16 b(1)@19-25 b(1)@30-32"),

@@ -6,10 +6,9 @@ from pathlib import Path
 import pytest
 from events.running import FUTURE, show, text_of
 
-from retalis.engine import Engine
-from retalis.engine.runtime import StreamClock
-from retalis.prolog.terms import SECOND
-from retalis.prolog.terms.timestamps import to_term
+from retalis.engine.engine import Engine
+from retalis.engine.runtime.clock import StreamClock
+from retalis.prolog.terms.timestamps import SECOND, to_term
 
 FILE = Path(__file__).parent.parent / "data" / "programs.txt"
 START = 978_307_200  # 2001

@@ -12,12 +12,16 @@ from events.contradictions import CONTRADICTED, Contradiction
 from events.running import text_of
 from parsing import parse_term
 
-from retalis.engine import Engine, Settings, parts_of
-from retalis.engine.runtime import StreamClock
-from retalis.foundation import RetalisError
-from retalis.prolog.syntax import Operators, read_term, write_term
-from retalis.prolog.terms import SECOND, atom, deref, functor
-from retalis.prolog.terms.timestamps import from_term, to_term
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+from retalis.engine.runtime.clock import StreamClock
+from retalis.foundation.errors import RetalisError
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_term
+from retalis.prolog.syntax.term_writer import write_term
+from retalis.prolog.terms.timestamps import SECOND, from_term, to_term
+from retalis.prolog.terms.types import atom, deref, functor
 
 FOLDER = Path(__file__).parent.parent / "data" / "scenarios"
 SCENARIOS = sorted(FOLDER.glob("*.json"))

@@ -5,11 +5,14 @@ from functools import partial
 import pytest
 from events import table
 
-from retalis.engine import Engine, parts_of
-from retalis.engine.explaining import explain
-from retalis.engine.runtime import StreamClock
-from retalis.prolog.syntax import Operators, read_term
-from retalis.prolog.terms import SECOND, atom
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.runtime.clock import StreamClock
+from retalis.explanation.explain import explain
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_term
+from retalis.prolog.terms.timestamps import SECOND
+from retalis.prolog.terms.types import atom
 
 POLICIES = ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")
 BEFORE = ("z", 0, 0.2)

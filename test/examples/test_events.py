@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from retalis.cli import main
-from retalis.events.language import OPERATORS
-from retalis.events.matches import Policy
+from retalis.cli.command_line import main
+from retalis.events.language.pattern_operators import OPERATORS
+from retalis.events.matches.partial_matches import ConsumptionPolicy
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "events"
 EXAMPLES = sorted(path.parent for path in FOLDER.glob("*/rules.txt"))
@@ -50,7 +50,7 @@ def test_every_operator_and_policy_has_one():
         "event_multiply",
     ]
     assert {*OPERATORS, *others} <= names
-    assert {f"policy_{policy.value}" for policy in Policy} <= names
+    assert {f"policy_{policy.value}" for policy in ConsumptionPolicy} <= names
 
 
 def test_the_index_names_all():

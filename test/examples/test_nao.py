@@ -17,9 +17,10 @@ import make_bag  # noqa: E402
 import nao_robot  # noqa: E402
 import nao_truth  # noqa: E402
 
-from retalis.engine.playback import BagReader  # noqa: E402
-from retalis.messages import Definitions, Installed  # noqa: E402
-from retalis.prolog.terms import deref, list_items  # noqa: E402
+from retalis.messages.type_registry import Definitions, Installed  # noqa: E402
+from retalis.playback.rosbag1 import BagReader  # noqa: E402
+from retalis.prolog.terms.list_terms import list_items  # noqa: E402
+from retalis.prolog.terms.types import deref  # noqa: E402  # noqa: E402
 
 pytestmark = pytest.mark.slow
 

@@ -49,7 +49,7 @@ from stream import Stream, reference  # noqa: E402
 from verdict import Restart, verdict  # noqa: E402
 
 from retalis import srv  # noqa: E402
-from retalis.ros.master import MasterWatch  # noqa: E402
+from retalis.ros.master_watch import MasterWatch  # noqa: E402
 
 NODES = {"retalis": "retalis_node", "retalis_ros_interface": "retalis_ros_converter.py"}
 IMAGES = '<subscribe_to name="camera" msg_type="sensor_msgs/Image"/>'

@@ -10,7 +10,8 @@ from geometry_msgs.msg import PoseStamped
 from harness import DEFINITIONS, RawPublisher
 from make_bag import START, make_bag
 
-from retalis.engine.playback import BagReader, Playback
+from retalis.playback.playback import Playback
+from retalis.playback.rosbag1 import BagReader
 
 SECONDS = 20
 """Length of the bag."""

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from retalis.foundation import PYPY, codegen
+from retalis.foundation import codegen
+from retalis.foundation.python_interpreter import PYPY
 
 AT_ONCE = not PYPY and getattr(sys, "_is_gil_enabled", lambda: True)()
 """Whether functions are freed as soon as nothing holds them; threads without a lock leave them to the collector."""
@@ -131,7 +132,7 @@ def test_a_function_that_nothing_holds_is_gone_at_once(make):
 
 
 def test_names_are_new_and_those_of_one_key_the_same():
-    names = codegen.Names({"given": 1})
+    names = codegen.BoundNames({"given": 1})
     assert names.name("v") == "v1"
     assert names.name("k", "text") == "k2"
     assert names.constant(None, "a") == names.constant(None, "a") == "k3"

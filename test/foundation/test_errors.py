@@ -5,8 +5,18 @@ from xml.etree import ElementTree
 
 import pytest
 
-from retalis.foundation import SHOWN, Place, beginning, counted, place_at, place_in, printable, printable_json
-from retalis.prolog.syntax import Operators, read_program
+from retalis.foundation.errors import (
+    SHOWN,
+    Place,
+    beginning,
+    counted,
+    place_at,
+    place_in,
+    printable,
+    printable_json,
+)
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_program
 
 
 @pytest.mark.parametrize(

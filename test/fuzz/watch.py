@@ -22,7 +22,7 @@ LOOKS = 0.1
 CODE_MAKERS = ("retalis.foundation.codegen",)
 """The modules that may compile and run source."""
 
-FINDERS = ("retalis.messages.installed",)
+FINDERS = ("retalis.messages.type_registry",)
 """The modules that look into the folders of ROS's packages for the names of message types."""
 
 PARSERS = ("ast",)

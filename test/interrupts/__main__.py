@@ -22,9 +22,9 @@ import time
 from collections import Counter
 from difflib import ndiff
 
-from retalis.engine import parts_of
-from retalis.foundation import RetalisError
-from retalis.prolog.terms import functor
+from retalis.engine.engine_parts import parts_of
+from retalis.foundation.errors import RetalisError
+from retalis.prolog.terms.types import functor
 
 from .checks import faults
 from .injection import AtBytecode, Interrupt, by_signal, looking_often, time_runs_out

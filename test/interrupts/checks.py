@@ -2,9 +2,9 @@
 
 from concurrent.futures import ThreadPoolExecutor
 
-from retalis.engine import parts_of
-from retalis.events.rules.timers import TimerAlarm
-from retalis.foundation import WATCH
+from retalis.engine.engine_parts import parts_of
+from retalis.events.rules.timer_service import TimerAlarm
+from retalis.foundation.cancellation import WATCH
 
 OTHER = ThreadPoolExecutor(1)
 """Another thread."""

@@ -8,11 +8,17 @@ from functools import lru_cache
 
 from events.running import text_of
 
-from retalis.engine import Engine, Settings, parts_of
-from retalis.engine.runtime import StreamClock
-from retalis.prolog.machine import Limits, PrologError
-from retalis.prolog.syntax import Operators, read_term
-from retalis.prolog.terms import SECOND, atom, copy
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+from retalis.engine.runtime.clock import StreamClock
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.machine.resource_limits import Limits
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_term
+from retalis.prolog.terms.term_traversal import copy
+from retalis.prolog.terms.timestamps import SECOND
+from retalis.prolog.terms.types import atom
 
 RULES = """
 :- table path/2.

@@ -6,10 +6,11 @@ from itertools import count
 import pytest
 from parsing import parse_term
 
-from retalis.engine import Engine, parts_of
-from retalis.engine.runtime import StreamClock
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.runtime.clock import StreamClock
 from retalis.events.knowledge.memory import Memory
-from retalis.prolog.terms import atom, functor
+from retalis.prolog.terms.types import atom, functor
 
 from .__main__ import Campaign
 from .checks import faults

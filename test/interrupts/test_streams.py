@@ -6,25 +6,20 @@ from pathlib import Path
 import pytest
 from events.streams.feeding import Came, item_of, listing
 
-from retalis.events import streams
-from retalis.events.streams import (
-    Batches,
-    Changing,
-    FromFirst,
-    Newest,
-    RunningWindow,
-    Settled,
-    Sliding,
-    Spaced,
-    SteppedWindow,
-    StepPlan,
-    StepTest,
-    WindowStep,
+from retalis.events.streams import stream_elements
+from retalis.events.streams.rate_operators import Debounce, DistinctUntilChanged, Throttle
+from retalis.events.streams.row_pattern import RowPatternNFA, RowPatternVariable, RowPatternWindow, StepTest
+from retalis.events.streams.windows import (
+    AnchoredTumblingWindow,
+    EagerTumblingWindow,
+    SlidingCountWindow,
+    SlidingTimeWindow,
+    TumblingCountWindow,
 )
 
 from .injection import Interrupt, Traced
 
-_SOURCE = str(Path(streams.__file__).parent)
+_SOURCE = str(Path(stream_elements.__file__).parent)
 
 
 class AtLine(Traced):
@@ -51,22 +46,22 @@ def at_instant(instant):
 
 def stepped():
     """Return a window of steps in which matches wait for one that is preferred."""
-    optional = WindowStep(0, 1, False, True, at_instant(15), at_instant(19))
-    plan = StepPlan([WindowStep(1, 1, False, False, (), ()), optional], [])
-    return SteppedWindow(listing, [None], plan)
+    optional = RowPatternVariable(0, 1, False, True, at_instant(15), at_instant(19))
+    plan = RowPatternNFA([RowPatternVariable(1, 1, False, False, (), ()), optional], [])
+    return RowPatternWindow(listing, [None], plan)
 
 
 OPERATORS = {
     "steps": stepped,
-    "last seconds": lambda: Sliding(listing, 5),
-    "last items": lambda: Newest(listing, 2),
-    "batches": lambda: Batches(listing, 3, False),
-    "from the first": lambda: FromFirst(listing, 4, False),
-    "present": lambda: RunningWindow(listing, 6),
-    "throttle": lambda: Spaced(4, False),
-    "burst": lambda: Spaced(2, True),
-    "debounce": lambda: Settled(4),
-    "change": Changing,
+    "last seconds": lambda: SlidingTimeWindow(listing, 5),
+    "last items": lambda: SlidingCountWindow(listing, 2),
+    "batches": lambda: TumblingCountWindow(listing, 3, False),
+    "from the first": lambda: AnchoredTumblingWindow(listing, 4, False),
+    "present": lambda: EagerTumblingWindow(listing, 6),
+    "throttle": lambda: Throttle(4, False),
+    "burst": lambda: Throttle(2, True),
+    "debounce": lambda: Debounce(4),
+    "change": DistinctUntilChanged,
 }
 BEFORE = [(10, "a"), (11, "b"), (12, "a")]
 AFTER = [(16, "a"), (17, "b"), (19, "a"), (30, "b")]

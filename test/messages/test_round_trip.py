@@ -10,9 +10,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from messages.wire import CODES, messages, serialize, to_term
-from retalis.messages import Definitions, Installed, encoding, text_writer
-from retalis.prolog.syntax import EventReader, Operators, ReadFlags, read_term, to_text
-from retalis.prolog.terms import freeze
+from retalis.messages import encoder
+from retalis.messages.message_to_text import text_writer
+from retalis.messages.type_registry import Definitions, Installed
+from retalis.prolog.syntax.event_text import EventReader, to_text
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_term
+from retalis.prolog.syntax.tokenizer import ReadFlags
+from retalis.prolog.terms.term_traversal import freeze
 
 INSTALLED = sorted(
     f"{path.parts[-3]}/{path.stem}"
@@ -266,8 +271,8 @@ def test_types_of_any_slots(slots, data):
     definition = definitions.add("test_msgs/Any", text + EVERYTHING[EVERYTHING.index("=") :])
     decoder = definitions.decoder(definition)
     write = text_writer(decoder)
-    with patch.object(encoding, "CheckingEncoder", _Refusing):
-        encode = encoding.Encoder(definition).encode
+    with patch.object(encoder, "CheckingEncoder", _Refusing):
+        encode = encoder.Encoder(definition).encode
     for values in data.draw(st.lists(messages(definition, printable), min_size=1, max_size=3)):
         values = _without_codes(definition, values)
         raw = serialize(definition, values)

@@ -4,11 +4,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retalis.foundation import SyntaxFault, UsageError
-from retalis.messages import Definitions, Installed, SlotNames
-from retalis.prolog.logic import Logic
-from retalis.prolog.syntax import Operators, ReadFlags, read_term, to_text
-from retalis.prolog.terms import term_key
+from retalis.foundation.errors import SyntaxFault, UsageError
+from retalis.messages.field_names import SlotNames
+from retalis.messages.type_registry import Definitions, Installed
+from retalis.prolog.syntax.event_text import to_text
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_term
+from retalis.prolog.syntax.tokenizer import ReadFlags
+from retalis.prolog.system.prolog_system import PrologSystem
+from retalis.prolog.terms.term_traversal import term_key
 
 DEFINITIONS = Definitions(Installed(packages=[], modules=[], rosbags=False))
 DEFINITIONS.add("my_msgs/Point", "float64 x\nfloat64 y\n")
@@ -30,7 +34,7 @@ def slots():
     return known
 
 
-PROGRAM = Logic()
+PROGRAM = PrologSystem()
 KNOWING = PROGRAM.operators
 KNOWING.slots = slots()
 

@@ -3,10 +3,13 @@
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from retalis.foundation import MessageError
-from retalis.messages import Definitions, SlotNames, by_names, positional, zero
-from retalis.prolog.syntax import Operators, read_term
-from retalis.prolog.terms import Var, deref, term_key
+from retalis.foundation.errors import MessageError
+from retalis.messages.field_names import SlotNames, by_names, positional, zero
+from retalis.messages.type_registry import Definitions
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_term
+from retalis.prolog.terms.term_traversal import term_key
+from retalis.prolog.terms.types import Var, deref
 
 DEFINITIONS = Definitions()
 OPERATORS = Operators.prolog()

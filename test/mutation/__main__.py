@@ -30,17 +30,17 @@ ROOT = Path(__file__).resolve().parents[2]
 EQUIVALENT = Path(__file__).with_name("equivalent.txt")
 
 GROUPS = {
-    "matches": ("events/matches/*.py", "events/network/joining.py", "events/network/rule.py"),
-    "dispatch": ("events/dispatch/*.py", "events/fused/*.py", "engine/intake.py"),
+    "matches": ("events/matches/*.py", "events/network/join_node.py", "events/network/event_rule.py"),
+    "dispatch": ("events/dispatch/*.py", "events/fused/*.py", "engine/event_input.py"),
     "encoding": ("messages/*.py",),
     "memories": ("events/knowledge/*.py",),
     "limits": (
-        "prolog/machine/budget.py",
-        "prolog/machine/limits.py",
-        "events/network/limits.py",
+        "prolog/machine/resource_limits.py",
+        "prolog/machine/resource_limits.py",
+        "events/network/retention.py",
         "engine/runtime/watchdog.py",
     ),
-    "files": ("events/program/door.py", "events/program/files.py"),
+    "files": ("events/program/file_sandbox.py", "events/program/source_files.py"),
 }
 """Paths below ``src/retalis`` that matter most, by subject. Each subject gives the same number of mutants."""
 

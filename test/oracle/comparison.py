@@ -12,11 +12,13 @@ from dataclasses import fields, replace
 from itertools import count
 from typing import Any, Callable, Collection, Iterable, Iterator, List, Optional, Sequence, Tuple
 
-from retalis.engine import Engine, parts_of
-from retalis.engine.runtime import StreamClock
-from retalis.events.matches import places, timeindex
-from retalis.foundation import RetalisError
-from retalis.prolog.terms import SECOND, Term, atom, functor
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.runtime.clock import StreamClock
+from retalis.events.matches import interval_index, match_buffer
+from retalis.foundation.errors import RetalisError
+from retalis.prolog.terms.timestamps import SECOND
+from retalis.prolog.terms.types import Term, atom, functor
 
 from . import revision
 from .goals import show
@@ -240,7 +242,7 @@ def main() -> int:
     options = parser.parse_args()
     logging.disable(logging.CRITICAL)
     if options.index:
-        places.FEW, places.FEWER, timeindex.FULL = 0, 0, 4
+        match_buffer.FEW, match_buffer.FEWER, interval_index.FULL = 0, 0, 4
     begin = time.time()
     kinds: Any = Counter()
     differing = 0

@@ -16,35 +16,33 @@ from random import Random
 from typing import Any, Callable, ContextManager, Dict, Iterator, List, NamedTuple, Optional, Tuple
 from unittest.mock import patch
 
-from events.knowledge.test_states import ALARM, Definition
-from events.knowledge.test_states import run as watching
+from events.knowledge.test_event_states import ALARM, Definition
+from events.knowledge.test_event_states import run as watching
 from events.network.test_replaying import RULES, standing
 from events.network.test_replaying import stream as events_to_take_back
-from events.streams.test_stepping import VALUE, expected, fired, rule_of
+from events.streams.test_row_pattern import VALUE, expected, fired, rule_of
 
-from retalis.engine import Engine
-from retalis.engine.runtime import Clock
-from retalis.events.knowledge.states import DeclaredState
-from retalis.events.network import streambuilding
-from retalis.events.network.streaming import Streaming
-from retalis.events.rules.deadlines import Deadlines
-from retalis.events.rules.rules import Rules
-from retalis.events.streams import (
-    Awaiting,
-    Batches,
-    Changing,
-    FromFirst,
-    Hopping,
-    Newest,
-    Settled,
-    Sliding,
-    Spaced,
-    SteppedWindow,
-    StepPlan,
-    stepping,
+from retalis.engine.engine import Engine
+from retalis.engine.runtime.clock import Clock
+from retalis.events.knowledge.event_states import DeclaredState
+from retalis.events.network import stream_compiler
+from retalis.events.network.stream_node import StreamNode
+from retalis.events.rules.rule_base import RuleBase
+from retalis.events.rules.timer_service import NodeTimers
+from retalis.events.streams import row_pattern
+from retalis.events.streams.absence_timeout import AbsenceTimeout
+from retalis.events.streams.rate_operators import Debounce, DistinctUntilChanged, Throttle
+from retalis.events.streams.row_pattern import RowPatternNFA, RowPatternWindow
+from retalis.events.streams.stream_elements import StreamElement, StreamOutput
+from retalis.events.streams.windows import (
+    AnchoredTumblingWindow,
+    HoppingWindow,
+    SlidingCountWindow,
+    SlidingTimeWindow,
+    TumblingCountWindow,
 )
-from retalis.events.streams.items import StreamItem, StreamOutput
-from retalis.prolog.terms import SECOND, list_items, make_list
+from retalis.prolog.terms.list_terms import list_items, make_list
+from retalis.prolog.terms.timestamps import SECOND
 
 from .comparison import difference
 from .patterns import Awaited, Shaped, Windowed, pattern_variables, walk
@@ -212,12 +210,12 @@ def steps(seed: int) -> bool:
 
 def window(name: str, made: Callable[[Any, Any], Any]) -> Callable[[], ContextManager[Any]]:
     """Have another window in the place of one."""
-    return lambda: patch.dict(streambuilding._WINDOWS, {name: made})
+    return lambda: patch.dict(stream_compiler._WINDOWS, {name: made})
 
 
 def shape(name: str, made: Callable[[int], Any]) -> Callable[[], ContextManager[Any]]:
     """Have another shape in the place of one."""
-    return lambda: patch.dict(streambuilding._SHAPES, {name: made})
+    return lambda: patch.dict(stream_compiler._SHAPES, {name: made})
 
 
 def method(owner: Any, name: str, made: Any) -> Callable[[], ContextManager[Any]]:
@@ -229,18 +227,18 @@ def nothing(*_: Any) -> None:
     """Do nothing."""
 
 
-class Unchanged(Changing):
+class Unchanged(DistinctUntilChanged):
     """Lets everything through."""
 
-    def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
+    def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
         return [StreamOutput((item,), item.start, item.end)]
 
 
-class Unsettled(Settled):
+class Unsettled(Debounce):
     """Has everything wait by itself."""
 
-    def take(self, item: StreamItem, now: int, channel: int) -> List[StreamOutput]:
+    def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
         item.key = object()
         return super().take(item, now, channel)
@@ -249,13 +247,13 @@ class Unsettled(Settled):
 @contextmanager
 def one_key() -> Iterator[None]:
     """Have everything be of the same group."""
-    begin = StreamItem.__init__
+    begin = StreamElement.__init__
 
-    def same(item: StreamItem, *arguments: Any) -> None:
+    def same(item: StreamElement, *arguments: Any) -> None:
         begin(item, *arguments)
         item.key = ()
 
-    with patch.object(StreamItem, "__init__", same):
+    with patch.object(StreamElement, "__init__", same):
         yield
 
 
@@ -273,15 +271,15 @@ def after_the_event(clock: Clock, until: Optional[int] = None) -> Any:
     return instant, alarm
 
 
-def younger_first(deadlines: Deadlines, node: Any, instant: int) -> None:
+def younger_first(deadlines: NodeTimers, node: Any, instant: int) -> None:
     """Have nodes of younger rules, and those further right or above, ring first."""
     entry = (instant, -node.rule.serial, -node.place, next(deadlines._numbers), node)
     heapq.heappush(deadlines._heap, entry)
     deadlines._arm()
 
 
-takers = SteppedWindow._takers
-listed, planned = StepPlan._listed, StepPlan.__init__
+takers = RowPatternWindow._takers
+listed, planned = RowPatternNFA._listed, RowPatternNFA.__init__
 
 
 def never_later(plan: Any, own: Any, marks: Any) -> None:
@@ -289,7 +287,7 @@ def never_later(plan: Any, own: Any, marks: Any) -> None:
     planned(plan, [one._replace(later=False) for one in own], marks)
 
 
-def later_steps_first(window: Any, way: Any, item: StreamItem) -> Any:
+def later_steps_first(window: Any, way: Any, item: StreamElement) -> Any:
     """Have what is preferred least be tried first."""
     found, passing = takers(window, way, item)
     return found[::-1], passing
@@ -313,48 +311,52 @@ def never_over(stream: Any, instant: int) -> List[StreamOutput]:
 
 LONG = 10**9
 MECHANISMS: Dict[str, Mechanism] = {
-    "a window by time lets go": Mechanism(method(Sliding, "_leave_before", nothing), windows("last")),
+    "a window by time lets go": Mechanism(
+        method(SlidingTimeWindow, "_leave_before", nothing), windows("last")
+    ),
     "a window by number lets go": Mechanism(
-        window("newest", lambda make, form: Newest(make, LONG)), windows("newest")
+        window("newest", lambda make, form: SlidingCountWindow(make, LONG)), windows("newest")
     ),
     "a batch is full": Mechanism(
-        window("batch", lambda make, form: Batches(make, LONG, form.running)),
+        window("batch", lambda make, form: TumblingCountWindow(make, LONG, form.running)),
         windows("batch", "running_batch"),
     ),
-    "a hopping window lets go": Mechanism(method(Hopping, "_leave_before", nothing), windows("every")),
+    "a hopping window lets go": Mechanism(method(HoppingWindow, "_leave_before", nothing), windows("every")),
     "a window from the first on is over": Mechanism(
-        method(FromFirst, "_close", never_over), windows("first", "running_first")
+        method(AnchoredTumblingWindow, "_close", never_over), windows("first", "running_first")
     ),
     "groups and keys": Mechanism(one_key, oracle_about(has_key)),
-    "stamps too far ahead": Mechanism(method(Rules, "newest_allowed", lambda rules: 1 << 64), ahead),
-    "the clock rings": Mechanism(method(Deadlines, "_ring", nothing), oracle_about(is_clocked)),
+    "stamps too far ahead": Mechanism(method(RuleBase, "newest_allowed", lambda rules: 1 << 64), ahead),
+    "the clock rings": Mechanism(method(NodeTimers, "_ring", nothing), oracle_about(is_clocked)),
     "older rules and lower patterns ring first": Mechanism(
-        method(Deadlines, "add", younger_first), oracle_about(is_clocked, 2)
+        method(NodeTimers, "add", younger_first), oracle_about(is_clocked, 2)
     ),
     "what must not happen ends a wait": Mechanism(
-        method(Awaiting, "_rule_out", nothing), oracle_about(lambda node: isinstance(node, Awaited))
+        method(AbsenceTimeout, "_rule_out", nothing), oracle_about(lambda node: isinstance(node, Awaited))
     ),
     "only of the same key": Mechanism(
-        lambda: patch.object(streambuilding, "key_function", lambda places: lambda values: ()),
+        lambda: patch.object(stream_compiler, "key_function", lambda places: lambda values: ()),
         oracle_about(shares),
     ),
-    "throttle remembers": Mechanism(shape("throttle", lambda span: Spaced(0, False)), shapes("throttle")),
-    "burst remembers": Mechanism(shape("burst", lambda span: Spaced(0, True)), shapes("burst")),
+    "throttle remembers": Mechanism(shape("throttle", lambda span: Throttle(0, False)), shapes("throttle")),
+    "burst remembers": Mechanism(shape("burst", lambda span: Throttle(0, True)), shapes("burst")),
     "debounce starts anew": Mechanism(shape("debounce", Unsettled), shapes("debounce")),
     "change remembers": Mechanism(shape("change", lambda span: Unchanged()), shapes("change")),
     "operators run again without what is taken back": Mechanism(
-        method(Streaming, "unmade", lambda node: []), replays
+        method(StreamNode, "unmade", lambda node: []), replays
     ),
     "an event ends a state": Mechanism(method(DeclaredState, "_over", nothing), states(None)),
     "time ends a state": Mechanism(method(DeclaredState, "_time_over", nothing), states(3)),
     "timers of one instant ring as they were set": Mechanism(method(Clock, "call_at", later_first), timers),
     "timers ring before an event of their instant": Mechanism(method(Clock, "due", after_the_event), timers),
-    "later steps pass over": Mechanism(method(StepPlan, "__init__", never_later), steps),
-    "steps are tried in their order": Mechanism(method(SteppedWindow, "_takers", later_steps_first), steps),
-    "reluctant steps take few": Mechanism(method(StepPlan, "_listed", never_reluctant), steps),
-    "steps end": Mechanism(lambda: patch.object(stepping, "ends", lambda *_: False), steps),
+    "later steps pass over": Mechanism(method(RowPatternNFA, "__init__", never_later), steps),
+    "steps are tried in their order": Mechanism(
+        method(RowPatternWindow, "_takers", later_steps_first), steps
+    ),
+    "reluctant steps take few": Mechanism(method(RowPatternNFA, "_listed", never_reluctant), steps),
+    "steps end": Mechanism(lambda: patch.object(row_pattern, "ends", lambda *_: False), steps),
     "conditions of steps look back": Mechanism(
-        method(StepPlan, "marked", lambda plan, marks, at, item: (item,) * len(marks)), steps
+        method(RowPatternNFA, "marked", lambda plan, marks, at, item: (item,) * len(marks)), steps
     ),
 }
 

@@ -8,7 +8,8 @@ from collections import Counter
 from dataclasses import dataclass, fields, replace
 from typing import Any, Dict, Iterable, Iterator, List, Optional, Tuple
 
-from retalis.prolog.terms import NIL, Term, Var, rebuild, variables
+from retalis.prolog.terms.term_traversal import rebuild, variables
+from retalis.prolog.terms.types import NIL, Term, Var
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,11 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
 
-from retalis.prolog.syntax import Operators, read_program, read_term
-from retalis.prolog.terms import SECOND, Term, conjuncts, deref, list_items
-from retalis.prolog.terms.timestamps import from_term
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_program, read_term
+from retalis.prolog.terms.list_terms import conjuncts, list_items
+from retalis.prolog.terms.timestamps import SECOND, from_term
+from retalis.prolog.terms.types import Term, deref
 
 from .goals import show
 from .patterns import Check, Do, Multiply, Rule, Where, walk

@@ -6,7 +6,8 @@ A step is the term ``step(Name, Least, Most, Mode, Where, Goal, Until)``: Most i
 
 from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple
 
-from retalis.prolog.terms import Atom, Term, Var, list_items
+from retalis.prolog.terms.list_terms import list_items
+from retalis.prolog.terms.types import Atom, Term, Var
 
 from .goals import Bindings, first, instance, value_of
 

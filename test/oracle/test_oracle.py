@@ -11,7 +11,8 @@ from oracle.goals import GoalError, number
 from oracle.matches import POLICIES
 from oracle.text import brief, rule, stream
 
-from retalis.prolog.syntax import Operators, read_term
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_term
 
 
 def fired(pattern, events, head="out", policy="recent", out_of_order=False, expiry=True, **options):

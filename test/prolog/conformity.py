@@ -7,22 +7,16 @@ import functools
 from pathlib import Path
 from typing import Any, Iterator, List, NamedTuple, Tuple
 
-from retalis.foundation import SyntaxFault
-from retalis.prolog.logic import Logic
-from retalis.prolog.machine import Limits, PrologError
-from retalis.prolog.syntax import ReadFlags, read_program, read_term, write_term
-from retalis.prolog.terms import (
-    Term,
-    atom,
-    conjuncts,
-    copy,
-    deref,
-    functor,
-    list_items,
-    make_list,
-    rebuild,
-    variables,
-)
+from retalis.foundation.errors import SyntaxFault
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.machine.resource_limits import Limits
+from retalis.prolog.syntax.term_reader import read_program, read_term
+from retalis.prolog.syntax.term_writer import write_term
+from retalis.prolog.syntax.tokenizer import ReadFlags
+from retalis.prolog.system.prolog_system import PrologSystem
+from retalis.prolog.terms.list_terms import conjuncts, list_items, make_list
+from retalis.prolog.terms.term_traversal import copy, rebuild, variables
+from retalis.prolog.terms.types import Term, atom, deref, functor
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "conformity"
 ISO = ReadFlags(double_quotes="codes", iso=True)
@@ -66,9 +60,9 @@ def clauses(file: str) -> str:
     return "\n".join(line[2:] for line in lines if line.startswith("| "))
 
 
-def prepared(program: str) -> Tuple[Logic, List[str]]:
+def prepared(program: str) -> Tuple[PrologSystem, List[str]]:
     """Return a Prolog in the standard's mode with a program, and the list that collects what it writes."""
-    logic = Logic()
+    logic = PrologSystem()
     logic.limits = Limits(inferences=2_000_000)
     written: List[str] = []
     logic.output = logic.error_output = written.append
@@ -101,7 +95,7 @@ def agrees(case: Case, program: str = "") -> Tuple[bool, str]:
     return _binds(logic, goal, case.answer)
 
 
-def _raises(logic: Logic, goal: Term, kind: str, rest: str) -> Tuple[bool, str]:
+def _raises(logic: PrologSystem, goal: Term, kind: str, rest: str) -> Tuple[bool, str]:
     try:
         return False, "true" if logic.once(goal) else "false"
     except PrologError as error:
@@ -114,7 +108,7 @@ def _raises(logic: Logic, goal: Term, kind: str, rest: str) -> Tuple[bool, str]:
     return logic.machine.unify(copy(ball), expected) if "_)" in rest else _same(ball, expected), _text(ball)
 
 
-def _prints(logic: Logic, goal: Term, written: List[str], rest: str) -> Tuple[bool, str]:
+def _prints(logic: PrologSystem, goal: Term, written: List[str], rest: str) -> Tuple[bool, str]:
     try:
         succeeded = logic.once(goal)
     except PrologError as error:
@@ -123,7 +117,7 @@ def _prints(logic: Logic, goal: Term, written: List[str], rest: str) -> Tuple[bo
     return succeeded and text.strip() == rest.strip(), text if succeeded else "false"
 
 
-def _binds(logic: Logic, goal: Any, answer: str) -> Tuple[bool, str]:
+def _binds(logic: PrologSystem, goal: Any, answer: str) -> Tuple[bool, str]:
     expected = read_term(answer, logic.operators, flags=ISO)
     names = list(dict.fromkeys(name for name in goal.names if name in expected.names))
     solutions = _alternatives(expected.term)

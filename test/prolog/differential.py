@@ -17,11 +17,14 @@ from generated import Generator  # noqa: E402
 from reasons import REASONS, reason  # noqa: E402, F401
 from swipl import ask  # noqa: E402
 
-from retalis.foundation import SyntaxFault, TermTooLarge  # noqa: E402
-from retalis.prolog.logic import Logic  # noqa: E402
-from retalis.prolog.machine import Limits, PrologError  # noqa: E402
-from retalis.prolog.syntax import read_term, write_term  # noqa: E402
-from retalis.prolog.terms import String, copy, functor, variables  # noqa: E402
+from retalis.foundation.errors import SyntaxFault, TermTooLarge  # noqa: E402
+from retalis.prolog.machine.errors import PrologError  # noqa: E402
+from retalis.prolog.machine.resource_limits import Limits  # noqa: E402  # noqa: E402
+from retalis.prolog.syntax.term_reader import read_term  # noqa: E402
+from retalis.prolog.syntax.term_writer import write_term  # noqa: E402  # noqa: E402
+from retalis.prolog.system.prolog_system import PrologSystem  # noqa: E402
+from retalis.prolog.terms.term_traversal import copy, variables  # noqa: E402
+from retalis.prolog.terms.types import String, functor  # noqa: E402  # noqa: E402
 
 RECORD = Path(__file__).with_name("goals_kinds.tsv")
 MOST = 5
@@ -34,7 +37,7 @@ _NUMBERED = functor("$VAR", 1)
 
 def answer(text: str) -> str:
     """Return the answers to a goal here: the list of instantiated goals, or the error term; and what it printed."""
-    logic = Logic()
+    logic = PrologSystem()
     logic.limits = Limits(inferences=200_000, seconds=5, megabytes=300)
     output: List[str] = []
     logic.output = output.append
@@ -53,7 +56,7 @@ def answer(text: str) -> str:
     return found + (f" printed {write_term(String(printed))}" if printed else "")
 
 
-def solutions(logic: Logic, goal: object) -> str:
+def solutions(logic: PrologSystem, goal: object) -> str:
     """Return the instances of a goal that are true."""
     found = []
     for _ in logic.solutions(goal):

@@ -2,17 +2,19 @@
 
 from typing import Any, Dict, List
 
-from retalis.prolog.logic import Logic
-from retalis.prolog.machine import PrologError
-from retalis.prolog.syntax import read_program, read_term, write_term
-from retalis.prolog.terms import Term, copy, functor, variables
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.syntax.term_reader import read_program, read_term
+from retalis.prolog.syntax.term_writer import write_term
+from retalis.prolog.system.prolog_system import PrologSystem
+from retalis.prolog.terms.term_traversal import copy, variables
+from retalis.prolog.terms.types import Term, functor
 
 NEVER = 1 << 60
 
 
-def prolog(program: str = "", compile_after: int = 0) -> Logic:
+def prolog(program: str = "", compile_after: int = 0) -> PrologSystem:
     """Return a Prolog with a program; by default all of it is compiled at its first call."""
-    logic = Logic(compile_after=compile_after)
+    logic = PrologSystem(compile_after=compile_after)
     problems: List[str] = []
     for read in read_program(program, logic.operators, "program.pl"):
         if isinstance(read, Exception):
@@ -22,7 +24,7 @@ def prolog(program: str = "", compile_after: int = 0) -> Logic:
     return logic
 
 
-def answers(logic: Logic, text: str, most: int = 20) -> List[Any]:
+def answers(logic: PrologSystem, text: str, most: int = 20) -> List[Any]:
     """Return for each solution the texts of the goal's variables; an error is the text of its term, at the end."""
     read = read_term(text, logic.operators)
     found: List[Any] = []
@@ -51,7 +53,7 @@ def show(term: Term) -> str:
     return write_term(numbered, numbervars=True)
 
 
-def first(logic: Logic, text: str) -> Any:
+def first(logic: PrologSystem, text: str) -> Any:
     """Return the first solution's values: the only one if there is one variable, None for failure."""
     found = answers(logic, text, 1)
     if not found:

@@ -5,16 +5,21 @@ import random
 import pytest
 from prolog.support import prolog
 
-from retalis.foundation import watched_by
-from retalis.prolog.builtins import ordering
-from retalis.prolog.builtins.ordering import order_of
-from retalis.prolog.builtins.strings import _split, _words
-from retalis.prolog.builtins.text import each
-from retalis.prolog.compiler import CALL
-from retalis.prolog.machine import NO_LIMITS, Limits, PrologError, type_error
-from retalis.prolog.syntax import read_term, writeq
-from retalis.prolog.syntax.numerals import integer, integer_text
-from retalis.prolog.terms import String, Var, atom, compare, copy, functor, is_ground, make_list, unify
+from retalis.foundation.cancellation import watched_by
+from retalis.prolog.builtins import list_predicates
+from retalis.prolog.builtins.atoms_and_strings import _split, _words
+from retalis.prolog.builtins.list_predicates import order_of
+from retalis.prolog.builtins.text_arguments import each
+from retalis.prolog.compiler.clause_nodes import CALL
+from retalis.prolog.machine.errors import PrologError, type_error
+from retalis.prolog.machine.resource_limits import NO_LIMITS, Limits
+from retalis.prolog.syntax.literals import integer, integer_text
+from retalis.prolog.syntax.term_reader import read_term
+from retalis.prolog.syntax.term_writer import writeq
+from retalis.prolog.terms.list_terms import make_list
+from retalis.prolog.terms.term_traversal import copy, is_ground
+from retalis.prolog.terms.types import String, Var, atom, functor
+from retalis.prolog.terms.unification import compare, unify
 
 PROGRAM = """
 wide(T, N) :- length(L, 60), foldl([_,A,f(A,A)]>>true, L, N, T).
@@ -284,7 +289,7 @@ def test_what_is_allocated_in_one_piece_is_announced(logic, goal):
 @pytest.mark.parametrize("make", [int, str])
 @pytest.mark.parametrize("distinct", [1, 7, 10**9])
 def test_a_long_list_is_sorted_in_chunks(monkeypatch, make, distinct):
-    monkeypatch.setattr(ordering, "_CHUNK", 64)
+    monkeypatch.setattr(list_predicates, "_CHUNK", 64)
     chance = random.Random(distinct)
     for size in (0, 1, 63, 64, 65, 640, 3000):
         keys = [make(chance.randrange(distinct)) for _ in range(size)]
@@ -293,7 +298,7 @@ def test_a_long_list_is_sorted_in_chunks(monkeypatch, make, distinct):
 
 
 def test_sorting_is_looked_at_while_it_lasts(monkeypatch):
-    monkeypatch.setattr(ordering, "_CHUNK", 64)
+    monkeypatch.setattr(list_predicates, "_CHUNK", 64)
     looks = []
     before = watched_by(lambda work, size: looks.append(work))
     try:

@@ -2,9 +2,9 @@
 
 from prolog.support import answers, first, prolog
 
-from retalis.prolog.logic import Logic
-from retalis.prolog.syntax import read_term
-from retalis.prolog.terms import Var, functor
+from retalis.prolog.syntax.term_reader import read_term
+from retalis.prolog.system.prolog_system import PrologSystem
+from retalis.prolog.terms.types import Var, functor
 
 PROGRAM = """
 go(X) :- helper(X, Y), facts(Y).
@@ -44,7 +44,7 @@ def test_a_goal_is_ready_at_the_end_of_preparing():
 
 
 def test_a_goal_whose_predicates_come_later_is_made_when_it_is_asked():
-    logic = Logic()
+    logic = PrologSystem()
     x = Var()
     with logic.preparing(lambda: [(GO, x)]):
         goal = logic.compile_goal((GO, x), [x])

@@ -17,13 +17,17 @@ from typing import Any, Dict, Iterator, List, Tuple
 
 import pytest
 
-from retalis.engine import Engine
-from retalis.foundation import TermTooLarge
-from retalis.prolog.database import COMPILE_AFTER, NEVER, Database
-from retalis.prolog.logic import Logic
-from retalis.prolog.machine import PrologError
-from retalis.prolog.syntax import read_program, read_term, write_term
-from retalis.prolog.terms import copy, functor, variables
+from retalis.engine.engine import Engine
+from retalis.foundation.errors import TermTooLarge
+from retalis.prolog.database.clause_index import NEVER
+from retalis.prolog.database.database import Database
+from retalis.prolog.database.predicate import COMPILE_AFTER
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.syntax.term_reader import read_program, read_term
+from retalis.prolog.syntax.term_writer import write_term
+from retalis.prolog.system.prolog_system import PrologSystem
+from retalis.prolog.terms.term_traversal import copy, variables
+from retalis.prolog.terms.types import functor
 
 WAYS = {"never": NEVER, "at once": 0, "default": COMPILE_AFTER}
 SUITES = (
@@ -31,7 +35,7 @@ SUITES = (
     "test/events",
     "test/events/knowledge",
     "test/engine/test_engine.py",
-    "test/events/program/test_folder.py",
+    "test/events/program/test_program_folder.py",
 )
 _ERROR = functor("error", 2)
 
@@ -55,7 +59,7 @@ def fault(error: PrologError) -> str:
 
 def answers(program: str, goal: str, compile_after: int, most: int = 30) -> List[str]:
     """Return the answers to a goal that is the body of a clause, and those when it is called again."""
-    logic = Logic(compile_after=compile_after)
+    logic = PrologSystem(compile_after=compile_after)
     logic.output = logic.error_output = lambda text: None
     for read in read_program(program, logic.operators, "program"):
         logic.load([(read.term, read.place)], lambda message, place: None)
@@ -94,7 +98,7 @@ class Recorder:
         self._patch(WAYS[way])
 
     def _patch(self, compile_after: int) -> None:
-        init, solutions, made = Database.__init__, Logic.solutions, Engine.__init__
+        init, solutions, made = Database.__init__, PrologSystem.solutions, Engine.__init__
         recorder = self
 
         def database(self: Any, machine: Any, _: int = 0) -> None:
@@ -119,7 +123,7 @@ class Recorder:
             self.on_event(lambda term, start, end: recorder._lines.append(f"{shown(term)} {start} {end}"))
 
         Database.__init__ = database  # type: ignore[method-assign]
-        Logic.solutions = noted  # type: ignore[method-assign]
+        PrologSystem.solutions = noted  # type: ignore[method-assign]
         Engine.__init__ = engine  # type: ignore[method-assign]
 
     @pytest.hookimpl(hookwrapper=True)

@@ -8,8 +8,8 @@ from xmlrpc.client import Error, ServerProxy
 import rospy
 from std_msgs.msg import String
 
-from retalis.messages import Definitions
-from retalis.ros.raw import raw_class
+from retalis.messages.type_registry import Definitions
+from retalis.ros.connection_writer import raw_class
 from retalis.srv import AddInputSubscription, AddOutputSubscription
 
 PATIENCE = 60.0

@@ -9,8 +9,7 @@ import rospy
 import yaml
 
 from retalis.ros import diagnostics
-from retalis.ros.diagnostics import Diagnostics
-from retalis.ros.health import Health, Level, NodeHealth
+from retalis.ros.diagnostics import Diagnostics, Health, Level, NodeHealth
 
 HEALTH = NodeHealth(list, list, lambda: [Health("queue", Level.WARN, "two\nlines", [("a", "\x1b[31m")])])
 

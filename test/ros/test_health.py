@@ -2,13 +2,13 @@
 
 import pytest
 
-from retalis.engine import Engine, Work
-from retalis.ros.counting import InputCounts, InputStatus, OutputStatus
-from retalis.ros.health import (
+from retalis.engine.engine import Engine
+from retalis.engine.engine_status import Work
+from retalis.ros.diagnostics import (
     LISTED,
-    MOST_TOPICS,
-    QUIET,
+    MAX_REPORTED_TOPICS,
     RECENT,
+    STALE_AFTER_SECONDS,
     Changes,
     EngineHealth,
     InputHealth,
@@ -19,6 +19,7 @@ from retalis.ros.health import (
     output_health,
     program_health,
 )
+from retalis.ros.topic_statistics import InputCounts, InputStatus, OutputStatus
 
 TOPIC = InputStatus("/tf", "tf/tfMessage", 1, 0, 0, 0, None, None)
 
@@ -78,7 +79,7 @@ def test_a_latched_topic_does_not_become_stale():
     health = InputHealth(Changes())
     for now in range(0, 1000, 100):
         assert health.of(now, TOPIC._replace(messages=1, age=float(now))).level is Level.OK
-    assert QUIET < 1000
+    assert STALE_AFTER_SECONDS < 1000
 
 
 def test_a_topic_that_is_subscribed_anew_is_judged_anew():
@@ -176,7 +177,7 @@ def test_of_many_topics_those_that_somebody_has_to_look_at_are_told_of():
     topics = [*(TOPIC._replace(topic=f"/t{at}") for at in range(300)), TOPIC._replace(publishers=0), wrong]
     found = NodeHealth(lambda: topics, list, list).look()
     assert [one.name for one in found[:2]] == ["input /wrong", "input /tf"]
-    assert len(found) == MOST_TOPICS + 2
+    assert len(found) == MAX_REPORTED_TOPICS + 2
     assert found[-2].name == "further inputs" and found[-2].message.startswith("102 ")
 
 
@@ -217,7 +218,7 @@ def test_a_node_tells_of_everything():
 
 
 def test_the_lag_is_that_of_a_message_with_a_stamp(monkeypatch):
-    monkeypatch.setattr("retalis.ros.counting.ros_now", lambda: 5_000)
+    monkeypatch.setattr("retalis.ros.topic_statistics.ros_now", lambda: 5_000)
     counts = InputCounts()
     counts.look(lambda data: 3_000, b"")
     assert (counts.lag, counts.wanted) == (2_000, False)

@@ -2,8 +2,8 @@
 
 import pytest
 
-from retalis.foundation import UsageError
-from retalis.prolog.swi.binding import find_library
+from retalis.foundation.errors import UsageError
+from retalis.prolog.swi.libswipl import find_library
 
 KB = """\
 :- module(doors, [way/2, forever/0]).

@@ -5,8 +5,9 @@ from typing import NamedTuple, Tuple
 
 from harness import DEFINITIONS
 
-from retalis.engine.playback import BagWriter
-from retalis.prolog.syntax import Operators, read_term
+from retalis.playback.rosbag1 import BagWriter
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_term
 
 SECOND = 10**9
 START = 1_000_000_000 * SECOND

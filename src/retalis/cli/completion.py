@@ -8,8 +8,8 @@ import argparse
 from pathlib import Path
 from typing import Callable, Dict, Iterable, List, Optional, Sequence
 
-from ..foundation import UsageError
-from .live import ros_module
+from ..foundation.errors import UsageError
+from .node_commands import ros_module
 
 SCRIPT = Path(__file__).with_name("retalis.bash")
 
@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
 def names(kind: str, node: Optional[str]) -> List[str]:
     """Return the names of nodes, or of a node's memories; none where there is no ROS, or nothing answers."""
     try:
-        found: List[str] = ros_module("livecommands").names(kind, node)
+        found: List[str] = ros_module("live_commands").names(kind, node)
     except UsageError:
         return []
     return found

@@ -1,28 +1,167 @@
-"""``console``: a top level as Prolog systems have it."""
+"""What a top level says of itself and of predicates: the page of these is looked through.
+
+The files that a top level has loaded: loaded again, what they said before goes.
+
+``console``: a top level as Prolog systems have it.
+"""
 
 import argparse
+import os
 import sys
 import time
 from contextlib import closing, nullcontext
 from io import StringIO
 from pathlib import Path
-from typing import Callable, Dict, List, Optional, Union, cast
+from typing import Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Tuple, Union, cast
 
-from ..engine import Engine, Settings, parts_of
-from ..engine.runtime import Clock, Reports, limit_gc_pauses
-from ..events.rules import event_of
-from ..foundation import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError, printable
-from ..prolog.logic import Tracer
-from ..prolog.syntax import ReadTerm
-from ..prolog.terms import COMMA, Atom, String, Term, Var, deref, functor, list_items
-from .answers import bindings
-from .helping import CONSOLE, described, mentioned
-from .limits import add_limits, limited
-from .live import of_ros
-from .loadedfiles import LoadedFiles
-from .numbers import from_zero
-from .prompt import LEAVE, Lines, Terminal, read_clause
-from .report import Report, to_reader
+from ..engine.engine import Engine
+from ..engine.engine_parts import parts_of
+from ..engine.engine_settings import Settings
+from ..engine.runtime.clock import Clock
+from ..engine.runtime.gc_tuning import limit_gc_pauses
+from ..engine.runtime.problem_reports import Reports
+from ..events.rules.event_predicates import event_of
+from ..foundation.errors import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError, printable
+from ..prolog.syntax.term_reader import ReadTerm
+from ..prolog.system.prolog_system import Tracer
+from ..prolog.terms.list_terms import list_items
+from ..prolog.terms.types import COMMA, Atom, String, Term, Var, deref, functor
+from .command_options import add_limits, limited
+from .error_report import Report, to_reader
+from .node_commands import of_ros
+from .option_values import from_zero
+from .prompt import LEAVE, Lines, Terminal, bindings, read_clause
+
+PAGE = "docs/predicates.md"
+MAX_HELP_LINES = 50
+"""Lines of an answer."""
+
+CONSOLE = """\
+GOAL.                 ask a goal; ";" asks for another solution, return for none
+[FILE].               load a file or a program's folder; again, it replaces what it said before
+make.                 load again all files that have changed
+[user].               read clauses and rules that are typed, up to end_of_file.
+event(E).             take an event that happens now; event(E,[T1,T2]) one with an interval
+trace(GOAL).          show the ports that a goal passes; trace. and notrace. for all goals
+help(NAME).           what a predicate does, as help(append) or help('append/3')
+apropos(WORD).        the predicates with a word in their name or description
+ctrl-C                end a goal
+quit.                 end the console; so do exit., halt. and ctrl-D"""
+
+
+class _Described(NamedTuple):
+    """Predicates of one row of the page: their indicators, how they are called, what they do."""
+
+    keys: List[str]
+    call: str
+    what: str
+
+
+def described(name: str, defined: Iterable[str]) -> List[str]:
+    """Return what is to be said of predicates of a name, or an indicator as ``append/3``.
+
+    Args:
+        name: of the predicates.
+        defined: the indicators of all that there are, those of the program too.
+    """
+    rows = [row for row in _rows() if any(_is_of(name, key) for key in row.keys)]
+    lines = [f"{row.call}\n    {row.what}" for row in rows]
+    known = {key for row in rows for key in row.keys}
+    return [*lines, *(key for key in sorted(defined) if _is_of(name, key) and key not in known)][
+        :MAX_HELP_LINES
+    ]
+
+
+def mentioned(word: str, defined: Iterable[str]) -> List[str]:
+    """Return a line for each predicate with a word in its name or description; see `described`."""
+    low, known, lines = word.lower(), set(), []
+    for row in _rows():
+        if low in row.what.lower() or any(low in key.lower() for key in row.keys):
+            known.update(row.keys)
+            lines.append(f"{', '.join(row.keys)}: {row.what}")
+    own = [key for key in sorted(defined) if low in key.lower() and key not in known and key[0] != "$"]
+    lines += own
+    return (
+        lines
+        if len(lines) <= MAX_HELP_LINES
+        else [*lines[:MAX_HELP_LINES], f"% and {len(lines) - MAX_HELP_LINES} more"]
+    )
+
+
+def _is_of(name: str, key: str) -> bool:
+    return name in (key, key.rpartition("/")[0])
+
+
+def _rows() -> Iterator[_Described]:
+    for line in _page().read_text(encoding="utf-8").split("\n"):
+        if line.startswith("| ``"):
+            cells = [cell.replace("\0", "|") for cell in line.replace("\\|", "\0").split(" | ")]
+            keys = [key.strip() for key in cells[0].split("``")[1::2]]
+            yield _Described(keys, cells[1].replace("``", "").strip(), cells[2].strip())
+
+
+def _page() -> Path:
+    """Return the page of predicates: in the source tree, or where the package is installed.
+
+    Raises:
+        UsageError: where it is in neither.
+    """
+    for root in Path(__file__).resolve().parents:
+        for place in (root / PAGE, root / "share" / "retalis" / PAGE):
+            if place.is_file():
+                return place
+    raise UsageError(f"{PAGE} is neither in the source tree nor in an installed package")
+
+
+_FileStates = Tuple[Tuple[str, int, int], ...]
+"""Of each file that something was loaded from: name, time of its last change, size."""
+
+
+class LoadedFiles:
+    """Loads files and programs into an engine, each as often as somebody likes.
+
+    Args:
+        engine: takes what they say.
+    """
+
+    def __init__(self, engine: Engine):
+        self._engine = engine
+        self._stamps: Dict[Path, _FileStates] = {}
+
+    def load(self, path: Path) -> List[str]:
+        """Load a file, or the program in a folder, in place of what it said before; return what has changed.
+
+        Raises:
+            RetalisError: what is wrong; what was there before is there again.
+        """
+        again = path in self._stamps
+        try:
+            if again:
+                return [f"{path} again", *(f"  {line}" for line in self._engine.reload(path))]
+            self._engine.load_program(path)
+            return []
+        finally:
+            if again or path.exists():
+                self._stamps[path] = self._stamp(path)
+
+    def changed(self) -> List[Path]:
+        """Return what was loaded from files that are others now."""
+        return [path for path, stamp in self._stamps.items() if self._stamp(path) != stamp]
+
+    def _stamp(self, path: Path) -> _FileStates:
+        made = parts_of(self._engine).programs.get(os.path.realpath(path))
+        files = set() if made is None else {Path(file) for file in made.files}
+        files |= set(path.iterdir()) if path.is_dir() else {path}
+        return tuple(_stat(file) for file in sorted(files))
+
+
+def _stat(path: Path) -> Tuple[str, int, int]:
+    try:
+        found = path.stat()
+    except OSError:  # deleted
+        return str(path), 0, 0
+    return str(path), found.st_mtime_ns, found.st_size
+
 
 _QUERY = frozenset((functor("?-", 1), functor(":-", 1)))
 _TRACE = functor("trace", 1)
@@ -30,7 +169,7 @@ _CONSULT = functor("consult", 1)
 _HELP = functor("help", 1)
 _APROPOS = functor("apropos", 1)
 
-MOST = 10
+DEFAULT_SHOWN_SOLUTIONS = 10
 """Solutions shown where nobody is there to ask for more."""
 
 FREE = Settings(folders=None, write_folders=None)
@@ -61,9 +200,9 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     add(
         "--most",
         type=from_zero(int),
-        default=MOST,
+        default=DEFAULT_SHOWN_SOLUTIONS,
         metavar="N",
-        help=f"solutions shown for a goal read from a pipe ({MOST})",
+        help=f"solutions shown for a goal read from a pipe ({DEFAULT_SHOWN_SOLUTIONS})",
     )
     add(
         "--node",
@@ -77,7 +216,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command; from a pipe the status is 1 if there was an error."""
     if options.node is not None:
-        return of_ros("liveconsole", options)
+        return of_ros("live_console", options)
     report = Report().listen(events=True)
     console = Console(report, limited(FREE, options), options.most)
     for path in options.files:
@@ -113,7 +252,9 @@ class Console:
         most: solutions shown where nobody is there to ask for more.
     """
 
-    def __init__(self, report: Report, settings: Optional[Settings] = None, most: int = MOST):
+    def __init__(
+        self, report: Report, settings: Optional[Settings] = None, most: int = DEFAULT_SHOWN_SOLUTIONS
+    ):
         self.reports = Reports()
         self.engine = Engine(Clock(time.time_ns), FREE if settings is None else settings, self.reports)
         self._rules = parts_of(self.engine).rules

@@ -1,22 +1,235 @@
-"""The engine: a program, the events that it takes, and what its subscribers get."""
+"""Memories and subscriptions of a running program, as services and others outside of it add and delete them.
+
+What an engine knows, kept as data and taken up again.
+
+The engine: a program, the events that it takes, and what its subscribers get.
+"""
 
 from pathlib import Path
-from typing import Callable, Dict, Iterable, Iterator, List, Optional, Tuple, TypeVar, Union
+from typing import Callable, Dict, Iterable, Iterator, List, Optional, Sequence, Tuple, Type, TypeVar, Union
 
-from ..events.checks import INFO, Overview, look_through
-from ..events.dispatch import Stage
-from ..events.program import Topics, TopicType
-from ..foundation import RetalisError, counted
-from ..messages import Definitions
-from ..prolog.machine import Frame
-from ..prolog.syntax import Operators, read_term
-from ..prolog.terms import Term, Var, WholeSeconds, timestamps, variables
-from .callbacks import OnEvent, OnOutput
-from .core import MADE
-from .lasting import Lasting
-from .ownfiles import REQUEST
-from .reloading import NoReports, clock_at, load_folder, reload_folder, trial_settings
-from .status import MOST, Status
+from ..events.checks.check_registry import INFO, look_through
+from ..events.checks.program_model import ProgramModel
+from ..events.dispatch.listeners import ListenerPhase
+from ..events.knowledge.knowledge_base import DELETE_MEMORY, MEMORIZE, SUBSCRIBE
+from ..events.program.program_folder import Topics, TopicType
+from ..foundation.errors import RetalisError, UsageError, counted
+from ..messages.type_registry import Definitions
+from ..prolog.syntax.operators import Operators
+from ..prolog.syntax.term_reader import read_term
+from ..prolog.system.foreign_functions import define_foreign
+from ..prolog.terms import timestamps
+from ..prolog.terms.list_terms import make_list
+from ..prolog.terms.term_traversal import variables
+from ..prolog.terms.timestamps import WholeSeconds
+from ..prolog.terms.types import Frame, Functor, Term, Var
+from ..serialization.state_sections import pack, read_records, unpack
+from .engine_parts import MADE, EngineCore, OnEvent, OnOutput
+from .engine_settings import Settings
+from .engine_snapshot import EngineSnapshot, checked, clock_for, coded, decoded
+from .engine_status import DEFAULT_LISTED, Status
+from .hot_reload import NullReports, clock_at, load_folder, reload_folder, trial_settings
+from .program_loader import REQUEST
+from .runtime.clock import Clock
+from .runtime.problem_reports import Reports
+
+
+class Holdings(EngineCore):
+    """What an engine lets others do with memories and subscriptions; see `Engine`."""
+
+    def has_memory(self, name: Term) -> bool:
+        """Tell whether there is a memory with an id.
+
+        >>> engine = Engine()
+        >>> engine.load(goals="memorize(fire, [], _, fires, 10)")
+        >>> engine.has_memory(atom("fires"))
+        True
+        """
+        return self._knowledge.memories.find(name) is not None
+
+    def add_memory(
+        self, event: Term, conditions: Sequence[Term], record: Term, name: Term, size: Term
+    ) -> None:
+        """Add a memory as goal ``memorize/5`` does: under its limits, and with the events that tell of it.
+
+        >>> engine = Engine()
+        >>> engine.add_memory(atom("fire"), [], atom("fire"), atom("fires"), 10)
+        >>> engine.has_memory(atom("fires"))
+        True
+
+        Args:
+            event: the pattern of the events that it keeps.
+            conditions: goals, which share variables with the pattern.
+            record: what it keeps of an event; a variable for the event itself.
+            name: its id.
+            size: how many records it keeps.
+
+        Raises:
+            PrologError: where there is one of this id, or these are not what a memory is made of.
+        """
+        self._achieve((MEMORIZE, event, make_list(conditions), record, name, size))
+
+    def delete_memory(self, name: Term) -> bool:
+        """Delete the memory with an id, as goal ``delete_memory/1`` does; return whether there was one.
+
+        >>> Engine().delete_memory(atom("fires"))
+        False
+        """
+
+        def work() -> bool:  # nobody deletes it in between
+            found = self.has_memory(name)
+            if found:
+                self._achieve((DELETE_MEMORY, name))
+            return found
+
+        return self._runner.call(lambda: self._dispatcher.undisturbed(work), (REQUEST,))
+
+    def has_subscription(self, topic: Term, name: Term) -> bool:
+        """Tell whether there is a subscription with a topic and an id.
+
+        >>> engine = Engine()
+        >>> engine.load(goals="subscribe(fire, [], _, alarms, a)")
+        >>> engine.has_subscription(atom("alarms"), atom("a"))
+        True
+        """
+        return self._knowledge.subscriptions.has(topic, name)
+
+    def add_subscription(
+        self, event: Term, conditions: Sequence[Term], form: Term, topic: Term, name: Term
+    ) -> None:
+        """Add a subscription as goal ``subscribe/5`` does; see `add_memory`.
+
+        >>> engine = Engine()
+        >>> engine.on_output(lambda term, topic, name: print(topic, engine.show(term)))
+        >>> engine.add_subscription(atom("fire"), [], atom("burning"), atom("alarms"), atom("a"))
+        >>> engine.event("fire", 1)
+        alarms burning
+
+        Args:
+            event: the pattern of the events that go out.
+            conditions: goals, which share variables with the pattern.
+            form: what goes out for an event; a variable for the event itself.
+            topic: where to.
+            name: its id; together with the topic it is the only one.
+
+        Raises:
+            PrologError: where there is one of this topic and id, or these are not what a subscription is made of.
+        """
+        self._achieve((SUBSCRIBE, event, make_list(conditions), form, topic, name))
+
+    def delete_subscription(self, topic: Term, name: Term) -> bool:
+        """Delete the subscription with a topic and an id; return whether there was one.
+
+        >>> Engine().delete_subscription(atom("alarms"), atom("a"))
+        False
+        """
+        return self._runner.call(
+            lambda: self._dispatcher.undisturbed(lambda: self._knowledge.subscriptions.delete(topic, name)),
+            (REQUEST,),
+        )
+
+    def _achieve(self, goal: Term) -> None:
+        """Call a goal that has to have a solution."""
+        if not self._runner.call(lambda: self._call_undisturbed(goal), (goal,)):
+            raise UsageError(f"{self._logic.brief(goal)} fails")
+
+
+Made = TypeVar("Made", bound="Lasting")
+
+
+class Lasting(Holdings):
+    """What an engine lets others do with its state; see `Engine`."""
+
+    def snapshot(self) -> bytes:
+        """Return all that the engine knows and that waits in it, as bytes: see docs/state.md.
+
+        >>> engine = Engine()
+        >>> engine.load(rules="alarm(X) <- smoke(X) seq heat(X).")
+        >>> engine.event("smoke(kitchen)", 1)
+        >>> other = Engine.restore(engine.snapshot())
+        >>> other.on_event(lambda term, start, end: print(other.show(term), end))
+        >>> other.event("heat(kitchen)", 2)
+        heat(kitchen) 2000000000
+        alarm(kitchen) 2000000000
+
+        Raises:
+            UsageError: where a goal or callback of this engine calls it.
+        """
+
+        def work() -> Dict[str, bytes]:
+            # To bytes while nothing else is done: what is asked binds variables of rules for a while.
+            keeper = EngineSnapshot(self)
+            return coded(keeper.take(), keeper.records())
+
+        return pack(self._runner.call(lambda: self._dispatcher.undisturbed(work), (REQUEST,)))
+
+    @classmethod
+    def restore(
+        cls: Type[Made],
+        data: bytes,
+        clock: Optional[Clock] = None,
+        settings: Optional[Settings] = None,
+        reports: Optional[Reports] = None,
+        definitions: Optional[Definitions] = None,
+        foreign: Tuple[object, ...] = (),
+        folder: Optional[Path] = None,
+    ) -> Made:
+        """Return a new engine that goes on where the one was whose `snapshot` this is.
+
+        It has the program, memories, partial matches, waiting queries, alarms and counters. Callbacks have to be
+        given again, as all that is not of the program.
+
+        >>> engine = Engine()
+        >>> engine.load(goals="memorize(fire(_), [], _, fires, 10)")
+        >>> engine.event("fire(hall)", 1)
+        >>> Engine.restore(engine.snapshot()).query("memory_size(fires, N), memory_counter(fires, C)")
+        [{'N': 10, 'C': 1}]
+
+        Args:
+            data: from `snapshot`.
+            clock: as for a new engine; by default one that goes on from the instant of the other's.
+            settings: as for a new engine; they are not part of the state.
+            reports: as for a new engine.
+            definitions: as for a new engine.
+            foreign: what `add_foreign` was given.
+            folder: the program's, from which Python modules may be loaded again that it had asked for.
+
+        Raises:
+            UsageError: for what is no state, is damaged, or comes from another version.
+        """
+        found = checked(lambda: unpack(data))
+        sections = checked(lambda: decoded(found))
+
+        def work() -> Made:
+            engine = cls(clock or clock_for(sections["run"]), settings, reports, definitions)
+            if foreign:
+                engine.add_foreign(*foreign)
+            records = [[read_records(data)] for name, data in found.items() if name.startswith("memory ")]
+            EngineSnapshot(engine).take_up(sections, records, folder)
+            return engine
+
+        return checked(work)
+
+    def add_foreign(self, *sources: object) -> List[Functor]:
+        """Define Python functions that have the decorator `foreign`, and those of modules, as predicates.
+
+        >>> @foreign
+        ... def half(number: int) -> float:
+        ...     return number / 2
+        >>> Engine().add_foreign(half)
+        [functor('half', 2)]
+
+        Returns:
+            The functors of the predicates.
+
+        Raises:
+            UsageError: for a function without the decorator, or a module in which none has it.
+            PrologError: where a predicate of the system has that name.
+        """
+        found = self._runner.call(lambda: define_foreign(self._logic, self._runner, *sources))
+        self._foreign.append(sources)
+        return found
+
 
 Instant = Union[int, Term]
 Result = TypeVar("Result")
@@ -125,7 +338,7 @@ class Engine(Lasting):
     def _trial(self) -> "Engine":
         """Return another engine with these settings, for which it is as late."""
         trial = Engine(
-            clock_at(self.clock.now()), trial_settings(self.settings), NoReports(), self._slots.definitions
+            clock_at(self.clock.now()), trial_settings(self.settings), NullReports(), self._slots.definitions
         )
         trial._input_topics.try_out(self._input_topics)
         for sources in self._foreign:
@@ -295,7 +508,7 @@ class Engine(Lasting):
             self._call_back("a callback of on_event", callback, term, start, end)
             return after
 
-        self._dispatcher.listen(Stage.TRACE, Var(), observe)
+        self._dispatcher.listen(ListenerPhase.TRACE, Var(), observe)
         self._observed = True
 
     def show(self, term: Term) -> str:
@@ -369,12 +582,12 @@ class Engine(Lasting):
             direct: further topics that become events.
         """
         topics = self._input_topics.joined(Topics() if topics is None else topics)
-        program = Overview(
+        program = ProgramModel(
             self._rules, self._knowledge, definitions, topics, tuple(direct), folder, self._observed
         )
         return (finding.problem for finding in look_through(program) if finding.severity != INFO)
 
-    def status(self, most: int = MOST) -> Status:
+    def status(self, most: int = DEFAULT_LISTED) -> Status:
         """Tell what the engine is doing and what it holds.
 
         It does not wait for the engine: where that is busy, ``work`` says with what and for how long.

@@ -1,1 +1,1 @@
-"""Events: the language of rules, their dispatch, the network that finds patterns, and the memories that keep them."""
+"""Event processing: language, pattern network, memories and subscriptions."""

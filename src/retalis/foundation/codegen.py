@@ -11,9 +11,9 @@ import re
 from itertools import count
 from typing import Any, Callable, Dict, Hashable, Iterable, Mapping, NamedTuple, Sequence, Tuple, Union
 
-from .caches import Cache
+from .bounded_caches import Cache
 from .errors import shortened
-from .interpreter import confine
+from .python_interpreter import confine
 
 _BUILTINS: Dict[str, object] = {
     name: getattr(builtins, name)
@@ -42,7 +42,7 @@ _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,30}\Z")
 _COST = 20
 """Bytes that a function takes for each character of its source."""
 
-LARGEST = 1500
+MAX_TERM_ARGUMENTS = 1500
 """Arguments in all the compounds of a term for which code is made; for larger ones the general routines are used.
 
 What a message or a rule of a person has stays far below. Python's compiler takes time that grows faster than long
@@ -68,7 +68,7 @@ class _GeneratedSource:
         return self._text
 
 
-class Names:
+class BoundNames:
     """The names in a source that is being written: of values that it is given, and of its own variables.
 
     Args:

@@ -8,7 +8,7 @@ SHOWN = 200
 """Characters of a text from outside that are kept and shown."""
 
 
-LONGEST = 4000
+MAX_MESSAGE_CHARACTERS = 4000
 """Characters that the message of an error may have."""
 
 
@@ -148,7 +148,7 @@ class RetalisError(Exception):
     """
 
     def __init__(self, message: str, place: Optional[Place] = None):
-        message = beginning(message, LONGEST)
+        message = beginning(message, MAX_MESSAGE_CHARACTERS)
         super().__init__(message)
         self.message = message
         self.place = place
@@ -207,7 +207,7 @@ class Omission(RetalisError):
         super().__init__(f"{error.message}; this is left out", error.place)
 
 
-MOST_ERRORS = 100
+MAX_ERRORS = 100
 """Errors of a file that are kept and shown."""
 
 
@@ -224,7 +224,7 @@ class Errors(List[RetalisError]):
 
     def append(self, error: RetalisError) -> None:
         """Take an error."""
-        if len(self) < MOST_ERRORS:
+        if len(self) < MAX_ERRORS:
             super().append(error)
         else:
             self.more += 1
@@ -243,7 +243,7 @@ class Errors(List[RetalisError]):
 class ProgramErrors(RetalisError):
     """All errors of a file at once; nothing of the file is active.
 
-    Of many the first `MOST_ERRORS` are there, and one that says how many more there are.
+    Of many the first `MAX_ERRORS` are there, and one that says how many more there are.
 
     >>> try:
     ...     Engine().load(rules="a <- b. c <- 7. d <- . e <- f.", source="mine")

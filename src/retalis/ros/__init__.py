@@ -1,1 +1,1 @@
-"""The two nodes; the only room that imports rospy."""
+"""The ROS nodes. The only package that imports rospy."""

@@ -27,7 +27,7 @@ import rosgraph.xmlrpc
 import rospy
 from rospy.impl import tcpros_base
 
-from ..foundation import beginning, printable
+from ..foundation.errors import beginning, printable
 
 BACKLOG = 1024
 """Connections that the system holds until the node accepts them, if `net.core.somaxconn` allows it.

@@ -8,12 +8,12 @@ from typing import List, NamedTuple, Optional, Tuple, Type
 import rospkg
 import rospy
 
-from ..engine import Settings
-from ..engine.dashboard import DASHBOARD_PORT
-from ..events.program import AUTO, DirectTopics, read_direct
-from ..foundation import UsageError, beginning, printable
-from ..messages import BARE
-from ..prolog.machine import Limits, Number, checked_number
+from ..dashboard.page_server import DASHBOARD_PORT
+from ..engine.engine_settings import Settings
+from ..events.program.program_folder import AUTO, DirectTopics, read_direct
+from ..foundation.errors import UsageError, beginning, printable
+from ..messages.type_definition import BARE
+from ..prolog.machine.resource_limits import Limits, Number, checked_number
 from .diagnostics import HARDWARE
 
 LIMITS = Limits(seconds=10.0, megabytes=500)

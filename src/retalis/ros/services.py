@@ -1,37 +1,46 @@
-"""The six services: texts in, ``ok`` or ``error: ...`` out."""
+"""The six services: texts in, ``ok`` or ``error: ...`` out.
 
-from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Tuple
+The services that change rules: ``~add_rule`` and ``~delete_rule``.
+
+Service ``~list``: what a node holds, with counters.
+
+The services that answer questions: ``~query`` and ``~explain``.
+
+Service ``~reload``: the program's folder read again while the node runs.
+"""
+
+import os
+from pathlib import Path
+from threading import BoundedSemaphore
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 import rospy
 
-from ..engine import Engine, do_for_others
-from ..events.language import subscribed_event
-from ..events.program import topic_type
-from ..foundation import RetalisError, SyntaxFault, UsageError, beginning, printable
-from ..messages import Definitions
-from ..prolog.syntax import Operators, ReadFlags, read_term
-from ..prolog.terms import (
-    COMMA,
-    TRUE,
-    Atom,
-    CompoundTerm,
-    Term,
-    Var,
-    atom,
-    conjuncts,
-    deref,
-    functor,
-    make_list,
-    variables,
-)
-from .hints import published_types
-from .interface import Interface
-from .names import resolve
-from .textonly import TextOnly
+from ..engine.engine import Engine
+from ..engine.engine_status import MemoryStatus, RuleStatus, Status, SubscriptionStatus, WaitingStatus
+from ..engine.external_queries import add_rule, ask, await_memories, delete_rule, do_for_others
+from ..engine.runtime.problem_reports import Reports
+from ..events.language.window_parser import subscribed_event
+from ..events.program.program_folder import TOPICS, Topics, read_topics, topic_type
+from ..explanation.explain import explain, records_origins
+from ..foundation.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError, beginning, printable
+from ..messages.type_registry import Definitions
+from ..prolog.machine.resource_limits import Limits, checked_number
+from ..prolog.syntax.operators import Operators
+from ..prolog.syntax.term_reader import read_term
+from ..prolog.syntax.tokenizer import ReadFlags
+from ..prolog.terms.list_terms import conjuncts, make_list
+from ..prolog.terms.term_traversal import variables
+from ..prolog.terms.timestamps import SECOND
+from ..prolog.terms.types import COMMA, TRUE, Atom, CompoundTerm, Term, Var, atom, deref, functor
+from .internal_topics import TextOnly, resolve
+from .ros_interface import RosInterface
+from .ros_log import log_counts
+from .topic_statistics import InputStatus, published_types
 
 OK = "ok"
 
-LONGEST_ANSWER = 1000
+MAX_ANSWER_CHARACTERS = 1000
 """Characters of what a service says is wrong."""
 
 
@@ -86,7 +95,7 @@ def answer(work: Callable[[], None]) -> str:
 def reason(error: RetalisError) -> str:
     """Return an error as services answer it."""
     return "error: " + " ".join(
-        beginning(error.brief(), LONGEST_ANSWER).splitlines()
+        beginning(error.brief(), MAX_ANSWER_CHARACTERS).splitlines()
     )  # names may have line breaks
 
 
@@ -124,7 +133,7 @@ class EngineServices:
         doubt: Callable[[Term], str],
         misfit: Callable[[CompoundTerm, str], str],
     ):
-        from retalis import srv  # noqa: PLC0415 - generated: there only where the package was built
+        from .. import srv  # noqa: PLC0415 - generated: there only where the package was built
 
         self._engine = engine
         self._text_only = text_only
@@ -248,8 +257,8 @@ class EngineServices:
 class InterfaceServices:
     """The services of the ROS interface: input subscriptions."""
 
-    def __init__(self, interface: Interface):
-        from retalis import srv  # noqa: PLC0415 - generated: there only where the package was built
+    def __init__(self, interface: RosInterface):
+        from .. import srv  # noqa: PLC0415 - generated: there only where the package was built
 
         self._interface = interface
         provide("add_input_subscription", srv.AddInputSubscription, self._add)
@@ -300,3 +309,306 @@ def name(text: str, field: str) -> Term:
     except SyntaxFault:
         return atom(text)
     return term if isinstance(term, (Atom, int)) else atom(text)
+
+
+class RuleServices:
+    """Services ``~add_rule`` and ``~delete_rule`` of node retalis.
+
+    Args:
+        engine: whose rules they change.
+    """
+
+    def __init__(self, engine: Engine):
+        from .. import srv  # noqa: PLC0415 - generated: there only where the package was built
+
+        self._engine = engine
+        self._added = srv.AddRuleResponse
+        provide("~add_rule", srv.AddRule, self._add)
+        provide("~delete_rule", srv.DeleteRule, self._delete)
+
+    def _add(self, request: Any) -> Any:
+        try:
+            return self._added(OK, add_rule(self._engine, request.rule, request.label))
+        except (SyntaxFault, ProgramErrors) as error:
+            return self._added(
+                f"error: {beginning(str(error), MAX_ANSWER_CHARACTERS)}", ""
+            )  # with the lines and carets
+        except RetalisError as error:
+            return self._added(reason(error), "")
+
+    def _delete(self, request: Any) -> str:
+        return answer(lambda: delete_rule(self._engine, request.label))
+
+
+DEFAULT_LISTED_ITEMS = 100
+"""How many of each kind are listed where a request does not say it."""
+
+MAX_LISTED_ITEMS = 10_000
+"""How many of each kind are listed, whatever a request says."""
+
+NEVER = -1
+"""Nanoseconds of a duration that is none."""
+
+_LAST = 1 << 32
+"""Seconds after the last that a message of ROS can tell."""
+
+_MAX_INT32 = 1 << 31
+
+
+class ListService:
+    """Service ``~list`` of a node.
+
+    Args:
+        inputs: gives what has come on its subscribed topics.
+        status: gives the status of its engine with at most so many of each kind; None where it has no engine.
+        reports: the problems of a node that has no engine.
+    """
+
+    def __init__(
+        self,
+        inputs: Callable[[], Sequence[InputStatus]],
+        status: Optional[Callable[[int], Status]] = None,
+        reports: Optional[Reports] = None,
+    ):
+        from .. import msg, srv  # noqa: PLC0415 - generated: there only where the package was built
+
+        self._inputs = inputs
+        self._status = status
+        self._reports = reports
+        self._msg = msg
+        self._response = srv.ListResponse
+        rospy.Service("~list", srv.List, self._list)
+
+    def _list(self, request: Any) -> Any:
+        most = min(request.most or DEFAULT_LISTED_ITEMS, MAX_LISTED_ITEMS)
+        response = self._response(result=OK)
+        inputs = self._inputs()
+        response.inputs = [self._input(one) for one in inputs[:most]]
+        response.more_inputs = max(0, len(inputs) - most)
+        if self._status is None:
+            response.now = rospy.get_rostime()
+            if self._reports is not None:
+                response.errors, response.warnings = self._reports.errors, self._reports.warnings
+        else:
+            self._fill(response, self._status(most))
+        response.errors += log_counts.errors
+        response.warnings += log_counts.warnings
+        return response
+
+    def _fill(self, response: Any, status: Status) -> None:
+        response.now = _time(status.now)
+        if status.work is not None:
+            response.work, response.work_goal = status.work.what, status.work.goal
+            response.work_place = status.work.place
+            response.work_time = _duration(int(status.work.seconds * SECOND))
+        for name in ("taken", "fired", "queued", "dropped", "errors", "warnings", "alarms"):
+            setattr(response, name, getattr(status, name))
+        response.rules = [self._rule(one) for one in status.rules]
+        response.memories = [self._memory(one) for one in status.memories]
+        response.subscriptions = [self._subscription(one) for one in status.subscriptions]
+        response.waiting = [self._query(one) for one in status.waiting]
+        for name, number in status.left_out._asdict().items():
+            setattr(response, f"more_{name}", number)
+
+    def _rule(self, one: RuleStatus) -> Any:
+        return self._msg.RuleStatus(**one._replace(last_fired=_time(one.last_fired))._asdict())
+
+    def _memory(self, one: MemoryStatus) -> Any:
+        return self._msg.MemoryStatus(
+            **one._replace(oldest=_time(one.oldest), newest=_time(one.newest))._asdict()
+        )
+
+    def _subscription(self, one: SubscriptionStatus) -> Any:
+        return self._msg.SubscriptionStatus(**one._asdict())
+
+    def _query(self, one: WaitingStatus) -> Any:
+        memories = [
+            self._msg.AwaitedMemory(memory.id, _time(memory.instant), _duration(memory.behind))
+            for memory in one.memories
+        ]
+        return self._msg.WaitingStatus(one.event, _time(one.since), memories, one.left_out)
+
+    def _input(self, one: InputStatus) -> Any:
+        age = None if one.age is None else int(one.age * SECOND)
+        return self._msg.InputStatus(
+            **one._replace(age=_duration(age), lag=_duration(one.lag or 0))._asdict()
+        )
+
+
+def _time(instant: Optional[int]) -> Any:
+    """Return an instant as ROS has it; zero for none, the first or last one for those that it cannot tell."""
+    return rospy.Time(0, min(max(instant or 0, 0), _LAST * SECOND - 1))
+
+
+def _duration(nanoseconds: Optional[int]) -> Any:
+    """Return a time span as ROS has it; the shortest negative one for none."""
+    span = NEVER if nanoseconds is None else nanoseconds
+    return rospy.Duration(0, min(max(span, -_MAX_INT32 * SECOND), _MAX_INT32 * SECOND - 1))
+
+
+DEFAULT_MAX_SOLUTIONS = 100
+"""Solutions of a query that does not say how many."""
+
+MAX_SOLUTIONS = 100_000
+"""Solutions of a query, whatever it says."""
+
+DEFAULT_QUERY_WAIT_SECONDS = 10.0
+"""Seconds that a query waits for memories where it does not say how long."""
+
+AT_ONCE = 50
+"""Queries that may wait for memories at once: each holds a thread and a connection."""
+
+MAX_EXPLANATION_LINE_CHARACTERS = MAX_ANSWER_CHARACTERS
+"""Characters of a line of an explanation."""
+
+EXPLAINING = 2.0
+"""Seconds in which an explanation has to be found: no event is taken meanwhile."""
+
+MAX_EXPLANATION_LINES = 1_000
+"""Lines of an explanation."""
+
+NOT_RECORDED = (
+    "what events come from is not recorded: "
+    "start the node with ~explain (explain:=true with roslaunch), or call set_etalis_flag(etalis_justification, on)"
+)
+
+
+class QueryServices:
+    """Services ``~query`` and ``~explain`` of node retalis.
+
+    Args:
+        engine: answers.
+    """
+
+    def __init__(self, engine: Engine):
+        from .. import msg, srv  # noqa: PLC0415 - generated: there only where the package was built
+
+        self._engine = engine
+        self._msg, self._srv = msg, srv
+        self._waiting = BoundedSemaphore(AT_ONCE)
+        provide("~query", srv.Query, self._query)
+        provide("~explain", srv.Explain, self._explain)
+
+    def _query(self, request: Any) -> Any:
+        response = self._srv.QueryResponse
+        try:
+            seconds = checked_number("seconds", request.seconds, float)
+            limits = Limits(seconds or None, request.inferences or None, output_megabytes=None)
+            most = min(request.max_solutions or DEFAULT_MAX_SOLUTIONS, MAX_SOLUTIONS)
+            if request.wait_for:
+                self._await(request)
+            found = ask(self._engine, request.goal, most, limits)
+        except SyntaxFault as fault:
+            return response(f"error: goal: {fault.brief()}", False, [])
+        except RetalisError as error:
+            return response(reason(error), False, [])
+        solutions = [
+            self._msg.Solution([self._msg.Binding(*value) for value in solution])
+            for solution in found.solutions
+        ]
+        return response(OK, found.complete, solutions)
+
+    def _await(self, request: Any) -> None:
+        names = [name(text, "wait_for") for text in request.wait_for]
+        seconds = checked_number("timeout", request.timeout, float) or DEFAULT_QUERY_WAIT_SECONDS
+        if not self._waiting.acquire(blocking=False):
+            raise UsageError(f"{AT_ONCE} queries wait already")
+        try:
+            await_memories(self._engine, names, request.stamp.to_nsec(), seconds)
+        finally:
+            self._waiting.release()
+
+    def _explain(self, request: Any) -> Any:
+        response = self._srv.ExplainResponse
+        if not records_origins(self._engine):
+            return response(f"error: {NOT_RECORDED}", False, [])
+        try:
+            found = explain(self._engine, request.event, EXPLAINING)
+        except RetalisError as error:
+            return response(reason(error), False, [])
+        lines: List[str] = []
+        for tree in found.lines:
+            lines += tree.indented()
+            if len(lines) > MAX_EXPLANATION_LINES:
+                lines = [*lines[:MAX_EXPLANATION_LINES], "..."]
+                break
+        return response(OK, found.happened, [line[:MAX_EXPLANATION_LINE_CHARACTERS] for line in lines])
+
+
+MAX_RELOAD_ERROR_CHARACTERS = 10_000
+"""Characters of what an answer says is wrong."""
+
+RESTART = f"topics: {TOPICS} has changed; its topics change when the node is started again"
+
+
+class ReloadService:
+    """Service ``~reload`` of node retalis.
+
+    Args:
+        engine: whose program it is.
+        folder: the program's.
+        writable: where goals may write files; None means anywhere.
+        topics: of the program when the node started.
+        loaded: called where the program has been read again.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        folder: Path,
+        writable: Optional[Tuple[str, ...]],
+        topics: Topics,
+        loaded: Callable[[Topics], None],
+    ):
+        from .. import srv  # noqa: PLC0415 - generated: there only where the package was built
+
+        self._engine = engine
+        self._folder = folder
+        self._writable = writable
+        self._topics = topics
+        self._loaded = loaded
+        self._reloaded = srv.ReloadResponse
+        rospy.Service("~reload", srv.Reload, self._reload)
+
+    def _reload(self, request: Any) -> Any:
+        try:
+            check_writers(self._folder, self._writable)
+            topics = topics_now(self._folder)
+            changes = self._engine.reload(self._folder)
+        except RetalisError as error:
+            return self._reloaded(
+                f"error: {beginning(str(error), MAX_RELOAD_ERROR_CHARACTERS)}", []
+            )  # with the lines and carets
+        if topics != self._topics:
+            changes.append(RESTART)
+        self._loaded(topics)
+        rospy.loginfo("%s was read again: %s", self._folder, self._engine.summary())
+        return self._reloaded(OK, changes)
+
+
+def check_writers(folder: Path, writable: Optional[Tuple[str, ...]]) -> None:
+    """Accept a program's folder in which no goal may write: its goals and rules may more than those of services.
+
+    Raises:
+        UsageError: where a goal may.
+    """
+    real = os.path.realpath(folder)
+    for other in ("/",) if writable is None else writable:
+        above = os.path.realpath(other)
+        if os.path.commonpath((real, above)) == above:
+            raise UsageError(
+                f"{folder} is in {other} of ~write_folders: goals of services could write the program; "
+                "restart the node to have it read again"
+            )
+
+
+def topics_now(folder: Path) -> Topics:
+    """Return the topics of a program; none where there is no file of them, as when the node starts.
+
+    Raises:
+        ProgramErrors: what is wrong in the file.
+    """
+    try:
+        return read_topics(folder / TOPICS)
+    except UsageError:
+        return Topics()

@@ -1,8 +1,9 @@
 import pytest
 
-from retalis.engine import Engine
-from retalis.engine.runtime import Clock, StreamClock
-from retalis.prolog.terms import SECOND, atom
+from retalis.engine.engine import Engine
+from retalis.engine.runtime.clock import Clock, StreamClock
+from retalis.prolog.terms.timestamps import SECOND
+from retalis.prolog.terms.types import atom
 
 
 def test_stamps_never_repeat_and_never_go_back():

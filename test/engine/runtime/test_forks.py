@@ -7,9 +7,10 @@ import threading
 
 import pytest
 
-from retalis.engine import Engine, Settings
-from retalis.foundation import UsageError
-from retalis.prolog.machine import Limits
+from retalis.engine.engine import Engine
+from retalis.engine.engine_settings import Settings
+from retalis.foundation.errors import UsageError
+from retalis.prolog.machine.resource_limits import Limits
 
 pytestmark = [
     pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork"),

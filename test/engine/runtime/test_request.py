@@ -2,7 +2,7 @@ import threading
 
 import pytest
 
-from retalis.engine.runtime.request import Request
+from retalis.engine.runtime.serial_executor import Request
 
 
 def test_work_is_done_once_and_its_result_waits_for_the_caller():

@@ -3,14 +3,13 @@ import time
 
 import pytest
 
-from retalis.engine.runtime import Runner
-from retalis.engine.runtime.runner import Recovery
-from retalis.foundation import UsageError
+from retalis.engine.runtime.serial_executor import Recovery, SerialExecutor
+from retalis.foundation.errors import UsageError
 
 
 def make(size=100, **options):
     drops, errors = [], []
-    return Runner(size, drops.append, errors.append, **options), drops, errors
+    return SerialExecutor(size, drops.append, errors.append, **options), drops, errors
 
 
 def in_threads(work):
@@ -212,7 +211,7 @@ def test_a_call_from_inside_is_done_at_once():
 
 
 def test_while_one_works_others_return_and_the_oldest_is_dropped(monkeypatch):
-    monkeypatch.setattr("retalis.engine.runtime.runner.PATIENCE", 0.01)
+    monkeypatch.setattr("retalis.engine.runtime.serial_executor.FULL_QUEUE_WAIT_SECONDS", 0.01)
     runner, drops, _ = make(size=2)
     started, go_on = threading.Event(), threading.Event()
     done = []
@@ -386,7 +385,7 @@ def test_a_mark_that_an_interrupt_has_left_is_no_work_from_inside():
         raise KeyboardInterrupt
 
     found = []
-    runner = Runner(10, found.append, found.append, Noting())
+    runner = SerialExecutor(10, found.append, found.append, Noting())
     with pytest.raises(KeyboardInterrupt):
         runner.call(interrupted)
     assert runner.thread == threading.get_ident()  # going back after the interrupt was interrupted as well

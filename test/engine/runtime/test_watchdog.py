@@ -5,11 +5,13 @@ import threading
 
 import pytest
 
-from retalis.engine import Engine, Settings, parts_of
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
 from retalis.engine.runtime import watchdog as _watchdog
 from retalis.engine.runtime.watchdog import AtWork, Watchdog, at_work
-from retalis.prolog.machine import Budget, LimitError, Limits
-from retalis.prolog.terms import atom, functor
+from retalis.prolog.machine.resource_limits import Budget, LimitError, Limits
+from retalis.prolog.terms.types import atom, functor
 
 
 class Turn:

@@ -2,12 +2,13 @@
 
 import pytest
 
-from retalis.engine import Engine, parts_of
-from retalis.events.checks.made import never_made, never_taken
-from retalis.events.checks.overview import Overview
-from retalis.events.knowledge import OWN_EVENTS
-from retalis.events.program import Topics, TopicType
-from retalis.messages import Definitions
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.events.checks.producer_checks import never_made, never_taken
+from retalis.events.checks.program_model import ProgramModel
+from retalis.events.knowledge.knowledge_base import OWN_EVENTS
+from retalis.events.program.program_folder import Topics, TopicType
+from retalis.messages.type_registry import Definitions
 
 TOPICS = Topics((TopicType("said", "std_msgs/String"),))
 
@@ -16,7 +17,7 @@ def said_of(check, rules):
     engine = Engine()
     engine.load(rules=rules)
     parts = parts_of(engine)
-    program = Overview(parts.rules, parts.knowledge, Definitions(), TOPICS)
+    program = ProgramModel(parts.rules, parts.knowledge, Definitions(), TOPICS)
     return [error.message for error in check(program)]
 
 

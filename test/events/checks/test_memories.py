@@ -2,8 +2,8 @@
 
 import pytest
 
-from retalis.engine import Engine
-from retalis.messages import Definitions
+from retalis.engine.engine import Engine
+from retalis.messages.type_registry import Definitions
 
 
 def warnings(folder, rules):

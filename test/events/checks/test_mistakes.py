@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from source import ROOT
 
-from retalis.engine import check_program
+from retalis.engine.program_check import check_program
 
 TABLE = ROOT / "test" / "data" / "mistakes.txt"
 

@@ -6,11 +6,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retalis.engine import Engine, Settings, parts_of
-from retalis.engine.runtime import StreamClock
-from retalis.events.dispatch import Dispatcher, Stage
-from retalis.prolog.machine import Limits
-from retalis.prolog.terms import Var, atom, functor, make_list
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+from retalis.engine.runtime.clock import StreamClock
+from retalis.events.dispatch.dispatcher import Dispatcher
+from retalis.events.dispatch.listeners import ListenerPhase
+from retalis.prolog.machine.resource_limits import Limits
+from retalis.prolog.terms.list_terms import make_list
+from retalis.prolog.terms.types import Var, atom, functor
 
 TF, A, PACK = functor("tf", 2), functor("a", 1), functor("pack", 1)
 X, Y = atom("x"), atom("y")
@@ -36,7 +40,7 @@ class Counting:
 
 
 def listen(dispatcher, pattern):
-    return dispatcher.listen(Stage.MEMORIES, pattern, lambda term, values, start, end, after: after)
+    return dispatcher.listen(ListenerPhase.MEMORIES, pattern, lambda term, values, start, end, after: after)
 
 
 def plan(dispatcher, term):

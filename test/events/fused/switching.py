@@ -3,12 +3,13 @@
 Everything is then served by the plain way. Tests marked ``fused`` are about the fused paths themselves.
 """
 
-from retalis.events.dispatch import Dispatcher, audience, gates
-from retalis.events.knowledge import waiting
-from retalis.events.network import conditions, joining, streaming
+from retalis.events.dispatch import discrimination_tree, listener_index
+from retalis.events.dispatch.dispatcher import Dispatcher
+from retalis.events.knowledge import pending_queries
+from retalis.events.network import goal_evaluation, join_node, stream_node
 
 
-class OpenGate(gates.Gate):
+class OpenGate(discrimination_tree.PushdownFilter):
     """A gate whose plan is never known, so that it lets everything pass."""
 
     __slots__ = ()
@@ -29,16 +30,16 @@ def listening_unfused(listen):
 
 PATHS = {
     "incoming": (Dispatcher, "listen", listening_unfused(Dispatcher.listen)),
-    "gates": (audience, "Gate", OpenGate),
+    "gates": (listener_index, "Gate", OpenGate),
     "goals": (
-        conditions,
+        goal_evaluation,
         "goal_action",
         lambda goal, inputs, rule, failed, plain, completion: plain_action(plain),
     ),
-    "questions": (waiting, "question_action", lambda *arguments: None),
-    "sides": (joining, "fused_side", lambda side, pair, choice, rule, plain, emit: plain_action(plain)),
-    "absences": (joining, "fused_absence", lambda absence, rule, whole, plain: plain_action(plain)),
-    "windows": (streaming, "fused_window", lambda window, limit, node, plain, *rest: plain),
+    "questions": (pending_queries, "question_action", lambda *arguments: None),
+    "sides": (join_node, "fused_side", lambda side, pair, choice, rule, plain, emit: plain_action(plain)),
+    "absences": (join_node, "fused_absence", lambda absence, rule, whole, plain: plain_action(plain)),
+    "windows": (stream_node, "fused_window", lambda window, limit, node, plain, *rest: plain),
 }
 """By path: where it is bound, and what to bind there to switch it off."""
 

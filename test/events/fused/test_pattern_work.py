@@ -3,8 +3,10 @@
 import pytest
 from events.fused.switching import PATHS
 
-from retalis.engine import Engine, Settings, parts_of
-from retalis.prolog.machine import Limits
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+from retalis.prolog.machine.resource_limits import Limits
 
 RULES = {
     "windows": "o(K, N, A) <- aggregate([count, avg(X)], e(K, X), [N, A], last(10)).",

@@ -9,10 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retalis.engine import Engine, parts_of
-from retalis.engine.runtime import Reports, StreamClock
-from retalis.prolog.machine import PrologError
-from retalis.prolog.terms import SECOND, functor
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.runtime.clock import StreamClock
+from retalis.engine.runtime.problem_reports import Reports
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.terms.timestamps import SECOND
+from retalis.prolog.terms.types import functor
 
 sys.path.append(str(Path(__file__).resolve().parents[2]))
 

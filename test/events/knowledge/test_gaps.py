@@ -4,10 +4,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retalis.engine import Engine, Settings, parts_of
-from retalis.engine.runtime import Reports, StreamClock
-from retalis.events.knowledge.gaps import NOTED
-from retalis.prolog.terms import SECOND
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+from retalis.engine.runtime.clock import StreamClock
+from retalis.engine.runtime.problem_reports import Reports
+from retalis.events.knowledge.interpolation import NOTED
+from retalis.prolog.terms.timestamps import SECOND
 
 BETWEEN = """
 between(Id, Sec, NSec, W) :-

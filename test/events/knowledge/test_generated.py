@@ -9,9 +9,11 @@ import re
 
 import pytest
 
-from retalis.engine import Engine, Settings, parts_of
-from retalis.events.dispatch import Stage
-from retalis.prolog.terms import Var, functor
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+from retalis.events.dispatch.listeners import ListenerPhase
+from retalis.prolog.terms.types import Var, functor
 
 KINDS = (("done", 2), ("ask", 3), ("v", 2), ("seen", 1))
 GOALS = (
@@ -92,7 +94,7 @@ def outcome(seed, everything, caplog):
 
     kinds = [functor(name, arity)(*(Var() for _ in range(arity))) for name, arity in KINDS]
     for pattern in kinds:
-        parts_of(engine).dispatcher.listen(Stage.TRACE, pattern, note)
+        parts_of(engine).dispatcher.listen(ListenerPhase.TRACE, pattern, note)
     if everything:
         engine.on_event(lambda term, start, end: None)
     engine.load(rules=rules(pick, names), goals=goals)

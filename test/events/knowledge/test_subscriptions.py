@@ -5,11 +5,12 @@ import logging
 import pytest
 from recording_engine import RecordingEngine
 
-from retalis.engine import Engine, parts_of
-from retalis.events.dispatch import Stage
-from retalis.events.knowledge import recording
-from retalis.prolog.machine import PrologError
-from retalis.prolog.terms import atom
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.events.dispatch.listeners import ListenerPhase
+from retalis.events.knowledge import memory
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.terms.types import atom
 
 
 def test_delivers_what_its_conditions_let_through_in_its_own_form():
@@ -78,7 +79,7 @@ def test_subscriptions_are_restored_as_they_were():
 def test_a_listener_that_an_interrupt_has_left_is_removed():
     engine = RecordingEngine(goals="subscribe(a, [], one, t, 1)")
     parts = parts_of(engine)
-    parts.dispatcher.listen(Stage.SUBSCRIPTIONS, atom("a"), lambda *event: pytest.fail("delivered"))
+    parts.dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, atom("a"), lambda *event: pytest.fail("delivered"))
     parts.knowledge.subscriptions.mend()
     engine.event("a", 1)
     assert [term for term, _, _ in engine.outputs] == ["one"]
@@ -126,14 +127,14 @@ def test_everything_may_be_subscribed():
 
 def test_variables_of_a_long_form_are_not_looked_up_one_by_one_in_a_list(monkeypatch):
     searched = []
-    variables = recording.variables
+    variables = memory.variables
 
     class Listed(list):
         def __contains__(self, one):
             searched.append(one)
             return super().__contains__(one)
 
-    monkeypatch.setattr(recording, "variables", lambda term: Listed(variables(term)))
+    monkeypatch.setattr(memory, "variables", lambda term: Listed(variables(term)))
     slots = ",".join(f"X{at}" for at in range(100))
     engine = Engine()
     for goal in (

@@ -4,8 +4,8 @@ import random
 
 import pytest
 
-from retalis.engine import Engine
-from retalis.foundation import RetalisError
+from retalis.engine.engine import Engine
+from retalis.foundation.errors import RetalisError
 
 POSITIONS = "memorize(pos(P), [], pos(P), pos, 5)"
 RULES = """

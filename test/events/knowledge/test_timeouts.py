@@ -2,9 +2,10 @@
 
 import pytest
 
-from retalis.engine import Engine, parts_of
-from retalis.engine.runtime import StreamClock
-from retalis.foundation import ProgramErrors
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.runtime.clock import StreamClock
+from retalis.foundation.errors import ProgramErrors
 
 ASK = "synchronized(answer(X), access_mem(m, v(X), _), [[m, T], [n, T]], [timeout(2)]) <- ask(T).\n"
 MEMORIES = "memorize(v(_), [], _, m, 10)\nmemorize(w(_), [], _, n, 10)"

@@ -4,13 +4,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retalis.events.language import Declaration, Declarations, declared_in
-from retalis.events.language.declarations import Argument
-from retalis.events.language.valuekinds import KINDS, read_kind
-from retalis.events.program import FileChecker
-from retalis.foundation import RuleError, UsageError
-from retalis.prolog.syntax import Operators, read_program, read_term, writeq
-from retalis.prolog.terms import atom, functor
+from retalis.events.language.event_declarations import (
+    KINDS,
+    Argument,
+    Declaration,
+    Declarations,
+    declared_in,
+    read_kind,
+)
+from retalis.events.program.event_file_checker import FileChecker
+from retalis.foundation.errors import RuleError, UsageError
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_program, read_term
+from retalis.prolog.syntax.term_writer import writeq
+from retalis.prolog.terms.types import atom, functor
 
 OPERATORS = Operators.prolog()
 NAMES = st.sampled_from(["left", "motor", "T one", "a:b", "don't", "list"])

@@ -3,8 +3,8 @@
 import pytest
 from events.refusals import assert_refused, warnings_of
 
-from retalis.events.language.labels import WORDS
-from retalis.events.matches import AfterMatch, Policy
+from retalis.events.language.rule_parser import WORDS
+from retalis.events.matches.partial_matches import AfterMatchSkipStrategy, ConsumptionPolicy
 
 FORMS = "a label is an atom, or Label([property(Name, Value), ...])"
 
@@ -51,5 +51,5 @@ def test_a_misspelt_property_is_asked_about():
 
 
 def test_words_are_those_that_a_rule_runs_by():
-    assert WORDS["policy"] == tuple(policy.value for policy in Policy)
-    assert WORDS["after_match"] == tuple(kind.value for kind in AfterMatch)
+    assert WORDS["policy"] == tuple(policy.value for policy in ConsumptionPolicy)
+    assert WORDS["after_match"] == tuple(kind.value for kind in AfterMatchSkipStrategy)

@@ -5,9 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from parsing import parse_term
 
-from retalis.events.language import schedule_fault, schedule_of, sets_timer
-from retalis.foundation import UsageError
-from retalis.prolog.terms import SECOND
+from retalis.events.language.rule_parser import schedule_fault, schedule_of, sets_timer
+from retalis.foundation.errors import UsageError
+from retalis.prolog.terms.timestamps import SECOND
 
 DAY = 86_400
 

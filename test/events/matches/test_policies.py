@@ -3,7 +3,8 @@
 import pytest
 from events.running import Program, fired, show
 
-from retalis.engine import Engine, parts_of
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
 
 STREAM = "a(1)@1 a(2)@2 b@3 b@4"
 TWICE = "a@1 a@2 b@3 b@4"

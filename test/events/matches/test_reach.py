@@ -4,10 +4,8 @@ from itertools import product
 
 import pytest
 
-from retalis.events.language import OPERATORS
-from retalis.events.matches import reach_of
-from retalis.events.matches.reach import BEFORE, BETWEEN
-from retalis.events.matches.timeindex import LEAST, MOST
+from retalis.events.language.pattern_operators import OPERATORS
+from retalis.events.matches.interval_index import BEFORE, BETWEEN, LEAST, MOST, reach_of
 
 INTERVALS = [(start, end) for start, end in product(range(6), repeat=2) if start <= end]
 

@@ -5,7 +5,7 @@ from weakref import ref
 
 import pytest
 
-from retalis.events.matches.timeindex import LEAST, MOST, TimeIndex
+from retalis.events.matches.interval_index import LEAST, MOST, IntervalIndex
 
 
 class Interval:
@@ -49,7 +49,7 @@ def test_it_finds_what_a_plain_search_finds(by_end, in_order, width):
         return start, start + source.randrange(width // 3)
 
     waiting = [Interval(order, *interval(order)) for order in range(300)]
-    index = TimeIndex(waiting, by_end)
+    index = IntervalIndex(waiting, by_end)
     for order in range(300, 1500):
         if source.random() < (0.6 if order < 900 else 0.3) or len(waiting) < 2:
             waiting.append(Interval(order, *interval(order)))
@@ -69,7 +69,7 @@ def test_it_finds_what_a_plain_search_finds(by_end, in_order, width):
 @pytest.mark.parametrize("newest", [False, True])
 def test_matches_may_come_and_go_during_a_search(newest):
     waiting = [Interval(order, order % 7, order % 7 + 1) for order in range(200)]
-    index = TimeIndex(waiting, False)
+    index = IntervalIndex(waiting, False)
     limits = (3, 3, LEAST, MOST)
     expected = plainly(waiting, limits, newest, MOST if newest else LEAST)
     found = []
@@ -111,7 +111,7 @@ class Counted(int):
 )
 def test_a_search_looks_at_few_matches_beside_those_that_it_finds(by_end, limits, newest, beyond):
     waiting = [Interval(order, Counted(order), Counted(order)) for order in range(5000)]
-    index = TimeIndex(waiting, by_end)
+    index = IntervalIndex(waiting, by_end)
     Counted.compared = 0
     found = [one.order for one in index.search(limits, newest, beyond)]
     assert Counted.compared < 250
@@ -121,7 +121,7 @@ def test_a_search_looks_at_few_matches_beside_those_that_it_finds(by_end, limits
 @pytest.mark.parametrize("first", [1, 1000, 2000])
 def test_what_has_been_removed_is_not_kept(first):
     waiting = [Interval(order, order, order) for order in range(2000)]
-    index = TimeIndex(waiting[:first], False)
+    index = IntervalIndex(waiting[:first], False)
     for number in range(first, 2000):
         index.add(waiting[number])
     gone = [ref(one) for one in waiting if one.order % 25 != 7]
@@ -136,7 +136,7 @@ def test_what_has_been_removed_is_not_kept(first):
 
 def test_it_is_idle_when_it_was_only_kept_up_to_date():
     waiting = [Interval(order, order, order) for order in range(10)]
-    index = TimeIndex(waiting, False)
+    index = IntervalIndex(waiting, False)
     for order in range(10, 30):
         assert not index.idle
         waiting.append(Interval(order, order, order))

@@ -2,9 +2,10 @@
 
 import pytest
 
-from retalis.engine import Engine, parts_of
-from retalis.events.dispatch import Dispatcher
-from retalis.events.network.postponing import Postponing
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.events.dispatch.dispatcher import Dispatcher
+from retalis.events.network.stream_node import ReentrancyQueue
 
 FOLD = """
 w(S) <- aggregate(fold(none, step, same, X), a(X), S, {window}).
@@ -115,7 +116,7 @@ def test_conditions_of_what_is_absent_make_their_events_afterwards():
 
 def test_what_was_put_off_is_done_in_order_and_forgotten_after_an_interrupt():
     dispatcher = Dispatcher()
-    postponing, done, end = Postponing(dispatcher), [], ("end",)
+    postponing, done, end = ReentrancyQueue(dispatcher), [], ("end",)
     assert postponing.before(end) is end
     for number in (1, 2):
         postponing.put_off(lambda frame, number=number: done.append(number) or frame)

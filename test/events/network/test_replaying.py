@@ -5,8 +5,9 @@ from collections import Counter
 
 import pytest
 
-from retalis.engine import Engine, parts_of
-from retalis.events.network import replaying
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.events.network import stream_node
 
 RULES = {
     "last": "out(M, A) <- aggregate(list(T), t(M, T), A, last(5)).",
@@ -78,7 +79,7 @@ def test_what_is_joined_further_up_goes_with_it():
 
 
 def test_long_streams_are_settled_and_go_on(monkeypatch):
-    monkeypatch.setattr(replaying, "KEPT", 5)
+    monkeypatch.setattr(stream_node, "KEPT", 5)
     events = [(f"t(a,{number})", 10 + number) for number in range(30)]
     for name in ("last", "newest", "batch", "every", "hopping", "running"):
         taken_back = [*events, ("rev(t(a,28))", 40)]

@@ -6,9 +6,10 @@ import pytest
 from events.running import fired
 from events.streams.feeding import entries
 
-from retalis.engine import Engine, parts_of
-from retalis.engine.runtime import Clock, StreamClock
-from retalis.prolog.terms import SECOND
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.runtime.clock import Clock, StreamClock
+from retalis.prolog.terms.timestamps import SECOND
 
 
 class Run(Engine):

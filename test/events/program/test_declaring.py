@@ -3,8 +3,8 @@
 import pytest
 from events.refusals import errors_of
 
-from retalis import Engine
-from retalis.engine import parts_of
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
 
 DECLARED = ":- event temperature(motor:atom, value:number).\n"
 FORM = "temperature(motor:atom,value:number)"

@@ -2,8 +2,8 @@
 
 import pytest
 
-from retalis import Engine
-from retalis.engine import parts_of
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
 
 FILES = {
     "a.pl": ":- module(a, [a/1, shared/1]).\n:- use_module(b).\n:- dynamic shared/1.\n"

@@ -7,9 +7,9 @@ from events.running import Program, show
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retalis.engine import parts_of
-from retalis.engine.runtime import StreamClock
-from retalis.events.rules.deadlines import Deadlines
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.runtime.clock import StreamClock
+from retalis.events.rules.timer_service import NodeTimers
 
 
 class Node:
@@ -51,7 +51,7 @@ class Bench:
             logic=SimpleNamespace(machine=machine),
             dispatcher=SimpleNamespace(apart=lambda work: work()),
         )
-        self.deadlines = Deadlines(rules)
+        self.deadlines = NodeTimers(rules)
         self.rung = []
 
     def node(self, name, serial, place=0):

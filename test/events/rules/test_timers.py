@@ -6,12 +6,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retalis.engine import Engine, parts_of
-from retalis.engine.runtime import StreamClock
-from retalis.events.rules import timers
-from retalis.foundation import ProgramErrors, RetalisError
-from retalis.prolog.machine import PrologError
-from retalis.prolog.terms import SECOND
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.runtime.clock import StreamClock
+from retalis.events.rules import timer_service
+from retalis.foundation.errors import ProgramErrors, RetalisError
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.terms.timestamps import SECOND
 
 
 class Rung(Engine):
@@ -107,8 +108,8 @@ def test_cancelling_takes_all_whose_events_unify():
 
 def test_cancelling_looks_at_those_alone_that_may_unify(monkeypatch):
     looked = []
-    unifies = timers.may_unify
-    monkeypatch.setattr(timers, "may_unify", lambda one, two: looked.append(one) or unifies(one, two))
+    unifies = timer_service.may_unify
+    monkeypatch.setattr(timer_service, "may_unify", lambda one, two: looked.append(one) or unifies(one, two))
     engine = run("\n".join(f"timer(a({number}, b), after(9))" for number in range(50)))
     engine.load(goals="timer(a(_, c), after(9))\ntimer(a(_, b), after(9))")
     assert engine.query("cancel_timer(a(7, b), N)") == [{"N": 2}]
@@ -168,7 +169,7 @@ def test_what_the_clock_rings_counts_from_that_instant_however_far_time_jumps(ri
 
 
 def test_one_that_sets_itself_again_makes_up_for_a_jump_up_to_a_bound(monkeypatch):
-    monkeypatch.setattr(timers, "MOST_AT_ONCE", 100)
+    monkeypatch.setattr(timer_service, "MAX_RINGS_PER_JUMP", 100)
     engine = run(rules=":- timer(t, after(1)).\nnull do timer(t, after(1)) <- t.")
     engine.at(0.5)
     assert [at for term, at in engine.at(50) if term == "t"] == [number + 0.5 for number in range(1, 50)]
@@ -187,7 +188,7 @@ def test_an_instant_that_is_over_is_said_and_rings_never(caplog):
 
 
 def test_a_jump_of_time_is_made_up_for_up_to_a_bound(caplog, monkeypatch):
-    monkeypatch.setattr(timers, "MOST_AT_ONCE", 100)
+    monkeypatch.setattr(timer_service, "MAX_RINGS_PER_JUMP", 100)
     engine = run("timer(t, every(1))")
     engine.at(0.5)
     assert len(engine.at(100.5)) == 101 and not caplog.records
@@ -235,7 +236,7 @@ def test_what_is_cancelled_does_not_stay_in_the_clock():
 
 
 def test_there_are_not_more_than_a_bound(monkeypatch):
-    monkeypatch.setattr(timers, "MOST", 100)
+    monkeypatch.setattr(timer_service, "MAX_TIMERS", 100)
     engine = run()
     assert engine.call("forall(between(1, 100, N), timer(a(N), after(N)))")
     with pytest.raises(RetalisError, match="timers"):

@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 from hypothesis import strategies as st
 
-from retalis.events.streams import MEASURES, StreamItem
+from retalis.events.streams.accumulators import MEASURES
+from retalis.events.streams.stream_elements import StreamElement
 
 
 class Came(NamedTuple):
@@ -44,7 +45,7 @@ def _placed(rows):
 
 def item_of(came):
     """Return the item of what came, whose match is its number."""
-    return StreamItem(came.at, came.start, came.end, (came.key,), (came.value,))
+    return StreamElement(came.at, came.start, came.end, (came.key,), (came.value,))
 
 
 def listing():

@@ -2,7 +2,8 @@
 
 import pytest
 
-from retalis.engine import Engine, parts_of
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
 
 STEPS = "aggregate(list(V), q(K, V), L, steps([up where V == up, down where V == down]))"
 LAST = "aggregate(list(V), q(K, V), L, last(3, events))"

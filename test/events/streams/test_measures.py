@@ -10,9 +10,13 @@ from hypothesis import example, given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
 
-from retalis.events.streams import MEASURES, Sliding, StreamItem
-from retalis.foundation import RuleError
-from retalis.prolog.terms import atom, list_items, term_key
+from retalis.events.streams.accumulators import MEASURES
+from retalis.events.streams.stream_elements import StreamElement
+from retalis.events.streams.windows import SlidingTimeWindow
+from retalis.foundation.errors import RuleError
+from retalis.prolog.terms.list_terms import list_items
+from retalis.prolog.terms.term_traversal import term_key
+from retalis.prolog.terms.types import atom
 
 SPAN = 6
 PARTS = (0, 0.1, 0.25, 0.5, 0.9, 1)
@@ -49,10 +53,12 @@ def of(name, setting=None, at=0):
 
 def measured(arrivals, makers, span=SPAN):
     """Yield what is in a sliding window, in the order in which it came, and what is measured of it."""
-    window = Sliding(lambda: [make() for make in makers], span)
+    window = SlidingTimeWindow(lambda: [make() for make in makers], span)
     window.tracked = True
     for came in arrivals:
-        for output in window.take(StreamItem(came, came.start, came.end, (came.key,), (came.value,)), 0, 0):
+        for output in window.take(
+            StreamElement(came, came.start, came.end, (came.key,), (came.value,)), 0, 0
+        ):
             yield [item.match for item in output.items], output.found
 
 
@@ -155,9 +161,9 @@ def test_the_infinities_have_an_order(name):
 
 
 def test_several_measures_have_their_own_values():
-    window = Sliding(lambda: [of("sum"), of("max", None, 1), of("count", None, 2)], 10)
+    window = SlidingTimeWindow(lambda: [of("sum"), of("max", None, 1), of("count", None, 2)], 10)
     for at in range(3):
-        outputs = window.take(StreamItem(None, at, at, (), (at, -at)), 0, 0)
+        outputs = window.take(StreamElement(None, at, at, (), (at, -at)), 0, 0)
     assert outputs[0].found == (3, 0, 3)
 
 

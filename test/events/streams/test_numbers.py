@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
 
-from retalis.events.streams.items import StreamItem
-from retalis.events.streams.numbers import ExactSum, Lowest, Ranked, deviation
+from retalis.events.streams.accumulators import ExactSum, Lowest, Ranked, deviation
+from retalis.events.streams.stream_elements import StreamElement
 
 FINITE = st.one_of(st.integers(-(10**30), 10**30), st.floats(allow_nan=False, allow_infinity=False, width=32))
 STEPS = st.lists(st.tuples(FINITE, st.booleans(), st.integers(0, 100)), max_size=40)
@@ -71,7 +71,7 @@ def entering(steps):
     orders = count()
     inside = []
     for value, goes, which in steps:
-        item = StreamItem(None, 0, 0, (), (value,))
+        item = StreamElement(None, 0, 0, (), (value,))
         item.order = next(orders)
         inside.append(item)
         yield inside, item, None
@@ -119,7 +119,7 @@ def test_quantiles_are_those_of_numpy():
     for part in (0, 0.1, 0.33, 0.5, 0.875, 1):
         ranked = Ranked(part)
         for at, value in enumerate(values):
-            item = StreamItem(None, 0, 0, (), (value,))
+            item = StreamElement(None, 0, 0, (), (value,))
             item.order = at
             ranked.add(value, item)
         assert ranked.value() == pytest.approx(numpy.quantile(values, part), rel=1e-12)
@@ -131,7 +131,7 @@ def test_what_has_gone_is_not_held(kind):
     lowest, ranked = Lowest(), Ranked(0.5)
     inside = []
     for at in range(1500):
-        item = StreamItem(None, 0, 0, (), (at if kind == "rising" else -at,))
+        item = StreamElement(None, 0, 0, (), (at if kind == "rising" else -at,))
         item.order = at
         inside.append(item)
         lowest.add(item.values[0], item)

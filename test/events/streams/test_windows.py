@@ -6,8 +6,16 @@ from hypothesis import given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
 
-from retalis.events.streams import MEASURES, Batches, FromFirst, Hopping, Newest, RunningWindow, Sliding
-from retalis.foundation import RuleError
+from retalis.events.streams.accumulators import MEASURES
+from retalis.events.streams.windows import (
+    AnchoredTumblingWindow,
+    EagerTumblingWindow,
+    HoppingWindow,
+    SlidingCountWindow,
+    SlidingTimeWindow,
+    TumblingCountWindow,
+)
+from retalis.foundation.errors import RuleError
 
 ARRIVALS = stream(st.sampled_from([1, 2.5]))
 CUTS = st.integers(0, 20)
@@ -35,7 +43,7 @@ def test_of_the_last_seconds(arrivals, cut, span):
         before = newest(came) - span
         if came[-1].start > before:
             expected.append(spanning([one for one in same_group(came) if one.start > before]))
-    fed = Fed(lambda: Sliding(listing, span), cut)
+    fed = Fed(lambda: SlidingTimeWindow(listing, span), cut)
     assert fed.feed(arrivals) == expected
     if arrivals:
         inside = [one for one in arrivals if one.start > newest(arrivals) - span]
@@ -45,7 +53,7 @@ def test_of_the_last_seconds(arrivals, cut, span):
 @some
 @given(ARRIVALS, CUTS, st.integers(1, 5))
 def test_of_the_last_items(arrivals, cut, most):
-    fed = Fed(lambda: Newest(listing, most), cut)
+    fed = Fed(lambda: SlidingCountWindow(listing, most), cut)
     assert fed.feed(arrivals) == [spanning(same_group(came)[-most:]) for came in prefixes(arrivals)]
     assert len(fed.stream) == sum(min(most, sum(one.key == key for one in arrivals)) for key in "ab")
 
@@ -59,7 +67,7 @@ def test_so_many_at_a_time(arrivals, cut, most, running):
         size = (len(here) - 1) % most + 1
         if running or size == most:
             expected.append(spanning(here[-size:]))
-    assert Fed(lambda: Batches(listing, most, running), cut).feed(arrivals) == expected
+    assert Fed(lambda: TumblingCountWindow(listing, most, running), cut).feed(arrivals) == expected
 
 
 @some
@@ -73,7 +81,7 @@ def test_at_instants(arrivals, cut, span, every):
         groups = [[one for one in inside if one.key == key] for key in "ab"]
         interval = (instant - span, instant)
         expected.append([({one.at for one in group}, *interval) for group in groups if group])
-    fed = Fed(lambda: Hopping(listing, span, every), cut)
+    fed = Fed(lambda: HoppingWindow(listing, span, every), cut)
     said = [(set(items), start, end) for items, start, end in fed.feed(arrivals)]
     assert sorted(said, key=str) == sorted((one for found in expected for one in found), key=str)
     assert [end for _, _, end in said] == sorted(end for _, _, end in said)
@@ -107,7 +115,7 @@ def test_from_the_first_of_a_group(arrivals, cut, span, running):
         if running:
             expected.append(spanning(found))
     close(1 << 40)
-    said = Fed(lambda: FromFirst(listing, span, running), cut).feed(arrivals)
+    said = Fed(lambda: AnchoredTumblingWindow(listing, span, running), cut).feed(arrivals)
     assert sorted(said) == sorted(expected) if not running else said == expected
 
 
@@ -120,16 +128,16 @@ def test_of_the_present_window(arrivals, cut, span):
         here = [one for one in same_group(came) if one.end // span == newest(came) // span]
         if came[-1] in here:
             expected.append(spanning(here))
-    assert Fed(lambda: RunningWindow(listing, span), cut).feed(arrivals) == expected
+    assert Fed(lambda: EagerTumblingWindow(listing, span), cut).feed(arrivals) == expected
 
 
 WINDOWS = {
-    "last seconds": lambda: Sliding(listing, 100),
-    "last items": lambda: Newest(listing, 100),
-    "batches": lambda: Batches(listing, 100, False),
-    "from the first": lambda: FromFirst(listing, 100, False),
-    "present": lambda: RunningWindow(listing, 1000),
-    "instants": lambda: Hopping(listing, 100, 50),
+    "last seconds": lambda: SlidingTimeWindow(listing, 100),
+    "last items": lambda: SlidingCountWindow(listing, 100),
+    "batches": lambda: TumblingCountWindow(listing, 100, False),
+    "from the first": lambda: AnchoredTumblingWindow(listing, 100, False),
+    "present": lambda: EagerTumblingWindow(listing, 1000),
+    "instants": lambda: HoppingWindow(listing, 100, 50),
 }
 
 
@@ -176,7 +184,7 @@ def test_ends_that_are_too_far_ahead_do_not_move_the_time_on(kind):
 
 
 def test_a_refused_value_leaves_no_group():
-    window = Sliding(lambda: [MEASURES["sum"].make(0, "sum", None)], 10)
+    window = SlidingTimeWindow(lambda: [MEASURES["sum"].make(0, "sum", None)], 10)
     with pytest.raises(RuleError, match="finite"):
         window.take(item_of(Came(0, "a", 1, 1, float("inf"), 0, 1)), 1, 0)
     assert (len(window), window.states) == (0, {})
@@ -184,7 +192,7 @@ def test_a_refused_value_leaves_no_group():
 
 def test_what_cannot_be_measured_is_said_and_the_next_is_measured():
     """Of numbers that are too large together: the window is over all the same."""
-    make = [lambda: Batches(of_sum, 2, False), lambda: Hopping(of_sum, 10, 10)]
+    make = [lambda: TumblingCountWindow(of_sum, 2, False), lambda: HoppingWindow(of_sum, 10, 10)]
     numbers = [1e308, 1e308, 1.0, 2.0]
 
     def of_sum():
@@ -204,7 +212,7 @@ def test_what_cannot_be_measured_is_said_and_the_next_is_measured():
 
 def test_what_has_left_costs_nothing():
     """However many items have gone through a window, only those that are in it are held, in all of its queues."""
-    sliding, hopping = Sliding(listing, 10), Hopping(listing, 10, 5)
+    sliding, hopping = SlidingTimeWindow(listing, 10), HoppingWindow(listing, 10, 5)
     for at in range(2000):
         end = 5 * at - (7 if at % 3 == 0 else 0)
         for window in (sliding, hopping):

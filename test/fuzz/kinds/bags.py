@@ -2,7 +2,8 @@
 
 import os
 
-from retalis.engine.playback import BagSeries, Playback
+from retalis.playback.bag_sources import MergedBag
+from retalis.playback.playback import Playback
 
 from ..mutate import changed_bytes
 from .base import LOGGED, SETTINGS, Kind
@@ -55,6 +56,6 @@ class Inputs(Kind):
         LOGGED.check()
 
     def play(self):
-        with BagSeries([self.path], max_chunk_megabytes=MEGABYTES) as bag:
+        with MergedBag([self.path], max_chunk_megabytes=MEGABYTES) as bag:
             for _ in self.playback.run(bag):
                 pass

@@ -3,10 +3,11 @@
 import logging
 from pathlib import Path
 
-from retalis import Engine
-from retalis.engine import Settings, parts_of
-from retalis.foundation import RetalisError
-from retalis.prolog.machine import Limits
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+from retalis.foundation.errors import RetalisError
+from retalis.prolog.machine.resource_limits import Limits
 
 from ..mutate import to_text
 from ..watch import GROWTH, SECONDS, Finding

@@ -3,10 +3,10 @@
 import sqlite3
 from zlib import crc32
 
-from retalis.engine import CheckpointFile, Checkpoints, resume
-from retalis.engine.checkpoints import read_checkpoint
-from retalis.engine.keeping import from_bytes, to_bytes
-from retalis.engine.runtime import Reports, StreamClock
+from retalis.engine.checkpoints import Checkpointer, CheckpointStorage, read_checkpoint, resume
+from retalis.engine.runtime.clock import StreamClock
+from retalis.engine.runtime.problem_reports import Reports
+from retalis.serialization.codec import from_bytes, to_bytes
 
 from ..mutate import changed_bytes
 from . import states
@@ -50,7 +50,7 @@ class Inputs(states.Inputs):
         engine = silent_engine()
         engine.load_program(self.folder)
         engine.load(states.PROGRAMS[0][0])
-        kept = Checkpoints(engine, CheckpointFile(self.path), self.folder, Reports(), 0.5)
+        kept = Checkpointer(engine, CheckpointStorage(self.path), self.folder, Reports(), 0.5)
         for now, event in enumerate(states.EVENTS, 1):
             engine.event(event, now)
             kept.write()

@@ -1,6 +1,6 @@
 """Texts on the topic of events, for an engine that takes events only."""
 
-from retalis.engine import parts_of
+from retalis.engine.engine_parts import parts_of
 
 from ..mutate import changed_text, soup, to_bytes, to_text
 from .base import ARGUMENTS, LOGGED, Kind, silent_engine

@@ -3,9 +3,9 @@
 import re
 from pathlib import Path
 
-from retalis.engine import parts_of
-from retalis.prolog.syntax import write_term
-from retalis.prolog.terms import atom
+from retalis.engine.engine_parts import parts_of
+from retalis.prolog.syntax.term_writer import write_term
+from retalis.prolog.terms.types import atom
 
 from ..mutate import changed_text, to_bytes, to_text
 from .base import ARGUMENTS, LOGGED, Kind, silent_engine

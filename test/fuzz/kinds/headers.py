@@ -2,7 +2,7 @@
 
 import json
 
-from retalis.messages import Definitions, Installed
+from retalis.messages.type_registry import Definitions, Installed
 
 from ..mutate import changed_text, to_bytes, to_text
 from .base import Kind

@@ -2,8 +2,8 @@
 
 from time import process_time
 
-from retalis.engine import Settings
-from retalis.prolog.machine import Limits
+from retalis.engine.engine_settings import Settings
+from retalis.prolog.machine.resource_limits import Limits
 
 from ..mutate import changed_text, to_bytes, to_text
 from ..watch import Finding

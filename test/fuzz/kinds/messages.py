@@ -3,9 +3,10 @@
 import random
 import struct
 
-from retalis.messages import Definitions, text_writer
-from retalis.prolog.syntax import EventReader
-from retalis.prolog.syntax import to_text as text_of
+from retalis.messages.message_to_text import text_writer
+from retalis.messages.type_registry import Definitions
+from retalis.prolog.syntax.event_text import EventReader
+from retalis.prolog.syntax.event_text import to_text as text_of
 
 from ..mutate import changed_bytes, changed_text, to_bytes, to_text
 from ..watch import Finding

@@ -2,8 +2,10 @@
 
 import struct
 
-from retalis.messages import Definitions, ros2_type, text_writer
-from retalis.prolog.syntax import to_text as text_of
+from retalis.messages.message_to_text import text_writer
+from retalis.messages.ros2_types import ros2_type
+from retalis.messages.type_registry import Definitions
+from retalis.prolog.syntax.event_text import to_text as text_of
 
 from ..mutate import changed_text, soup, to_bytes, to_text
 from ..watch import Finding

@@ -1,11 +1,12 @@
 """States with changed values, references, and lengths and right checksums, changed bytes, and pieces left out."""
 
-from retalis import Engine
-from retalis.engine import parts_of
-from retalis.engine.keeping import from_bytes, pack, to_bytes, unpack
-from retalis.engine.keeping.coding import Ref
-from retalis.foundation import RetalisError, UsageError
-from retalis.prolog.terms import Functor, String, Var, WholeSeconds, atom, functor
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.foundation.errors import RetalisError, UsageError
+from retalis.prolog.terms.timestamps import WholeSeconds
+from retalis.prolog.terms.types import Functor, String, Var, atom, functor
+from retalis.serialization.codec import Ref, from_bytes, to_bytes
+from retalis.serialization.state_sections import pack, unpack
 
 from ..mutate import NUMBERS, changed_bytes
 from ..watch import Finding

@@ -2,9 +2,9 @@
 
 import json
 
-from retalis.engine import Settings
-from retalis.foundation import RetalisError
-from retalis.prolog.machine import Limits
+from retalis.engine.engine_settings import Settings
+from retalis.foundation.errors import RetalisError
+from retalis.prolog.machine.resource_limits import Limits
 
 from ..mutate import to_bytes, to_text
 from ..watch import Finding

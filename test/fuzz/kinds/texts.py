@@ -1,7 +1,11 @@
 """Texts for the reader: a term or a syntax fault."""
 
-from retalis.foundation import SyntaxFault
-from retalis.prolog.syntax import EventReader, Operators, ReadFlags, read_program, read_term, write_term
+from retalis.foundation.errors import SyntaxFault
+from retalis.prolog.syntax.event_text import EventReader
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_program, read_term
+from retalis.prolog.syntax.term_writer import write_term
+from retalis.prolog.syntax.tokenizer import ReadFlags
 
 from ..mutate import TOKENS, changed_text, soup, to_bytes, to_text
 from .base import Kind

@@ -3,7 +3,7 @@
 import pytest
 from prolog.support import answers, prolog
 
-from retalis.prolog.syntax import read_term
+from retalis.prolog.syntax.term_reader import read_term
 
 LATER = "member(X, [1,2,3])"
 

@@ -8,10 +8,9 @@ from pathlib import Path
 import pytest
 from prolog.support import NEVER, answers, first, prolog
 
-from retalis.prolog.builtins.tables import Table
-from retalis.prolog.builtins.tabling import tables_of
-from retalis.prolog.machine import Limits
-from retalis.prolog.syntax import read_term
+from retalis.prolog.builtins.tabling import Table, tables_of
+from retalis.prolog.machine.resource_limits import Limits
+from retalis.prolog.syntax.term_reader import read_term
 
 PROGRAM = """
 :- dynamic edge/2 as incremental.

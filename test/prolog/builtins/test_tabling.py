@@ -7,8 +7,8 @@ import pytest
 from prolog.support import answers, first, prolog
 
 from retalis.prolog.builtins.tabling import tables_of
-from retalis.prolog.machine import Limits
-from retalis.prolog.syntax import read_term
+from retalis.prolog.machine.resource_limits import Limits
+from retalis.prolog.syntax.term_reader import read_term
 
 PROGRAM = """
 :- table path/2, even/1, odd/1, fib/2, p/1, q/1, expr/2, term/2, factor/2.

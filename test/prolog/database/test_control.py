@@ -3,8 +3,9 @@
 import pytest
 from prolog.support import NEVER, answers, first, prolog
 
-from retalis.prolog.machine import PrologError, machine
-from retalis.prolog.syntax import read_term
+from retalis.prolog.machine import machine
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.syntax.term_reader import read_term
 
 PROGRAM = """
 p(1). p(2). p(3).

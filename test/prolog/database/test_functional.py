@@ -3,8 +3,8 @@
 import pytest
 from prolog.support import NEVER, answers, prolog
 
-from retalis.prolog.machine import PrologError, type_error
-from retalis.prolog.terms import atom, deref, functor
+from retalis.prolog.machine.errors import PrologError, type_error
+from retalis.prolog.terms.types import atom, deref, functor
 
 PROGRAM = """
 half(X, Y) :- half_of(X, Y).

@@ -6,8 +6,8 @@ import pytest
 from prolog.compiler.test_compiled import CALLS, SEEDS, program
 from prolog.support import NEVER, answers, first, prolog
 
-from retalis.prolog.compiler import Generator
-from retalis.prolog.database import hot
+from retalis.prolog.compiler.predicate_code import PredicateGenerator
+from retalis.prolog.database import control_constructs
 from retalis.prolog.machine import machine
 
 
@@ -35,7 +35,11 @@ all(L) :- findall(N, sum(N), L).
 @pytest.fixture
 def made(monkeypatch):
     found = []
-    monkeypatch.setattr(hot, "Generator", lambda *args: found.append(args) or Generator(*args))
+    monkeypatch.setattr(
+        control_constructs,
+        "PredicateGenerator",
+        lambda *args: found.append(args) or PredicateGenerator(*args),
+    )
     return found
 
 
@@ -130,10 +134,12 @@ def test_a_cut_that_a_variable_stands_for_is_that_of_the_body(goal, steps, monke
 
 def test_what_cannot_be_compiled_is_tried_once_and_many_bodies_take_turns(monkeypatch):
     tried = []
-    monkeypatch.setattr(hot.HotBodies, "_compile", lambda self, body: tried.append(body))
+    monkeypatch.setattr(
+        control_constructs.JustInTimeBodies, "_compile", lambda self, body: tried.append(body)
+    )
     monkeypatch.setattr(machine, "SLICE", (None,))
     logic = prolog(SEARCH, NEVER)
     goal = " , ".join(f"\\+ (digit(X{at}), digit(Y{at}), X{at} + Y{at} > 18)" for at in range(20))
     assert first(logic, f"{goal}, N = 1")["N"] == "1"
     assert 0 < len(tried) <= 60
-    assert len(logic.control.bodies) <= 2 * hot._MOST_BODIES  # noqa: SLF001
+    assert len(logic.control.bodies) <= 2 * control_constructs._MAX_BODIES  # noqa: SLF001

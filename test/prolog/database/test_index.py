@@ -5,14 +5,14 @@ from random import Random
 import pytest
 from prolog.support import NEVER, answers, prolog
 
-from retalis.prolog.database import index
-from retalis.prolog.database.index import Index
+from retalis.prolog.database import clause_index
+from retalis.prolog.database.clause_index import Index
 
 
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("most", [3, 1_000_000])
 def test_gives_what_may_match_in_its_order(seed, most, monkeypatch):
-    monkeypatch.setattr(index, "_MOST_COPIES", most)
+    monkeypatch.setattr(clause_index, "_MAX_COPIES", most)
     random = Random(seed)
     found, added = Index(), []
     for number in range(60):

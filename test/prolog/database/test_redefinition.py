@@ -3,14 +3,14 @@
 import pytest
 from prolog.support import answers, first, prolog
 
-from retalis import Engine
-from retalis.engine import parts_of
-from retalis.foundation import ProgramErrors
-from retalis.prolog import builtins
-from retalis.prolog.compiler import FIXED
-from retalis.prolog.database import NEVER
-from retalis.prolog.machine import PrologError
-from retalis.prolog.terms import Var, atom, functor
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.foundation.errors import ProgramErrors
+from retalis.prolog.builtins.builtin_registry import ENTRIES
+from retalis.prolog.compiler.clause_nodes import FIXED
+from retalis.prolog.database.clause_index import NEVER
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.terms.types import Var, atom, functor
 
 
 def rule_for(key):
@@ -21,7 +21,7 @@ def rule_for(key):
     )
 
 
-FREE = sorted({functor(*key) for key in builtins.ENTRIES} - FIXED, key=str)
+FREE = sorted({functor(*key) for key in ENTRIES} - FIXED, key=str)
 
 
 def test_all_but_control_unification_comparison_and_type_tests_can_be_defined():

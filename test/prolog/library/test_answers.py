@@ -5,10 +5,12 @@ from pathlib import Path
 import pytest
 from prolog.support import show
 
-from retalis.prolog.logic import Logic
-from retalis.prolog.machine import PrologError
-from retalis.prolog.syntax import read_term
-from retalis.prolog.terms import atom, copy, functor, make_list
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.syntax.term_reader import read_term
+from retalis.prolog.system.prolog_system import PrologSystem
+from retalis.prolog.terms.list_terms import make_list
+from retalis.prolog.terms.term_traversal import copy
+from retalis.prolog.terms.types import atom, functor
 
 ROWS = [
     line.split("\t")
@@ -19,7 +21,7 @@ MOST = 5
 
 @pytest.fixture(scope="module")
 def logic():
-    return Logic(compile_after=1 << 60)  # what is asked once is not worth compiling
+    return PrologSystem(compile_after=1 << 60)  # what is asked once is not worth compiling
 
 
 @pytest.mark.parametrize(("goal", "answer"), ROWS, ids=[goal for goal, _ in ROWS])

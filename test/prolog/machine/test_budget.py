@@ -7,10 +7,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retalis.prolog.machine import MEGABYTE, Budget, Left, LimitError, LimitPassed, Limits
-from retalis.prolog.machine import budget as _budget
-from retalis.prolog.machine.limits import LOOP, SLICE
-from retalis.prolog.terms import atom
+from retalis.prolog.machine import resource_limits as _budget
+from retalis.prolog.machine.resource_limits import (
+    LOOP,
+    MEGABYTE,
+    SLICE,
+    Budget,
+    Left,
+    LimitError,
+    LimitPassed,
+    Limits,
+)
+from retalis.prolog.terms.types import atom
 
 
 class Turn:

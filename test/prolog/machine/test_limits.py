@@ -5,11 +5,15 @@ import pickle
 import pytest
 from prolog.support import first, prolog
 
-from retalis.engine import Engine, Settings, parts_of
-from retalis.foundation import ProgramErrors, UsageError, look
-from retalis.prolog.machine import Limits, PrologError
-from retalis.prolog.syntax import writeq
-from retalis.prolog.terms import Var, atom, functor
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+from retalis.foundation.cancellation import look
+from retalis.foundation.errors import ProgramErrors, UsageError
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.machine.resource_limits import Limits
+from retalis.prolog.syntax.term_writer import writeq
+from retalis.prolog.terms.types import Var, atom, functor
 
 PROGRAM = """
 loop :- loop.

@@ -4,10 +4,12 @@ import os
 
 import pytest
 
-from retalis import Engine, Limits, Settings
-from retalis.engine import parts_of
-from retalis.foundation import UsageError
-from retalis.prolog.swi.binding import find_library
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+from retalis.foundation.errors import UsageError
+from retalis.prolog.machine.resource_limits import Limits
+from retalis.prolog.swi.libswipl import find_library
 
 ASKED = "RETALIS_TEST_SWI"
 """Variable that asks for these tests."""

@@ -4,7 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from retalis import Engine, PrologError, Settings
+from retalis.engine.engine import Engine
+from retalis.engine.engine_settings import Settings
+from retalis.prolog.machine.errors import PrologError
 
 FOLDER = Path(__file__).resolve().parent / "bases"
 

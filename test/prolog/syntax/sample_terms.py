@@ -4,7 +4,7 @@ import struct
 
 from hypothesis import strategies as st
 
-from retalis.prolog.terms import CONS, NIL, Atom, String, Var, atom, deref, functor
+from retalis.prolog.terms.types import CONS, NIL, Atom, String, Var, atom, deref, functor
 
 
 def shape(term):

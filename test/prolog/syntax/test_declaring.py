@@ -2,8 +2,11 @@
 
 import pytest
 
-from retalis.foundation import SyntaxFault
-from retalis.prolog.syntax import Operators, ReadFlags, read_program, read_term, writeq
+from retalis.foundation.errors import SyntaxFault
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_program, read_term
+from retalis.prolog.syntax.term_writer import writeq
+from retalis.prolog.syntax.tokenizer import ReadFlags
 
 OPERATORS = Operators.prolog()
 

@@ -3,17 +3,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sample_terms import names, shape, terms
 
-from retalis.prolog.logic import Logic
-from retalis.prolog.syntax import (
-    EVENT_OPERATORS,
-    Operators,
-    ReadFlags,
-    read_program,
-    read_term,
-    to_text,
-    write_term,
-)
-from retalis.prolog.terms import Functor, atom, functor
+from retalis.prolog.syntax.event_operators import EVENT_OPERATORS
+from retalis.prolog.syntax.event_text import to_text
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_program, read_term
+from retalis.prolog.syntax.term_writer import write_term
+from retalis.prolog.syntax.tokenizer import ReadFlags
+from retalis.prolog.system.prolog_system import PrologSystem
+from retalis.prolog.terms.types import Functor, atom, functor
 
 EVENT = ReadFlags(event_text=True)
 
@@ -126,7 +123,7 @@ def check_written(logic, term):
 @settings(max_examples=400, deadline=None)
 @given(clauses.filter(lambda term: not any(map(_says_other, shape(term)))), operator_tables())
 def test_written_clauses_read_back(term, operators):
-    logic = Logic()
+    logic = PrologSystem()
     logic.operators.become(operators)
     check_written(logic, term)
 
@@ -159,13 +156,13 @@ FORMS = (
 @pytest.mark.parametrize("name", SYMBOLS)
 def test_operators_as_atoms_read_back(name):
     """Alone, as argument, operand, item, head and goal."""
-    logic = Logic()
+    logic = PrologSystem()
     text = f"({write_term(atom(name))})" if name != "," else "','"
     for form in FORMS:
         check_written(logic, read_term(form.format(text), logic.operators).term)
 
 
 def test_redefined_operators_are_not_laid_out():
-    logic = Logic()
+    logic = PrologSystem()
     assert logic.once(read_term("op(500, xfy, :-)", logic.operators).term)
     check_written(logic, read_term("':-'(:(a:b), \\+ a)", logic.operators).term)

@@ -5,7 +5,7 @@ import time
 from itertools import count
 from typing import Callable, List, Optional, Sequence, Tuple
 
-from ...prolog.terms import SECOND, WholeSeconds
+from ...prolog.terms.timestamps import SECOND, WholeSeconds
 
 Alarm = Callable[[int], None]
 

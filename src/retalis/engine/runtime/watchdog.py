@@ -6,24 +6,25 @@ import time
 from typing import Any, Callable, NamedTuple, Optional, Tuple
 from weakref import WeakSet, ref
 
-from ...events.dispatch import TERM, Dispatcher
-from ...foundation import Place, RuleError, beginning
-from ...prolog.database import CompiledGoal
-from ...prolog.logic import Logic
-from ...prolog.machine import Budget, Turn
-from ...prolog.terms import COMMA, Atom, deref
-from .reports import Reports
+from ...events.dispatch.dispatcher import Dispatcher
+from ...events.dispatch.listeners import TERM
+from ...foundation.errors import Place, RuleError, beginning
+from ...prolog.database.compiled_goal import CompiledGoal
+from ...prolog.machine.resource_limits import Budget, Turn
+from ...prolog.system.prolog_system import PrologSystem
+from ...prolog.terms.types import COMMA, Atom, deref
+from .problem_reports import Reports
 
 Warn = Callable[[float, object], None]
 
 _LOOKS = 5
 """Looks within the shortest of the times that matter."""
 
-_DEEPEST = 1000
+_MAX_CONJUNCTION_DEPTH = 1000
 """Conjunctions within another's first goal that are looked into."""
 
 _SHORTEST = 0.005
-_LONGEST = 0.5
+_MAX_LOOK_SECONDS = 0.5
 
 
 class AtWork(NamedTuple):
@@ -95,11 +96,11 @@ class Watchdog:
     def pause(self) -> float:
         """Return the seconds to the next look."""
         times = [time for time in (self._patience, self._budget.limits.seconds) if time is not None]
-        return max(_SHORTEST, min(_LONGEST, min(times, default=_LONGEST) / _LOOKS))
+        return max(_SHORTEST, min(_MAX_LOOK_SECONDS, min(times, default=_MAX_LOOK_SECONDS) / _LOOKS))
 
 
 def watch(
-    turn: Turn, logic: Logic, dispatcher: Dispatcher, reports: Reports, patience: Optional[float]
+    turn: Turn, logic: PrologSystem, dispatcher: Dispatcher, reports: Reports, patience: Optional[float]
 ) -> Watchdog:
     """Return what watches an engine as long as somebody holds it, and have it reported what it finds."""
     budget = logic.machine.budget
@@ -159,7 +160,7 @@ def _run(known: "ref[Watchdog]") -> None:
 
 
 def _held_up(
-    logic: Logic, dispatcher: Dispatcher, entry: object, seconds: float
+    logic: PrologSystem, dispatcher: Dispatcher, entry: object, seconds: float
 ) -> Tuple[RuleError, Tuple[str, str]]:
     """Return a warning of what is at work, and what tells it from others.
 
@@ -172,7 +173,7 @@ def _held_up(
     return RuleError(text, found.place), ("held up", who)
 
 
-def at_work(logic: Logic, dispatcher: Dispatcher, entry: object) -> AtWork:
+def at_work(logic: PrologSystem, dispatcher: Dispatcher, entry: object) -> AtWork:
     """Return what is at work in an engine, named by a thread that looks from outside."""
     goal, current = logic.machine.budget.goal, dispatcher.current
     place: Optional[Place] = getattr(entry, "place", None)
@@ -188,7 +189,7 @@ def at_work(logic: Logic, dispatcher: Dispatcher, entry: object) -> AtWork:
 def _first(term: Any) -> Any:
     """Return a term, or the first goal of a conjunction: a name of the conjunction says nothing."""
     term = deref(term)
-    for _ in range(_DEEPEST):
+    for _ in range(_MAX_CONJUNCTION_DEPTH):
         if term.__class__ is not tuple or term[0] is not COMMA:
             break
         term = deref(term[1])

@@ -1,4 +1,7 @@
-"""Subscriptions: which events go out, in which form, to which topic."""
+"""Which events of a subscription are sent: those that a shape lets through, as in rules, ``P with S``.
+
+Subscriptions: which events go out, in which form, to which topic.
+"""
 
 from itertools import count
 from typing import (
@@ -11,23 +14,201 @@ from typing import (
     List,
     NamedTuple,
     Optional,
+    Protocol,
     Sequence,
     Tuple,
 )
 
-from ...foundation import UsageError
-from ...prolog.logic import Logic
-from ...prolog.machine import Frame, domain_error, permission_error
-from ...prolog.terms import MINUS, Atom, Term, Values, Var, copy, deref, term_key, variables
-from ..dispatch import Dispatcher, EventAction, Listener, Stage
-from ..language import Shaped, subscribed_event, subscribed_shape
-from .rates import KeptRate, RateClock, SubscriptionRate, looked_at
-from .recording import Recording, Warn, itself, key_of, recording, unused_variables
+from ...foundation.errors import UsageError
+from ...prolog.machine.errors import domain_error, permission_error
+from ...prolog.system.prolog_system import PrologSystem
+from ...prolog.terms.term_traversal import copy, term_key, variables
+from ...prolog.terms.types import MINUS, Atom, EventAction, Frame, Term, Values, Var, deref
+from ..dispatch.dispatcher import Dispatcher
+from ..dispatch.listeners import Listener, ListenerPhase
+from ..language.pattern_tree import Shaped
+from ..language.window_parser import subscribed_event, subscribed_shape
+from ..matches.partial_matches import NetworkOptions
+from ..network.goal_evaluation import Woken
+from ..network.stream_compiler import shaping
+from ..streams.stream_elements import KeyBounds, StreamElement, StreamOperator, StreamOutput
+from .memory import Recording, Warn, itself, key_of, recording, unused_variables
+
+KeptRate = Tuple[Any, int, int]
+"""What the shape knows, and how many events came too late or were too many."""
+
+
+def looked_at(part: Shaped) -> Tuple[Term, ...]:
+    """Return the terms that a shape looks at."""
+    return part.by if part.value is None else (part.value, *part.by)
+
+
+class RateClock(Protocol):
+    """All rules of a program, as subscriptions look at them: they ring what has come due.
+
+    Attributes:
+        cap: how many events, or keys, a shape may hold.
+        key_bounds: the bounds of the states of keys that flags set.
+    """
+
+    cap: int
+    key_bounds: KeyBounds
+
+    def time(self) -> int:
+        """Return the present instant, by which alarms ring."""
+
+    def wake(self, node: Woken, instant: int) -> None:
+        """Have a node ring when an instant has come."""
+
+    def newest_allowed(self) -> int:
+        """Return the newest stamp that may move time on."""
+
+
+class OutputRateLimiter:
+    """Sends what a shape lets through of the events that a subscription would send without it.
+
+    It is woken as the nodes of rules are, before all of them: subscribers get an event first.
+
+    Args:
+        part: the shape.
+        names: the variables of the pattern.
+        name: of the subscription, for reports.
+        clock: tells the time and rings.
+        warn: takes a warning.
+        place: its place among all subscriptions.
+
+    Attributes:
+        send: sends what an event has been made into.
+        serial: its place among the rules.
+        active: whether it may be woken.
+        woken: the instant at which it is to be woken; None where it is not.
+        late: how many events came too late to be taken.
+        dropped: how many were dropped because there were too many.
+        widths: how many values group its events, and how many are looked at.
+    """
+
+    serial = 0
+
+    def __init__(
+        self, part: Shaped, names: Sequence[Var], name: str, clock: RateClock, warn: Warn, place: int
+    ):
+        self._making = shaping(part, names)
+        self.widths = (len(part.by), int(part.value is not None))
+        self._name = name
+        self._clock = clock
+        self._warn = warn
+        self.send: Callable[[Term], None] = lambda term: None
+        self.place = place
+        self.active = True
+        self.woken: Optional[int] = None
+        self.late = self.dropped = self._evicted = 0
+        self._stream = self._begin()
+
+    def _begin(self) -> StreamOperator:
+        stream = self._making.stream(NetworkOptions())
+        stream.allowed = self._clock.newest_allowed
+        stream.set_bounds(self._clock.key_bounds)
+        self._evicted = 0
+        return stream
+
+    def __len__(self) -> int:
+        """Return how many events, or keys, are held."""
+        return len(self._stream)
+
+    @property
+    def stream(self) -> StreamOperator:
+        """The operator that lets events through."""
+        return self._stream
+
+    @property
+    def rule(self) -> "OutputRateLimiter":
+        """What it belongs to, see `Woken`."""
+        return self
+
+    def take(self, made: Term, values: Values, start: int, end: int) -> None:
+        """Take an event that the subscription would send.
+
+        Args:
+            made: what it has been made into.
+            values: of the variables of the pattern.
+            start: where its interval starts.
+            end: where it ends.
+        """
+        now = self._clock.time() if self._making.clocked else 0
+        stream = self._stream
+        before = stream.late
+        if stream.bounds is not self._clock.key_bounds:
+            stream.set_bounds(self._clock.key_bounds)
+        outputs = stream.take(StreamElement(made, start, end, *self._making.item(values)), now, 0)
+        if stream.late != before:
+            self.late += 1
+            self._warn(f"{self._name}: {self._making.past}; {self.late} so far", ("late", self._name))
+        if len(stream) > self._clock.cap:
+            outputs = [*outputs, *stream.drop_oldest()]
+            self.dropped += 1
+            what = (
+                f"more than {self._clock.cap} events are held; {self.dropped} of the oldest have been dropped"
+            )
+            self._warn(f"{self._name}: {what} so far", ("dropped", self._name))
+        if stream.evicted != self._evicted:
+            self.dropped += stream.evicted - self._evicted
+            self._evicted = stream.evicted
+            what = f"more than {stream.bounds.keys} keys are held; {self.dropped} of the oldest have been dropped"
+            self._warn(f"{self._name}: {what} so far", ("dropped", self._name))
+        self._wake()
+        self._send(outputs)
+
+    def ring(self, instant: int, after: Frame) -> Frame:
+        """Send what is due; see `Woken`."""
+        self.woken = None
+        outputs = self._stream.ring(instant)
+        self._wake()
+        self._send(outputs)
+        return after
+
+    def _send(self, outputs: List[StreamOutput]) -> None:
+        for output in outputs:
+            self.send(output.items[-1].match)
+
+    def _wake(self) -> None:
+        instant = self._stream.next
+        if self.active and instant is not None and (self.woken is None or instant < self.woken):
+            self.woken = instant
+            self._clock.wake(self, instant)
+
+    # ---- from outside --------------------------------------------------------------------------------
+
+    def stop(self) -> None:
+        """Ring no more."""
+        self.active = False
+        self.woken = None
+
+    def clear(self) -> None:
+        """Forget what has come: time went back, or the program asks for it."""
+        self._stream = self._begin()
+        self.woken = None
+
+    def mend(self) -> None:
+        """Put right what an interrupt may have left half done."""
+        self.restore(self.kept())
+
+    def kept(self) -> KeptRate:
+        """Return what it knows; see `restore`."""
+        return self._stream.kept(), self.late, self.dropped
+
+    def restore(self, kept: KeptRate) -> None:
+        """Know what another one did that was made in the same way."""
+        known, self.late, self.dropped = kept
+        self._stream = self._begin()
+        self._stream.restore(known)
+        self.woken = None
+        self._wake()
+
 
 Deliver = Callable[[Term, str, Term], None]
 
 
-Key = Tuple[str, Hashable]
+SubscriptionKey = Tuple[str, Hashable]
 """Topic and id."""
 
 
@@ -50,7 +231,7 @@ class Subscription(NamedTuple):
     id: Term
     tally: Tally
     definition: Term
-    rate: Optional[SubscriptionRate] = None
+    rate: Optional[OutputRateLimiter] = None
 
     @property
     def key(self) -> Hashable:
@@ -70,7 +251,7 @@ class Subscriptions:
     """
 
     def __init__(
-        self, logic: Logic, dispatcher: Dispatcher, deliver: Deliver, problem: Warn, clock: RateClock
+        self, logic: PrologSystem, dispatcher: Dispatcher, deliver: Deliver, problem: Warn, clock: RateClock
     ):
         self._logic = logic
         self._dispatcher = dispatcher
@@ -78,17 +259,17 @@ class Subscriptions:
         self._problem = problem
         self._clock = clock
         self._places = count()
-        self._all: Dict[Key, Subscription] = {}
-        self._aside: Dict[Key, Subscription] = {}
+        self._all: Dict[SubscriptionKey, Subscription] = {}
+        self._aside: Dict[SubscriptionKey, Subscription] = {}
 
-    def __iter__(self) -> Iterator[Key]:
+    def __iter__(self) -> Iterator[SubscriptionKey]:
         return iter(list(self._all))
 
-    def patterns(self) -> Iterator[Tuple[Term, Key]]:
+    def patterns(self) -> Iterator[Tuple[Term, SubscriptionKey]]:
         """Yield the pattern of each subscription with topic and id."""
         return ((one.listener.pattern, key) for key, one in self.items())
 
-    def items(self) -> List[Tuple[Key, Subscription]]:
+    def items(self) -> List[Tuple[SubscriptionKey, Subscription]]:
         """Return all subscriptions, the oldest first."""
         return list(self._all.items())
 
@@ -116,7 +297,7 @@ class Subscriptions:
         tally = Tally() if known is None else known.tally
         rate = None if part is None else self._rate(part, variables(pattern), who, known)
         listener = self._dispatcher.listen(
-            Stage.SUBSCRIPTIONS,
+            ListenerPhase.SUBSCRIPTIONS,
             pattern,
             self._action(shape, tally, topic_text, name, rate),
             unused=unused_variables(pattern, conditions, form, () if part is None else looked_at(part)),
@@ -124,7 +305,7 @@ class Subscriptions:
         self._all[key] = Subscription(listener, name, tally, copied, rate)
 
     def _action(
-        self, shape: Recording, tally: Tally, topic: str, name: Term, rate: Optional[SubscriptionRate]
+        self, shape: Recording, tally: Tally, topic: str, name: Term, rate: Optional[OutputRateLimiter]
     ) -> EventAction:
         """Return what takes the events of a subscription."""
         deliver, ground = self._deliver, self._dispatcher.ground
@@ -160,14 +341,14 @@ class Subscriptions:
 
     def _rate(
         self, part: Shaped, names: Sequence[Var], who: str, known: Optional[Subscription]
-    ) -> SubscriptionRate:
+    ) -> OutputRateLimiter:
         """Return what lets some events through only; it goes on where the same subscription was there before."""
-        rate = SubscriptionRate(part, names, who, self._clock, self._problem, next(self._places))
+        rate = OutputRateLimiter(part, names, who, self._clock, self._problem, next(self._places))
         if known is not None and known.rate is not None:
             rate.restore(known.rate.kept())
         return rate
 
-    def set_aside(self, keys: Iterable[Key]) -> None:
+    def set_aside(self, keys: Iterable[SubscriptionKey]) -> None:
         """Take subscriptions out; those that are made again as they were go on counting what they have sent."""
         for key in keys:
             found = self._aside[key] = self._all.pop(key)
@@ -177,7 +358,7 @@ class Subscriptions:
         """Forget what was set aside."""
         self._aside.clear()
 
-    def restore(self, before: Sequence[Tuple[Key, Subscription]]) -> None:
+    def restore(self, before: Sequence[Tuple[SubscriptionKey, Subscription]]) -> None:
         """Have these subscriptions, which have been set aside meanwhile or not, and no others."""
         self.set_aside(list(self._all))
         self._aside = dict(before)
@@ -187,7 +368,7 @@ class Subscriptions:
 
     def mend(self) -> None:
         """Have nothing delivered that no subscription asks for, which an interrupt may leave, and rates ring."""
-        self._dispatcher.keep_only(Stage.SUBSCRIPTIONS, {one.listener for one in self._all.values()})
+        self._dispatcher.keep_only(ListenerPhase.SUBSCRIPTIONS, {one.listener for one in self._all.values()})
         for rate in self._rates():
             rate.mend()
 
@@ -223,7 +404,7 @@ class Subscriptions:
             if one.rate is not None and known is not None:
                 one.rate.restore(known)
 
-    def _rates(self) -> List[SubscriptionRate]:
+    def _rates(self) -> List[OutputRateLimiter]:
         return [one.rate for one in self._all.values() if one.rate is not None]
 
     def _topic(self, topic: Term) -> str:

@@ -3,8 +3,10 @@
 from heapq import heapify, heappop, heappush
 from typing import Callable, Container, List, Protocol, Set, Tuple
 
-from ...foundation import UsageError
-from ...prolog.terms import Term, deref, from_seconds, functor, list_items
+from ...foundation.errors import UsageError
+from ...prolog.terms.list_terms import list_items
+from ...prolog.terms.timestamps import from_seconds
+from ...prolog.terms.types import Term, deref, functor
 
 TIMEOUT = functor("timeout", 1)
 _SPARE = 16

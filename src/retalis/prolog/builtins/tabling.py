@@ -1,4 +1,8 @@
-"""Tabling: answers of a predicate are kept for each variant of a call, so that left recursion ends.
+"""Modes of tables: of the answers that agree in the other arguments one is kept, in which these are the best.
+
+What tabling keeps: the answers to a variant of a call, and the calls that wait for more of them.
+
+Tabling: answers of a predicate are kept for each variant of a call, so that left recursion ends.
 
 A call that is new is evaluated, on a copy of it, until no more answers come. A call of a table that is being
 evaluated meanwhile follows its answers: it is given each as it is found, and when there are no more for now, what
@@ -16,29 +20,209 @@ An answer is what the call's unbound variables stand for, in the order in which 
 them gives its variables these values, which cannot fail: nothing is unified.
 """
 
-from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Set, Tuple
+from typing import Any, Callable, Dict, Hashable, List, NamedTuple, Optional, Protocol, Sequence, Set, Tuple
 
-from ..database import Predicate
-from ..machine import Code, Frame, Guard, uninstantiation_error
-from ..terms import (
-    PLAIN,
-    Functor,
-    Term,
-    Values,
-    Var,
-    atom,
-    conjunction,
-    copy,
-    deref,
-    functor,
-    is_plain,
-    term_key,
-    unify,
-    variables,
-)
-from .modes import Mode
-from .program import Machine
-from .tables import Follower, Reads, Table, VersionedSource
+from ..compiler.clause_nodes import ARROW, SEMICOLON
+from ..database.predicate import Predicate
+from ..machine.errors import domain_error, instantiation_error, type_error, uninstantiation_error
+from ..machine.machine import Code, Guard
+from ..terms.list_terms import conjunction
+from ..terms.term_traversal import PLAIN, copy, is_plain, term_key, variables
+from ..terms.types import SLASH, Atom, CompoundTerm, Frame, Functor, Term, Values, Var, atom, deref, functor
+from ..terms.unification import compare, unify
+from .argument_checks import natural
+from .builtin_registry import Machine
+
+_EQUAL = functor("=", 2)
+_LATTICE, _ORDER = functor("lattice", 1), functor("po", 1)
+
+Pick = Callable[[Term, Term], Term]
+_PICKS: Dict[str, Pick] = {
+    "first": lambda old, new: old,
+    "-": lambda old, new: old,
+    "last": lambda old, new: new,
+    "min": lambda old, new: old if compare(old, new) <= 0 else new,
+    "max": lambda old, new: old if compare(old, new) >= 0 else new,
+}
+
+
+class Mode(NamedTuple):
+    """What happens to an argument as answers come.
+
+    Attributes:
+        pick: returns the one of two values that is kept; None where a predicate of the program decides.
+        goal: returns the goal that makes a value of two others.
+        grows: whether a change may lead to other answers; the last one found says nothing of the kind.
+    """
+
+    pick: Optional[Pick] = None
+    goal: Optional[Callable[[Term, Term, Term], Term]] = None
+    grows: bool = True
+
+
+def modes_of(spec: CompoundTerm) -> Tuple[Functor, Dict[int, Mode]]:
+    """Return the functor that a declaration such as ``path(_, _, min)`` names, and modes by position.
+
+    Raises:
+        PrologError: a domain error where there is no such mode.
+    """
+    modes = {}
+    for at, given in enumerate(spec[1:], 1):
+        given = deref(given)
+        if given.__class__ is Var or (given.__class__ is Atom and given.name in ("index", "+")):
+            continue
+        modes[at] = _mode(given)
+    return spec[0], modes
+
+
+def _mode(given: Term) -> Mode:
+    if given.__class__ is Atom and given.name in _PICKS:
+        return Mode(_PICKS[given.name], grows=given.name != "last")
+    if given.__class__ is not tuple or given[0] not in (_LATTICE, _ORDER):
+        raise domain_error("tabled_mode", given)
+    arity = 3 if given[0] is _LATTICE else 2
+    key = functor(_name(given[1], arity), arity)
+    if arity == 3:
+        return Mode(goal=lambda old, new, kept: (key, old, new, kept))
+    return Mode(
+        goal=lambda old, new, kept: (
+            SEMICOLON,
+            (ARROW, (key, old, new), (_EQUAL, kept, old)),
+            (_EQUAL, kept, new),
+        )
+    )
+
+
+def _name(given: Term, arity: int) -> str:
+    """Return the name of a predicate given by name, by indicator or by head."""
+    given = deref(given)
+    if given.__class__ is tuple and given[0].name == ":" and len(given) == 3:
+        given = deref(given[2])
+    size = arity
+    if given.__class__ is tuple:
+        given, size = (given[1], natural(given[2])) if given[0] is SLASH else (given[0], given[0].arity)
+        given = deref(given)
+    if size != arity:
+        raise domain_error("lattice_arity" if arity == 3 else "po_arity", size)
+    if given.__class__ is Var:
+        raise instantiation_error()
+    if given.__class__ not in (Atom, Functor):
+        raise type_error("atom", given)
+    return str(given.name)
+
+
+class VersionedSource(Protocol):
+    """Data outside of tables that an incremental table may read: a predicate, the memories or the states."""
+
+    def version(self, part: Hashable, /) -> object:
+        """Return a value that is another one after each change of a part of the data."""
+
+
+Reads = Dict[Tuple[VersionedSource, Hashable], object]
+"""The parts of sources that an evaluation has read, with their versions when it first did."""
+
+_CHANGED = object()
+"""The version of what has changed between two reads of an evaluation: equal to no other."""
+
+
+class Follower(NamedTuple):
+    """A call that has been given the first ``at`` answers of a table and waits for more.
+
+    Attributes:
+        bound: variables bound since its evaluation began, with their values; None where it cannot go on later.
+        height: of the stack of choice points, which cuts in what follows count on.
+    """
+
+    at: int
+    free: List[Var]
+    after: Frame
+    bound: Optional[List[Tuple[Any, Term]]]
+    height: int
+
+
+class Table:
+    """Answers to one variant of a call.
+
+    Attributes:
+        answers: values of the call's variables, in the order found; None in the place of one that there is a
+            better one for.
+        known: the answers' keys, with their positions.
+        ground: whether no answer has a variable.
+        reads: of an incremental table what its answers were made of; None for another one.
+        state: "new", "active", "waiting" (for the oldest table that it depends on), "complete", or of an incremental
+            table "checked": complete, as long as nothing that it has read changes.
+        index: position on the stack of active tables.
+        low: position there of the oldest table that it is known to depend on.
+        parent: of a waiting table the one below it on that stack, which depends on it.
+        mark: length of the trail when what runs for it now began.
+        height: of the stack of choice points then.
+        first: how many tables waited, and how many followers were ready, when it became active.
+        followers: calls that have seen all answers so far.
+    """
+
+    index: int
+    low: int
+    mark: int
+    height: int
+    first: Tuple[int, int]
+
+    __slots__ = (
+        "answers",
+        "known",
+        "ground",
+        "reads",
+        "state",
+        "index",
+        "low",
+        "parent",
+        "mark",
+        "height",
+        "first",
+        "followers",
+    )
+
+    def __init__(self, incremental: bool = False) -> None:
+        self.state = "new"
+        self.reads: Optional[Reads] = {} if incremental else None
+        self.parent: Optional[Table] = None
+        self.empty()
+
+    def empty(self) -> None:
+        """Forget the answers."""
+        self.answers: List[Any] = []
+        self.known: Dict[Hashable, int] = {}
+        self.ground = True
+        self.followers: List[Follower] = []
+
+    def renew(self) -> None:
+        """Be a table that has not been evaluated."""
+        self.state = "new"
+        self.empty()
+        if self.reads is not None:
+            self.reads = {}  # not cleared: tables that were completed together share one
+
+    def complete(self) -> None:
+        """Note that there will be no other answers."""
+        self.state = "complete" if self.reads is None else "checked"
+        if len(self.known) < len(self.answers):
+            self.answers = [answer for answer in self.answers if answer is not None]
+        self.known.clear()
+        self.followers.clear()
+
+    @property
+    def is_outdated(self) -> bool:
+        """True if something has changed that an incremental table has read."""
+        reads = self.reads or {}
+        return any(source.version(part) != version for (source, part), version in reads.items())
+
+    def depend(self, reads: Reads) -> None:
+        """Note that an incremental table depends on what another one has read."""
+        own = self.reads
+        if own is not None and own is not reads:
+            for read, version in reads.items():
+                if own.setdefault(read, version) != version:
+                    own[read] = _CHANGED
+
 
 _ANSWER = functor("answer", 0)
 AS, INCREMENTAL = functor("as", 2), atom("incremental")

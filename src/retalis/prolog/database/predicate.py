@@ -7,25 +7,27 @@ again and again without changing is compiled.
 
 from typing import Any, Callable, Dict, Hashable, Iterator, List, Optional, Protocol, Tuple
 
-from ...foundation import look
-from ..compiler import ClauseParts, Direct, Generator, KnownDatabase, fact_search
-from ..machine import Code, Frame, Machine, PrologError, Step
-from ..terms import Functor, Term, Trail, Values, Var, copy, undo, unify
-from .bykey import by_key
-from .clause import NEVER, Clause, keys_of, match_head, may_match
-from .functional import Functional
-from .index import Indexes
+from ...foundation.cancellation import look
+from ..compiler.clause_nodes import KnownDatabase
+from ..compiler.function_code import FunctionCode
+from ..compiler.predicate_code import ClauseParts, PredicateGenerator, fact_search
+from ..machine.errors import PrologError
+from ..machine.machine import Code, Machine
+from ..terms.term_traversal import copy
+from ..terms.types import Frame, Functor, Step, Term, Trail, Values, Var
+from ..terms.unification import undo, unify
+from .clause_index import NEVER, Clause, FunctionalModes, Indexes, by_key, keys_of, match_head, may_match
 
 COMPILE_AFTER = 12
 """Calls without a change after which a predicate is compiled."""
 
-_MOST_CLAUSES = 24
+_MAX_COMPILED_CLAUSES = 24
 """Predicates with more clauses keep their indexes; their clauses are compiled one by one."""
 
-_MOST_FACTS = 8
+_MAX_COMPILED_FACTS = 8
 """The same for predicates that are facts only."""
 
-_MANY = 1000
+_SLOW_SEARCH_CLAUSES = 1000
 """Clauses from which on a search among them may take as long as many inferences."""
 
 
@@ -75,7 +77,7 @@ class Predicate:
         self.kind = "undefined"
         self.function: Optional[Callable[..., Any]] = None
         self.gate: Optional[Callable[[Functor, Tuple[int, ...]], object]] = None
-        self.functional: Optional[Functional] = None
+        self.functional: Optional[FunctionalModes] = None
         self.known: Optional[Functor] = None
         self.dynamic = False
         self.discontiguous = False
@@ -89,7 +91,7 @@ class Predicate:
         self.incremental = False
         self._on_read: Optional[Callable[[Predicate], None]] = None
         self._revision = 0
-        self.direct: Optional[Direct] = None
+        self.direct: Optional[FunctionCode] = None
         self.ground = False
         self._searches: Dict[Optional[int], Callable[..., Optional[Frame]]] = {}
         self.clauses: List[Clause] = []
@@ -226,7 +228,7 @@ class Predicate:
     def observe(self, on_read: "Callable[[Predicate], None]") -> None:
         """Call ``on_read`` from now on before each call of it and each access to its clauses.
 
-        Not where compiled goals of Python code call it as a function, see `Direct`: no table is evaluated by these.
+        Not for functions of compiled goals (see `FunctionCode`): these evaluate no tables.
         """
         if self._on_read is not None:
             return
@@ -266,7 +268,7 @@ class Predicate:
         if (self.calls > self.compile_after or self.library) and not self.compiled and self._compile():
             return self.run(frame)
         clauses, position = self.indexes.select(self.clauses, frame)
-        if len(clauses) > _MANY:
+        if len(clauses) > _SLOW_SEARCH_CLAUSES:
             look(0)  # to find a clause among these may take long
         generation = self.database.generation
         if self.ground:
@@ -278,7 +280,7 @@ class Predicate:
         return self._advance(frame, clauses, 0, len(clauses), generation, keys)
 
     def fact_finder(self, once: bool) -> Callable[..., Optional[bool]]:
-        """Return a function of the arguments that looks a ground fact up; see `Direct`."""
+        """Return a function of the arguments that looks a ground fact up; see `FunctionCode`."""
         choices = self.database.machine.choices
 
         def find(*args: Term) -> Optional[bool]:
@@ -378,14 +380,14 @@ class Predicate:
         clauses = list(self.live())
         size = len(clauses)
         facts = all(clause.fact for clause in clauses)
-        too_many = size > (_MOST_FACTS if facts else _MOST_CLAUSES)
+        too_many = size > (_MAX_COMPILED_FACTS if facts else _MAX_COMPILED_CLAUSES)
         if not size or any(clause.is_large for clause in clauses):
             self.compile_after = NEVER
             return False
         if too_many:
             return self._go_by_keys()
         rules = [ClauseParts(_args(clause.head), clause.body, clause.place) for clause in clauses]
-        generator = Generator(self._view(), self.functor, rules, self)
+        generator = PredicateGenerator(self._view(), self.functor, rules, self)
         self._run_by(generator.main())
         self.steady = generator.steady
         self.compiled = True
@@ -412,7 +414,7 @@ class Predicate:
             clause.uses = -NEVER
             return None
         rule = ClauseParts(_args(clause.head), clause.body, clause.place)
-        clause.code = Generator(self._view(), self.functor, [rule], self).single(0)
+        clause.code = PredicateGenerator(self._view(), self.functor, [rule], self).single(0)
         return clause.code
 
     def _view(self) -> KnownDatabase:

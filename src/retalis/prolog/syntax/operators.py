@@ -3,10 +3,10 @@
 from functools import lru_cache
 from typing import Dict, Iterator, List, NamedTuple, Optional, Tuple
 
-from ...foundation import UsageError
-from ..terms import Functor, functor
-from .eventoperators import EVENT_OPERATORS
-from .slots import Slots
+from ...foundation.errors import UsageError
+from ..terms.types import Functor, functor
+from .event_operators import EVENT_OPERATORS
+from .message_fields import Slots
 
 
 class Operator(NamedTuple):

@@ -6,21 +6,20 @@ the end of what is open.
 
 from typing import Optional, Tuple
 
-from ..terms import FALSE, TRUE, Term, Var, atom, functor
-from . import faults
-from .byname import ByName
-from .opened import LABEL
+from ..terms.types import FALSE, TRUE, Term, Var, atom, functor
+from . import parser_stack
+from .message_fields import complete
+from .named_field_parser import NamedFieldParser
 from .operators import CANONICAL_IN_PATTERNS, DECLARING
-from .rules import PATTERN_ARGUMENTS
-from .slots import complete
-from .state import ARGUMENTS, LIST
-from .tokens import END, NAME, NUMBER, OPEN_CT, QUOTED, TEXT, VARIABLE, AnyToken
+from .parser_stack import ARGUMENTS, LABEL, LIST
+from .rule_detection import PATTERN_ARGUMENTS
+from .tokenizer import END, NAME, NUMBER, OPEN_CT, QUOTED, TEXT, VARIABLE, AnyToken
 
 _BEFORE_GOALS = ((NAME, ":-"), (NAME, "?-"))
 _ENDS = frozenset((")", "]", "}", ",", "|", END, "eof"))
 
 
-class Parser(ByName):
+class Parser(NamedFieldParser):
     """Reads one clause from its tokens; make a new one for each clause."""
 
     def read(self) -> Term:
@@ -58,7 +57,7 @@ class Parser(ByName):
         elif kind == "[" or kind == "{":
             self._open_bracket(kind, at, start)
         else:
-            raise faults.no_operand(self, self.stack[-1])
+            raise parser_stack.no_operand(self, self.stack[-1])
 
     def _variable(self, name: str) -> Var:
         if name == "_":
@@ -72,7 +71,7 @@ class Parser(ByName):
         return found
 
     def _open_bracket(self, kind: str, at: int, start: int) -> None:
-        closer = faults.CLOSER[kind]
+        closer = parser_stack.CLOSER[kind]
         if kind == "{" and self._open_inner(at, start):
             return
         if self.tokens[at + 1][0] == closer:
@@ -192,7 +191,7 @@ class Parser(ByName):
                 self.wants_operand = True
                 self._push_prefix(DECLARING, self.left_at)
                 return
-            raise faults.no_operator(self, self.brackets[-1])
+            raise parser_stack.no_operator(self, self.brackets[-1])
         self.at += 1
         if infix is not None and (postfix is None or self._starts_operand(self.tokens[self.at])):
             self._push_infix(infix, name, start)

@@ -17,8 +17,8 @@ from functools import lru_cache
 from math import frexp, ldexp
 from typing import Any, List, Optional, Tuple
 
-from ...foundation import UsageError
-from .kinds import CONS, NIL, CompoundTerm, Functor, Lazy, Term, Var, deref, functor
+from ...foundation.errors import UsageError
+from .types import CONS, NIL, CompoundTerm, Functor, Lazy, Term, Var, deref, functor
 
 SECOND = 1_000_000_000
 """Nanoseconds in a second."""

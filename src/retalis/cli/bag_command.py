@@ -1,0 +1,123 @@
+"""``bag``: run a program over bags, without ROS."""
+
+import argparse
+from pathlib import Path
+from typing import Callable
+
+from .bag_run import add_chunk_limit, play
+from .command_options import add_direct, add_folders, add_limits
+from .error_report import Report
+from .many_bags import add_many, are_many, play_many
+from .option_values import RELATIVE, RELATIVE_TIMES, STAMPS, from_zero
+from .output import JSON
+
+DESCRIPTION = """\
+Feed bags to a program and print what it publishes, as output(TERM,TOPIC) terms. Bags are of ROS 1, compressed or
+not, or of ROS 2: a folder with metadata.yaml, or its .db3, .mcap, .db3.zstd or .mcap.zstd file. Several bags are
+played as one, in the order in which their messages came. ROS 2 messages are read as those of ROS 1 with the same
+names.
+
+With --jobs or --scheduler each bag is played by itself, several at a time: also all bags below a folder, in the
+order of their names, and those of URLs as s3://BUCKET/FOLDER. What is printed is the same, bag after bag.
+"""
+LINES = """\
+  {"output": TERM, "topic": TOPIC, "id": ID, "time": T}    unless --quiet; T is the bag's time
+  {"event": TERM, "start": T1, "end": T2}                  with --events, and the two below
+  {"wait": TERM, "memories": [ID, ...], "start": T1, "end": T2}    a query that has waited
+  {"memory": ID, "pattern": TERM, "size": N, "records": N, "taken": N, "start": T1, "end": T2}    at the end
+  {"explain": TERM, "happened": true or false, "because": [{"text": LINE, "below": [...]}, ...]}
+"""
+
+
+def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = add_command(
+        "bag",
+        help="run a program over bags, without ROS",
+        description=DESCRIPTION,
+        epilog=JSON + LINES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_source(parser)
+    add = parser.add_argument
+    add("--output", metavar="BAG", help="write what is published to a bag")
+    add("--overwrite", action="store_true", help="replace that bag if it is there")
+    add_many(parser)
+    add("--events", action="store_true", help="print each event too, as event(TERM,[T1,T2])")
+    add(
+        "--times",
+        action="store_const",
+        const=STAMPS,
+        help="print outputs with the bag's time, as output(TERM,TOPIC,datime(...))",
+    )
+    add(
+        RELATIVE_TIMES,
+        action="store_const",
+        const=RELATIVE,
+        dest="times",
+        help="print outputs and explanations with times in seconds since the start of the run",
+    )
+    add(
+        "--explain",
+        metavar="TERM",
+        action="append",
+        default=[],
+        help="print at the end why such an event happened or what was missing, in lines that start with %%",
+    )
+    add("--json", action="store_true", help="print one JSON object per line instead of terms")
+    add("--quiet", action="store_true", help="print no outputs")
+    add_limits(parser)
+    add_folders(parser)
+    parser.set_defaults(run=run)
+
+
+def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool = True) -> None:
+    """Add the options that say which program takes which messages."""
+    add = parser.add_argument
+    add("bags", nargs=bags, metavar="BAG", help="a bag of ROS 1 or ROS 2")
+    add(
+        "--program",
+        type=Path,
+        required=required,
+        metavar="FOLDER",
+        help="folder with pub_sub.xml and goalPredicates.txt",
+    )
+    add(
+        "--start",
+        type=from_zero(float),
+        default=0.0,
+        metavar="SECONDS",
+        help="leave out what came earlier than so long after the first message (0)",
+    )
+    add("--duration", type=from_zero(float), metavar="SECONDS", help="end after so long (to the end)")
+    add(
+        "--topic",
+        action="append",
+        default=[],
+        metavar="TOPIC=TYPE",
+        help="a topic to turn into events, in addition to those in pub_sub.xml",
+    )
+    add_direct(parser)
+    add(
+        "--max-skew",
+        type=from_zero(float),
+        metavar="SECONDS",
+        help="leave out messages whose stamp is further away from those before on their topic and frame "
+        "(0: take all)",
+    )
+    add(
+        "--max-gap",
+        type=from_zero(float),
+        metavar="SECONDS",
+        help="interpolate over no gap that is wider than that (0: any gap)",
+    )
+    add_chunk_limit(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    if are_many(options):
+        return play_many(options)
+    report = Report().listen(events=True)
+    play(options, report)
+    return 1 if report.errors else 0

@@ -1,0 +1,209 @@
+"""A program over bags: what happens in the run is printed as it does, and written into a bag on request."""
+
+import argparse
+import json
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Callable, Dict, List, Optional
+
+from ..engine.engine_settings import Settings
+from ..engine.runtime.gc_tuning import limit_gc_pauses
+from ..events.program.program_folder import TopicType, topic_type
+from ..explanation.explain import explain, record_origins
+from ..foundation.errors import UsageError, shortened
+from ..playback.bag_sources import MergedBag
+from ..playback.decompression import MAX_CHUNK_MEGABYTES
+from ..playback.playback import Output, Playback
+from ..playback.rosbag1 import BagWriter
+from ..playback.run_recorder import Line, RunRecorder, output_line
+from ..prolog.syntax.event_text import to_text
+from ..prolog.syntax.term_reader import read_term
+from ..prolog.terms import timestamps
+from ..prolog.terms.types import Term, atom, functor
+from .command_options import allow_folders, limited
+from .error_report import Bar, Report, progress, to_reader
+from .option_values import RELATIVE, from_one
+from .output import Printer
+
+OUTPUT = functor("output", 2)
+TIMED_OUTPUT = functor("output", 3)
+
+
+Tell = Callable[[Line], None]
+
+
+def add_chunk_limit(parser: argparse.ArgumentParser) -> None:
+    """Add the option that bounds what is unpacked of bags."""
+    parser.add_argument(
+        "--max-chunk-megabytes",
+        type=from_one,
+        default=MAX_CHUNK_MEGABYTES,
+        metavar="N",
+        help="refuse chunks and compressed messages of bags that are larger unpacked, and compressed files that "
+        f"would become larger than this and 100 times their size ({MAX_CHUNK_MEGABYTES})",
+    )
+
+
+def print_line(line: Line) -> None:
+    """Print a record of a run as JSON."""
+    print(json.dumps(line, ensure_ascii=False))
+
+
+def play(
+    options: argparse.Namespace, report: Report, tell: Tell = print_line, state: Optional[bytes] = None
+) -> Playback:
+    """Play the bags that the options name, as one; return the program as it is then.
+
+    Args:
+        options: of the command.
+        report: takes errors.
+        tell: takes what happens, where the options want it as JSON.
+        state: of the program at the end of the part before this one, where it goes on from there.
+    """
+    with ExitStack() as stack:
+        bags = stack.enter_context(bags_of(options))
+        playback = playback_of(options, report, bags, state)
+        if options.explain:
+            record_origins(playback.engine)
+        writer = _writer(options, playback, stack)
+        bar = stack.enter_context(progress("messages", share_of(playback, bags)))
+        show = _Shower(options, playback, bar, tell, bags.start)
+        limit_gc_pauses()
+        for output in playback.run(bags, show.advance):
+            show.output(output)
+            if writer is not None:
+                writer.write(output)
+        show.finish()
+    return playback
+
+
+def bags_of(options: argparse.Namespace) -> MergedBag:
+    """Return the bags that the options name, open."""
+    return MergedBag(options.bags, options.start, options.duration, options.max_chunk_megabytes)
+
+
+def playback_of(
+    options: argparse.Namespace,
+    report: Report,
+    bag: Optional[MergedBag] = None,
+    state: Optional[bytes] = None,
+) -> Playback:
+    """Return the program that the options name, loaded; it may name slots of the types of a bag."""
+    settings = limited(allow_folders(Settings(), options), options)
+    settings = settings._replace(max_gap=options.max_gap or None)
+    limit = options.max_skew or None
+    return Playback(
+        options.program, report, _topics(options.topic), settings, limit, bag, state, options.direct
+    )
+
+
+def share_of(playback: Playback, bags: MergedBag) -> Callable[[], float]:
+    """Return what tells how much of the bags' time has passed, from 0 to 1."""
+    length = bags.end - bags.start
+    return lambda: (playback.clock.now() - bags.start) / length if length > 0 else 1.0
+
+
+def _topics(texts: List[str]) -> List[TopicType]:
+    topics = []
+    for text in texts:
+        name, _, kind = text.partition("=")
+        try:
+            topics.append(topic_type(name, kind))
+        except UsageError as error:
+            raise UsageError(
+                f"--topic {shortened(text)}: expected TOPIC=package/Type: {error.message}"
+            ) from None
+    return topics
+
+
+class _Shower:
+    """Prints the events and outputs of a run, and updates the progress bar."""
+
+    def __init__(
+        self, options: argparse.Namespace, playback: Playback, bar: Optional[Bar], tell: Tell, start: int
+    ):
+        self._options = options
+        self._origin = start if options.times == RELATIVE else None
+        self._engine = playback.engine
+        self._bar = bar
+        self._tell = tell
+        self._printer = Printer(options.json, False, None)
+        self._look: Optional[RunRecorder] = None
+        if options.events and options.json:
+            self._look = RunRecorder(playback, to_reader(self._line))
+        elif options.events:
+            self._engine.on_event(to_reader(self._event))
+
+    def advance(self, done: int) -> None:
+        """Take note that another message has been taken."""
+        if self._look is not None:
+            self._look.look()
+        if self._bar is not None:
+            self._bar(done)
+
+    def output(self, output: Output) -> None:
+        """Print an output."""
+        if self._options.quiet:
+            return
+        if self._options.json:
+            self._line(output_line(output))
+            return
+        self._clear()
+        topic = atom(output.topic)
+        if self._options.times:
+            instant: Term = timestamps.to_term(timestamps.WholeSeconds(output.time))
+            if self._origin is not None:
+                instant = timestamps.to_seconds(output.time - self._origin)
+            print(f"{to_text((TIMED_OUTPUT, output.term, topic, instant))}.")
+        else:
+            print(f"{to_text((OUTPUT, output.term, topic))}.")
+
+    def finish(self) -> None:
+        """Print what is known at the end."""
+        if self._look is not None:
+            self._look.finish()
+        for asked in self._options.explain:
+            term = read_term(asked, self._engine.operators, "--explain").term
+            self._clear()
+            self._printer.explanation(term, explain(self._engine, term, origin=self._origin))
+
+    def _event(self, *event: object) -> None:
+        self._clear()
+        self._printer.event(*event)  # type: ignore[arg-type]
+
+    def _line(self, line: Line) -> None:
+        self._clear()
+        self._tell(line)
+
+    def _clear(self) -> None:
+        if self._bar is not None:
+            self._bar.clear()
+
+
+def _writer(options: argparse.Namespace, playback: Playback, stack: ExitStack) -> "Optional[_OutputWriter]":
+    """Open the bag that is written, if one is."""
+    if options.output is None:
+        return None
+    path = Path(options.output)
+    if any(path.resolve() == Path(bag).resolve() for bag in options.bags):
+        raise UsageError(f"--output {path}: this is the bag that is read")
+    if path.exists() and not options.overwrite:
+        raise UsageError(f"{path} already exists; --overwrite replaces it")
+    return _OutputWriter(stack.enter_context(BagWriter(path, options.overwrite)), playback.is_latched)
+
+
+class _OutputWriter:
+    """Writes outputs into a bag, a connection for each topic."""
+
+    def __init__(self, writer: BagWriter, is_latched: Callable[[str], bool]):
+        self._writer = writer
+        self._is_latched = is_latched
+        self._connections: Dict[str, object] = {}
+
+    def write(self, output: Output) -> None:
+        if output.definition is None or output.data is None:  # reported already
+            return
+        topic = output.topic if output.topic.startswith("/") else f"/{output.topic}"
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add(topic, output.definition, self._is_latched(topic))
+        self._writer.write(self._connections[topic], output.time, output.data)

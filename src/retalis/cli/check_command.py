@@ -1,0 +1,111 @@
+"""``check``: say what is wrong with a program, or hardly meant, before it runs."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Callable, Dict
+
+from ..engine.engine_settings import Settings
+from ..engine.program_check import check_program
+from ..events.checks.check_registry import ERROR, INFO, Finding
+from ..foundation.errors import MessageError, counted, printable
+from ..messages.type_registry import Definitions, Installed
+from ..playback.bag_sources import open_bag
+from .bag_run import add_chunk_limit
+from .command_options import add_direct, add_swi
+
+DESCRIPTION = """\
+Load a program's folder as a node does, without ROS, or a file of rules, and say all that is wrong with it or hardly
+meant, each thing with its place and what to do. The exit status is 1 where there are errors; with --strict it is 2
+where there are only warnings. Message types come from the installation, from the bags of --bag and from the folders
+of --msg.
+"""
+
+
+def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = add_command(
+        "check", help="say what is wrong with a program, before it runs", description=DESCRIPTION
+    )
+    add = parser.add_argument
+    add(
+        "folder",
+        nargs="?",
+        type=Path,
+        default=Path(),
+        metavar="FOLDER",
+        help="the program's (this one), or a file",
+    )
+    add("--format", choices=("text", "json"), default="text", help="lines for people, or one JSON object")
+    add_swi(parser)
+    add_direct(parser)
+    add("--strict", action="store_true", help="end with status 2 where there are warnings")
+    add("--bag", type=Path, action="append", default=[], metavar="BAG", help="a bag that has message types")
+    add(
+        "--msg",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FOLDER",
+        help="a package with a folder msg, that folder itself, or a folder of packages",
+    )
+    add_chunk_limit(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    definitions = Definitions(Installed(further=[_package(path) for path in options.msg]))
+    for path in options.bag:
+        _learn(definitions, path, options.max_chunk_megabytes)
+    found = check_program(options.folder, definitions, options.direct, Settings(allow_swi=options.allow_swi))
+    errors = sum(one.severity == ERROR for one in found)
+    infos = sum(one.severity == INFO for one in found)
+    warnings = len(found) - errors - infos
+    if options.format == "json":
+        counts = {"errors": errors, "warnings": warnings, "infos": infos}
+        content = {"findings": [_as_json(one) for one in found], **counts}
+        print(json.dumps(content, indent=1, ensure_ascii=False))
+    else:
+        for one in found:
+            print(f"{one.severity}: {one.problem}")
+        print(
+            f"{printable(str(options.folder))}: {_counted(errors, 'error')}, {_counted(warnings, 'warning')}"
+        )
+    sys.stdout.flush()
+    if errors:
+        return 1
+    return 2 if warnings and options.strict else 0
+
+
+def _package(path: Path) -> str:
+    """Return the folder in which the definitions of a package, or packages, are looked for."""
+    path = path.resolve()
+    return str(path.parent if path.name == "msg" else path)
+
+
+def _learn(definitions: Definitions, path: Path, max_chunk_megabytes: int) -> None:
+    """Add the message types of a bag."""
+    with open_bag(path, max_chunk_megabytes) as bag:
+        for topic in bag.topics:
+            try:
+                definitions.received(topic.type, topic.type, topic.definition, topic.md5sum)
+            except MessageError as error:
+                print(f"warning: {path}: topic {printable(topic.name)}: {error}", file=sys.stderr)
+
+
+def _counted(number: int, what: str) -> str:
+    return counted(number, what) if number else f"no {what}s"
+
+
+def _as_json(one: Finding) -> Dict[str, object]:
+    place = one.problem.place
+    found: Dict[str, object] = {
+        "severity": one.severity,
+        "check": one.check,
+        "message": printable(one.problem.message),
+    }
+    if place is not None:
+        found.update(file=place.source, line=place.line, column=place.column, text=printable(place.text))
+    return found

@@ -1,0 +1,110 @@
+"""``--version``.
+
+The command line: ``retalis COMMAND``. Each command is a module with ``add_parser`` and ``run``;
+those for a node that runs share one. Only the module of the command that is called is imported.
+"""
+
+import argparse
+import os
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Iterable, List, Optional
+from xml.etree import ElementTree
+
+from ..foundation.errors import RetalisError
+from .error_report import NobodyReads, leave
+from .option_values import join_times
+
+MANIFEST = Path(__file__).resolve().parents[3] / "package.xml"
+"""Where the only version stands, as seen from the source tree."""
+
+
+def version() -> str:
+    """Return the version of this copy: the source tree's, or that of the installation."""
+    if MANIFEST.exists():
+        manifest = ElementTree.parse(MANIFEST).getroot()
+        if manifest.findtext("name") == "retalis":
+            return str(manifest.findtext("version"))
+    from importlib import metadata  # noqa: PLC0415  takes 30 ms
+
+    try:
+        return metadata.version("retalis")
+    except metadata.PackageNotFoundError:  # the folder alone was copied
+        return "unknown"
+
+
+class ShowVersion(argparse.Action):
+    """Prints the version; looks for it then only."""
+
+    def __init__(self, *names: Any, **options: Any):
+        super().__init__(*names, **{**options, "nargs": 0})
+
+    def __call__(self, parser: argparse.ArgumentParser, *arguments: Any) -> None:
+        """Print it and end."""
+        print(f"retalis {version()}")
+        parser.exit()
+
+
+COMMANDS = {
+    "bag": "bag_command",
+    "check": "check_command",
+    "console": "console",
+    "demo": "demo_command",
+    "events": "events_command",
+    "graph": "graph_command",
+    "query": "node_commands",
+    "explain": "node_commands",
+    "list": "node_commands",
+    "status": "node_commands",
+    "watch": "node_commands",
+    "reload": "node_commands",
+    "msg": "msg_command",
+    "plot": "plot_command",
+    "complete": "completion",
+}
+"""The module of each command."""
+
+_NEEDS_ALL = "complete"
+"""The command that looks through the parsers of all others."""
+
+
+def main(arguments: Optional[List[str]] = None) -> int:
+    """Run a command; return its exit status: 0 done, 1 with errors, 2 wrongly called."""
+    words = sys.argv[1:] if arguments is None else arguments
+    parser = argparse.ArgumentParser(
+        prog="retalis",
+        description="Event rules and a knowledge base for robots.",
+        epilog="retalis COMMAND --help says what a command takes. The exit status is 0 where all went well, 1 with "
+        "errors, 2 where a command is called wrongly, 130 after ctrl-C.",
+    )
+    parser.add_argument("--version", action=ShowVersion, help="print the version and exit")
+    parser.set_defaults(whole=parser)
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    try:
+        for module in import_commands(words):
+            module.add_parser(commands.add_parser)
+        options = parser.parse_args(join_times(words))
+        status: int = options.run(options)
+        return status
+    except RetalisError as error:
+        print(f"retalis: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    except (BrokenPipeError, NobodyReads):  # whoever read our output has had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains at its end
+        return 1
+    finally:
+        leave()
+
+
+def import_commands(words: List[str]) -> List[Any]:
+    """Return the modules of the commands that the parser of a command line needs, in the order of the help."""
+    first = words[0] if words else ""
+    names: Iterable[str] = dict.fromkeys(COMMANDS.values())
+    if first in COMMANDS and first != _NEEDS_ALL:
+        names = (COMMANDS[first],)
+    elif first == "--version":
+        names = ()
+    return [import_module(f"{__package__}.{name}") for name in names]

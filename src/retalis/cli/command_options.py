@@ -1,0 +1,125 @@
+"""The options of the commands that say what an event, a goal or a query may use.
+
+Options for the files that goals may open, and for the topics that a node subscribes by itself.
+"""
+
+import argparse
+from typing import Callable, Optional, Tuple
+
+from ..engine.engine_settings import Settings
+from ..events.program.program_folder import AUTO, DirectTopics, read_direct
+from ..foundation.errors import UsageError
+from ..prolog.machine.resource_limits import Limits
+from .option_values import from_one, from_zero
+
+_MEGABYTES = 2000
+
+_OPTIONS: Tuple[Tuple[str, Callable[[str], float], Optional[int], str, str], ...] = (
+    (
+        "--max-seconds",
+        float,
+        None,
+        "N",
+        "seconds that an event, goal or query may take, with everything that it starts (0)",
+    ),
+    ("--max-inferences", int, None, "N", "inferences that it may take (0)"),
+    ("--max-megabytes", float, _MEGABYTES, "N", f"memory that it may take, in megabytes ({_MEGABYTES})"),
+    (
+        "--max-output-megabytes",
+        float,
+        None,
+        "N",
+        "what it may write to standard output and standard error, in megabytes (0)",
+    ),
+    (
+        "--watchdog",
+        float,
+        None,
+        "N",
+        "warn about anything that takes longer than this many seconds, naming rule, goal and event (0)",
+    ),
+)
+
+
+def add_limits(parser: argparse.ArgumentParser) -> None:
+    """Add the options to the parser of a command."""
+    add_swi(parser)
+    group = parser.add_argument_group(
+        "limits",
+        "Whatever exceeds a limit ends with a resource error, and the rest goes on; 0 means no limit. "
+        "A megabyte is 1,000,000 bytes. "
+        "Defaults are in brackets.",
+    )
+    for name, kind, default, metavar, text in _OPTIONS:
+        group.add_argument(name, type=from_zero(kind), default=default, metavar=metavar, help=text)
+    group.add_argument(
+        "--max-depth",
+        type=from_one,
+        default=Settings().max_depth,
+        metavar="N",
+        help=f"longest chain of events derived one from another ({Settings().max_depth})",
+    )
+
+
+def add_swi(parser: argparse.ArgumentParser) -> None:
+    """Add the option that lets a program use SWI-Prolog."""
+    text = "let the program have SWI-Prolog load files with use_swi/1"
+    parser.add_argument("--allow-swi", action="store_true", help=text)
+
+
+def limited(settings: Settings, options: argparse.Namespace) -> Settings:
+    """Return settings of an engine with the limits that the options ask for."""
+    limits = Limits(
+        options.max_seconds or None,
+        options.max_inferences or None,
+        options.max_megabytes or None,
+        options.max_output_megabytes or None,
+    )
+    return settings._replace(
+        limits=limits,
+        watchdog=options.watchdog or None,
+        max_depth=options.max_depth,
+        allow_swi=options.allow_swi,
+    )
+
+
+def add_folders(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.add_argument(
+        "--folder",
+        action="append",
+        default=[],
+        metavar="FOLDER",
+        help="a further folder in which goals of events, streams and queries may read files",
+    )
+    parser.add_argument(
+        "--write-folder",
+        action="append",
+        default=[],
+        metavar="FOLDER",
+        help="a folder in which goals may write and read files; persistent events go into the first",
+    )
+
+
+def allow_folders(settings: Settings, options: argparse.Namespace) -> Settings:
+    """Return settings with the folders that the options name."""
+    return settings._replace(folders=tuple(options.folder), write_folders=tuple(options.write_folder))
+
+
+def add_direct(parser: argparse.ArgumentParser) -> None:
+    """Add the option for what is parameter ``~direct`` in a node."""
+    parser.add_argument(
+        "--direct",
+        type=_direct,
+        default=AUTO,
+        metavar="TOPICS",
+        help="the topics that a node subscribes by itself, as its parameter ~direct says: auto (tf and "
+        "ar_pose_marker if pub_sub.xml does not name them), true (both), false, or a list [topic, type, ...] (auto)",
+    )
+
+
+def _direct(text: str) -> DirectTopics:
+    try:
+        return read_direct(text)
+    except UsageError as error:
+        raise argparse.ArgumentTypeError(error.message) from None

@@ -1,0 +1,99 @@
+"""``demo``: the NAO example from a bag, without ROS."""
+
+import argparse
+import importlib
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any, Callable, Dict, Tuple
+
+from ..foundation.errors import UsageError
+from ..playback.bag_sources import MergedBag
+from ..playback.playback import Playback
+from ..prolog.terms.term_traversal import resolve
+from .bag_run import share_of
+from .error_report import Report, progress
+from .option_values import seconds, whole
+
+
+def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = add_command(
+        "demo",
+        help="run the NAO example over a bag, without ROS",
+        description="Make a bag of a simulated NAO, run the NAO program over it, and print where each marker "
+        "was located last, beside its true position. Exit status 0 when all markers were located.",
+    )
+    parser.add_argument(
+        "--bag", type=Path, metavar="BAG", help="play this bag instead (made by examples/nao/make_bag.py)"
+    )
+    parser.add_argument(
+        "--seconds",
+        type=seconds,
+        default=20.0,
+        metavar="N",
+        help="length of the simulated bag in seconds (20)",
+    )
+    parser.add_argument(
+        "--seed", type=whole, default=1, metavar="N", help="random seed of the simulated bag (1)"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    report = Report().listen()
+    folder = example_folder()
+    sys.path.append(str(folder))
+    truth_module = importlib.import_module("nao_truth")
+    with tempfile.TemporaryDirectory() as temporary:
+        bag = options.bag
+        if bag is None:
+            bag = Path(temporary) / "nao.bag"
+            print(
+                f"a bag of a simulated NAO, {options.seconds:g} s long, is made, then played ...", flush=True
+            )
+            importlib.import_module("make_bag").make_bag(bag, options.seconds, options.seed)
+        elif not bag.exists():
+            raise UsageError(f"{bag}: there is no such file")
+        try:
+            truth = truth_module.load(bag)
+        except OSError as error:
+            raise UsageError(
+                f"cannot read {error.filename}, which make_bag.py writes next to a bag"
+            ) from error
+        located = locate(bag, folder.parent.parent / "application_source", report)
+    comparisons = truth_module.compare(truth, located)
+    print(truth_module.table(comparisons))
+    return 0 if comparisons and all(one.good for one in comparisons) and not report.errors else 1
+
+
+def locate(bag: Path, program: Path, report: Report) -> Dict[str, Tuple[float, float, float]]:
+    """Run the NAO program over a bag; return the last position of each marker by its name."""
+    located: Dict[str, Tuple[float, float, float]] = {}
+    playback = Playback(program, report)
+    with MergedBag([bag]) as bags, progress("messages", share_of(playback, bags)) as bar:
+        for output in playback.run(bags, bar or _nothing):
+            if output.topic.startswith("marker"):
+                term: Any = resolve(output.term)  # a geometry_msgs/PoseStamped
+                header, pose = term[1:]
+                located[header[3].name.strip('"')] = pose[1][1:]
+    return located
+
+
+def _nothing(done: int) -> None:
+    """Show no progress."""
+
+
+def example_folder() -> Path:
+    """Return the folder of the NAO example: in the source tree, or where the package is installed.
+
+    Raises:
+        UsageError: where it is in neither.
+    """
+    here = Path(__file__).resolve()
+    for root in here.parents:
+        for folder in (root / "examples" / "nao", root / "share" / "retalis" / "examples" / "nao"):
+            if (folder / "make_bag.py").exists():
+                return folder
+    raise UsageError("the folder examples/nao is neither in the source tree nor in an installed package")

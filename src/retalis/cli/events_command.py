@@ -1,0 +1,344 @@
+"""Streams of terms: events and goals, one after the other, from a file or a pipe.
+
+``events``: run a program over a stream of events.
+"""
+
+import argparse
+import os
+import re
+import stat
+import sys
+from array import array
+from contextlib import ExitStack
+from pathlib import Path
+from typing import IO, Callable, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Union
+
+from ..engine.engine import Engine
+from ..engine.engine_parts import parts_of
+from ..engine.engine_settings import Settings
+from ..engine.runtime.clock import StreamClock
+from ..engine.runtime.gc_tuning import limit_gc_pauses
+from ..engine.runtime.problem_reports import Reports
+from ..events.program.goal_file import goal_of, read_goals
+from ..events.program.program_folder import read_text
+from ..events.rules.event_predicates import event_of
+from ..explanation.explain import explain, record_origins
+from ..foundation.errors import (
+    Place,
+    ProgramErrors,
+    RetalisError,
+    RuleError,
+    SyntaxFault,
+    UsageError,
+    place_in,
+)
+from ..prolog.machine.machine import Machine
+from ..prolog.syntax.event_text import EventReader
+from ..prolog.syntax.operators import Operators
+from ..prolog.syntax.term_reader import ReadTerm, read_program, read_term
+from ..prolog.terms import timestamps
+from ..prolog.terms.term_traversal import rebuild, variables
+from ..prolog.terms.types import Frame, Term, deref
+from .command_options import add_folders, add_limits, allow_folders, limited
+from .error_report import Report, to_reader
+from .option_values import RELATIVE, RELATIVE_TIMES
+from .output import JSON, Printer
+
+
+class ReadLine(NamedTuple):
+    """A term that was a line of its own, and the place of that."""
+
+    term: Term
+    place: Place
+
+
+Read = Union[ReadTerm, ReadLine, SyntaxFault]
+
+_DIFFERENT = re.compile(r"[\"`]|\b(?:inf|nan|True|False)\b")
+
+
+def read_stream(file: IO[str], operators: Operators, source: str) -> Iterator[Read]:
+    """Yield the terms of a stream as soon as their lines have come, and a `SyntaxFault` for each error."""
+    held = ""
+    first = 1
+    reader = EventReader(operators)
+    for line, text in enumerate(file, 1):
+        if not held and text.startswith("event("):
+            event = _event(reader, text.rstrip(), place_in(source, line, 1, text.rstrip("\n")))
+            if event is not None:
+                yield event
+                first = line + 1
+                continue
+        held += text
+        if "." not in text:
+            continue
+        found = list(read_program(held, operators, source, first_line=first))
+        if not found or not _is_unfinished(found, held, line):
+            yield from found
+            held, first = "", line + 1
+    yield from read_program(held, operators, source, first_line=first)
+
+
+def _event(reader: EventReader, text: str, place: Place) -> Optional[ReadLine]:
+    """Return the event of a line that holds nothing else: the usual case, and much faster than the full reader.
+
+    What event text and a program read differently is left to the full reader.
+    """
+    if not text.endswith(").") or _DIFFERENT.search(text):
+        return None
+    try:
+        return ReadLine(reader.read(text[:-1]), place)
+    except SyntaxFault:  # several terms, or an error: the full reader tells
+        return None
+
+
+def _is_unfinished(found: Sequence[Read], text: str, line: int) -> bool:
+    """Tell whether the last clause was cut off by the end of the text, and may go on in the next line."""
+    for one in found:
+        if isinstance(one, SyntaxFault) and one.message.startswith("this comment is never closed"):
+            return True
+    last = found[-1]
+    if not isinstance(last, SyntaxFault) or last.place is None or text.rstrip().endswith("."):
+        return False
+    return last.place.line >= line
+
+
+def is_left_unread(number: int = 0) -> bool:
+    """Tell whether there is something to read in a pipe or file, by its number, that nobody has read; never waits."""
+    try:
+        import fcntl  # noqa: PLC0415 (not every system has them)
+        import termios  # noqa: PLC0415
+    except ImportError:
+        return False
+    try:
+        mode = os.fstat(number)
+        if stat.S_ISREG(mode.st_mode):
+            return mode.st_size > os.lseek(number, 0, os.SEEK_CUR)
+        if not stat.S_ISFIFO(mode.st_mode):
+            return False
+        waiting = array("i", [0])
+        fcntl.ioctl(number, termios.FIONREAD, waiting)
+    except OSError:  # closed
+        return False
+    return waiting[0] > 0
+
+
+DESCRIPTION = """\
+Call the goals, load the rules, feed the stream, and print each event in the order in which it happened, as
+event(TERM,[T1,T2]). The stream is Prolog terms: event(TERM,[T1,T2])., event(TERM)., or any goal. The clock is the
+stream's: event stamps and the goal sleep(Seconds) move it, and alarms follow it. Errors go to standard
+error with their place; the exit status is 1 if there was one.
+"""
+LINES = """\
+  {"event": TERM, "start": T1, "end": T2}           an event
+  {"memory_event": TERM, "start": T1, "end": T2}    with --memory-events
+  {"output": TERM, "topic": TOPIC, "id": ID, "time": T}    with --outputs, into that file
+  {"query": GOAL, "solutions": [GOAL, ...]}         for each goal of --queries
+  {"explain": TERM, "happened": true or false, "because": [{"text": LINE, "below": [...]}, ...]}
+"""
+
+
+def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = add_command(
+        "events",
+        help="run a program over a stream of events",
+        description=DESCRIPTION,
+        epilog=JSON + LINES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("--rules", type=Path, action="append", default=[], metavar="FILE", help="event rules and clauses")
+    add(
+        "--goals",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="goals called first, one per line",
+    )
+    add("--stream", metavar="FILE", help="events and goals; - is standard input, read as it arrives")
+    add("--outputs", metavar="FILE", help="write what subscribers get, as output(TERM,TOPIC,ID); - prints it")
+    add("--queries", type=Path, metavar="FILE", help="goals whose solutions are printed at the end")
+    add("--memory-events", action="store_true", help="print memory events too, as memory_event(TERM,[T1,T2])")
+    add(
+        "--explain",
+        metavar="TERM",
+        action="append",
+        default=[],
+        help="print at the end, in lines that start with %%, why such an event happened or what was missing; a term "
+        "with variables, or event(TERM,[T1,T2])",
+    )
+    add(
+        RELATIVE_TIMES,
+        action="store_const",
+        const=RELATIVE,
+        dest="times",
+        help="print explanations with times in seconds since the first event",
+    )
+    add("--clock", metavar="TERM", help="pin the clock to an instant: datime(2001,1,1,0,0,0,0) or seconds")
+    add("--json", action="store_true", help="print one JSON object per line instead of terms")
+    add_folders(parser)
+    add_limits(parser)
+    parser.set_defaults(run=run, wrong=parser.error)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; the status is 1 if there was an error."""
+    if not (options.rules or options.goals or options.stream or options.queries or options.explain):
+        options.wrong("nothing to do: give --rules, --goals, --stream, --queries or --explain")
+    report = Report().listen()
+    with ExitStack() as stack:
+        printer = Printer(options.json, options.memory_events, _opened(options.outputs, stack))
+        session = Session(options, report, printer)
+        session.load()
+        limit_gc_pauses()
+        session.feed()
+        session.ask()
+        session.reports.sum_up()
+    sys.stdout.flush()
+    if options.stream is None and is_left_unread():
+        print("warning: standard input was not read; --stream - takes events from it", file=sys.stderr)
+    return 1 if report.errors else 0
+
+
+def _opened(name: Optional[str], stack: ExitStack) -> Optional[IO[str]]:
+    if name is None:
+        return None
+    if name == "-":
+        return sys.stdout
+    try:
+        return stack.enter_context(open(name, "w", encoding="utf-8"))
+    except OSError as error:
+        raise UsageError(f"cannot write {name}: {error.strerror}") from error
+
+
+class Session:
+    """One run: the engine and what it was asked to do."""
+
+    def __init__(self, options: argparse.Namespace, report: Report, printer: Printer):
+        self._options = options
+        self._report = report
+        self._printer = printer
+        self._clock = StreamClock(0)
+        self.reports = Reports()
+        self.engine = Engine(self._clock, limited(allow_folders(Settings(), options), options), self.reports)
+        self.engine.on_event(to_reader(printer.event))
+        self.engine.on_output(to_reader(self._output))
+        self._first: Optional[int] = None
+        if options.times == RELATIVE:
+            self.engine.on_event(self._note_first)
+        parts_of(self.engine).logic.define_control("sleep", 1, self._sleep)
+        if options.explain:
+            record_origins(self.engine)
+        if options.clock:
+            stamp = read_term(options.clock, Operators.prolog(), "--clock").term
+            try:
+                self._clock.pin(timestamps.from_term(stamp))
+            except UsageError as error:
+                raise UsageError(f"--clock {options.clock}: {error.message}") from error
+
+    def _output(self, term: Term, topic: str, name: Term) -> None:
+        self._printer.output(term, topic, name, self._clock.now())
+
+    def load(self) -> None:
+        """Call the goals and load the rules; of a file with an error nothing is active, all else goes on."""
+        for path in self._options.goals:
+            self._try(self._load, self.engine.call_goals, path)
+        for path in self._options.rules:
+            self._try(self._load, self.engine.load_rules, path)
+
+    def _load(self, take: Callable[[str, str, Path], None], path: Path) -> None:
+        take(read_text(path), str(path), path.parent)
+
+    def feed(self) -> None:
+        """Feed the stream."""
+        name = self._options.stream
+        if name is None:
+            return
+        operators = self.engine.operators
+        if name == "-":
+            self._feed(read_stream(sys.stdin, operators, "standard input"))
+            return
+        with ExitStack() as stack:
+            try:
+                file = stack.enter_context(open(name, encoding="utf-8"))
+            except OSError as error:
+                raise UsageError(f"cannot read {name}: {error.strerror}") from error
+            self._feed(read_stream(file, operators, name))
+
+    def _feed(self, stream: Iterable[Read]) -> None:
+        try:
+            for item in stream:
+                if isinstance(item, SyntaxFault):
+                    self._report(item)
+                else:
+                    self._try(self._step, item)
+        except UnicodeDecodeError as error:
+            raise UsageError(f"the stream is not UTF-8 text: {error}") from error
+
+    def _step(self, item: Union[ReadLine, ReadTerm]) -> None:
+        try:
+            self._do(goal_of(item.term))
+        except RetalisError as error:
+            raise (error if error.place else RuleError(error.message, item.place)) from error
+
+    def _do(self, goal: Term) -> None:
+        made = event_of(goal)
+        if made is None:
+            if not self.engine.call(goal):
+                raise RuleError("this goal fails")
+            return
+        if made.end is not None:
+            self._clock.move_to(made.end)
+        self.engine.event_at(made.term, made.start, made.end)
+
+    def ask(self) -> None:
+        """Print the solutions of the queries, and the explanation."""
+        if self._options.queries is not None:
+            path = self._options.queries
+            for goal in read_goals(read_text(path), self.engine.operators, str(path)):
+                if isinstance(goal, SyntaxFault):
+                    self._report(goal)
+                else:
+                    self._try(self._query, goal)
+        for asked in self._options.explain:
+            self._try(self._explain, asked)
+
+    def _note_first(self, term: Term, start: int, end: int) -> None:
+        self._first = int(start) if self._first is None else min(self._first, int(start))
+
+    def _explain(self, asked: str) -> None:
+        term = read_term(asked, self.engine.operators, "--explain").term
+        self._printer.explanation(term, explain(self.engine, term, origin=self._first))
+
+    def _query(self, goal: ReadTerm) -> None:
+        found: List[Term] = []
+        term = goal_of(goal.term)
+        try:
+            for answer in self.engine.query(term):
+                values = dict(zip(variables(term), answer.values()))
+                found.append(rebuild(term, values.__getitem__))
+        except RetalisError as error:
+            raise RuleError(error.message, goal.place) from error
+        finally:
+            self._printer.solutions(term, found)
+
+    def _sleep(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
+        """Let the stream's time pass: the goal ``sleep(Seconds)``."""
+        seconds = deref(arguments[0])
+        if not isinstance(seconds, (int, float)) or not 0 <= seconds < float("inf"):
+            raise UsageError("sleep/1 needs a number of seconds, not a negative one")
+        self._clock.move_by(timestamps.from_seconds(seconds))
+        self.engine.advance()
+        return after
+
+    def _try(self, work: Callable[..., object], *arguments: object) -> None:
+        """Do a piece of work and report what goes wrong."""
+        try:
+            work(*arguments)
+        except ProgramErrors as errors:
+            for error in errors.errors:
+                self._report(error)
+        except RetalisError as error:
+            self._report(error)

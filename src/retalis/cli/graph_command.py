@@ -1,0 +1,95 @@
+"""``graph``: draw a program: which topics become which events, which rules take them, and where they go."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Callable, List, Optional
+
+from ..engine.engine import Engine
+from ..engine.engine_parts import parts_of
+from ..engine.engine_settings import Settings
+from ..engine.event_input import InputTopics
+from ..events.program.program_folder import GOALS, TOPICS, Topics, read_topics
+from ..foundation.errors import ProgramErrors, UsageError
+from ..messages.type_definition import functor_name
+from ..visualization.program_graph import FORMATS, GraphTopic, dot_text, draw, program_graph
+from .command_options import add_limits, limited
+from .error_report import Report
+
+AS_TEXT = ("dot", "gv")
+"""Endings of files that hold a graph as text."""
+
+DESCRIPTION = """\
+Load a program and draw it: its topics, events, rules, queries, memories and subscriptions, and what leads where.
+The ending of the file says how: .svg, .png and .pdf are drawn by Graphviz; .dot, or no file at all, is the text
+that Graphviz takes, for which it need not be there.
+"""
+
+
+def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = add_command("graph", help="draw a program", description=DESCRIPTION)
+    add = parser.add_argument
+    add(
+        "folder",
+        nargs="?",
+        type=Path,
+        default=Path(),
+        metavar="FOLDER",
+        help="the program's folder, with goalPredicates.txt; the current one by default",
+    )
+    add(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FILE",
+        help="where to draw it, as program.svg; without it the text is printed",
+    )
+    add_limits(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    report = Report().listen()
+    kind = _kind(options.output)
+    folder = options.folder
+    if not (folder / GOALS).is_file():
+        raise UsageError(f"{folder.resolve()} is no program: it has no file {GOALS}")
+    engine = Engine(settings=limited(Settings(), options))
+    input_topics = parts_of(engine).input_topics
+    input_topics.begin(lambda wanted: None)
+    try:
+        engine.load_program(folder)
+    except ProgramErrors as errors:
+        for error in errors.errors:
+            report(error)
+    text = dot_text(program_graph(engine, _topics(folder, input_topics)), folder.resolve().name)
+    if options.output is None:
+        sys.stdout.write(text)
+    elif kind in AS_TEXT:
+        _write(options.output, text)
+    else:
+        draw(text, options.output)
+    return 1 if report.errors else 0
+
+
+def _kind(path: Optional[Path]) -> str:
+    """Return what is to be made of the graph, as the ending of the file says."""
+    kind = "dot" if path is None else path.suffix[1:].lower()
+    if kind not in (*FORMATS, *AS_TEXT):
+        endings = ", ".join(f".{one}" for one in (*FORMATS, *AS_TEXT))
+        raise UsageError(f"--output {path}: expected a name that ends in one of {endings}")
+    return kind
+
+
+def _topics(folder: Path, asked: InputTopics) -> List[GraphTopic]:
+    found = asked.joined(read_topics(folder / TOPICS) if (folder / TOPICS).exists() else Topics())
+    return [GraphTopic(name, found.event_of(name) or functor_name(kind)) for name, kind in found.subscribed]
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"cannot write {path}: {error.strerror}") from error

@@ -1,0 +1,79 @@
+"""``msg``: a message type as a term, with the names of its slots, to paste into a program."""
+
+import argparse
+from pathlib import Path
+from typing import Callable, Dict
+
+from ..foundation.errors import MessageError, UsageError
+from ..foundation.ros_names import plain_type, type_fault
+from ..messages.field_names import by_names, positional, zero
+from ..messages.type_definition import Definition
+from ..messages.type_registry import Definitions
+from ..playback.bag_sources import open_bag
+from .bag_run import add_chunk_limit
+
+FORMATS: Dict[str, Callable[[Definition, Definitions], str]] = {
+    "term": lambda found, known: positional(found),
+    "names": lambda found, known: by_names(found),
+    "zero": zero,
+}
+
+
+def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = add_command(
+        "msg",
+        help="print a message type as a term to paste into a program",
+        description="Print a message type as a term, with the names of its slots.",
+    )
+    parser.add_argument("type", metavar="PACKAGE/Type", help="as sensor_msgs/LaserScan")
+    parser.add_argument(
+        "--bag", type=Path, metavar="BAG", help="a bag that has the type, where it is not installed"
+    )
+    parser.add_argument(
+        "--format",
+        choices=sorted(FORMATS),
+        default="term",
+        help="term: a variable for each slot, slots as comments (default); names: slots by name; "
+        "zero: with zeros, to be sent",
+    )
+    add_chunk_limit(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    kind = plain_type(options.type.replace("__0__", "/"))
+    definitions = Definitions()
+    fault = type_fault(kind)
+    if fault is not None:
+        raise UsageError(f"{fault}{_meant(definitions, kind)}")
+    if options.bag is not None:
+        _learn(definitions, options.bag, kind, options.max_chunk_megabytes)
+    try:
+        found = definitions.find(kind)
+    except MessageError as error:
+        hint = "" if options.bag is not None else "; --bag BAG takes it from a bag"
+        raise UsageError(f"{error.message}{_meant(definitions, kind) or hint}") from error
+    print(FORMATS[options.format](found, definitions), end="")
+    return 0
+
+
+def _meant(definitions: Definitions, kind: str) -> str:
+    """Return the question whether another type was meant, behind a semicolon; "" where none is like it."""
+    found = definitions.misspelt(kind)
+    return f"; did you mean {found}?" if found else ""
+
+
+def _learn(definitions: Definitions, path: Path, kind: str, max_chunk_megabytes: int) -> None:
+    """Learn a type from a bag, by which its messages are read."""
+    with open_bag(path, max_chunk_megabytes) as bag:
+        topics = sorted(
+            bag.topics, key=lambda topic: topic.type != kind
+        )  # what lies in others is found in them, too
+        for topic in topics:
+            try:
+                definitions.add(topic.type, topic.definition, topic.md5sum)
+            except MessageError as error:
+                if topic.type == kind:
+                    raise UsageError(f"{path}: {error.message}") from error

@@ -1,0 +1,119 @@
+"""Commands for a node that runs: ``query``, ``list``, ``status``, ``explain``, ``watch`` and the like."""
+
+import argparse
+from importlib import import_module
+from typing import Any, Callable
+
+from ..foundation.errors import UsageError
+from .option_values import any_number, from_zero
+
+AddCommand = Callable[..., argparse.ArgumentParser]
+
+DESCRIPTION = "The node is that of --node, or the only one that runs in the namespace of ROS_NAMESPACE."
+
+STATUS = "The exit status is 0 with a solution, 1 without one or with an error."
+
+
+def add_parser(add_command: AddCommand) -> None:
+    """Add the commands."""
+    _add_query(add_command)
+    explain = _command(add_command, "explain", "say why an event happened in a node, or why not")
+    explain.add_argument("event", metavar="EVENT", help="as far as it is known, as in fever(bob,_)")
+    _command(add_command, "list", "list the rules, memories, subscriptions and queries of a node")
+    status = _command(add_command, "status", "show what a node is doing, again and again")
+    status.add_argument(
+        "--every",
+        type=any_number,
+        default=1.0,
+        metavar="SECONDS",
+        help="seconds from one look to the next, over which rates are taken (1)",
+    )
+    status.add_argument(
+        "--once",
+        action="store_true",
+        help="show it once, after --every seconds; so it is if the output is no terminal",
+    )
+    _add_watch(add_command)
+    _command(add_command, "reload", "have a node read its program again, all or nothing")
+
+
+def _add_query(add_command: AddCommand) -> None:
+    query = _command(add_command, "query", "ask a goal of a node")
+    query.description = f"{query.description} {STATUS}"
+    add = query.add_argument
+    add("goal", metavar="GOAL", help="as in 'access_mem(odom,P,[T1,T2])'")
+    add("--most", type=from_zero(int), metavar="N", default=100, help="solutions at most (100)")
+    add(
+        "--seconds",
+        type=from_zero(float),
+        default=0.0,
+        metavar="N",
+        help="limit for the goal, besides the node's own",
+    )
+    add(
+        "--inferences",
+        type=from_zero(int),
+        metavar="N",
+        default=0,
+        help="the same in inferences; 0 is no limit, for both (0)",
+    )
+    add(
+        "--wait-for",
+        action="append",
+        default=[],
+        metavar="MEMORY",
+        help="wait until it has a record at --stamp or later",
+    )
+    add("--stamp", type=any_number, default=0.0, metavar="SECONDS", help="for --wait-for, since the epoch")
+    add("--timeout", type=from_zero(float), default=10.0, metavar="SECONDS", help="how long to wait (10)")
+
+
+def _add_watch(add_command: AddCommand) -> None:
+    watch = _command(add_command, "watch", "print the outputs of a node as they come")
+    add = watch.add_argument
+    add(
+        "--event",
+        action="append",
+        default=[],
+        metavar="PATTERN",
+        help="these events too, by a subscription meanwhile",
+    )
+    add("--inputs", action="store_true", help="also what comes in as text")
+    add("--count", type=from_zero(int), metavar="N", default=0, help="end after so many; 0: never (0)")
+
+
+def _command(add_command: AddCommand, name: str, says: str) -> argparse.ArgumentParser:
+    parser = add_command(name, help=says, description=f"{says[0].upper()}{says[1:]}. {DESCRIPTION}")
+    parser.add_argument("--node", metavar="/NAME", help="the node, where several run")
+    parser.add_argument("--json", action="store_true", help="print JSON, one value a line")
+    parser.set_defaults(run=run)
+    return parser
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run a command on a node."""
+    return of_ros("live_commands", options)
+
+
+def of_ros(module: str, options: argparse.Namespace) -> int:
+    """Run what a module of the room ``ros`` does.
+
+    Raises:
+        UsageError: where there is no ROS.
+    """
+    status: int = ros_module(module).run(options)
+    return status
+
+
+def ros_module(name: str) -> Any:
+    """Return a module of the room ``ros``, which no other imports: ROS need not be there.
+
+    Raises:
+        UsageError: where it is not.
+    """
+    try:
+        return import_module(f"retalis.ros.{name}")
+    except ImportError as error:
+        raise UsageError(
+            f"this needs ROS ({error}): source its setup.bash, and that of the workspace"
+        ) from error

@@ -1,0 +1,107 @@
+"""``plot``: draw what happened in a run: events, waits of queries, memories and outputs over time."""
+
+import argparse
+from pathlib import Path
+from typing import Callable
+
+from ..engine.runtime.gc_tuning import limit_gc_pauses
+from ..foundation.errors import UsageError
+from ..playback.run_recorder import RunRecorder
+from ..visualization.timeline import PICTURES, Timeline, TimelineBuilder, draw_timeline, page, read_run
+from .bag_command import add_source
+from .bag_run import bags_of, playback_of, share_of
+from .command_options import add_folders, add_limits
+from .error_report import Report, progress
+
+PAGES = ("html", "htm")
+
+DESCRIPTION = """\
+Run a program over bags, or read a run that "bag --events --json" has written, and draw it over time: a lane for each
+event, for the waits of each query, for each memory and for each output. An .html file is a page to zoom in, which
+needs neither other files nor a network; .png, .svg and .pdf are drawn by matplotlib.
+"""
+
+
+def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = add_command("plot", help="draw what happened in a run", description=DESCRIPTION)
+    add_source(parser, "*", required=False)
+    add = parser.add_argument
+    add(
+        "--from",
+        dest="run_file",
+        type=Path,
+        metavar="FILE",
+        help='a run that "bag --events --json" has written',
+    )
+    add(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="where to draw it, as run.html or run.png",
+    )
+    add_limits(parser)
+    add_folders(parser)
+    parser.set_defaults(run=run, wrong=parser.error)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    path, kind = options.output, options.output.suffix[1:].lower()
+    if kind not in (*PAGES, *PICTURES):
+        endings = ", ".join(f".{one}" for one in (*PAGES, *PICTURES))
+        raise UsageError(f"--output {path}: expected a name that ends in one of {endings}")
+    report = Report().listen()
+    if options.run_file is not None:
+        if options.bags:
+            options.wrong("give bags or --from, not both")
+        timeline, title = _read(options.run_file), options.run_file.name
+    else:
+        if not options.bags or options.program is None:
+            options.wrong("give bags with --program, or --from")
+        timeline = _played(options, report).timeline()
+        title = f"{options.program.resolve().name} over {', '.join(Path(bag).name for bag in options.bags)}"
+    if kind in PAGES:
+        _write(path, page(timeline, title))
+    else:
+        draw_timeline(timeline, title, path)
+    return 1 if report.errors else 0
+
+
+def _read(path: Path) -> Timeline:
+    try:
+        with open(path, encoding="utf-8") as file:
+            return read_run(file, str(path))
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path} is not UTF-8 text: {error}") from error
+
+
+def _played(options: argparse.Namespace, report: Report) -> TimelineBuilder:
+    """Run the program over the bags and look on."""
+    builder = TimelineBuilder()
+    with bags_of(options) as bags:
+        playback = playback_of(options, report)
+        look = RunRecorder(playback, builder.take)
+        with progress("messages", share_of(playback, bags)) as bar:
+
+            def advance(done: int) -> None:
+                look.look()
+                if bar is not None:
+                    bar(done)
+
+            limit_gc_pauses()
+            for output in playback.run(bags, advance):
+                look.output(output)
+        look.finish()
+    return builder
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"cannot write {path}: {error.strerror}") from error

@@ -1,0 +1,1 @@
+"""Web page that shows what a running engine does."""

@@ -1,0 +1,242 @@
+"""The state of an engine taken as data, and taken up by another engine."""
+
+from pathlib import Path
+from typing import Any, Callable, Dict, List, Optional, Sequence, TypeVar
+
+from ..events.network.event_rule import EventRule
+from ..foundation.errors import RetalisError, UsageError
+from ..prolog.swi.use_swi import SwiFile, use_swi
+from ..prolog.system.foreign_functions import define_foreign, load_module
+from ..prolog.system.logic_state import (
+    KeptLogic,
+    KeptValues,
+    keep_logic,
+    keep_values,
+    restore_logic,
+    restore_values,
+)
+from ..serialization.codec import to_bytes
+from ..serialization.memory_state import (
+    keep_memories,
+    keep_records,
+    keep_sent,
+    keep_subscriptions,
+    new_records,
+    restore_memories,
+    restore_records,
+    restore_subscriptions,
+)
+from ..serialization.network_state import keep_matches, keep_rules, restore_matches, restore_rules
+from ..serialization.state_sections import SECTIONS, read_section
+from .deployment import keep_standings, restore_standings
+from .engine_parts import EngineCore, parts_of
+from .event_input import AskedTopic
+from .runtime.clock import StreamClock
+
+Sections = Dict[str, Any]
+"""Parts of a state: data that `to_bytes` takes."""
+
+
+Result = TypeVar("Result")
+
+
+class EngineSnapshot:
+    """Takes the state of an engine, and has one take it up.
+
+    Args:
+        engine: nothing else is done in it meanwhile.
+    """
+
+    def __init__(self, engine: EngineCore):
+        self._engine = engine
+        self._parts = parts_of(engine)
+        self._signature: Any = None
+
+    def take(self, whole: bool = True) -> Sections:
+        """Return all but the records of memories; those are sections of their own, see `keep_records`.
+
+        Args:
+            whole: give the program too where it is the same as the last time.
+
+        Raises:
+            UsageError: where an event or goal is being worked on.
+        """
+        engine, parts = self._engine, self._parts
+        logic, rules, knowledge = parts.logic, parts.rules, parts.knowledge
+        if parts.dispatcher.current is not None or logic.machine.choices:
+            raise UsageError("a goal or callback of an engine cannot have its state taken")
+        matches, named = keep_matches(rules, knowledge, engine.clock, rules.rules)
+        run = {
+            "clock": engine.clock.kept(),
+            "followed": parts.intake.followed is not None,
+            "taken": parts.intake.taken,
+            "dropped": parts.runner.dropped,
+            "tokens": parts.dispatcher.tokens,
+            "sent": keep_sent(knowledge),
+        }
+        sections = {"values": tuple(keep_values(logic)), "matches": matches, "run": run}
+        signature = self._sign(named)
+        if whole or signature != self._signature:
+            self._signature = signature
+            sections["program"] = self._program(named)
+            sections["clauses"] = tuple(
+                keep_logic(logic)
+            )  # apart, since it is large and nothing binds its variables
+        return sections
+
+    def _sign(self, named: List[EventRule]) -> object:
+        """Return what is another where the program has changed."""
+        parts = self._parts
+        rules, knowledge = parts.rules, parts.knowledge
+        return (
+            parts.logic.database.changes,
+            len(parts.logic.database.predicates),
+            list(parts.logic.operators),
+            [rule.serial for rule in named],
+            len(rules.rules),
+            rules.all_properties(),
+            [rules.flags.get(name) for name in rules.flags.names()],
+            list(knowledge.memories),
+            knowledge.subscriptions.items(),
+            list(knowledge.states),
+            parts.input_topics.kept(),
+            dict(parts.slots.events),
+            set(rules.files.loaded),
+            rules.files.door.own,
+            list(parts.logic.foreign_modules),
+            list(parts.logic.swi_files),
+            sorted(parts.programs),
+            list(parts.programs.values()),
+        )
+
+    def _program(self, named: List[EventRule]) -> Sections:
+        parts = self._parts
+        knowledge = parts.knowledge
+        return {
+            "network": keep_rules(parts.rules, named),
+            "memories": keep_memories(knowledge),
+            "subscriptions": keep_subscriptions(knowledge),
+            "declared": [one.form.term for one in knowledge.states],
+            "standings": keep_standings(parts.programs, parts.logic, knowledge, named),
+            "topics": [tuple(one) for one in parts.input_topics.kept()],
+            "events": dict(parts.slots.events),
+            "foreign": list(parts.logic.foreign_modules),
+            "swi": [tuple(one) for one in parts.logic.swi_files.values()],
+        }
+
+    def records(self) -> List[Any]:
+        """Return the records of each memory."""
+        return [keep_records(new_records(instance)) for instance in self._parts.knowledge.memories]
+
+    def take_up(self, sections: Sections, records: Sequence[Sequence[Any]], folder: Optional[Path]) -> None:
+        """Have a new engine know what another one knew.
+
+        Args:
+            sections: from `take`.
+            records: of each memory, in parts.
+            folder: where Python modules may lie that the program has asked for.
+
+        Raises:
+            RetalisError: what is wrong.
+        """
+        self._parts.runner.call(lambda: self._take_up(sections, records, folder))
+
+    def _take_up(self, sections: Sections, records: Sequence[Sequence[Any]], folder: Optional[Path]) -> None:
+        engine, parts = self._engine, self._parts
+        logic, rules, knowledge = parts.logic, parts.rules, parts.knowledge
+        program, run = sections["program"], sections["run"]
+        parts.slots.events.update(program["events"])
+        self._load_foreign(program["foreign"], folder)
+        self._load_swi([SwiFile(*one) for one in program.get("swi", ())], folder)
+        restore_logic(logic, KeptLogic(*sections["clauses"]))
+        restore_values(logic, KeptValues(*sections["values"]))
+        with logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
+            named = restore_rules(rules, program["network"])
+            memories = restore_memories(knowledge, program["memories"])
+            restore_subscriptions(knowledge, program["subscriptions"], run["sent"])
+            for definition in program["declared"]:
+                knowledge.states.declare(definition)
+        if len(run["sent"]) != len(knowledge.subscriptions.items()):
+            raise UsageError("there are not as many subscriptions as counts of what they have sent")
+        if len(memories) != len(records):
+            raise UsageError("there are not as many memories as records of them")
+        for instance, found in zip(memories, records):
+            restore_records(instance, found)
+        restore_matches(rules, knowledge, engine.clock, sections["matches"], named)
+        rules.files.loaded = set(map(Path, program["network"]["loaded"]))
+        rules.declared.in_use = True  # what is there is looked at with the first event
+        parts.programs.update(restore_standings(program["standings"], logic, knowledge, rules.timers, named))
+        parts.input_topics.restore(AskedTopic(*one) for one in program["topics"])
+        engine.clock.restore(run["clock"])
+        parts.intake.taken = run["taken"]
+        parts.runner.dropped = run["dropped"]
+        parts.dispatcher.tokens = run["tokens"]
+
+    def _load_foreign(self, modules: Sequence[str], folder: Optional[Path]) -> None:
+        """Load the Python modules again that the program had loaded, from its folder only."""
+        engine, parts = self._engine, self._parts
+        for name in modules:
+            path = Path(name)
+            if not engine.settings.allow_foreign:
+                raise UsageError(
+                    f"the program has loaded Python from {name}: the setting allow_foreign is off"
+                )
+            if folder is None or (path.is_absolute() and folder.resolve() not in path.resolve().parents):
+                raise UsageError(
+                    f"the program has loaded Python from {name}, which is not in a folder of its own"
+                )
+            files = parts.rules.files
+            with files.loading(folder):
+                define_foreign(parts.logic, parts.runner, load_module(name, files))
+            parts.logic.foreign_modules[name] = None
+
+    def _load_swi(self, found: Sequence[SwiFile], folder: Optional[Path]) -> None:
+        """Have SWI-Prolog load the files again that the program had it load, from its folder only."""
+        engine, parts = self._engine, self._parts
+        for one in found:
+            if not engine.settings.allow_swi:
+                raise UsageError(f"the program has SWI-Prolog load {one.name}: the setting allow_swi is off")
+            if one.is_path and (folder is None or folder.resolve() not in Path(one.name).resolve().parents):
+                raise UsageError(
+                    f"the program has SWI-Prolog load {one.name}, which is not in a folder of its own"
+                )
+            with parts.rules.files.loading(folder):
+                use_swi(parts.logic, one, parts.reports.warning)
+            text = (
+                f"SWI-Prolog has loaded {one.name}, and knows nothing of what its clauses had asserted before"
+            )
+            parts.reports.warning(text, ("swi", one.name))
+
+
+def clock_for(run: Dict[str, Any]) -> Optional[StreamClock]:
+    """Return a clock for an engine that is given none: None where stamped events are to move its own."""
+    return None if run["followed"] else StreamClock()
+
+
+def coded(sections: Sections, records: Sequence[Any]) -> Dict[str, bytes]:
+    """Return sections and the records of memories as bytes by name."""
+    made = {name: to_bytes(data) for name, data in sections.items()}
+    made.update({f"memory {at}": to_bytes(one) for at, one in enumerate(records)})
+    return made
+
+
+def decoded(found: Dict[str, bytes]) -> Sections:
+    """Return the sections of bytes, without records."""
+    missing = SECTIONS.keys() - found.keys()
+    if missing:
+        raise UsageError(f"the state is damaged: it has no section {', '.join(sorted(missing))}")
+    return {name: read_section(name, data) for name, data in found.items() if not name.startswith("memory ")}
+
+
+def checked(work: Callable[[], Result]) -> Result:
+    """Return what work returns that takes up a state; whatever it stumbles over means that the state is damaged.
+
+    Raises:
+        UsageError: what is wrong.
+    """
+    try:
+        return work()
+    except RetalisError as error:
+        raise UsageError(error.message) from error
+    except Exception as error:  # of whatever kind: nothing that was begun is kept
+        raise UsageError(f"the state is damaged ({type(error).__name__}: {error})") from error

@@ -1,0 +1,505 @@
+"""What has changed where a program was read again, as lines for people.
+
+A program's folder read again while the program runs: all of it, or nothing.
+
+The folder is first loaded into an engine of its own, which takes no events. What is wrong with it shows there, and
+the running program is not touched. Then, while nothing else is done, what the folder had made is set aside, the
+folder is loaded, and what is the same as before is put back with what it holds. Where something goes wrong even
+then, the old program is put back.
+"""
+
+import os
+from collections import Counter
+from pathlib import Path
+from threading import get_ident
+from typing import Callable, Dict, Hashable, Iterable, List, Sequence
+
+from ..events.knowledge.memory import MemoryInstance
+from ..events.network.event_rule import EventRule
+from ..events.program.program_folder import GOALS, event_types, read_text
+from ..events.rules.timer_service import ProgramTimer
+from ..foundation.errors import Errors, Place, ProgramErrors, RuleError, UsageError, counted
+from ..prolog.database.clause_index import Clause
+from ..prolog.database.predicate import Predicate
+from ..prolog.system.prolog_system import PrologSystem
+from ..prolog.terms.term_traversal import term_key
+from ..prolog.terms.types import atom
+from .deployment import NOTHING, Clauses, Deployment, clause_key, paired, standing
+from .engine_parts import EngineCore, parts_of
+from .engine_settings import Settings
+from .program_loader import REQUEST
+from .runtime.clock import Clock, StreamClock
+from .runtime.problem_reports import Reports
+
+Timed = Dict[Hashable, ProgramTimer]
+
+_MAX_NAMED_CHANGES = 20
+"""How many of one kind are named."""
+
+
+def changes(
+    logic: PrologSystem, old: Deployment, new: Deployment, kept: Dict[EventRule, EventRule], clauses: Clauses
+) -> List[str]:
+    """Return what has changed.
+
+    Args:
+        logic: shows names.
+        old: what there was of the program.
+        new: what there is of it.
+        kept: for new rules the old ones that go on in their places.
+        clauses: those that the program has had, which may have been retracted since.
+    """
+    return [
+        *_rules(old.rules, new.rules, kept),
+        *_memories(logic, old, new),
+        *_subscriptions(logic, old, new),
+        *_timers(logic, old, new),
+        *_states(old, new),
+        *_predicates(clauses, new.clauses),
+    ]
+
+
+def _rules(old: Sequence[EventRule], new: Sequence[EventRule], kept: Dict[EventRule, EventRule]) -> List[str]:
+    staying = set(kept.values())
+    gone = [f"{rule.name}{_lost(rule)}" for rule in old if rule not in staying]
+    fresh = [f"{rule.name}{_at(rule.place)}" for rule in new if rule not in kept]
+    waiting = sum(rule.held for rule in staying)
+    with_matches = f", with {_matches(waiting)}" if waiting else ""
+    return _told("rules", fresh, gone, [], f"{len(staying)} kept{with_matches}")
+
+
+def _lost(rule: EventRule) -> str:
+    return f", with {_matches(rule.held)}" if rule.held else ""
+
+
+def _matches(number: int) -> str:
+    return counted(number, "partial match", "partial matches")
+
+
+def _at(place: object) -> str:
+    return f" ({place.source}:{place.line})" if isinstance(place, Place) else ""
+
+
+def _memories(logic: PrologSystem, old: Deployment, new: Deployment) -> List[str]:
+    kept, changed, fresh = [], [], []
+    for key, one in new.memories.items():
+        before = old.memories.get(key)
+        if before is one:
+            kept.append(one)
+        elif before is not None:
+            changed.append(f"memory {logic.brief(one.id)}: it is defined otherwise, and begins empty")
+        else:
+            fresh.append(f"memory {logic.brief(one.id)}")
+    gone = [f"memory {logic.brief(one.id)}" for key, one in old.memories.items() if key not in new.memories]
+    records = sum(len(one.memory) for one in kept)
+    return _told("memories", fresh, gone, changed, f"{len(kept)} kept, with {counted(records, 'record')}")
+
+
+def _subscriptions(logic: PrologSystem, old: Deployment, new: Deployment) -> List[str]:
+    kept, changed, fresh = 0, [], []
+    for key, one in new.subscriptions.items():
+        before = old.subscriptions.get(key)
+        name = f"subscription {logic.brief(one.id)} of topic {key[0]}"
+        if before is None:
+            fresh.append(name)
+        elif before.key == one.key:
+            kept += 1
+        else:
+            changed.append(name)
+    gone = [
+        f"subscription {logic.brief(one.id)} of topic {key[0]}"
+        for key, one in old.subscriptions.items()
+        if key not in new.subscriptions
+    ]
+    return _told("subscriptions", fresh, gone, changed, f"{kept} kept")
+
+
+def _timers(logic: PrologSystem, old: Deployment, new: Deployment) -> List[str]:
+    if not (old.timers or new.timers):
+        return []
+    show = logic.brief
+
+    def named(found: Timed, others: Timed) -> List[str]:
+        return [
+            f"timer {show(one.event)}, {show(one.schedule.term)}"
+            for key, one in found.items()
+            if key not in others
+        ]
+
+    kept = sum(key in old.timers for key in new.timers)
+    return _told("timers", named(new.timers, old.timers), named(old.timers, new.timers), [], f"{kept} kept")
+
+
+def _states(old: Deployment, new: Deployment) -> List[str]:
+    if not (old.states or new.states):
+        return []
+    kept = [one for key, one in new.states.items() if old.states.get(key) is one]
+    changed = [one for key, one in new.states.items() if key in old.states and one not in kept]
+    fresh = [one.name for key, one in new.states.items() if key not in old.states]
+    gone = [one.name for key, one in old.states.items() if key not in new.states]
+    hold = sum(len(one.open) for one in kept)
+    told = [f"{one.name}: it is declared otherwise, and nothing holds" for one in changed]
+    return _told("states", fresh, gone, told, f"{len(kept)} kept, {hold} open")
+
+
+def _predicates(old: Clauses, new: Clauses) -> List[str]:
+    before = {one: [clause_key(clause) for clause in found] for one, found in old.items() if found}
+    now: Dict[Hashable, List[Hashable]] = {
+        one: [clause_key(clause) for clause in found] for one, found in new.items() if found
+    }
+    fresh = [f"predicate {one.functor}" for one in new if one in now and one not in before]
+    gone = [f"predicate {one.functor}" for one in before if one not in now]
+    changed = [f"predicate {one.functor}" for one in before if one in now and now[one] != before[one]]
+    same = sum(now.get(one) == found for one, found in before.items())
+    return _told("predicates", fresh, gone, changed, f"{same} kept")
+
+
+def _told(what: str, fresh: List[str], gone: List[str], changed: List[str], kept: str) -> List[str]:
+    """Return a line of numbers, and one for each thing that is not what it was."""
+    other = f"{len(changed)} changed, " if changed else ""
+    return [
+        f"{what}: {len(fresh)} new, {other}{len(gone)} gone, {kept}",
+        *_named("new", fresh),
+        *_named("changed", changed),
+        *_named("gone", gone),
+    ]
+
+
+def _named(how: str, names: Sequence[str]) -> Iterable[str]:
+    for name in names[:_MAX_NAMED_CHANGES]:
+        yield f"  {how}: {name}"
+    if len(names) > _MAX_NAMED_CHANGES:
+        yield f"  {how}: {len(names) - _MAX_NAMED_CHANGES} more"
+
+
+_UNDOING = atom("putting the old program back")
+_FORGET_TABLES = atom("abolish_all_tables")
+_LOADING = atom("the program's folder")
+
+
+class NullReports(Reports):
+    """Keeps to itself what is said again when the program is loaded in earnest."""
+
+    def _log(self, level: int, key: object, text: str, texts: int = 1, once: bool = False) -> None:
+        """Say nothing."""
+
+
+def standing_of(engine: EngineCore) -> Deployment:
+    """Return what there is of an engine's program now."""
+    parts = parts_of(engine)
+    return standing(parts.logic, parts.rules, parts.knowledge)
+
+
+def clock_at(instant: int) -> Clock:
+    """Return a clock that stands at an instant until somebody moves it."""
+    clock = StreamClock()
+    clock.move_to(instant)
+    return clock
+
+
+def trial_settings(settings: Settings) -> Settings:
+    """Return the settings of an engine in which the program of another is tried."""
+    return settings._replace(limit_start=True, watchdog=None)
+
+
+def load_folder(engine: EngineCore, folder: Path) -> None:
+    """Load a program's folder, or one event file, and note what that makes; see `Engine.load_program`."""
+    programs, key = parts_of(engine).programs, _real(folder)
+    before = standing_of(engine)
+    try:
+        _load(engine, folder)
+    finally:
+        programs[key] = programs.get(key, NOTHING).and_then(standing_of(engine).since(before))
+
+
+def _real(folder: Path) -> str:
+    try:
+        return os.path.realpath(folder)
+    except ValueError as error:  # what no folder is called: a NUL, surrogates
+        raise UsageError(f"cannot read {str(folder)!r}: {error}") from error
+
+
+def _load(engine: EngineCore, folder: Path) -> None:
+    own_files = parts_of(engine).own_files
+    if os.path.isfile(folder):
+        own_files.load_rules(read_text(folder), str(folder), folder.parent)
+        return
+    if not os.path.isdir(folder):
+        raise UsageError(f"cannot read {folder}: there is no such file or folder")
+    path = folder / GOALS
+    parts = parts_of(engine)
+    parts.slots.events = {**parts.input_topics.event_types(), **event_types(folder)}
+    own_files.call_goals(read_text(path), str(path), folder)
+
+
+def reload_folder(engine: EngineCore, folder: Path, new_engine: Callable[[], EngineCore]) -> List[str]:
+    """Read a program's folder again; see `Engine.reload`."""
+    parts, key = parts_of(engine), _real(folder)
+    if parts.runner.thread == get_ident():
+        raise UsageError("a goal or callback of an engine cannot have it read its program again")
+    if os.path.isfile(folder):  # it may need what other files say, so it is not tried alone
+        tried = standing_of(new_engine())
+    else:
+        tried = try_program(engine, new_engine(), parts.programs.get(key, NOTHING), folder)
+
+    def work() -> List[str]:
+        exchange = ReloadTransaction(engine, parts.programs.get(key, NOTHING), tried)
+        try:
+            with parts.rules.files.loading_again(parts.rules.files.omitted):
+                return exchange.run(lambda: _load(engine, folder))
+        finally:
+            parts.programs[key] = exchange.made
+
+    return parts.runner.call(lambda: parts.dispatcher.undisturbed(work), (REQUEST,))
+
+
+def try_program(engine: EngineCore, trial: EngineCore, made: Deployment, folder: Path) -> Deployment:
+    """Load a program into an engine of its own; return what it has made there.
+
+    Args:
+        engine: the one that runs.
+        trial: the other.
+        made: what the program has made in the one that runs.
+        folder: the program's.
+
+    Raises:
+        ProgramErrors: what is wrong, and what the program makes that services have added to the one that runs.
+    """
+    logic = parts_of(trial).logic
+    logic.output = logic.error_output = lambda text: None
+    with parts_of(trial).rules.files.loading_again(parts_of(engine).rules.files.omitted):
+        parts_of(trial).runner.call(lambda: _load(trial, folder), (_LOADING,))
+    found = standing_of(trial)
+    now = parts_of(engine).runner.call(lambda: standing_of(engine))
+    taken = Errors()
+    show = parts_of(engine).logic.brief
+    for key, one in found.memories.items():
+        if key in now.memories and key not in made.memories:
+            taken.append(
+                RuleError(f"memory {show(one.id)} of the program has been added meanwhile by others")
+            )
+    for place, subscription in found.subscriptions.items():
+        if place in now.subscriptions and place not in made.subscriptions:
+            name = show(subscription.id)
+            text = (
+                f"subscription {name} of topic {place[0]} of the program has been added meanwhile by others"
+            )
+            taken.append(RuleError(text))
+    if taken:
+        raise ProgramErrors(taken)
+    return found
+
+
+class ReloadTransaction:
+    """Exchanges what a folder has made in an engine for what it makes now.
+
+    Args:
+        engine: nothing else is done in it meanwhile.
+        made: what the folder has made.
+        trial: what it makes elsewhere.
+    """
+
+    def __init__(self, engine: EngineCore, made: Deployment, trial: Deployment):
+        self._engine = engine
+        self._parts = parts_of(engine)
+        self._before = standing_of(engine)
+        self._old = self._still_there(made)
+        self._made = made
+        self._trial = trial
+        self.made = made
+        """What the folder has made now."""
+
+    def run(self, load: Callable[[], None]) -> List[str]:
+        """Do it; return what has changed, a line each.
+
+        Raises:
+            RetalisError: what went wrong; the old program is at work again.
+        """
+        budget = self._parts.logic.machine.budget
+        try:
+            self._set_aside()
+            rest = standing_of(self._engine)
+            budget.apart((_LOADING,), load)
+            self._parts.logic.once(_FORGET_TABLES)
+            self.made = standing_of(self._engine).since(rest)
+            told = changes(self._parts.logic, self._old, self.made, self._kept_rules(), self._made.clauses)
+            self._put_back(rest)
+        except BaseException as error:
+            self._undo_after(error)
+            raise
+        self._forget()
+        return told
+
+    def _still_there(self, made: Deployment) -> Deployment:
+        """Return of what was made what nobody has deleted or replaced since."""
+        now = self._before
+        rules, memories, subscriptions = set(now.rules), now.memories, now.subscriptions
+        clauses: Clauses = {}
+        for predicate, found in made.clauses.items():
+            live = set(now.clauses.get(predicate, ()))
+            clauses[predicate] = [clause for clause in found if clause in live]
+        return made._replace(
+            rules=[rule for rule in made.rules if rule in rules],
+            clauses=clauses,
+            memories={key: one for key, one in made.memories.items() if memories.get(key) is one},
+            subscriptions={k: one for k, one in made.subscriptions.items() if subscriptions.get(k) is one},
+            timers={k: one for k, one in made.timers.items() if now.timers.get(k) is one},
+            states={k: one for k, one in made.states.items() if now.states.get(k) is one},
+        )
+
+    # ---- taking out ----------------------------------------------------------------------------------
+
+    def _set_aside(self) -> None:
+        rules, knowledge, old = self._parts.rules, self._parts.knowledge, self._old
+        for rule in old.rules:
+            rules.set_aside(rule)
+        for predicate, clauses in old.clauses.items():
+            self._take_out(predicate, clauses)
+        knowledge.memories.set_aside(old.memories.values())
+        knowledge.subscriptions.set_aside(old.subscriptions)
+        rules.timers.set_aside(old.timers)
+        knowledge.states.set_aside(old.states)
+        properties = {
+            key: [one for one in found if one not in old.properties.get(key, ())]
+            for key, found in rules.all_properties().items()
+        }
+        rules.restore_properties({key: found for key, found in properties.items() if found})
+        rules.files.loaded -= old.files
+        for name, value in old.flags.items():
+            wanted = self._trial.flags[name]
+            if wanted is not None and rules.flags.get(name) == value:
+                rules.flags.set(name, wanted)
+
+    def _take_out(self, predicate: Predicate, clauses: Sequence[Clause]) -> None:
+        for clause in clauses:
+            predicate.remove(clause)
+        if len(predicate):
+            return
+        predicate.compile_after = self._parts.logic.database.compile_after
+        if predicate in self._old.dynamic:
+            predicate.dynamic = False
+        key = predicate.functor
+        library = self._parts.logic.database.library.kept.get(key)
+        if key in self._old.replaced and library is not None:
+            self._parts.logic.database.give_back(library)
+        elif not predicate.dynamic:
+            predicate.kind = "undefined"
+
+    # ---- putting back --------------------------------------------------------------------------------
+
+    def _kept_rules(self) -> Dict[EventRule, EventRule]:
+        """Return for new rules the old ones that go on in their places, with what waits in them.
+
+        Where the program has begun or ceased to have a predicate of the library of its own, what was compiled calls
+        the one that was there: no rule goes on then.
+        """
+        if self.made.replaced != self._old.replaced:
+            return {}
+        return paired(self._old.rules, self.made.rules, _rule_key)
+
+    def _put_back(self, rest: Deployment) -> None:
+        rules = self._parts.rules
+        kept = self._kept_rules()
+        mine = []
+        for rule in self.made.rules:
+            old = kept.get(rule)
+            if old is not None:
+                old.place = rule.place
+            mine.append(old or rule)
+        made = set(self.made.rules)
+        others = [rule for rule in rules.rules if rule not in made]
+        staying = set(mine)
+        rules.arrange([*mine, *others], [rule for rule in self._old.rules if rule not in staying])
+        self.made = self.made._replace(rules=mine)
+        for predicate, clauses in self.made.clauses.items():
+            self._leave_retracted(predicate, clauses, rest.clauses.get(predicate, []))
+
+    def _leave_retracted(self, predicate: Predicate, clauses: List[Clause], others: List[Clause]) -> None:
+        """Take out of a dynamic predicate what the program had made before and has retracted since.
+
+        Not where it was changed by the load itself: then it begins as the program says.
+        """
+        live = set(predicate.live())
+        if not predicate.dynamic or not live.issuperset(others):
+            return
+        there = set(self._old.clauses.get(predicate, ()))
+        made = self._made.clauses.get(predicate, ())
+        gone = Counter(clause_key(one) for one in made if one not in there)
+        for clause in clauses:
+            key = clause_key(clause)
+            if gone[key] > 0:
+                gone[key] -= 1
+                predicate.remove(clause)
+
+    def _forget(self) -> None:
+        """Let go of what is not there any more, and tell of it."""
+        knowledge = self._parts.knowledge
+        knowledge.subscriptions.forget_aside()
+        self._parts.rules.timers.forget_aside()
+        knowledge.states.forget_aside()
+        for instance in knowledge.memories.forget_aside():
+            self._tell(instance)
+
+    def _tell(self, instance: MemoryInstance) -> None:
+        knowledge, machine = self._parts.knowledge, self._parts.logic.machine
+        if knowledge.memories.find(instance.id) is None:
+            tell = knowledge.memories.tell_deleted
+            self._parts.dispatcher.apart(lambda: machine.run(tell(instance, machine.done)))
+
+    # ---- where it went wrong -------------------------------------------------------------------------
+
+    def _undo_after(self, error: BaseException) -> None:
+        """Have the program be what it was.
+
+        Raises:
+            UsageError: where not even that can be done.
+        """
+        try:
+            self._parts.logic.machine.budget.apart((_UNDOING,), self._undo)
+        except Exception as second:
+            raise UsageError(
+                f"the program does not load ({error}), and the old one is not put back whole ({second}): restart it"
+            ) from error
+
+    def _undo(self) -> None:
+        """Have the program be what it was."""
+        rules, knowledge, before = self._parts.rules, self._parts.knowledge, self._before
+        for name, value in before.flags.items():
+            if value is not None:
+                rules.flags.set(name, value)
+        rules.restore_properties(before.properties)
+        rules.arrange(before.rules)
+        rules.files.loaded = before.files
+        knowledge.memories.restore(list(before.memories.values()))
+        knowledge.subscriptions.restore(list(before.subscriptions.items()))
+        rules.timers.restore_standing(before.timers)
+        knowledge.states.restore_standing(before.states)
+        self._undo_clauses()
+        self._parts.logic.once(_FORGET_TABLES)
+
+    def _undo_clauses(self) -> None:
+        """Have each predicate have the clauses that it had; those that were taken out cannot be put in again."""
+        database = self._parts.logic.database
+        for predicate, clauses in standing_of(self._engine).clauses.items():
+            if predicate not in self._before.clauses:
+                self._take_out(predicate, clauses)
+        again: Dict[Clause, Clause] = {}
+        for predicate, clauses in self._before.clauses.items():
+            if list(predicate.live()) == clauses:
+                continue
+            predicate.clear()
+            database.take_back(predicate)
+            predicate.dynamic = predicate in self._before.dynamic
+            for clause in clauses:
+                new = again[clause] = Clause(predicate, clause.head, clause.body, clause.place)
+                predicate.add(new)
+        made = {
+            one: [again.get(clause, clause) for clause in found] for one, found in self._made.clauses.items()
+        }
+        again_there = dict(self._parts.knowledge.subscriptions.items())
+        subscriptions = {key: again_there[key] for key in self._old.subscriptions}
+        self.made = self._made._replace(clauses=made, subscriptions=subscriptions)
+
+
+def _rule_key(rule: EventRule) -> Hashable:
+    return rule.definition.key, None if rule.label is None else term_key(rule.label)

@@ -1,0 +1,544 @@
+"""States that hold from one event until another: open ones, those that are over, and the events that these are.
+
+All states that a program has declared, and the goals that declare them and ask what holds.
+"""
+
+from collections import OrderedDict, deque
+from itertools import count
+from typing import (
+    Any,
+    Callable,
+    Deque,
+    Dict,
+    Hashable,
+    Iterable,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+    Union,
+)
+
+from ...foundation.errors import UsageError
+from ...prolog.builtins.argument_checks import callable_of
+from ...prolog.builtins.tabling import tables_of
+from ...prolog.builtins.time_predicates import instant_of
+from ...prolog.machine.errors import (
+    domain_error,
+    existence_error,
+    indicator,
+    permission_error,
+    resource_error,
+)
+from ...prolog.machine.machine import Machine
+from ...prolog.system.prolog_system import PrologSystem
+from ...prolog.terms.term_traversal import copy, freeze, term_key, variables
+from ...prolog.terms.timestamps import WholeSeconds, shown
+from ...prolog.terms.types import Frame, Functor, Term, Values, Var, deref, functor
+from ...prolog.terms.unification import may_unify
+from ..dispatch.dispatcher import Dispatcher
+from ..dispatch.listeners import Listener, ListenerPhase
+from ..dispatch.matcher_compiler import compile_builder
+from ..language.state_parser import StateForm, state_form
+from ..provenance.event_log import Occurrence
+from .memory import Warn
+from .timeouts import AlarmClock, Timeouts
+
+_VERSIONS = count()
+
+_MAX_OPENINGS = 100
+"""Events with which a state might have begun that are remembered, where the first of them may be taken back."""
+
+Begun = Tuple[int, Optional[Occurrence]]
+"""The end of an event with which a state may have begun, and what tells whether that was taken back."""
+
+KeptState = Tuple[List[Tuple[Hashable, Term, Hashable, List[Begun]]], List[Tuple[Any, ...]], int]
+"""Open states (key, term, key of what is shared, openings), those that are over, and how many were dropped."""
+
+
+class OpenState:
+    """A state that holds.
+
+    Attributes:
+        key: of its term.
+        shared: the keys of the values by which the event is told with which it ends.
+        order: tells it from all others, and when it began.
+        openings: the events with which it may have begun, the first one first.
+    """
+
+    __slots__ = ("key", "term", "shared", "order", "openings")
+
+    def __init__(self, key: Hashable, term: Term, shared: Hashable, order: int, openings: List[Begun]):
+        self.key = key
+        self.term = term
+        self.shared = shared
+        self.order = order
+        self.openings = openings
+
+    @property
+    def begin(self) -> Optional[int]:
+        """Since when it holds; None where all with which it might have begun was taken back."""
+        openings = self.openings
+        while openings:
+            begin, token = openings[0]
+            if token is None or not token.gone:
+                return begin
+            openings.pop(0)
+        return None
+
+
+class PastState(NamedTuple):
+    """A state that is over: its interval, and the event of that, where what events came from is kept."""
+
+    key: Hashable
+    term: Term
+    start: int
+    end: int
+    token: Optional[Occurrence]
+
+    @property
+    def gone(self) -> bool:
+        """Whether its event was taken back."""
+        return self.token is not None and self.token.gone
+
+
+class DeclaredState:
+    """One declaration with what holds of it; as code of a frame it tells of states that are over.
+
+    Args:
+        form: what it says.
+        logic: whose machine runs what an event starts.
+        dispatcher: whose events begin and end it.
+        clock: rings where it ends by itself.
+        warn: takes a warning.
+
+    Attributes:
+        open: those that hold, by the keys of their terms, the oldest first.
+        past: those that are over, the newest last.
+        dropped: how many were dropped since too many were open.
+        version: another number after each change; no other declaration has it.
+    """
+
+    def __init__(
+        self, form: StateForm, logic: PrologSystem, dispatcher: Dispatcher, clock: AlarmClock, warn: Warn
+    ):
+        self.form = form
+        self._logic = logic
+        self._dispatcher = dispatcher
+        self._warn = warn
+        begins, ends, own = (variables(one) for one in (form.begins, form.ends, form.state))
+        self.name = f"state {logic.brief(form.state, dict.fromkeys(own, '_'))}"
+        shared = [var for var in own if var in set(ends)]
+        self._build = compile_builder(form.state, begins, "state")
+        self._shared_of_begin = [begins.index(var) for var in shared]
+        self._shared_of_end = [ends.index(var) for var in shared]
+        self._unused: Tuple[Set[Var], Set[Var]] = (set(begins) - set(own), set(ends) - set(shared))
+        # the first of a plain dict is looked for among all that have gone before it
+        self.open: OrderedDict[Hashable, OpenState] = OrderedDict()
+        self._by_shared: Dict[Hashable, Dict[Hashable, OpenState]] = {}
+        self._by_order: Dict[int, OpenState] = {}
+        self._order = count()
+        self.past: Deque[PastState] = deque(maxlen=form.past)
+        self.dropped = 0
+        self.version = next(_VERSIONS)
+        self._timeouts = Timeouts(clock, self._by_order, self._time_over)
+        self.listeners: List[Listener] = []
+
+    def listen(self) -> None:
+        """Take events; what ends a state is looked at first, so that an event ends one and begins the next."""
+        listen, (begins, ends) = self._dispatcher.listen, self._unused
+        self.listeners = [
+            listen(ListenerPhase.STATES, self.form.ends, self._end, unused=ends),
+            listen(ListenerPhase.STATES, self.form.begins, self._begin, unused=begins),
+        ]
+
+    def unlisten(self) -> None:
+        """Take no events."""
+        for listener in self.listeners:
+            self._dispatcher.remove(listener)
+        self.listeners = []
+
+    # ---- beginning -----------------------------------------------------------------------------------
+
+    def _begin(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+        state = self._build(values)
+        try:
+            key = freeze(state)
+            shared = tuple([freeze(values[at]) for at in self._shared_of_begin])
+        except ValueError:
+            self._warn_of_variables(term, "begins")
+            return after
+        token = self._dispatcher.token() if self._dispatcher.tracked else None
+        known = self.open.get(key)
+        if known is not None and known.begin is None:
+            self._remove(known)
+            known = None
+        if known is None:
+            self._add(OpenState(key, state, shared, next(self._order), [(end, token)]))
+        elif token is not None and len(known.openings) < _MAX_OPENINGS:
+            known.openings.append((end, token))
+            self.version = next(_VERSIONS)
+        return after
+
+    def _add(self, one: OpenState) -> None:
+        self.version = next(_VERSIONS)
+        if len(self.open) >= self.form.open:
+            self._drop(next(iter(self.open.values())))
+        self.open[one.key] = one
+        self._by_shared.setdefault(one.shared, {})[one.key] = one
+        self._by_order[one.order] = one
+        begin = one.begin
+        if self.form.within is not None and begin is not None:
+            self._timeouts.add_at(one.order, int(begin) + self.form.within)
+
+    def _drop(self, oldest: OpenState) -> None:
+        self._remove(oldest)
+        self.dropped += 1
+        text = f"more than {self.form.open} are open; {self.dropped} of the oldest have been dropped so far"
+        self._warn(f"{self.name}: {text}", ("open", self.name))
+
+    def _remove(self, one: OpenState) -> None:
+        self.version = next(_VERSIONS)
+        del self.open[one.key]
+        del self._by_order[one.order]
+        group = self._by_shared[one.shared]
+        del group[one.key]
+        if not group:
+            del self._by_shared[one.shared]
+
+    def _warn_of_variables(self, event: Term, what: str) -> None:
+        text = f"{self._logic.brief(event)} has variables: it {what} no state"
+        self._warn(f"{self.name}: {text}", ("variables", self.name))
+
+    # ---- ending --------------------------------------------------------------------------------------
+
+    def _end(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+        try:
+            group = self._by_shared.get(tuple([freeze(values[at]) for at in self._shared_of_end]))
+        except ValueError:
+            self._warn_of_variables(term, "ends")
+            return after
+        if group is None:
+            return after
+        token = self._dispatcher.token() if self._dispatcher.tracked else None
+        over = [self._over(one, start, token) for one in list(group.values())]
+        return self._tell((self, iter([one for one in over if one is not None]), after))
+
+    def _over(self, one: OpenState, end: int, token: Optional[Occurrence]) -> Optional[PastState]:
+        """Have a state end with an event; None where it has not begun before that, or not at all."""
+        begin = one.begin
+        if begin is not None and begin > end:
+            return None
+        self._remove(one)  # a new version, also for what is over from here on
+        if begin is None:
+            return None
+        made = None
+        if self._dispatcher.tracked:
+            made = Occurrence(one.term, begin, end, None, None)
+            made.follows([source for source in (one.openings[0][1], token) if source is not None])
+        found = PastState(one.key, one.term, begin, end, made)
+        self.past.append(found)
+        return found
+
+    def run(self, frame: Frame) -> Frame:
+        """Tell of those that are left."""
+        return self._tell(frame)
+
+    def _tell(self, frame: Frame) -> Frame:
+        """Have the events of states happen that are over, one after the other."""
+        over: Iterator[PastState] = frame[1]
+        for one in over:
+            found = self._dispatcher.dispatch(one.term, one.start, one.end, frame, one.token, True)
+            if found is not frame:
+                return found
+        after: Frame = frame[2]
+        return after
+
+    def _time_over(self, order: int, instant: int) -> None:
+        """Have a state end by itself."""
+        one, within = self._by_order[order], self.form.within
+        begin = one.begin
+        if within is not None and begin is not None and int(begin) + within > instant:
+            self._timeouts.add_at(order, int(begin) + within)  # it began later: the first was taken back
+            return
+        over = self._over(one, WholeSeconds(instant), None)
+        if over is not None:
+            machine = self._logic.machine
+            self._dispatcher.apart(lambda: machine.run(self._tell((self, iter([over]), machine.done))))
+
+    # ---- asking --------------------------------------------------------------------------------------
+
+    def holding(self, key: Optional[Hashable]) -> List[Tuple[Term, int]]:
+        """Return those that hold with since when; of one key, or all with None."""
+        found = list(self.open.values()) if key is None else [self.open[key]] if key in self.open else []
+        return [(one.term, begin) for one in found for begin in (one.begin,) if begin is not None]
+
+    def holding_at(self, key: Optional[Hashable], instant: int) -> List[Term]:
+        """Return those that held at an instant, as far as they are known."""
+        found: Dict[Hashable, Term] = {}
+        for past in list(self.past):
+            if key in (None, past.key) and past.start <= instant <= past.end and not past.gone:
+                found[past.key] = past.term
+        for term, begin in self.holding(key):
+            if begin <= instant:
+                found[freeze(term)] = term
+        return list(found.values())
+
+    # ---- from outside --------------------------------------------------------------------------------
+
+    def clear(self) -> None:
+        """Forget what held: time went back, or the declaration is gone."""
+        self.close(True)
+
+    def close(self, past: bool) -> None:
+        """Forget what holds, and with ``past`` what is over."""
+        self.version = next(_VERSIONS)
+        for found in (self.open, self._by_shared, self._by_order):
+            found.clear()
+        self._timeouts.clear()
+        if past:
+            self.past.clear()
+
+    def mend(self) -> None:
+        """Find all that is open in all ways, after an interrupt."""
+        everything = list(self.open.values())
+        self.open.clear()
+        self._by_shared.clear()
+        self._by_order.clear()
+        self._timeouts.clear()
+        for one in everything:
+            self._add(one)
+
+    def kept(self) -> KeptState:
+        """Return what holds and held as data; see `restore`."""
+        held = [(one.key, one.term, one.shared, list(one.openings)) for one in self.open.values()]
+        return held, [tuple(one) for one in self.past], self.dropped
+
+    def restore(self, kept: KeptState) -> None:
+        """Have hold what another one knew."""
+        held, past, self.dropped = kept
+        self.version = next(_VERSIONS)
+        for key, term, shared, openings in held:
+            self._add(OpenState(key, term, shared, next(self._order), list(openings)))
+        self.past.extend([PastState(*one) for one in past])
+
+
+MAX_STATES = 1000
+"""Declarations that there may be."""
+
+_STATE3, _STATE4 = functor("state", 3), functor("state", 4)
+
+
+class StateRegistry:
+    """All states of a program.
+
+    Args:
+        logic: where the goals are defined.
+        dispatcher: whose events begin and end states.
+        clock: rings where states end by themselves.
+        warn: takes a warning.
+
+    Attributes:
+        on_event: called with each event of a declaration before it is made; may raise an error.
+    """
+
+    def __init__(self, logic: PrologSystem, dispatcher: Dispatcher, clock: AlarmClock, warn: Warn):
+        self._logic = logic
+        self._dispatcher = dispatcher
+        self._clock = clock
+        self._warn = warn
+        self._all: Dict[Hashable, DeclaredState] = {}
+        self._aside: Dict[Hashable, DeclaredState] = {}
+        self._by_functor: Dict[Functor, List[DeclaredState]] = {}
+        self._tables = tables_of(logic.machine)
+        self.on_event: Callable[[Term], None] = lambda event: None
+        _StateGoals(self).define(logic)
+
+    def __iter__(self) -> Iterator[DeclaredState]:
+        return iter(list(self._all.values()))
+
+    def declare(self, definition: Term) -> None:
+        """Have a state begin and end with events from now on; one that is declared so already goes on.
+
+        Raises:
+            UsageError: what was expected.
+            PrologError: where it is declared otherwise, or there are too many.
+        """
+        form = state_form(copy(definition))
+        known = self._all.get(form.key)
+        if known is not None:
+            if _same(known.form, form):
+                return
+            raise permission_error("create", "state", form.state, "it is declared otherwise already")
+        if len(self._all) >= MAX_STATES:
+            raise resource_error("states", reason=f"more than {MAX_STATES} states are declared")
+        before = self._aside.get(form.key)
+        if before is not None and _same(before.form, form):
+            declared = self._aside.pop(form.key)
+        else:
+            declared = DeclaredState(form, self._logic, self._dispatcher, self._clock, self._warn)
+        declared.listen()
+        self._all[form.key] = declared
+        self._note()
+
+    def delete(self, state: Term) -> bool:
+        """Forget the declarations whose states unify with a term, with what holds; tell whether there were any."""
+        found = [key for key, one in self._all.items() if may_unify(one.form.state, state)]
+        for key in found:
+            declared = self._all.pop(key)
+            declared.unlisten()
+            declared.clear()
+        self._note()
+        return bool(found)
+
+    def _note(self) -> None:
+        """Know the declarations by the functors of their states."""
+        found: Dict[Functor, List[DeclaredState]] = {}
+        for one in self._all.values():
+            found.setdefault(one.form.functor, []).append(one)
+        self._by_functor = found
+
+    def like(self, state: Any) -> Sequence[DeclaredState]:
+        """Return the declarations of states with the functor of an atom or a compound term."""
+        return self._by_functor.get(state[0] if state.__class__ is tuple else state.functor, ())
+
+    def asked(self, state: Any) -> Tuple[Sequence[DeclaredState], Optional[Hashable]]:
+        """Return the declarations that a question is about, and the key of the state where it names one.
+
+        An incremental table that is evaluated depends on them.
+
+        Raises:
+            PrologError: where there is no such state.
+        """
+        if state.__class__ is Var:
+            if self._tables.active:
+                self._tables.note(self, None)
+            return list(self._all.values()), None
+        callable_of(state)
+        key = state[0] if state.__class__ is tuple else state.functor
+        if self._tables.active:
+            self._tables.note(self, key)
+        found = self.like(state)
+        if not found:
+            raise existence_error("state", indicator(key))
+        try:
+            return found, freeze(state)
+        except ValueError:
+            return found, None
+
+    def version(self, part: Hashable) -> object:
+        """Return a value that changes with the states of a functor, with None with all of them."""
+        found = self._all.values() if part is None else self._by_functor.get(part, ())  # type: ignore[call-overload]
+        return self._dispatcher.retractions, tuple([one.version for one in found])
+
+    # ---- from outside --------------------------------------------------------------------------------
+
+    def clear(self) -> None:
+        """Forget what held (time went back); the declarations stay."""
+        for one in self._all.values():
+            one.clear()
+
+    def close(self, past: bool) -> None:
+        """Forget what holds, and which are over where that is asked for; no event tells of it."""
+        for one in self._all.values():
+            one.close(past)
+
+    def standing(self) -> Dict[Hashable, DeclaredState]:
+        """Return all by their keys."""
+        return dict(self._all)
+
+    def set_aside(self, keys: Iterable[Hashable]) -> None:
+        """Take declarations out; those that are made again as they were go on."""
+        for key in keys:
+            found = self._aside[key] = self._all.pop(key)
+            found.unlisten()
+        self._note()
+
+    def forget_aside(self) -> None:
+        """Forget what was set aside."""
+        for one in self._aside.values():
+            one.clear()
+        self._aside.clear()
+
+    def restore_standing(self, before: Dict[Hashable, DeclaredState]) -> None:
+        """Have these, which have been set aside meanwhile or not, and no others."""
+        self.set_aside(list(self._all))
+        self._aside = {**self._aside, **before}
+        for one in before.values():
+            self.declare(one.form.term)
+        self.forget_aside()
+
+    def mend(self) -> None:
+        """Put right what an interrupt may have left half done."""
+        self._note()
+        for one in self._all.values():
+            one.mend()
+        chosen = {listener for one in self._all.values() for listener in one.listeners}
+        self._dispatcher.keep_only(ListenerPhase.STATES, chosen)
+
+    def kept(self) -> List[Any]:
+        """Return what holds and held of each, in their order; see `restore`."""
+        return [one.kept() for one in self._all.values()]
+
+    def restore(self, kept: Sequence[Any]) -> None:
+        """Have hold what others knew, that are declared alike."""
+        for one, found in zip(self._all.values(), kept):
+            one.restore(found)
+
+
+class _StateGoals:
+    """Goals about states."""
+
+    def __init__(self, states: StateRegistry):
+        self.states = states
+
+    def define(self, logic: PrologSystem) -> None:
+        logic.define("state", 3, lambda machine, *parts: self.declare((_STATE3, *parts)))
+        logic.define("state", 4, lambda machine, *parts: self.declare((_STATE4, *parts)))
+        logic.define("delete_state", 1, lambda machine, state: self.states.delete(deref(state)))
+        logic.define_nondeterministic("holds", 1, self.holds)
+        logic.define_nondeterministic("holds", 2, self.holds_since)
+        logic.define_nondeterministic("holds_at", 2, self.held_at)
+
+    def declare(self, goal: Term) -> bool:
+        try:
+            for event in state_form(goal).events:
+                self.states.on_event(event)
+            self.states.declare(goal)
+        except UsageError as error:
+            raise domain_error("state", goal, error.message) from None
+        return True
+
+    def holds(self, machine: Machine, state: Term) -> Union[bool, Iterator[bool]]:
+        declared, key = self.states.asked(deref(state))
+        if key is not None:
+            return any(one.holding(key) for one in declared)
+        found = [(term,) for one in declared for term, _ in one.holding(None)]
+        return _solutions(machine, (state,), found)
+
+    def holds_since(self, machine: Machine, state: Term, since: Term) -> Iterator[bool]:
+        declared, key = self.states.asked(deref(state))
+        found = [(term, shown(begin)) for one in declared for term, begin in one.holding(key)]
+        return _solutions(machine, (state, since), found)
+
+    def held_at(self, machine: Machine, state: Term, at: Term) -> Union[bool, Iterator[bool]]:
+        declared, key = self.states.asked(deref(state))
+        instant = instant_of(at)
+        found = [(term,) for one in declared for term in one.holding_at(key, instant)]
+        return bool(found) if key is not None else _solutions(machine, (state,), found)
+
+
+def _solutions(
+    machine: Machine, terms: Tuple[Term, ...], found: Sequence[Tuple[Term, ...]]
+) -> Iterator[bool]:
+    """Unify terms with one solution after the other."""
+    for solution in found:
+        if machine.unify_all(*zip(terms, solution)):
+            yield True
+
+
+def _same(one: StateForm, other: StateForm) -> bool:
+    return term_key(one.term) == term_key(other.term)

@@ -1,0 +1,190 @@
+"""Memories, waiting queries and subscriptions of one program, and the goals that reach them."""
+
+from operator import attrgetter
+from typing import Callable, Iterator, Optional, Sequence, Tuple
+
+from ...foundation.errors import UsageError
+from ...prolog.machine.errors import instantiation_error, type_error
+from ...prolog.machine.machine import Machine
+from ...prolog.system.prolog_system import PrologSystem
+from ...prolog.terms.types import Frame, Term, Var, deref, functor
+from ..dispatch.dispatcher import Dispatcher
+from ..language.window_parser import subscribed_event
+from .event_states import StateRegistry
+from .interpolation import MemoryGaps, TransformChains
+from .memory import UPDATED, MemoryInstance, Warn, key_of
+from .memory_instances import CREATED, DELETED, MemoryInstances, define_read_access, enumerate_records
+from .pending_queries import GIVEN_UP, Behind, PendingQueries
+from .record_lookup import define_matching
+from .subscriptions import Deliver, RateClock, Subscriptions
+from .timeouts import AlarmClock
+
+MEMORIZE = functor("memorize", 5)
+SUBSCRIBE = functor("subscribe", 5)
+DELETE_MEMORY = functor("delete_memory", 1)
+
+OF_MEMORIES = frozenset((CREATED, UPDATED, DELETED))
+"""The events that memories make."""
+
+OWN_EVENTS = OF_MEMORIES | {GIVEN_UP}
+"""All events that the package makes by itself, without a rule, goal or topic."""
+
+
+class KnowledgeBase:
+    """What a program remembers, waits for and sends out, and which states it follows.
+
+    Attributes:
+        on_pattern: called with the patterns of a memory, subscription or state before it is made; may raise.
+        on_conditions: called with the conditions of each memory and subscription that is made, and its name.
+        gaps: decides over what distance in time may be interpolated.
+
+    Args:
+        logic: where the goals are defined.
+        dispatcher: whose events are recorded and delivered.
+        clock: stamps events of the clock, and rings when queries have waited long enough.
+        deliver: takes what a subscription lets through.
+        warn: takes a warning as text.
+        rules: of the program, which ring for subscriptions that send later.
+    """
+
+    def __init__(
+        self,
+        logic: PrologSystem,
+        dispatcher: Dispatcher,
+        clock: AlarmClock,
+        deliver: Deliver,
+        warn: Warn,
+        rules: RateClock,
+    ):
+        self._logic = logic
+        self._warn = warn
+        self.on_pattern: Callable[[Term], None] = lambda pattern: None
+        self.on_conditions: Callable[[Term, str], None] = lambda conditions, who: None
+        self.memories = MemoryInstances(logic, dispatcher, clock.stamp, warn)
+        self.gaps = MemoryGaps(logic.brief, warn)
+        self.memories.on_create = self.gaps.watch
+        self.waiting = PendingQueries(logic, dispatcher, self.memories, warn, clock)
+        self.subscriptions = Subscriptions(logic, dispatcher, deliver, warn, rules)
+        self.states = StateRegistry(logic, dispatcher, clock, warn)
+        self.states.on_event = lambda event: self.on_pattern(event)
+        self._define()
+
+    def clear(self) -> None:
+        """Forget records, waiting queries and what held (the clock went back); all that was made stays."""
+        self.memories.clear()
+        self.gaps.clear()
+        self.waiting.clear()
+        self.subscriptions.clear()
+        self.states.clear()
+
+    def reset(self, past: bool) -> None:
+        """Forget what began and is not over, as rules forget partial matches.
+
+        Args:
+            past: forget which states are over, too.
+        """
+        self.subscriptions.clear()
+        self.states.close(past)
+
+    def mend(self) -> None:
+        """Put right what an interrupt may have left half done."""
+        self.memories.mend()
+        self.waiting.mend()
+        self.subscriptions.mend()
+        self.states.mend()
+
+    def behind(self, names: Sequence[Term], instant: int) -> Behind:
+        """Return those of some memories that have taken no event that ends at an instant or later.
+
+        Raises:
+            UsageError: for an unknown memory.
+        """
+        found = {}
+        for name in names:
+            instance = self.memories.find(name)
+            if instance is None:
+                raise UsageError(f"there is no memory {self._logic.brief(name)}")
+            if not instance.has(instant):
+                found[instance] = instant
+        return list(found.items())
+
+    def patterns(self) -> Iterator[Tuple[Term, str]]:
+        """Yield the pattern of each memory and subscription, and what to call it."""
+        for instance in self.memories:
+            yield instance.recorder.pattern, f"memory {self._logic.show(instance.id)}"
+        for pattern, (topic, _) in self.subscriptions.patterns():
+            yield pattern, f"a subscription of topic {topic}"
+        for state in self.states:
+            yield state.form.begins, state.name
+            yield state.form.ends, state.name
+
+    def _define(self) -> None:
+        logic = self._logic
+        define_read_access(logic, self.memories)
+        define_matching(logic, self.memories)
+        self.gaps.define(logic, self.memories)
+        TransformChains(self.memories, self.gaps).define(logic)
+        logic.define_nondeterministic("access_mem", 3, enumerate_records(self.memories))
+        self._define_size("memory_size", attrgetter("memory.size"))
+        self._define_size("memory_counter", attrgetter("memory.added"))
+        logic.define_control("memorize", 5, self._memorize(True))
+        logic.define_control("memorize_diactive", 5, self._memorize(False))
+        logic.define_control("memorize", 6, self._memorize_by_flag)
+        logic.define_control("delete_memory", 1, self._delete_memory)
+        logic.define("subscribe", 5, self._subscribe)
+        logic.define("delete_subscription", 2, self._delete_subscription)
+
+    def _memorize(self, active: bool) -> Callable[[Machine, Sequence[Term], Frame], Frame]:
+        def memorize(machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
+            return self._create(arguments, active, after)
+
+        return memorize
+
+    def _create(self, arguments: Sequence[Term], active: bool, after: Frame) -> Frame:
+        self.on_pattern(arguments[0])
+        made = self.memories.create((MEMORIZE, *arguments), active, after)
+        self.on_conditions(arguments[1], f"memory {self._logic.brief(arguments[3])}")
+        return made
+
+    def _memorize_by_flag(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
+        active = deref(arguments[5])
+        if active.__class__ is Var:
+            raise instantiation_error()
+        if active not in (0, 1):
+            raise type_error("boolean", active)
+        return self._create(arguments[:5], active == 1, after)
+
+    def _delete_memory(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
+        key_of(arguments[0])
+        try:
+            return self.memories.delete(arguments[0], after)
+        except UsageError as error:  # a goal of a program goes on, as it always did
+            self._warn(str(error))
+            return after
+
+    def _subscribe(self, machine: Machine, *arguments: Term) -> bool:
+        self.on_pattern(subscribed_event(arguments[0]))
+        self.subscriptions.create((SUBSCRIBE, *arguments))
+        self.on_conditions(arguments[1], f"subscription {self._logic.brief(arguments[4])}")
+        return True
+
+    def _delete_subscription(self, machine: Machine, topic: Term, name: Term) -> bool:
+        if not self.subscriptions.delete(topic, name):
+            show = self._logic.brief
+            self._warn(f"there is no subscription {show(deref(name))} of topic {show(deref(topic))}")
+        return True
+
+    def _define_size(self, name: str, number: Callable[[MemoryInstance], int]) -> None:
+        """Define a predicate of a memory's id and a number."""
+        find, read_all = self.memories.find, self.memories.read_all
+
+        def of_one(name: Term) -> Optional[int]:
+            instance = find(name)
+            return None if instance is None else number(instance)
+
+        def of_all(machine: Machine, name: Term, value: Term) -> Iterator[bool]:
+            for instance in read_all():
+                if machine.unify_all((name, instance.id), (value, number(instance))):
+                    yield True
+
+        self._logic.define_nondeterministic(name, 2, of_all, of_one)

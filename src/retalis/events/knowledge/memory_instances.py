@@ -1,0 +1,307 @@
+"""Memory instances by name: made and deleted by goals and services, fed by events, read by goals."""
+
+from typing import Any, Callable, Dict, Hashable, Iterable, Iterator, List, Optional, Sequence, Tuple
+
+from ...foundation.errors import UsageError
+from ...prolog.builtins.tabling import tables_of
+from ...prolog.builtins.time_predicates import instant_of
+from ...prolog.machine.errors import domain_error, permission_error, type_error
+from ...prolog.machine.machine import Machine
+from ...prolog.system.prolog_system import PrologSystem
+from ...prolog.terms import timestamps
+from ...prolog.terms.term_traversal import copy, freeze, term_key
+from ...prolog.terms.types import MINUS, NIL, Atom, Frame, Functor, Lazy, Term, Var, deref, functor
+from ..dispatch.discrimination_tree import NOBODY
+from ..dispatch.dispatcher import Dispatcher
+from ..dispatch.listeners import ListenerPhase
+from .memory import (
+    UPDATED,
+    Follow,
+    MemoryInstance,
+    Recorder,
+    Warn,
+    is_whole,
+    key_of,
+    recording,
+    unused_variables,
+)
+
+CREATED: Functor = functor("memory_created", 5)
+DELETED: Functor = functor("memory_deleted", 1)
+
+FoundRecord = Tuple[Term, int, int]
+"""A record with its interval."""
+
+
+class MemoryInstances:
+    """All memory instances of a program.
+
+    Args:
+        logic: where the goals are defined.
+        dispatcher: whose events are recorded.
+        stamp: returns the instant for an event of the clock.
+        problem: takes a report about a condition that raised an error.
+
+    Attributes:
+        instances: by key of their names.
+        on_update: called with an instance whose next waiting query is due, the end of the event that was
+            recorded, and the next frame; returns the frame to go on with.
+        on_delete: called with an instance that is deleted.
+        on_create: called with an instance that is made.
+    """
+
+    def __init__(
+        self,
+        logic: PrologSystem,
+        dispatcher: Dispatcher,
+        stamp: Callable[[], int],
+        problem: Warn,
+    ):
+        self._logic = logic
+        self._dispatcher = dispatcher
+        self._stamp = stamp
+        self._problem = problem
+        self.instances: Dict[Hashable, MemoryInstance] = {}
+        self._tables = tables_of(logic.machine)
+        self._evaluated = self._tables.active
+        self._newest: Optional[Recorder] = None
+        self._aside: Dict[Hashable, MemoryInstance] = {}
+        self._updates = dispatcher.gate(UPDATED)
+        self.on_update: Follow = lambda instance, end, after: after
+        self.on_delete: Callable[[MemoryInstance], None] = lambda instance: None
+        self.on_create: Callable[[MemoryInstance], None] = lambda instance: None
+
+    def __iter__(self) -> Iterator[MemoryInstance]:
+        return iter(list(self.instances.values()))
+
+    def find(self, name: Term) -> Optional[MemoryInstance]:
+        """Return the instance of this name, or None; an incremental table that is evaluated depends on it."""
+        if name.__class__ is Atom and not self._evaluated:
+            return self.instances.get(name)
+        try:
+            key = freeze(deref(name))
+        except ValueError:
+            return None
+        if self._evaluated:
+            self._tables.note(self, key)
+        return self.instances.get(key)
+
+    def read_all(self) -> List[MemoryInstance]:
+        """Return all instances; an incremental table that is evaluated depends on which there are, and on each."""
+        if self._evaluated:
+            for key in (None, *self.instances):
+                self._tables.note(self, key)
+        return list(self.instances.values())
+
+    def version(self, part: Hashable) -> object:
+        """Return a value that changes with the records of a memory, given its key; with None with which there are."""
+        if part is None:
+            return tuple(self.instances)
+        instance = self.instances.get(part)
+        return None if instance is None else instance.memory.version
+
+    def clear(self) -> None:
+        """Forget all records (the clock went back); the instances stay."""
+        for instance in self.instances.values():
+            instance.memory.clear()
+
+    def create(self, definition: Term, active: bool, after: Frame) -> Frame:
+        """Make a memory of ``Pattern, Conditions, Record, Id, Size`` and return the frame that tells of it.
+
+        Raises:
+            PrologError: for a taken id or arguments that are not a memory.
+        """
+        copied: Any = copy(definition)
+        pattern, conditions, form, name, size = (deref(part) for part in copied[1:])
+        key = key_of(name)
+        if key in self.instances:
+            raise permission_error("create", "memory", name, "one already exists")
+        if size.__class__ is not int:
+            raise type_error("integer", size)
+        if size < 0:
+            raise domain_error("not_less_than_zero", size)
+        instance = MemoryInstance(name, size, active, copied)
+        before = self._aside.get(key)
+        if before is not None and before.key == instance.key:
+            instance = self._aside.pop(key)
+        else:
+            self.on_create(instance)
+        recorder = self._recorder(pattern, conditions, form, name)
+        self.instances[key] = instance
+        recorder.add(instance)
+        if not active or instance is before:
+            return after
+        kept = pattern if is_whole(pattern, conditions, form) else form
+        instant = self._stamp()
+        return self._dispatcher.dispatch(
+            (CREATED, pattern, conditions, kept, name, size), instant, instant, after
+        )
+
+    def delete(self, name: Term, after: Frame) -> Frame:
+        """Delete a memory with its waiting queries and return the frame that tells of it.
+
+        Raises:
+            UsageError: where there is no such memory.
+        """
+        instance = self.find(name)
+        if instance is None:
+            raise UsageError(f"there is no memory {self._logic.brief(name)}")
+        del self.instances[key_of(instance.id)]
+        instance.recorder.remove(instance)
+        self.on_delete(instance)
+        return self.tell_deleted(instance, after)
+
+    def tell_deleted(self, instance: MemoryInstance, after: Frame) -> Frame:
+        """Return the frame that tells that a memory has been deleted."""
+        if not instance.active:
+            return after
+        instant = self._stamp()
+        return self._dispatcher.dispatch((DELETED, instance.id), instant, instant, after)
+
+    def set_aside(self, instances: Iterable[MemoryInstance]) -> None:
+        """Take memories out with their records, for `create` to put those back that are made again as they were."""
+        for instance in instances:
+            key = key_of(instance.id)
+            del self.instances[key]
+            instance.recorder.remove(instance)
+            self._aside[key] = instance
+
+    def forget_aside(self) -> List[MemoryInstance]:
+        """Delete the memories that were set aside and not put back, with their waiting queries; return them."""
+        gone = list(self._aside.values())
+        self._aside.clear()
+        for instance in gone:
+            self.on_delete(instance)
+        return gone
+
+    def restore(self, instances: Sequence[MemoryInstance]) -> None:
+        """Have these memories, which have been set aside meanwhile or not, and no others."""
+        self.set_aside(list(self.instances.values()))
+        kept = set(instances)
+        self._aside = {key: instance for key, instance in self._aside.items() if instance not in kept}
+        self.forget_aside()
+        self._aside = {key_of(instance.id): instance for instance in instances}
+        done = self._logic.machine.done
+        for instance in instances:
+            self.create(instance.definition, instance.active, done)
+
+    def begin(self, definition: Any, active: bool) -> MemoryInstance:
+        """Make a memory of its definition as `create` does, and tell nobody of it."""
+        _, _, _, _, name, size = definition
+        instance = MemoryInstance(name, size, active, definition)
+        self._aside[key_of(name)] = instance
+        self.on_create(instance)
+        self.create(definition, active, self._logic.machine.done)
+        return instance
+
+    def mend(self) -> None:
+        """Put right what an interrupt may have left half done: a memory has a name and records, or neither."""
+        for key, instance in list(self.instances.items()):
+            if hasattr(instance, "recorder"):
+                instance.mend()
+            else:
+                del self.instances[key]
+        recorders = {instance.recorder for instance in self.instances.values()}
+        for recorder in recorders:
+            recorder.keep_only(lambda one: self.find(one.id) is one)
+        self._dispatcher.keep_only(ListenerPhase.MEMORIES, {recorder.listener for recorder in recorders})
+
+    def _recorder(self, pattern: Term, conditions: Term, form: Term, name: Term) -> Recorder:
+        """Return the recorder of the memory made last where that keeps the same of the same events, else a new one.
+
+        Of the last one only, because memories take an event in the order in which they were made; and not
+        while an event is served, which a memory that is made meanwhile must not see.
+        """
+        alike = conditions is NIL and pattern.__class__ is not Var
+        key = term_key((MINUS, pattern, form)) if alike else None
+        last = self._newest
+        may_join = key is not None and self._dispatcher.current is None
+        if may_join and last is not None and last.instances and key == last.key:
+            return last
+        title = f"memory {self._logic.brief(name)}"
+        take = recording(self._logic, self._dispatcher, pattern, conditions, form, title, self._problem)
+        unused = unused_variables(pattern, conditions, form)
+        self._newest = Recorder(self._dispatcher, pattern, take, self._follow, key, unused)
+        return self._newest
+
+    def _follow(self, instance: MemoryInstance, end: int, after: Frame) -> Frame:
+        """Return the frame for what an update leads to: queries that waited for it, then who is told of it."""
+        if instance.active and self._updates.plan is not NOBODY:
+            instant = self._stamp()
+            update = (UPDATED, instance.id, timestamps.to_term(end))
+            after = (self, update, instant, after)
+        if instance.due <= end:
+            return self.on_update(instance, end, after)
+        return after
+
+    def run(self, frame: Frame) -> Frame:
+        """Tell of an update, as code of a frame."""
+        after: Frame
+        _, update, instant, after = frame
+        try:
+            return self._dispatcher.dispatch(update, instant, instant, after)
+        except UsageError as error:
+            self._problem(
+                f"the update of memory {self._logic.brief(update[1])} is not reported: {error}", UPDATED
+            )
+            return after
+
+
+def define_read_access(logic: PrologSystem, memories: MemoryInstances) -> None:
+    """Define the deterministic predicates that read memories."""
+    known, to_term = memories.instances.get, timestamps.to_term
+    active = tables_of(logic.machine).active
+
+    def prev(name: Term, at: Any) -> Optional[FoundRecord]:
+        instance = known(name) if name.__class__ is Atom and not active else memories.find(name)
+        if instance is None:
+            return None
+        is_new = at.__class__ is Lazy and at.make is to_term and at.made is None  # as in `instant_of`
+        found = instance.memory.at_or_before(at.source if is_new else instant_of(at))
+        return found if not instance.open or found is None else _fresh(found)
+
+    def next_inf(name: Term, at: Any) -> Optional[FoundRecord]:
+        instance = known(name) if name.__class__ is Atom and not active else memories.find(name)
+        if instance is None:
+            return None
+        is_new = at.__class__ is Lazy and at.make is to_term and at.made is None  # as in `instant_of`
+        found = instance.memory.at_or_after(at.source if is_new else instant_of(at))
+        return found if not instance.open or found is None else _fresh(found)
+
+    def following(name: Term, low: Term, high: Term) -> Optional[FoundRecord]:
+        if memories.find(name) is None:
+            return None
+        found, last = next_inf(name, low), instant_of(high)
+        return None if found is None or found[2] > last else found
+
+    record_and_interval = (1, 2, 3)
+    shows = (None, timestamps.shown, timestamps.shown)
+    for key, function in (
+        (functor("prev", 5), prev),
+        (functor("prev_binary", 5), prev),
+        (functor("next_inf", 5), next_inf),
+        (functor("next", 6), following),
+        (functor("next_binary", 6), following),
+    ):
+        logic.define_function(key.name, key.arity, function, record_and_interval, shows)
+
+
+def _fresh(found: FoundRecord) -> FoundRecord:
+    """Return a record with variables of the reader's own."""
+    return copy(found[0]), found[1], found[2]
+
+
+def enumerate_records(memories: MemoryInstances) -> Callable[..., Iterator[bool]]:
+    """Return ``access_mem(Id, Record, [T1,T2])``: a solution for each record, newest first."""
+
+    def access(machine: Machine, name: Term, record: Term, interval: Term) -> Iterator[bool]:
+        instance = memories.find(name)
+        if instance is None:
+            return
+        for term, start, end in instance.memory.newest_first():
+            kept = copy(term) if instance.open else term
+            shown = timestamps.interval_term(start, end)
+            if machine.unify(record, kept) and machine.unify(interval, shown):
+                yield True
+
+    return access

@@ -1,0 +1,138 @@
+"""Look-ups for a record that matches: where ``prev/5`` looks at one record, these go on to those before it."""
+
+from bisect import bisect_left
+from typing import Any, Dict, List, Sequence, Tuple, Union
+
+from ...foundation.cancellation import look
+from ...prolog.builtins.time_predicates import instant_of
+from ...prolog.machine.machine import Machine
+from ...prolog.system.prolog_system import PrologSystem
+from ...prolog.terms import timestamps
+from ...prolog.terms.term_traversal import copy
+from ...prolog.terms.types import Atom, Term, deref
+from .memory import Memory, MemoryInstance
+from .memory_instances import MemoryInstances
+
+SCANNED = 1024
+"""Records after which the limits of the goal are looked at."""
+
+
+class RecordIndex:
+    """Finds the records of a memory by one of their arguments.
+
+    It is made at the first look-up that knows that argument, and then catches up with what has been recorded since:
+    recording itself costs no more. A memory drops it with its lists, once in as many records as a quarter of its
+    size.
+
+    Args:
+        memory: whose records.
+        at: the place of the argument.
+    """
+
+    __slots__ = ("_at", "_records", "_taken", "_places", "_others")
+
+    def __init__(self, memory: Memory, at: int):
+        self._at = at
+        self._records = memory.records
+        self._taken = 0
+        self._places: Dict[Any, List[int]] = {}
+        self._others: List[int] = []
+
+    def places(self, value: Any) -> List[int]:
+        """Return the places of all records that may have this atom or integer there, in their order."""
+        at, records = self._at, self._records
+        for place in range(self._taken, len(records)):
+            term: Any = deref(records[place][0])
+            found = deref(term[at]) if term.__class__ is tuple and at < len(term) else None
+            if found.__class__ is Atom or found.__class__ is int:
+                self._places.setdefault(found, []).append(place)
+            elif found is not None:
+                self._others.append(place)
+            self._taken = place + 1
+            if not place % SCANNED:
+                look(SCANNED)
+        known = self._places.get(value, _NOWHERE)
+        return sorted(known + self._others) if self._others else known
+
+
+_NOWHERE: List[int] = []
+
+
+def candidates(memory: Memory, record: Term) -> Union[List[int], range]:
+    """Return the places of the records of a memory that may match, in their order, those over its size too."""
+    record = deref(record)
+    found: Union[List[int], range] = range(len(memory.records))
+    if record.__class__ is tuple:
+        for at, argument in enumerate(record[1:], 1):
+            value = deref(argument)
+            if value.__class__ is Atom or value.__class__ is int:
+                index = memory.indices.get(at)
+                if index is None:
+                    index = memory.indices[at] = RecordIndex(memory, at)
+                places = index.places(value)
+                if len(places) < len(found):
+                    found = places
+    return found
+
+
+def define_matching(logic: PrologSystem, memories: MemoryInstances) -> None:
+    """Define the deterministic predicates that look for a record that matches."""
+
+    def newest(machine: Machine, name: Term, record: Term, start: Term, end: Term) -> bool:
+        instance = memories.find(name)
+        if instance is None:
+            return False
+        memory = instance.memory
+        return _find(machine, instance, (record, start, end), memory.first, len(memory.ends), -1)
+
+    def prev(machine: Machine, name: Term, record: Term, start: Term, end: Term, at: Term) -> bool:
+        instant, instance = instant_of(at), memories.find(name)
+        if instance is None:
+            return False
+        memory = instance.memory
+        return _find(machine, instance, (record, start, end), memory.first, memory.after(instant), -1)
+
+    def next_inf(machine: Machine, name: Term, record: Term, start: Term, end: Term, at: Term) -> bool:
+        instant, instance = instant_of(at), memories.find(name)
+        if instance is None:
+            return False
+        memory = instance.memory
+        return _find(machine, instance, (record, start, end), memory.reaching(instant), len(memory.ends), 1)
+
+    def following(
+        machine: Machine, name: Term, record: Term, start: Term, end: Term, low: Term, high: Term
+    ) -> bool:
+        least, most, instance = instant_of(low), instant_of(high), memories.find(name)
+        if instance is None:
+            return False
+        memory = instance.memory
+        return _find(machine, instance, (record, start, end), memory.reaching(least), memory.after(most), 1)
+
+    logic.define("newest_matching", 4, newest)
+    logic.define("prev_matching", 5, prev)
+    logic.define("next_inf_matching", 5, next_inf)
+    logic.define("next_matching", 6, following)
+
+
+def _find(
+    machine: Machine,
+    instance: MemoryInstance,
+    wanted: Tuple[Term, Term, Term],
+    first: int,
+    last: int,
+    step: int,
+) -> bool:
+    """Unify with the first record that matches, of those from one place to before another, forwards or backwards."""
+    memory, (record, start, end) = instance.memory, wanted
+    places: Sequence[int] = candidates(memory, record)
+    low, high = bisect_left(places, first), bisect_left(places, last)
+    order = range(low, high) if step > 0 else range(high - 1, low - 1, -1)
+    for count, at in enumerate(order, 1):
+        if not count % SCANNED:
+            look(SCANNED)
+        found, began, ended = memory.records[places[at]]
+        kept = copy(found) if instance.open else found
+        shown = timestamps.shown
+        if machine.unify_all((record, kept), (start, shown(began)), (end, shown(ended))):
+            return True
+    return False

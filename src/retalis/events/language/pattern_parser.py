@@ -1,0 +1,407 @@
+"""The patterns of rules, read from terms and checked on the way.
+
+What the aggregates of a rule collect, checked when the rule is read.
+"""
+
+from typing import Any, Callable, Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Tuple
+
+from ...foundation.errors import Place, RuleError
+from ...prolog.machine.arithmetic import EVALUABLE
+from ...prolog.syntax.event_operators import EVENT_OPERATOR, EventOperator, OperatorKind
+from ...prolog.terms.term_traversal import variables
+from ...prolog.terms.timestamps import from_seconds
+from ...prolog.terms.types import CONS, Atom, CompoundTerm, String, Term, Var, deref, functor
+from ..streams.accumulators import MEASURES
+from .aggregate_functions import AGGREGATES
+from .goal_analysis import Subgoal, asking_interval, calls
+from .likely_mistakes import bracketed, doubt
+from .pattern_operators import ARROWS, RUNS, SPELLINGS, names_of_kind
+from .pattern_tree import (
+    MAX_COMPOSED_REPETITIONS,
+    MAX_REPETITIONS,
+    SEQ,
+    Absent,
+    Action,
+    Aggregate,
+    Awaited,
+    Condition,
+    Either,
+    Occurs,
+    Pair,
+    Pattern,
+    Repeated,
+    Star,
+    Windowed,
+    Within,
+    bound_by,
+    occurrences,
+    with_others,
+)
+from .window_parser import is_event, read_shape, read_window, what_follows
+
+Spot = Callable[..., Optional[Place]]
+"""Gives the place of a compound term: that of its functor, or with a number that of an argument."""
+_GOALS_AS_PATTERN = frozenset((functor("prolog", 1), functor("query", 1), functor("db", 1)))
+_ABSENCES = " or ".join(names_of_kind(OperatorKind.ABSENCE))
+_BEFORE = " or ".join(names_of_kind(OperatorKind.ABSENCE, between=False))
+_ABSENT = "absent"
+
+
+class EventTerm(NamedTuple):
+    """A term that is an event or a pattern of events, and where it stands: in which term, as which argument."""
+
+    term: Term
+    parent: CompoundTerm
+    number: int
+
+
+class PatternReader:
+    """Turns the body of one rule into a pattern.
+
+    Args:
+        place: gives the place of a subterm in the rule's text, or None.
+        warn: takes what is not an error but probably a mistake.
+        anonymous: the variables ``_``: they stand once in the rule and have no name.
+
+    Attributes:
+        place: what gives the places.
+        inner: the rules defined by the way, ``(S <- Q)`` inside a pattern.
+        goals: what the goals call.
+        events: the events that are waited for.
+        untimed: calls of ``t1/1`` and ``t2/1`` that a goal cannot do without, where these do not hold.
+        aggregates: the aggregates, each with its term.
+        windows: those over windows, each with its term.
+        absences: the terms of absences between two events.
+    """
+
+    def __init__(
+        self, place: Spot, warn: Callable[[RuleError], None], anonymous: FrozenSet[Var] = frozenset()
+    ):
+        self.place = place
+        self._warn = warn
+        self._anonymous = anonymous
+        self.inner: List[Term] = []
+        self.goals: List[Subgoal] = []
+        self.events: List[EventTerm] = []
+        self.untimed: List[Subgoal] = []
+        self.aggregates: List[Tuple[Aggregate, Term]] = []
+        self.windows: List[Tuple[Windowed, Term]] = []
+        self.absences: List[CompoundTerm] = []
+
+    def read(self, parent: CompoundTerm, number: int) -> Pattern:
+        """Return the pattern that an argument of a term is.
+
+        Raises:
+            RuleError: for what cannot fire.
+        """
+        term = deref(parent[number])
+        if term.__class__ is not tuple:
+            return self._event(parent, number)
+        head = term[0]
+        if head in ARROWS:
+            self.inner.append(term)
+            return self._event(term, 1)
+        name = SPELLINGS.get(head)
+        if name is None or is_event(term):
+            run = None if is_event(term) else RUNS.get(head)
+            if run is None:
+                return self._event(parent, number)
+            what = run.name if run.kind is OperatorKind.RUN else f"an {run.name}"
+            message = f"{what} can only be the right side of a {SEQ}"
+            if run.kind is OperatorKind.AGGREGATE:
+                message += ", or has a window: aggregate(K, Q, R, last(60))"
+            raise self.error(message, term)
+        return self._forms[EVENT_OPERATOR[name].kind](self, name, term)
+
+    def _pair(self, name: str, term: CompoundTerm) -> Pattern:
+        if name == SEQ:
+            return self._sequence(term)
+        return Pair(name, self.operand(term, 1, name), self.operand(term, 2, name))
+
+    def _refused(self, name: str, term: CompoundTerm) -> Pattern:
+        raise self.error(f"there is no operator {name}; use {_ABSENCES} for the absence of an event", term)
+
+    def _limited(self, name: str, term: CompoundTerm) -> Within:
+        return Within(self.operand(term, 1, name), self.span(name, term) - 1)
+
+    def _conditional(self, name: str, term: CompoundTerm) -> Condition:
+        pattern = self.operand(term, 1, name)
+        return Condition(pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].timed)
+
+    def _acting(self, name: str, term: CompoundTerm) -> Action:
+        pattern = self.operand(term, 1, name)
+        return Action(pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].every)
+
+    def operand(self, parent: CompoundTerm, number: int, operator: str) -> Pattern:
+        """Return the pattern that an operand is; see `read`."""
+        term = deref(parent[number])
+        if term.__class__ is tuple and term[0] in _GOALS_AS_PATTERN:
+            raise self.error(f"{term[0].name}(Goal) can only stand beside {SEQ}, not beside {operator}", term)
+        return self.read(parent, number)
+
+    def _event(self, parent: CompoundTerm, number: int) -> Occurs:
+        term = deref(parent[number])
+        if term.__class__ not in (tuple, Atom, Var):
+            kind = "a string" if term.__class__ is String else "a number"
+            message = f"an event is an atom or a compound term, not {kind}"
+            raise self.error(message, parent, number)
+        doubted = doubt(term)
+        if doubted is not None:
+            self._warn(self.error(doubted, *((parent, number) if term.__class__ is Atom else (term, 0))))
+        self.events.append(EventTerm(term, parent, number))
+        return Occurs(term)
+
+    def _sequence(self, term: CompoundTerm) -> Pattern:
+        left, right = deref(term[1]), deref(term[2])
+        left_goal = self._called(left)
+        right_goal = self._called(right)
+        if left_goal is not None and right_goal is not None:
+            raise self.error("a sequence of two goals does not wait for any event", term)
+        if right_goal is not None:
+            return Condition(self.read(term, 1), right_goal, False)
+        if left_goal is not None:
+            return Condition(self.read(term, 2), left_goal, False)
+        first = self.read(term, 1)
+        if right.__class__ is tuple and right[0] in RUNS and not is_event(right):
+            run = RUNS[right[0]]
+            if run.kind is OperatorKind.AGGREGATE:
+                return self._aggregate(first, right, run)
+            if run.kind is OperatorKind.DEADLINE:
+                return Awaited(first, self.operand(right, 1, run.name), self.span(run.name, right))
+            return Star(first, self.operand(right, 1, run.name))
+        if right.__class__ is tuple and right[0].name == _ABSENT:
+            form = f"{_ABSENT}(Pattern, Seconds) has two arguments, the second a number"
+            self._warn(self.error(f"this is an ordinary event; {form}", right))
+        return Pair(SEQ, first, self.read(term, 2))
+
+    def _called(self, term: Term) -> Optional[Term]:
+        if term.__class__ is tuple and term[0] in _GOALS_AS_PATTERN:
+            return self.goal(term, 1, term[0].name)
+        return None
+
+    def _aggregate(self, first: Pattern, term: CompoundTerm, operator: EventOperator) -> Aggregate:
+        kind = deref(term[1])
+        name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else ""
+        arity = len(kind) - 1 if kind.__class__ is tuple else 0
+        if name not in AGGREGATES or AGGREGATES[name].arity != arity:
+            known = ", ".join(one.form for one in AGGREGATES.values())
+            raise self.error(
+                f"there is no such aggregate; the aggregates are {known}", kind if arity else term
+            )
+        collected = self.operand(term, 2, operator.name)
+        value = deref(kind[1]) if kind.__class__ is tuple else None
+        found = Aggregate(first, name, value, collected, deref(term[3]))
+        self.aggregates.append((found, term))
+        return found
+
+    def _alternatives(self, name: str, term: CompoundTerm) -> Either:
+        branches: List[Pattern] = []
+        pending = [(term, 2), (term, 1)]
+        while pending:
+            parent, number = pending.pop()
+            one = deref(parent[number])
+            if one.__class__ is tuple and SPELLINGS.get(one[0]) == name:
+                pending += [(one, 2), (one, 1)]
+            else:
+                branches.append(self.operand(parent, number, name))
+        return Either(tuple(branches))
+
+    def _windowed(self, name: str, term: CompoundTerm) -> Windowed:
+        found = read_window(self, term)
+        self.windows.append((found, term))
+        return found
+
+    def _shaped(self, name: str, term: CompoundTerm) -> Pattern:
+        parted = what_follows(term)
+        return read_shape(self, term) if parted is None else self.read((term[0], parted), 1)
+
+    def _absence(self, name: str, term: CompoundTerm) -> Absent:
+        pattern = self.operand(term, 1, name)
+        negated = self.operand(term, 2, name)
+        between = EVENT_OPERATOR[name].between
+        inside = between and _is_sequence(pattern)
+        if between and not inside:
+            message = (
+                f"P {name} R where P is not a sequence means that no R ended before P started (write {_BEFORE}); "
+                f"for no R between two events write (P {SEQ} Q) {name} R"
+            )
+            self._warn(self.error(message, term))
+        if inside:
+            self.absences.append(term)
+        return Absent(pattern, negated, inside)
+
+    def _repetition(self, name: str, term: CompoundTerm) -> Pattern:
+        times = deref(term[2])
+        if times.__class__ is not int or times < 1:
+            raise self.error(f"{name} needs a positive integer", term, 2)
+        if times > MAX_REPETITIONS:
+            raise self.error(f"{name} takes at most {MAX_REPETITIONS} repetitions", term, 2)
+        pattern = self.operand(term, 1, name)
+        if times == 1:
+            return pattern
+        own = tuple([var for var in bound_by(pattern, True) if var in self._anonymous])
+        fresh = {var: Var() for var in own}
+        self._anonymous |= set(fresh.values())
+        last = with_others(pattern, fresh) if fresh else pattern
+        before = Repeated(pattern, times - 1, own)
+        if times > MAX_COMPOSED_REPETITIONS and not before.is_of_single_events():
+            message = (
+                f"{name} takes at most {MAX_COMPOSED_REPETITIONS} repetitions of a pattern of several events"
+            )
+            raise self.error(message, term, 2)
+        return Pair(SEQ, pattern if times == 2 else before, last)
+
+    def span(self, name: str, term: CompoundTerm) -> int:
+        """Return the nanoseconds that the second argument of a term says.
+
+        Raises:
+            RuleError: where they are none.
+        """
+        span = deref(term[2])
+        if span.__class__ not in (int, float) or not span > 0 or span == float("inf"):
+            raise self.error(f"{name} needs a positive number of seconds{bracketed(name, span)}", term, 2)
+        return from_seconds(span)
+
+    def goal(self, parent: CompoundTerm, number: int, operator: str) -> Term:
+        """Return the goal that an argument of a term is.
+
+        Raises:
+            RuleError: where it, or a part of it, cannot be called.
+        """
+        for call in calls(parent, number):
+            if call.term.__class__ not in (tuple, Atom, Var):
+                raise self.error(f"{operator} needs a goal", call.parent, call.number)
+            self.goals.append(call)
+        if operator not in EVENT_OPERATOR or not EVENT_OPERATOR[operator].timed:
+            self.untimed += asking_interval(parent, number)
+        return deref(parent[number])
+
+    def error(self, message: str, term: Term, number: int = 0) -> RuleError:
+        """Return an error at a term, or at an argument of it."""
+        return RuleError(message, self.place(term, number))
+
+    _forms: Dict[OperatorKind, Callable[["PatternReader", str, CompoundTerm], Pattern]] = {
+        OperatorKind.PAIR: _pair,
+        OperatorKind.ALTERNATIVES: _alternatives,
+        OperatorKind.ABSENCE: _absence,
+        OperatorKind.REFUSED: _refused,
+        OperatorKind.REPETITION: _repetition,
+        OperatorKind.LIMIT: _limited,
+        OperatorKind.CONDITION: _conditional,
+        OperatorKind.ACTION: _acting,
+        OperatorKind.WINDOW: _windowed,
+        OperatorKind.SHAPE: _shaped,
+    }
+    """What reads a term, by the kind of its operator."""
+
+
+def _is_sequence(pattern: Pattern) -> bool:
+    """Tell whether a pattern is a sequence, looking through conditions."""
+    while isinstance(pattern, (Condition, Within)):
+        pattern = pattern.pattern
+    return isinstance(pattern, Pair) and pattern.operator == SEQ
+
+
+def check_aggregate(
+    part: Aggregate,
+    term: Any,
+    pattern: Any,
+    names: Mapping[Var, str],
+    spot: Spot,
+    warn: Callable[[RuleError], None],
+) -> None:
+    """Check that an aggregate has something to collect.
+
+    Args:
+        part: the aggregate.
+        term: as it is written.
+        pattern: of the rule.
+        names: of the variables.
+        spot: gives the places of parts of the term.
+        warn: takes what is not an error but probably a mistake.
+
+    Raises:
+        RuleError: where what it is given is never a number and has to be one.
+    """
+    first, collected = set(bound_by(part.first)), set(bound_by(part.collected))
+    mentioned = [] if part.value is None else variables(part.value)
+    free = [var for var in mentioned if var not in first and var not in collected]
+    numeric = AGGREGATES[part.kind].numeric
+    if not numeric:
+        counts = occurrences([], pattern)
+        free = [var for var in free if counts[var] == 1]
+    if free:
+        name = names.get(free[0], "a variable")
+        message = (
+            f"{name} never gets a value: neither what {part.kind} collects nor what comes before it binds it"
+        )
+        error = RuleError(message, spot(deref(term[1])))
+        if numeric:
+            raise error
+        warn(error)
+    if part.value is not None and numeric and not _may_be_number(part.value):
+        raise RuleError(f"{part.kind} needs numbers or arithmetic expressions", spot(deref(term[1])))
+    if part.result.__class__ is Var and part.result in (collected | set(mentioned)) - first:
+        name = names.get(part.result, "a variable")
+        message = (
+            f"{name} is both a collected value and the result of {part.kind}, "
+            "which fires only where they are equal"
+        )
+        warn(RuleError(message, spot(term, 3)))
+
+
+def check_window(
+    part: Windowed,
+    term: Any,
+    rule: Term,
+    names: Mapping[Var, str],
+    spot: Spot,
+    warn: Callable[[RuleError], None],
+) -> None:
+    """Check what a window measures, and warn if there is a window for each of its values.
+
+    Args:
+        part: the aggregate over a window.
+        term: as it is written.
+        rule: the rule as it is written.
+        names: of the variables.
+        spot: gives the places of parts of the term.
+        warn: takes the warnings.
+
+    Raises:
+        RuleError: if a measure that needs numbers gets what is never a number.
+    """
+    for kind, value in zip(part.kinds, part.values):
+        if value is not None and MEASURES[kind].numeric and not _may_be_number(value):
+            raise RuleError(
+                f"{kind} needs numbers or arithmetic expressions", spot(deref(term[1])) or spot(term)
+            )
+    measured = [value for value in part.values if value is not None]
+    inside = occurrences([*measured, *part.window.goals], part.collected)
+    everywhere = occurrences([rule], None)
+    for var in dict.fromkeys(one for value in measured for one in variables(value)):
+        if everywhere.get(var, 0) > inside[var]:
+            name = names.get(var, "a variable")
+            message = (
+                f"{name} is measured and stands elsewhere too, so that there is a window for each value of it"
+            )
+            warn(RuleError(message, spot(deref(term[1])) or spot(term)))
+
+
+def _may_be_number(value: Term) -> bool:
+    """Tell whether there may be numbers for its variables with which a term is an expression."""
+    stack = [value]
+    while stack:
+        term = deref(stack.pop())
+        if term.__class__ is Atom:
+            if term.functor not in EVALUABLE:
+                return False
+        elif term.__class__ is tuple:
+            if term[0] is CONS:
+                continue
+            if term[0] not in EVALUABLE:
+                return False
+            stack.extend(term[1:])
+        elif term.__class__ is String:
+            return False
+    return True

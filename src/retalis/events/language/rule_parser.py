@@ -1,0 +1,436 @@
+"""Labels of rules and their properties: ``L : R`` and ``L([property(Name, Value), ...]) : R``.
+
+Heads that fire their event later: ``exceptionAlarm/2`` and ``exceptionAlarmAbsoluteDatime/2``.
+
+Heads of rules, checked: what cannot be an event, an alarm or a query that waits is refused.
+
+When timers ring: ``every(Seconds)``, ``at(Hour, Minute, Second)``, ``after(Seconds)`` and their like.
+
+What makes events: heads of rules, and goals.
+"""
+
+from math import isfinite
+from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple
+
+from ...foundation.errors import Place, RuleError, UsageError
+from ...prolog.terms.list_terms import list_items, list_parts, make_list
+from ...prolog.terms.term_traversal import is_ground
+from ...prolog.terms.timestamps import DATIME6, DATIME7, SECOND, WholeSeconds, from_any, from_seconds
+from ...prolog.terms.types import COLON, CONS, NIL, Atom, CompoundTerm, Term, Var, atom, deref, functor
+from .goal_analysis import calls
+from .likely_mistakes import head_doubt, head_error, near
+from .pattern_operators import ARROWS, SPELLINGS
+from .pattern_parser import Spot
+
+RULE = functor("rule:", 2)
+_PROPERTY = functor("property", 2)
+WORDS: Dict[str, Tuple[str, ...]] = {
+    "policy": ("recent", "recent_2", "chronological", "chronological_2", "unrestricted"),
+    "out_of_order": ("off", "on"),
+    "after_match": ("keep", "skip_past_last", "skip_to_next"),
+}
+"""The properties whose values are words, with these; of those of one name, what was said last holds."""
+KNOWN_PROPERTIES = ("event_rule_window", "window", "window_step", "ttl", *WORDS)
+_FORMS = "a label is an atom, or Label([property(Name, Value), ...])"
+
+
+class Property(NamedTuple):
+    """A property of a label."""
+
+    label: Term
+    name: str
+    value: Term
+
+    @property
+    def known(self) -> bool:
+        """Whether there is such a property."""
+        return self.name in KNOWN_PROPERTIES
+
+    @property
+    def number(self) -> float:
+        """Its value, where that is a number and no problem."""
+        value = self.value
+        assert isinstance(value, (int, float))
+        return value
+
+    @property
+    def word(self) -> Optional[str]:
+        """Its value, where that is a word and no problem; None for a number."""
+        return self.value.name if self.name in WORDS and isinstance(self.value, Atom) else None
+
+    @property
+    def problem(self) -> Optional[str]:
+        """What is wrong with it, or None."""
+        if not self.known:
+            known = ", ".join(KNOWN_PROPERTIES)
+            return f"there is no property {self.name}; the properties are {known}{near(self.name, KNOWN_PROPERTIES)}"
+        words = WORDS.get(self.name)
+        if words is not None:
+            said = self.value.name if isinstance(self.value, Atom) else ""
+            return None if said in words else f"property {self.name} is {_one_of(words)}{near(said, words)}"
+        if self.value.__class__ not in (int, float) or not (self.value >= 0 and isfinite(self.value)):
+            return f"property {self.name} needs a number of seconds, 0 or more"
+        return None
+
+
+def _one_of(words: Tuple[str, ...]) -> str:
+    return f"{', '.join(words[:-1])} or {words[-1]}"
+
+
+def is_rule(term: Term) -> bool:
+    """Tell whether a term is an event rule, labelled or not."""
+    if term.__class__ is not tuple:
+        return False
+    if term[0] is RULE or term[0] is COLON:
+        label, rule = labelled(term)
+        return label is not None and is_plain_rule(rule)
+    return is_plain_rule(term)
+
+
+def is_plain_rule(term: Term) -> bool:
+    """Tell whether a term is an event rule without a label."""
+    return term.__class__ is tuple and (term[0] in ARROWS or SPELLINGS.get(term[0]) == "do")
+
+
+def labelled(term: CompoundTerm) -> Tuple[Optional[Term], Term]:
+    """Return label and rule; the label is None where there is none or it is malformed."""
+    if term[0] is not RULE and term[0] is not COLON:
+        return None, term
+    label = deref(term[1])
+    if label.__class__ is tuple:
+        items = list_items(label[1]) if len(label) == 2 else None
+        if items is None or not all(_is_property(deref(item)) for item in items):
+            return None, term
+    elif label.__class__ is not Atom:
+        return None, term
+    return label, deref(term[2])
+
+
+def label_error(term: CompoundTerm, spot: Spot) -> Optional[RuleError]:
+    """Return what is wrong with the label of a rule; None for what is none."""
+    if not is_plain_rule(deref(term[2])) or labelled(term)[0] is not None:
+        return None
+    label = deref(term[1])
+    if label.__class__ is Var:
+        return RuleError(f"{_FORMS}, not a variable", spot(term, 1))
+    if label.__class__ is tuple and len(label) == 2:
+        for item in list_items(label[1]) or ():
+            part = deref(item)
+            if not _is_property(part):
+                at = spot(part) if part.__class__ is tuple else spot(label)
+                return RuleError(f"expected {_property_meant(part)}; {_FORMS}", at)
+    return RuleError(_FORMS, spot(term, 1))
+
+
+def _property_meant(part: Term) -> str:
+    """Return the property that something in the list of a label was probably meant as."""
+    name: Any = None
+    value: Any = None
+    if part.__class__ is tuple and len(part) == 2:
+        name, value = part[0].name, deref(part[1])
+    elif part.__class__ is tuple and len(part) == 3:  # window = 3, window-3
+        name, value = getattr(deref(part[1]), "name", None), deref(part[2])
+    if name in WORDS and value.__class__ is Atom:
+        value = value.name
+    elif name not in KNOWN_PROPERTIES or value.__class__ not in (int, float):
+        return "property(Name, Value)"
+    return f"property({name}, {value})"
+
+
+def _is_property(term: Term) -> bool:
+    return term.__class__ is tuple and term[0] is _PROPERTY and deref(term[1]).__class__ is Atom
+
+
+_AFTER = functor("exceptionAlarm", 2)
+_AT = functor("exceptionAlarmAbsoluteDatime", 2)
+ALARMS = frozenset((_AFTER, _AT))
+_LEAP_YEAR = 2000
+
+
+def alarm_of(head: CompoundTerm, start: int, end: int) -> Optional[Tuple[Term, int, int]]:
+    """Return the event, its start and the instant at which it fires; None for a head that is not an alarm.
+
+    An instant before the start is none: as in the original engine, the head is an ordinary event then.
+
+    Raises:
+        UsageError: where the duration or instant is wrong.
+    """
+    if head[0] is _AFTER:
+        instant = WholeSeconds(end + duration(head[2]))
+    elif head[0] is _AT:
+        instant = WholeSeconds(from_any(head[2]))
+    else:
+        return None
+    if instant < start:
+        return None
+    return deref(head[1]), start, instant
+
+
+def is_absolute(head: Term) -> bool:
+    """Tell whether the head of an alarm names its instant."""
+    return head.__class__ is tuple and head[0] is _AT
+
+
+def duration(term: Term) -> int:
+    """Return the duration of an alarm in ns.
+
+    Raises:
+        UsageError: where it is not a positive number.
+    """
+    seconds = deref(term)
+    if seconds.__class__ not in (int, float) or not seconds > 0:
+        raise UsageError("exceptionAlarm needs a positive number of seconds")
+    return from_seconds(seconds)
+
+
+def require_alarm(head: CompoundTerm) -> None:
+    """Check what an alarm's head says of its instant before it has its values.
+
+    Raises:
+        UsageError: where no values make it right.
+    """
+    when = deref(head[2])
+    if when.__class__ is Var:
+        return
+    if head[0] is _AFTER:
+        duration(when)
+    elif head[0] is _AT:
+        filled = _filled(when)
+        try:
+            from_any(filled)
+        except UsageError as error:
+            unknown = "no such date and time exists; " if _is_datime(filled) else ""
+            raise UsageError(f"{unknown}{error.message}") from None
+
+
+def _is_datime(term: Term) -> bool:
+    return term.__class__ is tuple and (term[0] is DATIME6 or term[0] is DATIME7)
+
+
+def _filled(when: Term) -> Term:
+    """Return an instant with values for its variables that are right if any are."""
+    if when.__class__ is not tuple:
+        return when
+    if when[0] is CONS:
+        items = list_items(when)
+        return 1 if items is None else make_list([_or(item, 1) for item in items])
+    if _is_datime(when):
+        return (when[0], _or(when[1], _LEAP_YEAR), *(_or(field, 1) for field in when[2:]))
+    return when
+
+
+def _or(term: Term, value: int) -> Term:
+    term = deref(term)
+    return value if term.__class__ is Var else term
+
+
+SYNCHRONIZED = frozenset(functor(name, arity) for name in ("syncronized", "synchronized") for arity in (3, 4))
+_TIMEOUT = functor("timeout", 1)
+_COLON = functor(":", 2)
+
+
+def check_head(head: Term, spot: Spot, place: Optional[Place], warn: Callable[[RuleError], None]) -> None:
+    """Check the head of a rule.
+
+    Args:
+        head: the head, without what it does.
+        spot: gives the places of its parts.
+        place: its own.
+        warn: takes what is not an error but probably a mistake.
+
+    Raises:
+        RuleError: for what never happens.
+    """
+    if head.__class__ not in (tuple, Atom, Var):
+        raise RuleError("the head of a rule is an event: an atom or a compound term", place)
+    if head.__class__ is not tuple:
+        return
+    operator = SPELLINGS.get(head[0])
+    wrong = head_error(head, operator)
+    if wrong is not None:
+        raise RuleError(wrong, place)
+    doubted = head_doubt(head, operator)
+    if doubted is not None:
+        warn(RuleError(doubted, place))
+    if head[0] is _COLON:
+        warn(RuleError("this is an event that contains a colon: a rule has one label", place))
+    if head[0] in ALARMS:
+        try:
+            require_alarm(head)
+        except UsageError as error:
+            raise RuleError(error.message, spot(head, 2)) from None
+    if head[0] in ALARMS or head[0] in SYNCHRONIZED:
+        event = deref(head[1])
+        check_head(event, spot, spot(event) if event.__class__ is tuple else spot(head, 1), warn)
+    if head[0] in SYNCHRONIZED:
+        _check_query(head, spot)
+
+
+def _check_query(head: Any, spot: Spot) -> None:
+    """Check the query of a synchronized event, and what it waits for."""
+    for call in calls(head, 2):
+        if call.term.__class__ not in (tuple, Atom, Var):
+            raise RuleError(f"{head[0].name} needs a goal", spot(call.parent, call.number))
+    items, rest = list_parts(head[3])
+    if not (rest is NIL or rest.__class__ is Var) or not all(_may_be_pair(item) for item in items):
+        raise RuleError(f"{head[0].name} takes a list of [Memory, Time]", spot(head, 3))
+    if len(head) > 4 and not _may_be_options(deref(head[4])):
+        raise RuleError(f"{head[0].name} takes [timeout(Seconds)] as its options", spot(head, 4))
+
+
+def _may_be_pair(term: Term) -> bool:
+    items, rest = list_parts(term)
+    return len(items) <= 2 if rest.__class__ is Var else rest is NIL and len(items) == 2
+
+
+def _may_be_options(term: Term) -> bool:
+    items, rest = list_parts(term)
+    if rest is not NIL or len(items) != 1:
+        return rest.__class__ is Var and not items
+    option: Any = deref(items[0])
+    if option.__class__ is not tuple:
+        return option.__class__ is Var
+    seconds = deref(option[1])
+    return option[0] is _TIMEOUT and (
+        seconds.__class__ is Var or (seconds.__class__ in (int, float) and seconds >= 0)
+    )
+
+
+TIMER = functor("timer", 2)
+"""The goal that sets a timer: the event, and when."""
+
+FORMS = (
+    "every(Seconds)",
+    "every(Seconds, from_now)",
+    "at(Hour, Minute, Second)",
+    "at(Datime)",
+    "after(Seconds)",
+)
+SHORTEST = 0.001
+"""Seconds; the events of a shorter period would leave no time for others."""
+
+MAX_INTERVAL_SECONDS = 10**9
+_DAY = 86_400 * SECOND
+_FROM_NOW = atom("from_now")
+_EVERY, _EVERY_FROM = functor("every", 1), functor("every", 2)
+_TIME_OF_DAY, _TIMER_AT, _TIMER_AFTER = functor("at", 3), functor("at", 1), functor("after", 1)
+
+
+class Schedule(NamedTuple):
+    """When a timer rings.
+
+    Attributes:
+        term: as it was written.
+        period: from one time to the next in ns, or how long to wait where it rings once; 0 for one instant.
+        repeats: whether it rings again and again.
+        phase: an instant at which it rings, of those that repeat; None where they are counted from when it is set.
+        instant: the only one at which it rings, or None.
+    """
+
+    term: Term
+    period: int
+    repeats: bool
+    phase: Optional[int] = None
+    instant: Optional[int] = None
+
+    @property
+    def is_relative(self) -> bool:
+        """Whether it is a time to wait from when it was set, once."""
+        return self.instant is None and not self.repeats
+
+    def next(self, now: int) -> Optional[int]:
+        """Return the first instant after now, for a timer that is set now; None where it is over."""
+        if self.instant is not None:
+            return self.instant if self.instant > now else None
+        if self.phase is None:
+            return now + self.period
+        return now + self.period - (now - self.phase) % self.period
+
+
+def schedule_of(term: Term) -> Schedule:
+    """Return when a timer is to ring.
+
+    Raises:
+        UsageError: what was expected.
+    """
+    when: Any = deref(term)
+    kind = when[0] if when.__class__ is tuple else None
+    if kind is _EVERY:
+        return Schedule(when, _seconds(when, SHORTEST), True, phase=0)
+    if kind is _EVERY_FROM and deref(when[2]) is _FROM_NOW:
+        return Schedule(when, _seconds(when, SHORTEST), True)
+    if kind is _TIMER_AFTER:
+        return Schedule(when, _seconds(when), False)
+    if kind is _TIME_OF_DAY:
+        return Schedule(when, _DAY, True, phase=_time_of_day(when))
+    if kind is _TIMER_AT:
+        return Schedule(when, 0, False, instant=int(from_any(when[1])))
+    raise UsageError(f"expected {', '.join(FORMS[:-1])} or {FORMS[-1]}")
+
+
+def schedule_fault(term: Term) -> Optional[str]:
+    """Return why a timer cannot be set so, whatever the values of variables; None where it may be."""
+    when: Any = deref(term)
+    if when.__class__ is Var:
+        return None
+    if when.__class__ is tuple and when[0] in _KINDS and not is_ground(when):
+        return None
+    try:
+        schedule_of(when)
+    except UsageError as error:
+        return error.message
+    return None
+
+
+def sets_timer(term: Term) -> bool:
+    """Tell whether a term is a goal that sets a timer, and not a program's own ``timer(X, Y)``."""
+    goal: Any = deref(term)
+    if goal.__class__ is not tuple or goal[0] is not TIMER:
+        return False
+    when = deref(goal[2])
+    return when.__class__ is Var or (when.__class__ is tuple and when[0] in _KINDS)
+
+
+_KINDS = frozenset((_EVERY, _EVERY_FROM, _TIME_OF_DAY, _TIMER_AT, _TIMER_AFTER))
+
+
+def _seconds(when: CompoundTerm, least: float = 0.0) -> int:
+    seconds: Any = deref(when[1])
+    if seconds.__class__ in (int, float) and least <= seconds <= MAX_INTERVAL_SECONDS and seconds > 0:
+        return from_seconds(seconds)
+    wanted = f"of at least {least}" if least else "above 0"
+    raise UsageError(f"{when[0].name} needs a number of seconds {wanted}, {MAX_INTERVAL_SECONDS} at most")
+
+
+def _time_of_day(when: CompoundTerm) -> int:
+    hour: Any
+    minute: Any
+    second: Any
+    hour, minute, second = [deref(one) for one in when[1:]]
+    whole = hour.__class__ is int and minute.__class__ is int and second.__class__ in (int, float)
+    if whole and 0 <= hour < 24 and 0 <= minute < 60 and 0 <= second < 60:
+        instant: int = (hour * 60 + minute) * 60 * SECOND + from_seconds(second)
+        return instant
+    raise UsageError("at needs an hour from 0 to 23, a minute from 0 to 59 and a second below 60")
+
+
+NEW_EVENT = frozenset(
+    (*(functor("new_event", arity) for arity in (2, 3, 5)), functor("event", 1), functor("event", 2))
+)
+"""The goals that make an event of their first argument, at once."""
+
+
+def makes_event(term: Term) -> bool:
+    """Tell whether a term is a goal that makes an event, its first argument: now or later."""
+    return term.__class__ is tuple and (term[0] in NEW_EVENT or sets_timer(term))
+
+
+def made_by(head: Optional[Term]) -> Optional[Term]:
+    """Return the event that a rule with some head fires, now or later."""
+    if head is None:
+        return None
+    term: Any = deref(head)
+    while term.__class__ is tuple and (term[0] in ALARMS or term[0] in SYNCHRONIZED):
+        term = deref(term[1])
+    made: Term = term
+    return made

@@ -1,0 +1,378 @@
+"""The node that puts two matches together."""
+
+from typing import AbstractSet, Any, Callable, Dict, Hashable, List, Optional, Sequence, Tuple
+
+from ...foundation.codegen import shared_function
+from ...prolog.syntax.event_operators import EventOperator
+from ...prolog.terms.term_traversal import positions
+from ...prolog.terms.types import Frame, Var
+from ..fused.fused_join import FusedPair, PartnerChoice, fused_absence, fused_side
+from ..matches.consumption_policy import (
+    Emit,
+    MatchSide,
+    among_others,
+    taking_all,
+    taking_all_at_once,
+    taking_one,
+    waiting_only,
+)
+from ..matches.interval_index import reach_of
+from ..matches.match_buffer import MatchBuffer
+from ..matches.negation import Emitting, NegationBuffer, RuledOutSweep
+from ..matches.partial_matches import Found, NetworkOptions, PartialMatch, taken_back
+from ..matches.revision import RetainedMatches, first_side, in_order
+from .goal_evaluation import Buffer, RuleOwner, Test
+from .pattern_nodes import EventNode, Fuse, Name, NetworkNode, found_here
+from .retention import kept_for_late
+
+
+class JoinNode(NetworkNode):
+    """Puts two matches together by an operator, an interval bound, absences and conditions.
+
+    Args:
+        rule: the rule it belongs to.
+        operator: which pairs fit, and their interval.
+        left: the node of the left operand.
+        right: the node of the right operand.
+        keep: the variables that anything else in the rule looks at.
+        gap: the variables under which the gap between the sides is carried on, for an absence tested above.
+        captured: pairs of variables under which its interval is carried on, for conditions tested above.
+        double: whether one event may be in both sides.
+        names: what names the matches of the left operand, and those of the right one.
+
+    Attributes:
+        revived: whether a match of the left and of the right side may be there after all, by a revision.
+    """
+
+    revived = (False, False)
+
+    def __init__(
+        self,
+        rule: RuleOwner,
+        operator: EventOperator,
+        left: NetworkNode,
+        right: NetworkNode,
+        keep: AbstractSet[Var],
+        gap: Optional[Tuple[Var, Var]],
+        captured: Sequence[Tuple[Var, Var]],
+        double: bool,
+        names: Tuple[Name, Name],
+    ):
+        self.rule = rule
+        self.operator = operator
+        self.left = left
+        self.right = right
+        self.gap = gap
+        self.keep = keep
+        self._names = names
+        in_left, in_right = positions(left.vars), positions(right.vars)
+        self.pairs = tuple((at, in_right[var]) for var, at in in_left.items() if var in in_right)
+        self.left_buffer = MatchBuffer(rule, tuple(one for one, _ in self.pairs))
+        self.right_buffer = MatchBuffer(rule, tuple(two for _, two in self.pairs))
+        taken = [(f"lv[{at}]", var) for at, var in enumerate(left.vars) if var in keep]
+        taken += [
+            (f"rv[{at}]", var) for at, var in enumerate(right.vars) if var in keep and var not in in_left
+        ]
+        if gap is not None:
+            taken += [("e1", gap[0]), ("s2", gap[1])]
+        for first, last in captured:
+            taken += [("start", first), ("end", last)]
+        self.taken = [source for source, _ in taken]
+        self.vars = [var for _, var in taken]
+        self.absences: List[NegationBuffer] = []
+        self.negated: List[NetworkNode] = []
+        self.carried: List[Tuple[NegationBuffer, Emitting]] = []
+        self.tests: List[Test] = []
+        self.completed: Dict[Hashable, None] = {}
+        self.double = double
+        self.span: Optional[int] = None
+        self.kept_sides = RetainedMatches(self.right_buffer)
+
+    def test(self, test: Test, names: Sequence[Var]) -> None:
+        """Add a condition; ``names`` are the variables it leaves."""
+        self.tests.append(test)
+        self.vars = list(names)
+
+    def absent(self, absence: NegationBuffer, negated: NetworkNode) -> None:
+        """Add a pattern that must not match between the sides."""
+        self.absences.append(absence)
+        self.negated.append(negated)
+
+    def buffers(self) -> Sequence[Buffer]:
+        """Return where matches wait."""
+        absences = [*self.absences, *(absence for absence, _ in self.carried)]
+        negated = [buffer for absence in absences for buffer in absence.buffers()]
+        return (self.left_buffer, self.right_buffer, *negated)
+
+    def sweeps(self, mode: NetworkOptions) -> List[RuledOutSweep]:
+        """Return what drops first sides that are ruled out; see `NetworkNode.sweeps`."""
+        if mode.out_of_order or mode.tracked or mode.revised:
+            return []  # a first side may come after what rules it out, or that may be taken back
+        found = []
+        for absence in self.absences:
+            sources = [self.taken[position] for _, position in absence.shared]
+            if absence.has_borders() and all(source.startswith("lv[") for source in sources):
+                positions = [int(source[3:-1]) for source in sources]
+                found.append(RuledOutSweep(self.left_buffer, absence, positions))
+        return found
+
+    def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
+        """Set the bounds; see `NetworkNode.set_span`."""
+        self.span = span
+        self.left_buffer.span = self.right_buffer.span = limit
+        late = self.rule.mode.out_of_order
+        for absence in self.absences:
+            absence.buffer.span = kept_for_late(span, limit) if late else limit
+
+    def kept(self) -> Any:
+        """Return what it knows; see `NetworkNode.kept`."""
+        return (list(self.completed), self.kept_sides.kept())
+
+    def restore(self, kept: Any) -> None:
+        """Know that; see `NetworkNode.restore`."""
+        completed, sides = kept
+        self.completed.update(dict.fromkeys(completed))
+        self.kept_sides.restore(sides)
+
+    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+        """Connect the node, and those of a sequence on its left; see `NetworkNode.bind`."""
+        node: NetworkNode = self
+        fuse: Optional[Fuse] = None
+        while isinstance(node, JoinNode):
+            out, fuse = node.bind_right(out, mode)
+            node = node.left
+        _bind(node, out, mode, fuse)
+
+    def bind_right(self, out: Emit, mode: NetworkOptions) -> Tuple[Emit, Optional[Fuse]]:
+        """Connect all but the left side; return where that sends its matches, and what fuses it."""
+        operator = self.operator
+        self.out = out
+        self.joined = self._join(True)
+        self.left_buffer.reach = reach_of(operator.name, self.span, False)
+        self.right_buffer.reach = reach_of(operator.name, self.span, True)
+        self.left_buffer.least_end = None
+        for absence in self.absences:
+            if absence.has_borders() and not absence.shared:  # one bound holds for all first sides
+                self.left_buffer.least_end = absence.least_end
+        left_name, right_name = self._names if mode.policy.replacing else (None, None)
+        self.left_buffer.identify(None if operator.everything else left_name)
+        self.right_buffer.identify(None if self._keeps(mode) else right_name)
+        found = self._bind_sides(self._left_side(), self._right_side(mode), out, mode)
+        for negated, absence in zip(self.negated, self.absences):
+            _bind(negated, absence.arrive, mode, self._fuse_absence(negated, absence, mode))
+            absence.bind_carried(mode)
+        for absence, node in self.carried:
+            absence.bind(node, mode)
+        return found
+
+    def _is_late(self, mode: NetworkOptions) -> bool:
+        """Tell whether a first side of a sequence may come after the second."""
+        return mode.out_of_order and not self.operator.either
+
+    def _is_revised(self, mode: NetworkOptions) -> bool:
+        """Tell whether a revision can make a match of a sequence whose sides come in their order."""
+        return mode.revised and not self.operator.either and not mode.out_of_order
+
+    def _keeps(self, mode: NetworkOptions) -> bool:
+        """Tell whether second sides are kept for a first one that a revision sets free."""
+        return self._is_revised(mode) and self.revived[0]
+
+    def _left_side(self) -> MatchSide:
+        return MatchSide(self.left_buffer, self.right_buffer, self.joined, self.pairs, True, True, False)
+
+    def _right_side(self, mode: NetworkOptions) -> MatchSide:
+        both, late, keeps = self.operator.either, self._is_late(mode), self._keeps(mode)
+        flipped = tuple((two, one) for one, two in self.pairs)
+        join = self._join(False)
+        if self._is_revised(mode) and self.revived[1]:
+            join = in_order(self.rule.network.tracker, join)
+        waits, stays = both or late or keeps, late or keeps
+        right = MatchSide(self.right_buffer, self.left_buffer, join, flipped, False, waits, stays)
+        if keeps:
+            right = right._replace(wait=self.kept_sides.add)
+        if self.double and mode.policy.replacing and (both or late):
+            right = right._replace(wait=self._wait_later)
+        return right
+
+    def _bind_sides(
+        self, left: MatchSide, right: MatchSide, out: Emit, mode: NetworkOptions
+    ) -> Tuple[Emit, Optional[Fuse]]:
+        """Connect the right side by the policy; return what the left one does, and what fuses it."""
+        policy, operator, late = mode.policy, self.operator, self._is_late(mode)
+        both = operator.either
+        only_waits = waiting_only(left), self._fuse(left, False, out, mode)
+        if self._keeps(mode):
+            tracker = self.rule.network.tracker
+            only_waits = first_side(tracker, left, policy.consuming, operator.everything, out), None
+        if operator.everything:
+            self.right.bind(taking_all_at_once(right, True, out), mode)
+            if not late:
+                return only_waits
+            if policy.consuming:
+                return taking_one(left, policy.newest, True, out), self._fuse(left, True, out, mode)
+            return taking_all_at_once(left, False, out), None
+        fuse = self._fuse(right, True, out, mode)
+        if not policy.consuming:
+            _bind(self.right, taking_all(right, out), mode, fuse)
+            return (taking_all(left, out), self._fuse(left, True, out, mode)) if both or late else only_waits
+        once = self.completed if self.double and both and operator.alone else None
+        _bind(self.right, taking_one(right, policy.newest, True, out, once), mode, fuse)
+        if not both and not late:
+            return only_waits
+        arrive = taking_one(left, policy.newest, True, out, once)
+        if right.wait and both:
+            return self._after_waiting(arrive), None
+        return arrive, self._fuse(left, True, out, mode)
+
+    def _fuse(self, side: MatchSide, takes: bool, out: Emit, mode: NetworkOptions) -> Optional[Fuse]:
+        """Return what fuses a side whose events are taken one by one; None where nothing does.
+
+        Args:
+            side: the side.
+            takes: whether it takes partners; else it only waits.
+            out: where pairs go.
+            mode: how the network runs.
+        """
+        rule = self.rule
+        if not self._may_fuse(mode):
+            return None
+        whole = rule.completion if rule.root is self else None
+        pair = FusedPair(
+            (_is_whole(self.left), _is_whole(self.right)),
+            self.operator,
+            self.span,
+            list(zip(self.vars, self.taken)),
+            [absence.blocks for absence in self.absences],
+            self.tests,
+            self.vars[len(self.taken) :],
+            found_here(self.vars, len(self.taken), self.keep),
+            whole,
+        )
+        newest, uses = mode.policy.newest, mode.policy.consuming
+        taking = PartnerChoice(newest, uses, among_others(side, newest, out)) if takes else None
+        return lambda plain: fused_side(side, pair, taking, rule, plain, out)
+
+    def _may_fuse(self, mode: NetworkOptions) -> bool:
+        """Tell whether nothing looks at the events by which matches come to be."""
+        rule = self.rule
+        looked_at = mode.tracked or mode.revised or rule.double or rule.skipping is not None
+        return not looked_at and not rule.collects
+
+    def _fuse_absence(
+        self, negated: NetworkNode, absence: NegationBuffer, mode: NetworkOptions
+    ) -> Optional[Fuse]:
+        rule = self.rule
+        if not self._may_fuse(mode):
+            return None
+        return lambda plain: fused_absence(absence, rule, _is_whole(negated), plain)
+
+    def _wait_later(self, match: PartialMatch, key: Hashable) -> None:
+        """Let a right side wait when its event has been tried as a left side too.
+
+        Else it would replace an older one of the same event that the left side still has to meet.
+        """
+        if match.event is None and self.operator.either:
+            self.rule.settle(self.right_buffer)
+            self.right_buffer.add(match, key)
+        else:
+            self.rule.add_later(self.right_buffer, match, key)
+
+    def _after_waiting(self, arrive: Emit) -> Emit:
+        """Have what a left side makes of several events find the right side of its last one."""
+        rule = self.rule
+        buffer = self.right_buffer
+
+        def arrive_after_waiting(match: PartialMatch, after: Frame) -> Frame:
+            if match.event is None and rule.later:
+                rule.settle(buffer)
+            return arrive(match, after)
+
+        return arrive_after_waiting
+
+    def _join(self, left_arrives: bool) -> Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]]:
+        """Compile the test and the result of a pair; the arriving match is the first argument."""
+        operator = self.operator
+        names: Dict[str, Any] = {"Match": PartialMatch}
+        lines = [
+            f"def made({'l, r' if left_arrives else 'r, l'}):",
+            "    s1 = l.start; e1 = l.end; s2 = r.start; e2 = r.end",
+            f"    if not ({operator.fits}):",
+            "        return None",
+        ]
+        if operator.alone and self.double:
+            lines += ["    if l.event is not None and l.event == r.event:", "        return None"]
+        lines += [f"    start = {operator.start}", f"    end = {operator.end}"]
+        if self.span is not None:
+            lines += [f"    if end - start > {self.span}:", "        return None"]
+        lines += ["    lv = l.values", "    rv = r.values"]
+        lines.append(f"    values = ({', '.join(self.taken)}{',' if len(self.taken) == 1 else ''})")
+        for number, absence in enumerate(self.absences):
+            names[f"absence{number}"] = absence.blocks
+            lines += [f"    if absence{number}(values, e1, s2):", "        return None"]
+        for number, test in enumerate(self.tests):
+            names[f"test{number}"] = test
+            lines += [
+                f"    values = test{number}(values, start, end)",
+                "    if values is None:",
+                "        return None",
+            ]
+        known = len(self.taken)
+        names["Found"], names["own"] = Found, found_here(self.vars, known, self.keep)
+        parts = "(l, r, Found(own(values)))" if len(self.vars) > known else "(l, r)"
+        lines.append(f"    return Match(values, start, end, None, None, {parts})")
+        made: Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]] = shared_function(
+            "\n".join(lines) + "\n", names, f"join by {operator.name}"
+        )
+        if self.rule.network.mode.tracked and (self.absences or self.carried):
+            return self._noting_what_is_suppressed(made, left_arrives)
+        return made
+
+    def _noting_what_is_suppressed(
+        self, join: Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]], left_arrives: bool
+    ) -> Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]]:
+        tracker = self.rule.network.tracker
+
+        def noting(match: PartialMatch, partner: PartialMatch) -> Optional[PartialMatch]:
+            tracker.blocker = None
+            result = join(match, partner)
+            if result is None and tracker.blocker is not None:
+                tracker.suppressed(self, (match, partner) if left_arrives else (partner, match))
+            return result
+
+        return noting
+
+    def retry(self, pair: Tuple[PartialMatch, PartialMatch], after: Frame) -> Frame:
+        """Join two matches again, what was between them having been taken back."""
+        left, right = pair
+        mode = self.rule.mode
+        if left.buffer is None or right.used is not None:
+            return after
+        if right.buffer is None and self._right_waits(mode):
+            return after
+        if taken_back(left) or taken_back(right):
+            return after
+        result = self.joined(left, right)
+        if result is None:
+            return after
+        if mode.policy.consuming or self.operator.everything:
+            left.leave()
+            right.used = left
+            if self.operator.either:
+                right.leave()
+        return self.out(result, after)
+
+    def _right_waits(self, mode: NetworkOptions) -> bool:
+        return self.operator.either or mode.out_of_order
+
+
+def _is_whole(node: NetworkNode) -> bool:
+    """Tell whether the matches of a node are events whose arguments are the values."""
+    return isinstance(node, EventNode) and node.whole
+
+
+def _bind(node: NetworkNode, out: Emit, mode: NetworkOptions, fuse: Optional[Fuse]) -> None:
+    """Connect a side; only a leaf is fused with its node."""
+    if fuse is not None and isinstance(node, EventNode):
+        node.bind(out, mode, fuse)
+    else:
+        node.bind(out, mode)

@@ -1,0 +1,486 @@
+"""The values of a run of repetitions: where each of them stands, and what result they make.
+
+Repetitions and aggregates: a first match starts a run, and later matches extend it in place.
+"""
+
+from typing import AbstractSet, Any, Callable, Hashable, Iterable, List, Optional, Sequence, Tuple, Union
+
+from ...foundation.errors import RuleError
+from ...prolog.terms.term_traversal import positions, resolve, variables
+from ...prolog.terms.types import Frame, Term, Trail, Values, Var
+from ...prolog.terms.unification import undo, unify
+from ..dispatch.matcher_compiler import compile_builder
+from ..language.aggregate_functions import Collector
+from ..language.pattern_tree import SEQ
+from ..matches.consumption_policy import Emit, counted, emit_each
+from ..matches.interval_index import reach_of
+from ..matches.match_buffer import MatchBuffer, surely_same
+from ..matches.negation import Emitting, NegationBuffer
+from ..matches.partial_matches import (
+    Found,
+    NetworkOptions,
+    PartialMatch,
+    TrackedMatch,
+    agreed,
+    arrival,
+    taken_back,
+    unify_sides,
+)
+from ..matches.revision import RetainedMatches, after_all, stands, that_came_before
+from ..matches.run_groups import NO_ITEMS, Run, by_occurrence, by_term
+from .goal_evaluation import Buffer, RuleOwner, Test
+from .pattern_analysis import Items, with_item
+from .pattern_nodes import Name, NetworkNode, found_here
+
+
+class KleeneValues(NetworkNode):
+    """What a node of runs knows of their values.
+
+    Args:
+        first: the node of what starts a run.
+        repeated: the node of what extends it.
+
+    Attributes:
+        step_vars: the variables that a repetition's own conditions know, and what they find.
+        fixed: those of them that have one value in a run, since they stand elsewhere in the rule.
+    """
+
+    _found: Callable[[Values], Values]
+    """Takes the values that are found here and not carried on."""
+
+    def __init__(self, first: NetworkNode, repeated: NetworkNode):
+        self.first = first
+        self.repeated = repeated
+        self.span: Optional[int] = None
+        self.result_new: List[Var] = []
+        self._captures = 0
+        self.tests: List[Test] = []
+        self.late_tests: List[Test] = []
+        own = set(first.vars)
+        self.step_vars = [*first.vars, *(var for var in repeated.vars if var not in own)]
+        self.open_vars: List[Var] = []
+
+    def open(self, names: Sequence[Var]) -> None:
+        """Have variables that no repetition gives a value, and that stand elsewhere, be the same in all."""
+        here = set(self.step_vars)
+        self.open_vars = [var for var in names if var not in here]
+        self.step_vars = [*self.step_vars, *self.open_vars]
+
+    def finish(
+        self,
+        outside: AbstractSet[Var],
+        collector: Optional[Collector],
+        result: Optional[Term],
+        items: Optional[Items],
+    ) -> None:
+        """Say what the run gives on, when all conditions on repetitions are known.
+
+        Args:
+            outside: the variables that stand elsewhere in the rule.
+            collector: what an aggregate does; None for ``star_times``.
+            result: the term of an aggregate's result.
+            items: where conditions on each repetition are tested further up, what they get.
+        """
+        own = self.first.vars
+        of_first = set(own)
+        of_step = positions(self.step_vars)
+        self.collector = collector
+        self.empty = None if collector is None else collector.start
+        self.fixed = [var for var in self.step_vars if var in outside and var not in of_first]
+        self.fixed_at = [of_step[var] for var in self.fixed]
+        self.items = items
+        self._same_at = len(own)
+        known = [*own, *self.fixed]
+        if items is not None:
+            given = set(known)
+            items.names = [var for var in self.step_vars if var not in given]
+            self._items_at = [of_step[var] for var in items.names]
+            known.insert(self._same_at, items.var)
+            self._same_at += 1
+        places = positions(known)
+        self._open_at = [places[var] for var in self.open_vars]
+        if collector is not None and result is not None:
+            self.result_is_open = result.__class__ is Var and result not in places
+            self.result_new = [var for var in variables(result) if var not in places]
+            self._result_at = len(known)
+            known += self.result_new
+            self.make_result = compile_builder(result, known, "result of an aggregate")
+        self.vars = known
+
+    def capture(self, start: Var, end: Var) -> None:
+        """Add the interval to the values, for a condition that may have to be tested further up too."""
+        self.vars = [*self.vars, start, end]
+        self._captures += 1
+
+    def test(self, test: Test, names: Sequence[Var], late: bool) -> None:
+        """Add a condition; ``names`` are the variables it leaves.
+
+        One that looks at an aggregate's result (``late``) decides what fires; any other is part of the match.
+        """
+        (self.late_tests if late else self.tests).append(test)
+        self.vars = list(names)
+
+    def _result_without(self, run: Run) -> Optional[PartialMatch]:
+        """Return the result of a run that has no repetitions yet."""
+        span = self.span
+        if span is not None and run.end - run.start > span:
+            return None
+        values = self._fit(run.values, NO_ITEMS, None, run.start, run.end)
+        return None if values is None else self.result_of(run, values)
+
+    def _fit(
+        self, first: Values, items: Term, fixed: Optional[Values], start: int, end: int
+    ) -> Optional[Values]:
+        """Return the values of a run with those of its conditions, the result still open; None where one fails."""
+        values: Any = first
+        if self.items is not None:
+            values += (items,)
+        if self.fixed:
+            values += tuple([Var() for _ in self.fixed]) if fixed is None else fixed
+        if self.result_new:
+            values += tuple([Var() for _ in self.result_new])
+        if self._captures:
+            values += (start, end) * self._captures
+        for test in self.tests:
+            values = test(values, start, end)
+            if values is None:
+                return None
+        return values  # type: ignore[no-any-return]
+
+    def result_of(self, run: Run, values: Values) -> Optional[PartialMatch]:
+        """Return the result of a run as it stands, or None where it is not to fire."""
+        found: Any = values
+        start, end = run.start, run.last
+        collector = self.collector
+        if collector is not None:
+            value = collector.result(run.state)
+            if self.open_vars:
+                found, value = self._with_open(run, found, value)
+            found = self._with_result(found, value)
+            for test in self.late_tests:
+                if found is None:
+                    return None
+                found = test(found, start, end)
+            if found is None:
+                return None
+        own = Found(self._found(found))
+        event = run.event if run.fixed is None else None
+        # Without what is held the start would look like a condition around a match.
+        return PartialMatch(found, start, end, event, None, (run.first, run.held, own))
+
+    def _with_open(self, run: Run, values: Values, value: Term) -> Tuple[Values, Term]:
+        """Have a result say what conditions have made of the variables that no repetition gives a value."""
+        trail: Trail = []
+        for var, at in zip(run.open, self._open_at):
+            unify(var, values[at], trail)
+        found = tuple([resolve(one) for one in values]), resolve(value)
+        undo(trail, 0)
+        return found
+
+    def _with_result(self, values: Values, value: Term) -> Optional[Values]:
+        """Put the result where its variables stand among the values."""
+        if self.result_is_open:
+            at = self._result_at
+            return (*values[:at], value, *values[at + 1 :])
+        return self._unify_result(values, value)
+
+    def _unify_result(self, values: Values, value: Term) -> Optional[Values]:
+        term = self.make_result(values)
+        trail: Trail = []
+        result = None
+        if unify(term, value, trail):
+            result = tuple([resolve(one) for one in values])
+        undo(trail, 0)
+        return result
+
+
+class KleeneNode(KleeneValues):
+    """``P seq (Q star_times)`` and ``P seq aggregate(K, Q, R)``.
+
+    Args:
+        rule: the rule it belongs to.
+        first: the node of P.
+        repeated: the node of Q.
+        double: whether one event may be in both.
+        names: what names the matches of P, and those of Q.
+        keep: the variables that anything else in the rule looks at.
+
+    Attributes:
+        revived: whether a match of P and of Q may be there after all, by a revision.
+    """
+
+    revived = (False, False)
+
+    def __init__(
+        self,
+        rule: RuleOwner,
+        first: NetworkNode,
+        repeated: NetworkNode,
+        double: bool,
+        names: Tuple[Name, Name],
+        keep: AbstractSet[Var],
+    ):
+        super().__init__(first, repeated)
+        self.rule = rule
+        self._first_name, self._repeated_name = names
+        self._keep = keep
+        self.double = double
+        in_first, in_repeated = positions(first.vars), positions(repeated.vars)
+        self.pairs = tuple((at, in_repeated[var]) for var, at in in_first.items() if var in in_repeated)
+        self.buffer = MatchBuffer(rule, tuple(one for one, _ in self.pairs))
+        self.incoming = MatchBuffer(rule, tuple(two for _, two in self.pairs))
+        self.step_tests: List[Test] = []
+        self.carried: List[Tuple[NegationBuffer, Emitting]] = []
+        self._step_at = [at for at, var in enumerate(repeated.vars) if var not in in_first]
+        self.kept_sides = RetainedMatches(self.incoming)
+
+    def buffers(self) -> Sequence[Buffer]:
+        """Return where matches wait."""
+        carried = [buffer for absence, _ in self.carried for buffer in absence.buffers()]
+        return (self.buffer, self.incoming, *carried)
+
+    def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
+        """Set the bounds; see `NetworkNode.set_span`."""
+        self.span = span
+        self.buffer.span = limit
+        self.incoming.span = limit
+
+    def kept(self) -> Any:
+        """Return what it knows; see `NetworkNode.kept`."""
+        return self.kept_sides.kept()
+
+    def restore(self, kept: Any) -> None:
+        """Know that; see `NetworkNode.restore`."""
+        self.kept_sides.restore(kept)
+
+    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+        """Connect the node; see `NetworkNode.bind`."""
+        policy = mode.policy
+        self.tracked = mode.tracked
+        self.extending: Callable[[Any, PartialMatch, bool], Tuple[bool, Optional[PartialMatch]]]
+        self.extending = self._extend_noting if mode.tracked and self.carried else self.extend
+        self.consuming = policy.consuming
+        self.late = mode.out_of_order
+        self.waits_later = self.late and self.double and policy.replacing
+        revised = mode.revised and not self.late
+        self.keeps, self.ordered = revised and self.revived[0], revised and self.revived[1]
+        self.buffer.reach = reach_of(SEQ, self.span, False)
+        self.incoming.reach = reach_of(SEQ, self.span, True)
+        self.buffer.identify((by_term if policy.replacing else by_occurrence)(self._first_name))
+        self.incoming.identify(self._repeated_name if policy.replacing and not self.keeps else None)
+        self._found = found_here(self.vars, self._same_at, self._keep)
+        self.out = out
+        if policy.consuming:
+            self.repeated.bind(self._extend_one(out, policy.newest), mode)
+        else:
+            self.repeated.bind(self._extend_all(out), mode)
+        self.first.bind(self._start(out), mode)
+        for absence, negated in self.carried:
+            absence.bind(negated, mode)
+
+    def _start(self, out: Emit) -> Emit:
+        buffer = self.buffer
+        collector = self.collector
+        fires = collector is None or collector.initial is not None
+
+        def arrive(match: PartialMatch, after: Frame) -> Frame:
+            run = Run(match, self.empty, len(self.open_vars))
+            key = buffer.key_of(run)
+            older = buffer.namesake(run, key)
+            if older is not None and older.start == run.start and older.end == run.end:
+                return after
+            buffer.add(run, key)
+            result = self._result_without(run) if fires else None
+            if self.late or (self.keeps and after_all(self.rule.network.tracker, arrival(run))):
+                results = [] if result is None else [result]
+                results += self._results_of_earlier(run, key)
+                return emit_each(iter(results), out, after)
+            return after if result is None else out(result, after)
+
+        return arrive
+
+    def _results_of_earlier(self, run: Run, key: Hashable) -> List[PartialMatch]:
+        """Return the results of a late start with the repetitions that came before it, in their order.
+
+        One that a revision has set free has those that came after it and are left.
+        """
+        results = []
+        came = arrival(run) if self.keeps else 0
+        for match in counted(self.incoming.partners_now(key, run.start, run.end), self.rule.meter):
+            if self.keeps and (arrival(match) <= came or (self.consuming and stands(match.used))):
+                continue
+            extended, result = self.extending(run, match, surely_same(key, match))
+            if extended:
+                match.used = run
+                if self.consuming and self.late:
+                    match.leave()
+            if result is not None:
+                results.append(result)
+        return results
+
+    def _wait(self, match: PartialMatch, key: Hashable) -> None:
+        """Have a repetition wait for late starts; where its event may be one, only after it was tried as that."""
+        if self.waits_later:
+            self.rule.add_later(self.incoming, match, key)
+        elif self.late:
+            self.incoming.add(match, key)
+        elif self.keeps:
+            self.kept_sides.add(match, key)
+
+    def _extend_one(self, out: Emit, newest: bool) -> Emit:
+        waits, ordered, extend = self.late or self.keeps, self.ordered, self.extending
+        meter = self.rule.meter
+
+        def arrive(match: PartialMatch, after: Frame) -> Frame:
+            key = self.incoming.key_of(match)
+            extended, result = False, None
+            runs: Iterable[PartialMatch] = self.buffer.partners(key, match.start, match.end, newest)
+            if ordered:
+                runs = that_came_before(match, runs, self.rule.network.tracker)
+            for run in counted(runs, meter):
+                extended, result = extend(run, match, surely_same(key, run))
+                if extended:
+                    match.used = run
+                    break
+            if waits:
+                self._wait(match, key)
+            return after if result is None else out(result, after)
+
+        return arrive
+
+    def _extend_all(self, out: Emit) -> Emit:
+        waits, ordered, extend = self.late or self.keeps, self.ordered, self.extending
+        meter = self.rule.meter
+
+        def arrive(match: PartialMatch, after: Frame) -> Frame:
+            key = self.incoming.key_of(match)
+            runs: Iterable[PartialMatch] = self.buffer.partners_now(key, match.start, match.end)
+            if ordered:
+                runs = that_came_before(match, runs, self.rule.network.tracker)
+            if waits:
+                self._wait(match, key)
+            if not runs:
+                return after
+            results = (
+                result
+                for run in counted(runs, meter)
+                if run.buffer is not None
+                for result in (extend(run, match, surely_same(key, run))[1],)
+                if result is not None
+            )
+            return emit_each(results, out, after)
+
+        return arrive
+
+    def extend(self, run: Run, match: PartialMatch, keyed: bool) -> Tuple[bool, Optional[PartialMatch]]:
+        """Extend a run if the match fits; returns whether it did, and the result to emit.
+
+        ``keyed`` tells that the shared variables are known to have the same values.
+        """
+        if match.start <= (run.last if self.collector is None else run.end):
+            return False, None
+        last = run.last if run.last >= match.end else match.end
+        span = self.span
+        if span is not None and last - run.start > span:
+            return False, None
+        values: Any = run.values
+        if not keyed:
+            sides = unify_sides(run, match, self.pairs)
+            if sides is None:
+                return False, None
+            values, match = sides[0].values, sides[1]
+        step: Any = values + tuple([match.values[at] for at in self._step_at]) + run.open
+        for test in self.step_tests:
+            step = test(step, match.start, match.end)
+            if step is None:
+                return False, None
+            values = step[: len(values)]  # it may have given open variables of the start a value
+        extended, result = self._take(run, match, values, step, last)
+        if extended and self.tracked:
+            self.rule.network.tracker.hold_repetition(run, match, self)
+        return extended, result
+
+    def _extend_noting(
+        self, run: Run, match: PartialMatch, keyed: bool
+    ) -> Tuple[bool, Optional[PartialMatch]]:
+        """As `extend`; what an absence has kept from it is noted, to be tried again when that is taken back."""
+        tracker = self.rule.network.tracker
+        tracker.blocker = None
+        extended, result = self.extend(run, match, keyed)
+        if not extended and tracker.blocker is not None:
+            tracker.suppressed(self, (run, match))
+        return extended, result
+
+    def _take(
+        self, run: Run, match: PartialMatch, values: Values, step: Values, last: int
+    ) -> Tuple[bool, Optional[PartialMatch]]:
+        """Add a repetition to a run if what they have together passes; returns as `extend`."""
+        fixed: Any = tuple([step[at] for at in self.fixed_at])
+        if run.fixed is not None:
+            fixed = agreed(run.fixed, fixed)
+            if fixed is None:
+                return False, None
+        items: Term = NO_ITEMS
+        if self.items is not None:
+            items = with_item(run.items, tuple([step[at] for at in self._items_at]))
+        found = self._fit(values, items, fixed, run.start, last)
+        if found is None:
+            return False, None
+        state = run.state
+        if self.collector is not None:
+            try:
+                state = self.collector.add(state, step)
+            except RuleError as error:
+                self.rule.network.rule_failed(self.rule, error)
+                return False, None
+        run.become(last, fixed, items, values, state)
+        if self.tracked:
+            run.taken.append(match)
+            run.held = TrackedMatch(match, run.held)
+            run.steps.append((values, step))
+            run.sound += 1
+        return True, self.result_of(run, found)
+
+    def forget(self, run: Run, match: PartialMatch) -> bool:
+        """Return True: `results_again` removes repetitions whose events were retracted."""
+        return True
+
+    def results_again(self, run: Run) -> List[PartialMatch]:
+        """Return the results, computed again, that held repetitions whose events were taken back.
+
+        At a limit the run has the repetitions so far.
+        """
+        if taken_back(run.first):
+            return []
+        repetitions = [pair for pair in zip(run.taken, run.steps) if stands(pair[0])]
+        if len(repetitions) == len(run.taken):
+            return []
+        sound = next(at for at, match in enumerate(run.taken) if not stands(match))
+        run.restart(self.empty)
+        results = []
+        for number, (match, (values, step)) in enumerate(counted(repetitions, self.rule.meter)):
+            _, result = self._take(run, match, values, step, max(run.last, match.end))
+            if number >= sound and result is not None:
+                results.append(result)
+        return results if self.rule.active else []
+
+    def unmade(self) -> List[TrackedMatch]:
+        """Return what does not hold any more though it was not made of what was forgotten: nothing."""
+        return []
+
+    def retry(self, what: Union[PartialMatch, Tuple[Run, PartialMatch]], after: Frame) -> Frame:
+        """Fire a result that was computed again, or extend a run by a repetition that something had ruled out."""
+        result: Optional[PartialMatch]
+        if isinstance(what, PartialMatch):
+            result = what
+        else:
+            run, match = what
+            if run.buffer is None or (self.consuming and match.used is not None):
+                return after
+            extended, result = self.extending(run, match, False)
+            if extended:
+                match.used = run
+        if result is None or taken_back(result):
+            return after
+        skipping = None if self.forbids else self.rule.skipping
+        return self.out(result, after) if skipping is None or skipping.takes(result.start) else after

@@ -1,0 +1,388 @@
+"""The node of a pattern that has to happen several times in sequence: what so many nodes of `seq` would do.
+
+In the usual case, all sequences that wait take the next repetition, and one more begins with it: nothing is done for
+each of them (see `trains`). What does not go on with the others waits apart, by the number of its repetitions. Where
+this does not hold (nothing is used up, first sides come late, values have variables), there are nodes of `seq`.
+"""
+
+from typing import (
+    AbstractSet,
+    Any,
+    Callable,
+    Collection,
+    Dict,
+    Hashable,
+    Iterator,
+    List,
+    Optional,
+    Sequence,
+    Tuple,
+)
+
+from ...prolog.terms.term_traversal import positions
+from ...prolog.terms.types import Frame, Values, Var
+from ..language.pattern_operators import OPERATORS
+from ..language.pattern_tree import SEQ
+from ..matches.consumption_policy import Emit, counted, emit_each
+from ..matches.interval_index import reach_of
+from ..matches.match_buffer import MatchBuffer, key_function
+from ..matches.partial_matches import NetworkOptions, PartialMatch, identity
+from ..matches.run_groups import (
+    BufferSlice,
+    Moving,
+    RunCursor,
+    RunGroup,
+    SharedLog,
+    joined_at_once,
+    joined_one_by_one,
+    pieces_of,
+)
+from ..provenance.event_log import known_in
+from .goal_evaluation import Buffer, RuleOwner
+from .join_node import JoinNode
+from .pattern_nodes import Name, NetworkNode
+
+_SEQ = OPERATORS[SEQ]
+
+
+class _Relay(NetworkNode):
+    """Stands for one of the repetitions where these have nodes of their own."""
+
+    def __init__(self, like: NetworkNode, shared: Collection[Var]):
+        self.vars = [var if var in shared else Var() for var in like.vars]
+
+    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+        """Send matches to ``out`` from now on."""
+        self._out = out
+
+    def take(self, match: PartialMatch, after: Frame) -> Frame:
+        """Send on a match of its own, which may wait by itself."""
+        own = PartialMatch(match.values, match.start, match.end, match.event, match.term, match.parts)
+        return self._out(own, after)
+
+
+class RepeatNode(NetworkNode):
+    """Puts a number of matches of one pattern together, one after the other.
+
+    Args:
+        rule: the rule it belongs to.
+        child: the node of the pattern; of each event it makes one match at most.
+        times: how many repetitions there are, at least two.
+        keep: the variables that anything else in the rule looks at. Each repetition has the same values of them.
+
+        named: gives what names matches that carry the values of some variables.
+
+    Attributes:
+        limit: for how many nanoseconds what waits is of use; None for no bound.
+        trains: the sequences that go on together, by their values.
+        visits: how many sequences, or numbers of repetitions, were looked at one by one.
+    """
+
+    def __init__(
+        self,
+        rule: RuleOwner,
+        child: NetworkNode,
+        times: int,
+        keep: AbstractSet[Var],
+        named: Callable[[List[Var]], Name],
+    ):
+        self.rule = rule
+        self.child = child
+        self.times = times
+        self.vars = [var for var in child.vars if var in keep]
+        self._names = named(child.vars), named(self.vars)
+        at = positions(child.vars)
+        self._kept = tuple([at[var] for var in self.vars])
+        self._key = key_function(self._kept)
+        self._buffers: Dict[int, MatchBuffer] = {}
+        self._apart: Dict[Hashable, Dict[int, None]] = {}
+        self._joinings: List[JoinNode] = []
+        self._relays: List[_Relay] = []
+        self.trains: Dict[Hashable, RunGroup] = {}
+        self._moving = Moving(self)
+        self.span: Optional[int] = None
+        self.limit: Optional[int] = None
+        self._mode = NetworkOptions()
+        self._together = False
+        self.visits = 0
+
+    def buffers(self) -> Sequence[Buffer]:
+        """Return where matches wait."""
+        right = [joining.right_buffer for joining in self._joinings]
+        return (self._moving, *self._buffers.values(), *right)
+
+    def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
+        """Set the bounds; see `NetworkNode.set_span`."""
+        self.span = span
+        self.limit = limit
+        for buffer in self._buffers.values():
+            buffer.span = limit
+        for joining in self._joinings:
+            joining.set_span(span, limit)
+
+    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+        """Connect the node; see `NetworkNode.bind`."""
+        self._out = out
+        self._mode = mode
+        open_ones = any(None in buffer.newest for buffer in self._buffers.values())
+        if not mode.policy.consuming or mode.out_of_order or open_ones:
+            self._part()
+        else:
+            self._together = True
+            for number, buffer in self._buffers.items():
+                for one in buffer.all() if number > 1 else ():
+                    joined_at_once(one, number)
+                self._set_up(buffer, number)
+                for key in buffer.newest:
+                    self._apart.setdefault(key, {})[number] = None
+        self.child.bind(self._arrive, mode)
+
+    def kept(self) -> Any:
+        """Return what it knows; see `NetworkNode.kept`."""
+        apart = [(key, list(numbers)) for key, numbers in self._apart.items()]
+        return self._together, list(self._buffers), list(self.trains.values()), apart
+
+    def restore(self, kept: Any) -> None:
+        """Know that; see `NetworkNode.restore`."""
+        together, numbers, trains, apart = kept
+        if self._together and not together:
+            self._part()
+        for number in numbers:
+            self._buffer(number)
+        self.trains = {train.key: train for train in trains}
+        self._apart = {key: dict.fromkeys(found) for key, found in apart}
+
+    def number_of_buffers(self, kept: Any) -> int:
+        """Return how many buffers it has once it has restored what another node knew."""
+        together, numbers, _, _ = kept
+        known = {*self._buffers, *numbers}
+        if self._together and together:
+            return 1 + len(known)
+        return 1 + len(known.union(range(1, self.times))) + self.times - 1
+
+    def values_of(self, token: RunCursor) -> Values:
+        """Return the values of a sequence."""
+        return token.values if token.apart > 1 else tuple([token.values[at] for at in self._kept])
+
+    def _arrive(self, match: PartialMatch, after: Frame) -> Frame:
+        if self._together:
+            try:
+                key = self._key(match.values)
+            except ValueError:
+                self._part()
+            else:
+                made = self._take(match, key)
+                return after if made is None else self._out(made, after)
+        return emit_each(
+            counted(self._served(), self.rule.meter), lambda relay, then: relay.take(match, then), after
+        )
+
+    # ---- together ------------------------------------------------------------------------------------
+
+    def _take(self, match: PartialMatch, key: Hashable) -> Optional[PartialMatch]:
+        """Have what waits take a repetition; return what is complete with it."""
+        train = self.trains.get(key)
+        apart = self._apart.get(key)
+        if train is None:
+            train = RunGroup(self, key)
+        if match.start <= train.end:
+            return self._take_apart(train, match, apart)
+        train.renew(self.times)
+        if apart:
+            self._join_train(train, match, apart)
+        if self.span is not None and match.end > self.rule.clock:
+            self._leave_behind(train, match)
+        longest = train.advance(match, self.times)
+        self.trains[key] = train
+        self.visits += 1
+        made = None
+        if longest is not None:
+            made = train.match_of(longest, self.times)
+            longest.leave()
+        token: Any = train.tokens[0]
+        self.rule.keep(token, self.limit)
+        if self._mode.tracked:
+            self._note(train, match)
+        if apart and self._mode.policy.replacing:
+            self._replace(train, apart)
+        return made
+
+    def _join_train(self, train: RunGroup, match: PartialMatch, apart: Dict[int, None]) -> None:
+        """Have those that wait apart go on with the train in the place of those there, as the policy says."""
+        newest = self._mode.policy.newest
+        for number in list(apart):
+            self.visits += 1
+            token = train.at(number)
+            if token is not None and newest and self._fits(token, match):
+                continue  # it is newer than those that wait apart
+            other = self._first_fit(number, train.key, match, apart)
+            if other is None:
+                continue
+            if token is not None:
+                self._stop(train, token, number)
+            other.leave()
+            other = RunCursor(other, number, train)
+            train.put(number, other)
+            self.rule.keep(other, self.limit)
+
+    def _leave_behind(self, train: RunGroup, match: PartialMatch) -> None:
+        """Have wait apart what would be too long with a match of which the rule's clock knows nothing."""
+        for number, token in list(train.present()):
+            self.visits += 1
+            if not self._fits(token, match):
+                self._stop(train, token, number)
+
+    def _replace(self, train: RunGroup, apart: Dict[int, None]) -> None:
+        """Have those in the train take the place of those apart that are of the same events."""
+        for number in apart:
+            token, buffer = train.at(number), self._buffers[number]
+            if token is not None and train.key in buffer.newest:
+                older = buffer.namesake(train.match_of(token, number), train.key)
+                if older is not None:
+                    older.leave()
+
+    def _take_apart(
+        self, train: RunGroup, match: PartialMatch, apart: Optional[Dict[int, None]]
+    ) -> Optional[PartialMatch]:
+        """Have what waits apart take a repetition that began before the last one of the train had ended."""
+        made = None
+        apart = apart or {}
+        for number in sorted(apart, reverse=True):
+            self.visits += 1
+            other = self._first_fit(number, train.key, match, apart)
+            if other is None:
+                continue
+            other.leave()
+            values = other.values if number > 1 else tuple([other.values[at] for at in self._kept])
+            chain = BufferSlice((*pieces_of(other, number), (SharedLog([match]), 0, 1)))
+            longer = PartialMatch(values, other.start, match.end, None, None, (chain,))
+            if number + 1 == self.times:
+                made = longer
+            else:
+                self._set_apart(train, longer, number + 1)
+        self._set_apart(train, match, 1)
+        return made
+
+    def _first_fit(
+        self, number: int, key: Hashable, match: PartialMatch, apart: Dict[int, None]
+    ) -> Optional[PartialMatch]:
+        """Return which of those that wait apart a repetition takes."""
+        buffer = self._buffers[number]
+        if key not in buffer.newest:
+            del apart[number]
+            return None
+        partners = buffer.partners(key, match.start, match.end, self._mode.policy.newest)
+        for one in counted(partners, self.rule.meter):
+            if one.end < match.start and self._fits(one, match):
+                return one
+        return None
+
+    def _fits(self, one: PartialMatch, match: PartialMatch) -> bool:
+        return self.span is None or match.end - one.start <= self.span
+
+    def _set_apart(self, train: RunGroup, match: PartialMatch, number: int) -> None:
+        """Have a new sequence wait apart; it is newer than that of the train."""
+        token = train.at(number)
+        if token is not None:
+            if self._mode.policy.replacing and identity(train.match_of(token, number)) == identity(match):
+                token.leave()
+            else:
+                self._stop(train, token, number)
+        self._wait_apart(match, number, train.key)
+
+    def _stop(self, train: RunGroup, token: RunCursor, number: int) -> None:
+        """Have a sequence leave the train and wait apart, since when it took its last repetition."""
+        match = train.match_of(token, number)
+        token.leave()
+        rule = self.rule
+        before, rule.order = rule.order, train.order - number
+        try:
+            self._wait_apart(match, number, train.key)
+        finally:
+            rule.order = before
+
+    def _wait_apart(self, match: PartialMatch, number: int, key: Hashable) -> None:
+        buffer = self._buffer(number)
+        buffer.add(match, key)
+        if key not in self._apart and len(self._apart) > 2 * self.rule.waiting + 1000:
+            self._apart = {}
+            for at, other in self._buffers.items():
+                for one in other.newest:
+                    self._apart.setdefault(one, {})[at] = None
+        self._apart.setdefault(key, {})[number] = None
+
+    def _buffer(self, number: int) -> MatchBuffer:
+        buffer = self._buffers.get(number)
+        if buffer is None:
+            shared = self._kept if number == 1 else tuple(range(len(self._kept)))
+            buffer = self._buffers[number] = MatchBuffer(self.rule, shared)
+            buffer.span = self.limit
+            buffer.forbids = self.forbids
+            self._set_up(buffer, number)
+        return buffer
+
+    def _set_up(self, buffer: MatchBuffer, number: int) -> None:
+        buffer.reach = reach_of(SEQ, self.span, False)
+        # Those under one key have the same values, of which longer sequences need not be told apart.
+        name = self._names[0] if number == 1 else identity
+        buffer.identify(name if self._mode.policy.replacing else None)
+
+    # ---- events that are taken back ------------------------------------------------------------------
+
+    def _note(self, train: RunGroup, match: PartialMatch) -> None:
+        """Have the events of a repetition know that all of the train holds them."""
+        number = train.taken - 1
+        for occurrence in known_in(match):
+            if occurrence.gone:
+                self.forget(train, number)
+                return
+            occurrence.held.append((self, train, number))
+
+    def forget(self, train: RunGroup, number: int) -> bool:
+        """Remove all that is made of a repetition whose event was taken back; nothing follows from that."""
+        for _, token in list(train.present()):
+            if token.since <= number:
+                token.leave()
+        return False
+
+    # ---- with nodes of seq ---------------------------------------------------------------------------
+
+    def _part(self) -> None:
+        """Have all sequences wait in nodes of seq from now on."""
+        for train in sorted(self.trains.values(), key=lambda one: one.order):
+            for number, token in list(train.present()):
+                self._stop(train, token, number)
+        self._apart = {}
+        self._together = False
+        for number, buffer in self._buffers.items():
+            for one in buffer.all() if number > 1 else ():
+                joined_one_by_one(one, number)
+        if not self._joinings:
+            shared = frozenset(self.vars)
+            self._relays = [_Relay(self.child, shared) for _ in range(self.times)]
+            left: Any = self._relays[0]
+            for number, relay in enumerate(self._relays[1:], 1):
+                left = JoinNode(self.rule, _SEQ, left, relay, shared, None, (), True, self._names_at(number))
+                left.left_buffer = self._buffer(number)
+                left.right_buffer.forbids = self.forbids
+                left.set_span(self.span, self.limit)
+                self._joinings.append(left)
+        self._joinings[-1].bind(self._give if self._mode.policy.replacing else self._out, self._mode)
+
+    def _names_at(self, number: int) -> Tuple[Name, Name]:
+        one, some = self._names
+        return (one if number == 1 else some), one
+
+    def _give(self, match: PartialMatch, after: Frame) -> Frame:
+        """Send on a match of all repetitions as those are that went on together, whose place it may take."""
+        joined_at_once(match, self.times)
+        return self._out(match, after)
+
+    def _served(self) -> Iterator[_Relay]:
+        """Yield what takes a match, the last repetition first; what can complete nothing only where it may wait."""
+        relays, late = self._relays, self._mode.out_of_order
+        for number in range(self.times - 1, 0, -1):
+            if late or self._buffers[number].newest:
+                self.visits += 1
+                yield relays[number]
+        yield relays[0]

@@ -1,0 +1,430 @@
+"""From the pattern of a rule to its nodes: which conditions are tested where, and how long a match can be of use."""
+
+from functools import partial
+from typing import Any, Dict, List, Optional, Sequence, Set, Tuple, TypeVar, Union
+
+from ...foundation.errors import RuleError
+from ...prolog.terms.term_traversal import variables
+from ...prolog.terms.types import NIL, Term, Var
+from ..dispatch.matcher_compiler import compile_builder
+from ..language.aggregate_functions import Collector
+from ..language.pattern_operators import OPERATORS
+from ..language.pattern_tree import (
+    Absent,
+    Action,
+    Aggregate,
+    Awaited,
+    Condition,
+    Either,
+    Occurs,
+    Pair,
+    Pattern,
+    Repeated,
+    Shaped,
+    Star,
+    Windowed,
+    bound_by,
+    occurrences,
+    surely_bound_by,
+)
+from .goal_evaluation import Evaluators, RuleGoal, RuleOwner, Test, goal_test
+from .join_node import JoinNode
+from .kleene_node import KleeneNode
+from .pattern_analysis import (
+    Built,
+    DeferredConditions,
+    Items,
+    Negated,
+    TestedCondition,
+    VarSet,
+    Wrapping,
+    absence_of,
+    deferred_test,
+    early_test,
+    in_goals,
+    may_be_revived,
+    meet,
+    ready_where,
+    served,
+    those_about_a_result_last,
+    unwrap,
+    used_twice,
+)
+from .pattern_nodes import (
+    ActionNode,
+    BindNode,
+    EarlyTestNode,
+    EventNode,
+    FilterNode,
+    MatchKeys,
+    Name,
+    NetworkNode,
+    NotNode,
+    OrNode,
+)
+from .repeat_node import RepeatNode
+from .retention import UNLIMITED, Retention
+from .stream_compiler import StreamCompiler
+from .stream_node import StreamNode
+
+N = TypeVar("N", bound=NetworkNode)
+
+
+class RuleCompiler(StreamCompiler):
+    """Builds the nodes of one rule.
+
+    Args:
+        rule: the rule at run time.
+        head: the terms beside the pattern that use its variables.
+        pattern: the pattern.
+
+    Attributes:
+        nodes: all nodes, each with the bound on its own interval and the shortest bound there is from it
+            upwards.
+        ringing: the operators on streams, in the order in which the clock wakes them. As for events, the right side
+            of a pair comes before the left one: what completes something is taken before it replaces what waits.
+        twins: what negated patterns were built anew, and what they were built as first.
+    """
+
+    def __init__(self, rule: RuleOwner, head: List[Term], pattern: Pattern):
+        super().__init__(rule)
+        self.pattern = pattern
+        self.keep = used_twice(head, pattern)
+        self._counts = occurrences(head, pattern)
+        self._telling = MatchKeys(self.keep)
+        self.nodes: List[Tuple[NetworkNode, Optional[int], Retention]] = []
+        self.ringing: List[StreamNode] = []
+        self.twins: List[Tuple[Built, Built]] = []
+        self._bound_by: Dict[int, VarSet] = {}
+
+    def build(self) -> NetworkNode:
+        """Return the root of the network."""
+        built = self._build(self.pattern, frozenset(), UNLIMITED)
+        if built.deferred:
+            raise RuleError("a condition uses variables that no pattern to its left binds", self.rule.place)
+        for rank, leaf in enumerate(built.leaves):
+            leaf.rank = rank
+        for place, stream in enumerate(self.ringing):
+            stream.place = place
+        for built_again, first in self.twins:
+            for leaf, other in zip(built_again.leaves, first.leaves):
+                leaf.rank = other.rank
+        node = root = built.node
+        while isinstance(node, (ActionNode, FilterNode)):
+            node.windowed = True
+            node = node.child
+        return root
+
+    def _build(self, pattern: Pattern, context: VarSet, limit: Retention) -> Built:
+        """Build a pattern.
+
+        Args:
+            pattern: what to build.
+            context: the variables of the patterns to its left.
+            limit: the shortest interval bound above it; None for none.
+        """
+        pairs: List[Tuple[Pair, Wrapping, Retention]] = []
+        begun = len(self.ringing)
+        while True:
+            wrapping = unwrap(pattern)
+            span = wrapping.span
+            limit = inner = limit.within(span)
+            core = wrapping.core
+            if not isinstance(core, Pair):
+                break
+            pairs.append((core, wrapping, inner))
+            pattern = core.left
+        built = self._build_core(core, wrapping, context, inner)
+        while pairs:  # a long sequence is not a deep recursion
+            pair, wrapping, inner = pairs.pop()
+            built = self._joining(pair, wrapping, context, inner, built, begun)
+        return built
+
+    def _build_core(self, core: Pattern, wrapping: Wrapping, context: VarSet, inner: Retention) -> Built:
+        """Build what is not a pair of patterns."""
+        if isinstance(core, (Star, Aggregate)):
+            return self._running(core, wrapping, context, inner)
+        if isinstance(core, Repeated):
+            return self._repeated(core, context, inner)
+        if isinstance(core, Occurs):
+            leaf = self._add(EventNode(self.rule, core.term), None, UNLIMITED)
+            built = Built(leaf, [], [], [leaf])
+        elif isinstance(core, Either):
+            branches = [self._build(branch, context, inner) for branch in core.branches]
+            node: NetworkNode = OrNode([branch.node for branch in branches], self.keep)
+            deferred = [one for branch in branches for one in branch.deferred]
+            joined = [leaf for branch in branches for leaf in branch.joined]
+            single = [leaf for branch in branches for leaf in branch.single]
+            in_order = [leaf for branch in branches for leaf in branch.leaves]
+            built = Built(self._add(node, None, inner), deferred, joined, single, in_order)
+        elif isinstance(core, Absent):
+            built = self._never(core, context, inner)
+        elif isinstance(core, (Windowed, Shaped, Awaited)):
+            built = self._streamed(core, context, inner.part)
+        else:
+            assert isinstance(core, Action)
+            below = self._build(core.pattern, context, inner)
+            node = ActionNode(
+                below.node, RuleGoal(self.rule, core.goal, below.node.vars), core.every, self.keep
+            )
+            built = below._replace(node=self._add(node, None, inner))
+        return self._filtered(built, wrapping, context)
+
+    def _repeated(self, core: Repeated, context: VarSet, limit: Retention) -> Built:
+        """Build a pattern that happens several times; written out where repetitions need nodes of their own."""
+        if core.is_of_single_events():
+            before = len(self.nodes)
+            one = self._build(core.pattern, context | self._bound(core.pattern), limit)
+            if not one.deferred:
+                naming = partial(self._telling.name, pattern=core.pattern)
+                repeating = RepeatNode(self.rule, one.node, core.times, self.keep, naming)
+                node = self._add(repeating, None, limit)
+                return Built(node, [], one.leaves, [])
+            del self.nodes[before:]
+        return self._build(core.written_out(), context, limit)
+
+    def _bound(self, pattern: Pattern) -> VarSet:
+        """Return the variables that a match of a pattern may give values to; of a sequence looked for once."""
+        found = self._bound_by.get(id(pattern))
+        if found is None:
+            if isinstance(pattern, Pair) and id(pattern.left) in self._bound_by:
+                found = self._bound(pattern.left).union(bound_by(pattern.right))
+            else:
+                found = frozenset(bound_by(pattern))
+            self._bound_by[id(pattern)] = found
+        return found
+
+    def _named(self, built: Built, pattern: Pattern) -> Name:
+        return self._telling.name(built.node.vars, pattern)
+
+    def _add(self, node: N, span: Optional[int], limit: Retention) -> N:
+        if isinstance(node, StreamNode):
+            self.ringing.append(node)
+        self.nodes.append((node, span, limit))
+        return node
+
+    def _filtered(self, built: Built, wrapping: Wrapping, context: VarSet) -> Built:
+        """Put the conditions of an event, ``or`` or action after its node."""
+        conditions, put_off = self._split(wrapping.conditions, wrapping.core, context)
+        node = built.node
+        for one in put_off:
+            node = self._captured(node, one)
+        names: List[Var] = node.vars
+        tests: List[Test] = []
+        for condition in conditions:
+            found = self._test(node, condition, names)
+            if found is not None:
+                tests.append(found[0])
+                names = found[1]
+        if tests or wrapping.span is not None:
+            node = self._add(FilterNode(node, names, tests, self.keep), wrapping.span, UNLIMITED)
+        return built._replace(node=node, deferred=[*built.deferred, *put_off])
+
+    def _split(
+        self, conditions: List[Condition], core: Pattern, context: VarSet
+    ) -> Tuple[List[TestedCondition], List[DeferredConditions]]:
+        """Tell which conditions of an operator may have to wait for variables of patterns to its left.
+
+        Returns:
+            All of them in their order, a condition or what is `DeferredConditions`, and the latter alone.
+        """
+        if not conditions:
+            return [], []
+        parted: List[TestedCondition] = []
+        known = surely_bound_by(core, False, True)
+        for condition in conditions:
+            mentioned = set(variables(condition.goal))
+            needs = (mentioned & context) - known
+            if needs:
+                parted.append(self._deferred(condition.goal, condition.timed, None, needs))
+            else:
+                parted.append(condition)
+                known |= mentioned
+        return parted, [one for one in parted if isinstance(one, DeferredConditions)]
+
+    def _test(
+        self, node: Any, condition: TestedCondition, names: List[Var]
+    ) -> Optional[Tuple[Test, List[Var]]]:
+        """Return the test of a condition where it belongs, and the names that it leaves.
+
+        One that waits is tried on what may give it all that it waits for; None where nothing can.
+        """
+        if isinstance(condition, DeferredConditions):
+            return early_test(self.rule, node, condition, names) if condition.may_be_tried(names) else None
+        call = RuleGoal(self.rule, condition.goal, names)
+        return goal_test(call, condition.timed, None), call.result_vars
+
+    def _deferred(
+        self, goal: Optional[Term], timed: bool, absent: Optional[Tuple[Negated, bool]], needs: Set[Var]
+    ) -> DeferredConditions:
+        start, end = Var(), Var()
+        self.keep |= {start, end}
+        if goal is not None:  # where they are found differs from match to match
+            found = variables(goal)
+            self.keep.update(found)
+            self._telling.carried.update(found)
+        return DeferredConditions(needs, goal, timed, absent, start, end)
+
+    def _captured(self, node: NetworkNode, one: DeferredConditions) -> NetworkNode:
+        """Have a node's interval carried on for a condition."""
+        return self._add(BindNode(node, one.start, one.end), None, UNLIMITED)
+
+    def _to_the_right(self, pattern: Pattern, context: VarSet, limit: Retention, begun: int) -> Built:
+        """Build the right side of a pair, whose left one has the operators on streams from ``begun`` on."""
+        left = self.ringing[begun:]
+        del self.ringing[begun:]
+        built = self._build(pattern, context, limit)
+        self.ringing += left
+        return built
+
+    def _joining(
+        self, core: Pair, wrapping: Wrapping, context: VarSet, limit: Retention, left: Built, begun: int
+    ) -> Built:
+        here = context | self._bound(core.left)
+        right = self._to_the_right(core.right, here, limit, begun)
+        below = [*left.deferred, *right.deferred]
+        sure: Set[Var] = set()
+        if below or wrapping.absent is not None:  # it walks all that is on the left
+            sure = surely_bound_by(core, False, True)
+        ready, deferred = ready_where(below, sure, context) if below else ([], [])
+        conditions, put_off = self._split(wrapping.conditions, core, context)
+        negated: Optional[Negated] = None
+        needs: Set[Var] = set()
+        if wrapping.absent is not None:
+            inner = here | frozenset(bound_by(core.right)) | in_goals(wrapping.conditions)
+            negated = self._negated(wrapping.absent, inner, limit.of_negated(wrapping.span))
+            known = set(left.node.vars) | set(right.node.vars)
+            needs = negated.needs(inner, known) | negated.needs(context, sure)
+        gap = (Var(), Var()) if needs else None
+        self.keep |= set(gap or ())
+        node = JoinNode(
+            self.rule,
+            OPERATORS[core.operator],
+            left.node,
+            right.node,
+            self.keep,
+            gap,
+            [(one.start, one.end) for one in put_off],
+            meet(left, right),
+            (self._named(left, core.left), self._named(right, core.right)),
+        )
+        node.revived = (may_be_revived(core.left), may_be_revived(core.right))
+        self._add(node, wrapping.span, limit)
+        if negated is not None and gap is None:
+            built = negated.make()
+            node.absent(absence_of(self.rule, built, node.vars, False), built.node)
+        self._test_joined(node, below, ready, conditions)
+        deferred += put_off
+        if negated is not None and gap is not None:
+            deferred += self._test_gap(
+                node, DeferredConditions(needs, None, False, (negated, False), *gap), conditions
+            )
+        joined = served(OPERATORS[core.operator].either, left, right)
+        if negated is not None:
+            joined += negated.first.leaves
+        return Built(node, deferred, joined, [])
+
+    def _negated(self, absent: Union[Absent, Awaited], context: VarSet, limit: Retention) -> Negated:
+        return Negated(lambda: self._build(absent.negated, context, limit), self.twins, self.nodes)
+
+    def _test_joined(
+        self,
+        node: JoinNode,
+        below: List[DeferredConditions],
+        ready: List[DeferredConditions],
+        conditions: Sequence[TestedCondition],
+    ) -> None:
+        """Have a pair tested by the conditions that its sides have put off, and by its own."""
+        for one in below:
+            if one in ready:
+                node.test(*deferred_test(self.rule, node, one, node.vars))
+            elif one.may_be_tried(node.vars):
+                node.test(*early_test(self.rule, node, one, node.vars))
+        for condition in conditions:
+            found = self._test(node, condition, node.vars)
+            if found is not None:
+                node.test(*found)
+
+    def _test_gap(
+        self, node: JoinNode, one: DeferredConditions, conditions: Sequence[TestedCondition]
+    ) -> List[DeferredConditions]:
+        """Have the gap of a pair tested by an absence that looks at others; return what is left for above."""
+        if not one.needs - in_goals([test for test in conditions if isinstance(test, Condition)]):
+            # it has variables to which the conditions give values
+            node.test(*deferred_test(self.rule, node, one, node.vars))
+            return []
+        if one.may_be_tried(node.vars):
+            node.test(*early_test(self.rule, node, one, node.vars))
+        return [one]
+
+    def _never(self, core: Absent, context: VarSet, limit: Retention) -> Built:
+        below = self._build(core.pattern, context, limit)
+        here = context | frozenset(bound_by(core.pattern))
+        negated = self._negated(core, here, UNLIMITED)
+        sure = surely_bound_by(core.pattern, False, True)
+        needs = negated.needs(here, set(below.node.vars)) | negated.needs(context, sure)
+        if not needs:
+            built = negated.make()
+            absence = absence_of(self.rule, built, below.node.vars, True)
+            node: NetworkNode = self._add(
+                NotNode(self.rule, below.node, built.node, absence), None, UNLIMITED
+            )
+            return below.with_negated(node, below.deferred, negated.first)
+        one = self._deferred(None, False, (negated, True), needs)
+        node = self._captured(below.node, one)
+        if one.may_be_tried(node.vars):
+            node = self._add(EarlyTestNode(self.rule, node), None, UNLIMITED)
+            node.test, _ = early_test(self.rule, node, one, node.vars)
+        return below.with_negated(node, [*below.deferred, one], negated.first)
+
+    def _running(
+        self, core: Union[Star, Aggregate], wrapping: Wrapping, context: VarSet, limit: Retention
+    ) -> Built:
+        here = context | frozenset(bound_by(core.first))
+        pattern = core.repeated if isinstance(core, Star) else core.collected
+        begun = len(self.ringing)
+        first = self._build(core.first, context, limit)
+        repeated = self._to_the_right(pattern, here, limit, begun)
+        naming = self._named(first, core.first), self._named(repeated, pattern)
+        node = KleeneNode(self.rule, first.node, repeated.node, meet(first, repeated), naming, self.keep)
+        node.revived = (may_be_revived(core.first), may_be_revived(pattern))
+        self._add(node, wrapping.span, limit)
+        measured = [core.value] if isinstance(core, Aggregate) and core.value is not None else []
+        outside = self._outside(pattern, measured)
+        for value in measured:
+            node.open([var for var in variables(value) if var in outside])
+        items = Items(outside)
+        sure = surely_bound_by(core.first, False, True) | surely_bound_by(pattern, False, True)
+        ready, further = ready_where(repeated.deferred, sure, context)
+        for one in ready:
+            test, node.step_vars = deferred_test(self.rule, node, one, node.step_vars)
+            node.step_tests.append(test)
+        deferred = [*first.deferred, *(one.of_each(items) for one in further)]
+        carried = items if further else None
+        self.keep.add(items.var)
+        if isinstance(core, Aggregate):
+            node.finish(outside, self._collector(core, node.step_vars), core.result, carried)
+        else:
+            node.finish(outside, None, None, carried)
+        conditions, put_off = self._split(wrapping.conditions, wrapping.core, context)
+        for one in put_off:
+            node.capture(one.start, one.end)
+        for one in first.deferred:
+            if one.may_be_tried(node.vars):
+                node.test(*early_test(self.rule, node, one, node.vars), False)
+        for late, condition in those_about_a_result_last(conditions, node.vars, node.result_new):
+            found = self._test(node, condition, node.vars)
+            if found is not None:
+                node.test(*found, late)
+        return Built(node, [*deferred, *put_off], [*repeated.leaves, *first.joined], first.single)
+
+    def _outside(self, pattern: Pattern, values: Sequence[Term] = ()) -> Set[Var]:
+        """Return the variables that stand in the rule elsewhere than in a pattern (and what an aggregate takes)."""
+        inside = occurrences(list(values), pattern)
+        return {var for var, number in self._counts.items() if number > inside.get(var, 0)}
+
+    def _collector(self, core: Aggregate, names: List[Var]) -> Collector:
+        if core.value is None:
+            return Collector(core.kind, lambda values: NIL, lambda term, values: term)
+        value = compile_builder(core.value, names, "value of an aggregate")
+        return Collector(core.kind, value, Evaluators(self.rule).evaluating(core.kind, core.value, names))

@@ -1,0 +1,414 @@
+"""From the steps of a window as they are read to such as its operator runs.
+
+From the parts of a pattern that look at streams to how their nodes are to make items and matches.
+"""
+
+from fractions import Fraction
+from functools import partial
+from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Set, Tuple, Union
+
+from ...foundation.errors import RuleError
+from ...prolog.terms.list_terms import make_list
+from ...prolog.terms.term_traversal import positions, resolve, variables
+from ...prolog.terms.timestamps import SECOND
+from ...prolog.terms.types import Term, Values, Var
+from ...prolog.terms.unification import undo, unify
+from ..dispatch.matcher_compiler import compile_builder
+from ..fused.fused_window import FusedWindow, has_fused_measures
+from ..language.pattern_tree import (
+    Awaited,
+    Pattern,
+    Shaped,
+    StepForm,
+    Windowed,
+    WindowForm,
+    bound_by,
+    surely_bound_by,
+)
+from ..language.row_pattern_parser import conditions
+from ..matches.match_buffer import key_function
+from ..matches.partial_matches import NetworkOptions, PartialMatch, unify_sides
+from ..streams.absence_timeout import AbsenceTimeout, Correlation
+from ..streams.accumulators import MEASURES
+from ..streams.rate_operators import Debounce, DistinctUntilChanged, Throttle
+from ..streams.row_pattern import (
+    RowPatternNFA,
+    RowPatternVariable,
+    RowPatternWindow,
+    StepNavigation,
+    StepTest,
+)
+from ..streams.stream_elements import StreamElement, StreamOperator
+from ..streams.windows import (
+    AnchoredTumblingWindow,
+    EagerTumblingWindow,
+    HoppingWindow,
+    SlidingCountWindow,
+    SlidingTimeWindow,
+    TumblingCountWindow,
+)
+from .goal_evaluation import Evaluate, Evaluators, Folding, Holding, RuleOwner
+from .pattern_analysis import Built, Negated, VarSet, absence_of
+from .pattern_nodes import MatchKeys
+from .retention import UNLIMITED, Retention
+from .stream_node import Result, StreamNode, StreamNodeSpec
+
+GivenGoal = Callable[[Term, Sequence[Var], str], Holding]
+"""Gives what asks a goal, given the values of some variables and what reports call it."""
+
+
+def planned(form: WindowForm, before: int, holding: GivenGoal) -> RowPatternNFA:
+    """Return the plan of the steps of a window.
+
+    Args:
+        form: the window.
+        before: how many values of an item come before those that conditions look at.
+        holding: gives what asks a goal.
+    """
+    places = {var: at for at, var in enumerate(form.looked_at, before)}
+    names = [one.name for one in form.steps]
+    marks: Dict[StepNavigation, int] = {}
+
+    def test(goal: Term, at: int, called: str) -> Tuple[StepTest, ...]:
+        made = []
+        for one in conditions(goal, names, at, places):
+            own = [var for var in variables(one.goal) if var in places]
+            holds = holding(one.goal, [*own, *(back.stands for back in one.back)], called)
+            back = [
+                marks.setdefault(
+                    StepNavigation(back.kind, -1 if back.kind == "prev" else back.step), len(marks)
+                )
+                for back in one.back
+            ]
+            values = [places[var] for var in own], [places[back.var] for back in one.back]
+            made.append(StepTest(tuple(back), partial(_holds, holds, *values)))
+        return tuple(made)
+
+    def step(at: int, one: StepForm) -> RowPatternVariable:
+        tests, until = [
+            () if goal is None else test(goal, at, f"{called} of the step {one.name}")
+            for goal, called in ((one.goal, "the condition"), (one.until, "until"))
+        ]
+        return RowPatternVariable(one.least, one.most, one.reluctant, one.later, tests, until)
+
+    steps = [step(at, one) for at, one in enumerate(form.steps)]
+    return RowPatternNFA(steps, list(marks))
+
+
+def _holds(
+    holds: Holding,
+    own: Sequence[int],
+    backs: Sequence[int],
+    item: StreamElement,
+    asked: Sequence[StreamElement],
+) -> bool:
+    """Tell whether a goal holds for values of an item and of those that it looks back at."""
+    values = [item.values[at] for at in own]
+    if backs:
+        values += [one.values[at] for one, at in zip(asked, backs)]
+    return holds(tuple(values))
+
+
+_WINDOWS: Dict[str, Callable[[Any, Any], StreamOperator]] = {
+    "last": lambda make, form: SlidingTimeWindow(make, form.span),
+    "newest": lambda make, form: SlidingCountWindow(make, form.most),
+    "batch": lambda make, form: TumblingCountWindow(make, form.most, form.running),
+    "first": lambda make, form: AnchoredTumblingWindow(make, form.span, form.running),
+    "every": lambda make, form: (
+        EagerTumblingWindow(make, form.span) if form.running else HoppingWindow(make, form.span, form.step)
+    ),
+}
+_SHAPES: Dict[str, Callable[[int], StreamOperator]] = {
+    "throttle": lambda span: Throttle(span, False),
+    "burst": lambda span: Throttle(span, True),
+    "debounce": lambda span: Debounce(span),
+    "change": lambda span: DistinctUntilChanged(),
+}
+_LATE = "an event came when the window that it belongs to was over, and is not measured"
+_LATE_DEBOUNCED = "an event came when the time was over in which a newer one could have come"
+_LATE_AWAITED = "an event came when the time was over in which something was not to happen after it"
+
+
+def stream_of_shape(part: Shaped) -> StreamOperator:
+    """Return the operator that ``P with S`` is."""
+    return _SHAPES[part.shape](part.span)
+
+
+def shaping(part: Shaped, names: Sequence[Var]) -> StreamNodeSpec:
+    """Return how a node of ``P with S`` makes items, from the variables of P's matches."""
+    by = _builder(part.by, names)
+    value = _builder(() if part.value is None else (part.value,), names)
+
+    def item(values: Values) -> Tuple[Values, Values]:
+        return by(values), value(values)
+
+    return StreamNodeSpec(
+        lambda mode: stream_of_shape(part), item, None, part.shape == "debounce", _LATE_DEBOUNCED
+    )
+
+
+def measuring(
+    part: Windowed,
+    names: Sequence[Var],
+    groups: Sequence[Var],
+    result: Result,
+    asking: Evaluators,
+) -> StreamNodeSpec:
+    """Return how a node of ``aggregate(K, Q, R, W)`` makes items, from the variables of Q's matches.
+
+    Args:
+        part: the pattern.
+        names: the variables of Q's matches.
+        groups: those that stand elsewhere in the rule.
+        result: gives the values of its matches.
+        asking: makes the goals that are asked of items.
+    """
+    places = positions(names)
+    at = [places[var] for var in groups]
+    only = at[0] if len(at) == 1 else None
+    taken = [value for value in part.values if value is not None]
+    looked_at = part.window.looked_at
+    build, seen = _builder(taken, names), [places[var] for var in looked_at]
+    numeric = [
+        _evaluating(asking.evaluating(kind, value, names), scope) if MEASURES[kind].numeric else None
+        for kind, value, scope in zip(part.kinds, part.values, part.scopes)
+        if value is not None
+    ]
+    numbers = any(numeric)
+
+    def item(values: Values) -> Tuple[Values, Values]:
+        found = build(values)
+        if numbers:
+            for value in found:
+                if value.__class__ not in (int, float):
+                    found = tuple([_number(one, evaluate, values) for one, evaluate in zip(found, numeric)])
+                    break
+        if seen:
+            found = (*found, *(values[place] for place in seen))
+        return ((values[only],) if only is not None else tuple([values[place] for place in at])), found
+
+    measures = _measures(part, asking.folded)
+    form = part.window
+    if form.kind == "steps":
+        plan = planned(form, len(taken), asking.holding)
+        return StreamNodeSpec(
+            lambda mode: RowPatternWindow(measures, part.scopes, plan),
+            item,
+            result,
+            False,
+            _LATE,
+            any(one.tests or one.until for one in plan.steps),
+        )
+    make = partial(_WINDOWS[form.kind], measures, form)
+    clocked = form.kind == "first" or (form.kind == "every" and not form.running)
+    calls, fused = "fold" in part.kinds, _fused_form(part, places, groups)
+    return StreamNodeSpec(lambda mode: make(), item, result, clocked, _LATE, calls, fused)
+
+
+def _fused_form(part: Windowed, places: Dict[Var, int], groups: Sequence[Var]) -> Optional[FusedWindow]:
+    """Return the form of a window that `fused_window` takes, for measures of variables; None for others."""
+    if (
+        part.window.kind != "last"
+        or part.listed
+        or not has_fused_measures(part.kinds)
+        or _fresh(part, groups) is None
+    ):
+        return None
+    values: List[Optional[int]] = []
+    for value in part.values:
+        if value is not None and (value.__class__ is not Var or value not in places):
+            return None
+        values.append(None if value is None else places[value])
+    return FusedWindow(part.window.span, [places[var] for var in groups], part.kinds, values)
+
+
+def _fresh(part: Windowed, groups: Sequence[Var]) -> Optional[List[Var]]:
+    """Return what is written for the results where that is a new variable for each; else None."""
+    fresh = [term for term in part.results if term.__class__ is Var and term not in groups]
+    return fresh if len(set(fresh)) == len(part.results) else None
+
+
+def _evaluating(evaluate: Evaluate, scope: Optional[int]) -> Evaluate:
+    """Return what gives the number of an expression; where it has none, a step's own measure gets it as it is."""
+    if scope is None:
+        return evaluate
+
+    def evaluated(term: Term, values: Values) -> Term:
+        try:
+            return evaluate(term, values)
+        except RuleError:
+            return term  # only that step may not take it, and refuses it then
+
+    return evaluated
+
+
+def _number(value: Term, evaluate: Optional[Evaluate], values: Values) -> Term:
+    return value if evaluate is None or value.__class__ in (int, float) else evaluate(value, values)
+
+
+def _measures(part: Windowed, folded: Callable[[Any], Folding]) -> Callable[[], List[Any]]:
+    """Return what makes the measures of one group."""
+    made = []
+    place = 0
+    for kind, setting, value in zip(part.kinds, part.settings, part.values):
+        if kind == "rate":
+            setting = Fraction(part.window.span, SECOND) if part.window.span else None
+        elif kind == "fold":
+            setting = folded(setting)
+        made.append(partial(MEASURES[kind].make, place, kind, setting))
+        place += value is not None
+    return lambda: [one() for one in made]
+
+
+def awaiting(
+    span: int,
+    names: Sequence[Var],
+    absent: Sequence[Var],
+    condition: Optional[Callable[[Values, PartialMatch], bool]],
+    name: Callable[[PartialMatch], Hashable],
+) -> StreamNodeSpec:
+    """Return how a node of ``P seq absent(Q, N)`` makes items.
+
+    Args:
+        span: the time that has to pass, in ns.
+        names: the variables of P's matches.
+        absent: the variables of Q's matches.
+        condition: tests the values of P and a match of Q, where Q has conditions about P; else None.
+        name: names the matches of P.
+    """
+    places = positions(names)
+    shared = [(at, places[var]) for at, var in enumerate(absent) if var in places]
+    keys = [key_function(tuple(two for _, two in shared)), key_function(tuple(one for one, _ in shared))]
+
+    def key(match: PartialMatch, channel: int) -> Hashable:
+        try:
+            return keys[channel](match.values)
+        except ValueError:
+            return None
+
+    def rules_out(match: PartialMatch, other: PartialMatch) -> bool:
+        sides = unify_sides(other, match, tuple(shared))
+        if sides is None:
+            return False
+        return condition is None or condition(sides[1].values, sides[0])
+
+    def stream(mode: NetworkOptions) -> StreamOperator:
+        agreement = Correlation(key, rules_out, condition is None, name if mode.policy.replacing else None)
+        return AbsenceTimeout(span, agreement)
+
+    return StreamNodeSpec(stream, lambda values: ((), ()), None, True, _LATE_AWAITED, condition is not None)
+
+
+def _builder(terms: Sequence[Term], names: Sequence[Var]) -> Callable[[Values], Values]:
+    """Return what gives the values of terms, from those of variables."""
+    built = [compile_builder(term, list(names), "operator on a stream") for term in terms]
+    if not built:
+        return lambda values: ()
+    if len(built) == 1:
+        only = built[0]
+        return lambda values: (only(values),)
+    return lambda values: tuple([one(values) for one in built])
+
+
+def resulting(part: Windowed, groups: Sequence[Var]) -> Tuple[List[Var], Result]:
+    """Return the variables of a window's matches, and what gives their values.
+
+    That takes the values of the groups and the results, and gives None where a term that is written for a result
+    does not fit it.
+    """
+    listed, terms, known = part.listed, part.results, set(groups)
+    fresh = _fresh(part, groups)
+    if fresh is not None:
+        if listed:
+            return [*groups, *fresh], lambda by, found: (*by, make_list(list(found)))
+        return [*groups, *fresh], lambda by, found: (*by, *found)
+    new = [var for var in dict.fromkeys(one for term in terms for one in variables(term)) if var not in known]
+    names = [*groups, *new]
+    builders = [compile_builder(term, names, "result of an aggregate") for term in terms]
+
+    def fitted(by: Values, found: Values) -> Optional[Values]:
+        own = (*by, *(Var() for _ in new))
+        results = (make_list(list(found)),) if listed else found
+        trail: List[Any] = []
+        made = None
+        if all(unify(build(own), value, trail) for build, value in zip(builders, results)):
+            made = tuple([resolve(one) for one in own])
+        undo(trail, 0)
+        return made
+
+    return names, fitted
+
+
+class StreamCompiler:
+    """The part of what builds the nodes of a rule that builds those of operators on streams.
+
+    Args:
+        rule: the rule.
+    """
+
+    _telling: MatchKeys
+
+    def __init__(self, rule: RuleOwner):
+        self.rule = rule
+
+    def _build(self, pattern: Pattern, context: VarSet, limit: Retention) -> Built:
+        raise NotImplementedError
+
+    def _add(self, node: StreamNode, span: Optional[int], limit: Retention) -> StreamNode:
+        raise NotImplementedError
+
+    def _outside(self, pattern: Pattern, values: Sequence[Term]) -> Set[Var]:
+        raise NotImplementedError
+
+    def _negated(self, absent: Awaited, context: VarSet, limit: Retention) -> Negated:
+        raise NotImplementedError
+
+    def _streamed(
+        self, core: Union[Windowed, Shaped, Awaited], context: VarSet, part: Optional[int]
+    ) -> Built:
+        """Build an operator on streams; ``part`` is the longest interval of its matches that is of use, in ns."""
+        if isinstance(core, Awaited):
+            return self._awaited(core, context)
+        pattern = core.collected if isinstance(core, Windowed) else core.pattern
+        below = self._build(pattern, context, UNLIMITED)
+        if below.deferred:
+            what = "what is measured" if isinstance(core, Windowed) else f"the pattern of {core.shape}"
+            raise RuleError(f"a condition in {what} looks at a pattern to the left of it", self.rule.place)
+        names = below.node.vars
+        if isinstance(core, Shaped):
+            node = StreamNode(self.rule, [below.node], names, shaping(core, names), core)
+            built = below if core.shape != "debounce" else Built(node, [], below.leaves, [])
+            return built._replace(node=self._add(node, None, Retention(part, part)))
+        if any(var in context and var not in names for goal in core.window.goals for var in variables(goal)):
+            raise RuleError(
+                "a condition of a step looks at a pattern to the left of what is measured", self.rule.place
+            )
+        values = [value for value in core.values if value is not None]
+        outside = self._outside(pattern, [*values, *core.window.looked_at])
+        groups = [var for var in names if var in outside]
+        own, result = resulting(core, groups)
+        asking = Evaluators(self.rule)
+        making = measuring(core, names, groups, result, asking)
+        node = self._add(StreamNode(self.rule, [below.node], own, making, core), None, Retention(part, part))
+        return Built(node, [], below.leaves, [])
+
+    def _awaited(self, core: Awaited, context: VarSet) -> Built:
+        """Build a pattern after which another does not happen for some time."""
+        below = self._build(core.pattern, context, UNLIMITED)
+        here = context | frozenset(bound_by(core.pattern))
+        negated = self._negated(core, here, UNLIMITED)
+        sure = surely_bound_by(core.pattern, False, True)
+        names = below.node.vars
+        if negated.needs(here, set(names)) | negated.needs(context, sure):
+            message = (
+                "what must be absent looks at a variable that the pattern before it does not give a value"
+            )
+            raise RuleError(message, self.rule.place)
+        built = negated.make()
+        absence = absence_of(self.rule, built, names, False)
+        name = self._telling.name(names, core.pattern)
+        making = awaiting(core.span, names, built.node.vars, absence.condition, name)
+        node = StreamNode(self.rule, [below.node, built.node], names, making, core)
+        node.carried = absence.carried
+        self._add(node, None, UNLIMITED)
+        return Built(node, below.deferred, [*negated.first.leaves, *below.leaves], [])

@@ -1,0 +1,548 @@
+"""The forms of an event file: what each of its terms is, checked before anything of the file is active.
+
+``:- include(File)``: the terms of another file, as if they stood in its place.
+
+Facts that were meant as goals: without their ``:-`` they would take the place of a predicate of the system.
+"""
+
+from itertools import chain
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Set
+
+from ...foundation.errors import Errors, Place, RetalisError, RuleError
+from ...prolog.builtins.clause_translation import SINGLE_SIDED, translate_single_sided
+from ...prolog.database.control_constructs import split_clause
+from ...prolog.machine.errors import PrologError
+from ...prolog.syntax.term_reader import ReadTerm
+from ...prolog.system.predicate_resolution import is_replaceable
+from ...prolog.system.prolog_system import PrologSystem
+from ...prolog.terms.list_terms import list_items
+from ...prolog.terms.term_traversal import copy, variables
+from ...prolog.terms.types import (
+    COLON,
+    COMMA,
+    CONS,
+    SLASH,
+    TRUE,
+    Atom,
+    CompoundTerm,
+    Functor,
+    Term,
+    Var,
+    atom,
+    deref,
+    functor,
+)
+from ..language.event_declarations import Declarations, head_event, made_by_goals, query_goals
+from ..language.goal_analysis import Subgoal, Unknown, calls
+from ..language.likely_mistakes import gap_doubt
+from ..language.pattern_operators import ARROWS, NO_FACTS, SPELLINGS
+from ..language.pattern_parser import PatternReader, Spot, check_aggregate, check_window
+from ..language.pattern_tree import Action, Pattern, RuleDefinition, bound_by, occurrences
+from ..language.rule_parser import (
+    ALARMS,
+    RULE,
+    SYNCHRONIZED,
+    TIMER,
+    Property,
+    check_head,
+    is_plain_rule,
+    is_rule,
+    label_error,
+    labelled,
+    sets_timer,
+)
+from ..language.state_parser import HOLDS, STATE, declares_state
+from .file_directives import FileDeclarations, Goals, goals_of
+from .source_files import renaming
+
+_CLAUSE = functor(":-", 2)
+_GRAMMAR = functor("-->", 2)
+DIRECTIVES = frozenset((functor(":-", 1), functor("?-", 1)))
+PROPERTY_FACT = functor("event_rule_property", 3)
+_LESS = functor("<", 2)
+_MINUS = functor("-", 1)
+_RENAMED = {
+    functor("print_trigger", 1): functor("external_trigger", 1),
+    functor("persistent_rule", 1): functor("persistent_event", 1),
+    functor("module", 2): functor("etalis_module", 2),
+}
+_UNWRAPPED = frozenset(functor(name, 1) for name in ("db", "prolog", "static"))
+_USING = {
+    functor("use_module", 1): "use",
+    functor("use_module", 2): "use",
+    functor("ensure_loaded", 1): "ensure",
+    **{functor(name, arity): "use" for name in ("autoload", "reexport") for arity in (1, 2)},
+}
+_INITIALIZATION_AT = functor("initialization", 2)
+_INITIALIZATION = frozenset((functor("initialization", 1), _INITIALIZATION_AT))
+_NOW, _AFTER, _MAIN = atom("now"), atom("after_load"), atom("main")
+_LATER = (_AFTER, atom("restore"), atom("restore_state"), atom("program"))
+_REV = functor("rev", 1)
+_INSERT = functor("ins_event_rule", 2)
+_DASH = functor("-", 2)
+TOO_DEEP = "the pattern is nested too deeply"
+
+
+class FileEntry(NamedTuple):
+    """An entry of a file, done when the file is accepted: ``kind`` is clause, directive, property, use or ensure.
+
+    ``goals`` are those of a directive.
+    """
+
+    kind: str
+    term: Term
+    place: Optional[Place]
+    goals: Goals = []
+
+
+class CheckedFile(NamedTuple):
+    """What a file has in it."""
+
+    steps: List[FileEntry]
+    rules: List[RuleDefinition]
+    inner: List[RuleDefinition]
+
+
+class FileChecker:
+    """Sorts the terms of a file and collects all of their errors and warnings.
+
+    Args:
+        show: gives the text of a term, for what is wrong with one that has no place.
+        declared: the declarations that hold; those of the file are added.
+    """
+
+    def __init__(
+        self, show: Optional[Callable[[Term], str]] = None, declared: Optional[Declarations] = None
+    ) -> None:
+        self._show = show
+        self.errors = Errors()
+        self._declared = FileDeclarations(declared, self.errors)
+        self.warnings = Errors()
+        self.steps: List[FileEntry] = []
+        self.rules: List[RuleDefinition] = []
+        self.inner: List[RuleDefinition] = []
+        self.calls: List[Unknown] = []
+        self.untimed: List[Unknown] = []
+        self._names: Dict[Var, str] = {}
+
+    def read(self, read: ReadTerm, place: Optional[Place] = None) -> None:
+        """Check a term that was read from a text; ``place`` is where it begins, if that is known."""
+        self._names = {var: name for name, var in read.names.items()}
+        self.term(read.term, read.place_of, place or read.place)
+        self._names = {}
+
+    def term(self, term: Term, spot: Spot, place: Optional[Place]) -> None:
+        """Check a term; ``spot`` gives the place of a part of it, ``place`` is where it begins."""
+        term = deref(term)
+        found = [(problems, len(problems)) for problems in (self.errors, self.warnings)]
+        try:
+            self._sort(term, spot, place)
+        except RetalisError as error:
+            self.errors.append(error if error.place else RuleError(error.message, place))
+        except RecursionError:
+            self.errors.append(RuleError(TOO_DEEP, place))
+        if place is None and self._show is not None:
+            for problems, before in found:
+                for at in range(before, len(problems)):
+                    problems[at] = RuleError(f"{self._show(term)}: {problems[at].message}")
+
+    def _sort(self, term: Any, spot: Spot, place: Optional[Place]) -> None:
+        head = term[0] if term.__class__ is tuple else None
+        if is_rule(term):
+            self._rule(term, spot, place)
+        elif head in DIRECTIVES:
+            self._directive(term, spot, place)
+        elif head in _USING:
+            self._use(term, place)
+        elif head is PROPERTY_FACT:
+            self._property(Property(deref(term[1]), _name(term[2]), deref(term[3])), term, spot, place)
+            self.steps.append(FileEntry("clause", term, place))
+        else:
+            if head in _RENAMED:
+                self.steps.append(FileEntry("clause", (_RENAMED[head], *term[1:]), place))
+            elif head in _UNWRAPPED:
+                self.steps.append(FileEntry("clause", deref(term[1]), place))
+            self._no_rule(term, spot, place)
+            if head is _CLAUSE:
+                self._declared.fit(made_by_goals(calls(term, 2)), term, self._names, spot, place)
+            self.steps.append(FileEntry("clause", term, place))
+
+    def _directive(self, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
+        goal, at = deref(term[1]), spot(term, 1) or place
+        if is_rule(goal):
+            raise RuleError("an event rule is written without :- before it", at)
+        if goal.__class__ is tuple and goal[0] in _INITIALIZATION:
+            self._later(goal, spot, at)
+            return
+        if goal.__class__ is tuple and goal[0] in _USING:
+            self._use(goal, at)
+            return
+        goals = goals_of(term, spot)
+        self._declared.fit(made_by_goals(calls(term, 1)), term, self._names, spot, place)
+        self.steps.append(FileEntry("directive", goal, at, goals))
+        self._declared.take(goals, spot)
+
+    def _use(self, goal: CompoundTerm, place: Optional[Place]) -> None:
+        """Take a file that is used, and the names that its predicates get."""
+        self.steps.append(FileEntry(_USING[goal[0]], deref(goal[1]), place))
+        self.steps += [FileEntry("clause", clause, place) for clause in renaming(*goal[1:])]
+
+    def _later(self, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
+        """Take a goal that is called when the file has been loaded, or at another time that the term says."""
+        when = deref(term[2]) if term[0] is _INITIALIZATION_AT else _AFTER
+        goals = goals_of(term, spot)
+        if when is _MAIN:
+            self._warn(
+                "initialization(Goal, main) is not called: nothing here is started as a program of its own",
+                place,
+            )
+        elif when is _NOW:
+            self.steps.append(FileEntry("directive", deref(term[1]), place, goals))
+        elif when in _LATER:
+            self.steps.append(FileEntry("later", deref(term[1]), place, goals))
+        else:
+            raise RuleError(
+                "initialization/2 takes now, after_load, restore, restore_state, program or main", place
+            )
+
+    def _no_rule(self, term: Term, spot: Spot, place: Optional[Place]) -> None:
+        """Look whether a clause was meant as an event rule."""
+        if term.__class__ is not tuple:
+            return
+        head = term[0]
+        if head is RULE or head is COLON:
+            wrong = label_error(term, lambda part, number=0: spot(part, number) or place)
+            if wrong is not None:
+                raise wrong
+            if head is RULE or _holds_label(deref(term[2])):
+                self._warn(
+                    "this is not a labelled rule (a rule has one label), so it is kept as a fact", place
+                )
+        elif head in NO_FACTS:
+            self._warn("this is a fact; an event rule has <- between head and pattern", spot(term) or place)
+        elif head is _DASH and all(deref(side).__class__ in (Atom, tuple) for side in term[1:]):
+            self._warn(
+                "this is a fact of -/2; an event rule has <- between head and pattern, a clause :- before its body",
+                spot(term) or place,
+            )
+        elif head is _CLAUSE:
+            body = deref(term[2])
+            if body.__class__ is tuple and SPELLINGS.get(body[0]) is not None and body[0].name.isidentifier():
+                advice = "the arrow of an event rule is <-"
+                self.calls.append(Unknown(body[0], spot(body) or place, "", advice))
+
+    def _warn(self, message: str, place: Optional[Place]) -> None:
+        self.warnings.append(RuleError(message, place))
+
+    def _property(self, one: Property, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
+        """Take a property from the term that has its name and value as the last arguments."""
+        problem, last = one.problem, len(term) - 1
+        if problem is None:
+            self.steps.append(FileEntry("property", one, place))
+        elif one.known:
+            raise RuleError(problem, spot(term, last) or place)
+        else:
+            self._warn(problem, spot(term, last - 1) or place)
+
+    def _rule(self, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
+        label, rule = labelled(term)
+        if label is not None and label.__class__ is tuple:
+            name = label[0].name
+            for item in list_items(label[1]) or ():
+                part: Any = deref(item)  # the label was looked at by `labelled`
+                self._property(Property(atom(name), _name(part[1]), deref(part[2])), part, spot, place)
+            label = atom(name)
+        self.rules.append(self.definition(rule, label, spot, place))
+
+    def definition(
+        self,
+        rule: Any,
+        label: Optional[Term],
+        spot: Spot,
+        place: Optional[Place],
+        names: Optional[Dict[Var, str]] = None,
+    ) -> RuleDefinition:
+        """Return what a rule says; rules inside its pattern go to `inner`.
+
+        Raises:
+            RuleError: where it cannot fire.
+        """
+        if names is not None:
+            self._names = names
+        once = (var for var, number in occurrences([rule], None).items() if number == 1)
+        anonymous = frozenset(var for var in once if var not in self._names)
+        reader = PatternReader(
+            lambda part, number=0: spot(part, number) or place, self.warnings.append, anonymous
+        )
+        if rule[0] not in ARROWS:  # P do G
+            pattern = reader.read((RULE, rule), 1)
+            definition = RuleDefinition(rule, None, pattern, label, place, self._names)
+        else:
+            head, goal = deref(rule[1]), None
+            if head.__class__ is tuple and SPELLINGS.get(head[0]) == "do":
+                goal = reader.goal(head, 2, "do")
+                head = deref(head[1])
+            at = spot(head) if head.__class__ is tuple else spot(rule, 1)
+            check_head(
+                head, lambda part, number=0: spot(part, number) or place, at or place, self.warnings.append
+            )
+            for call in query_goals(head):
+                self._called(call, spot, place)
+            self._doubt(rule, spot)
+            pattern = reader.read(rule, 2)
+            if goal is not None:
+                pattern = Action(pattern, goal, False)
+            definition = RuleDefinition(rule, head, pattern, label, place, self._names)
+            self._unbound(head, pattern, at or place)
+        self._goals(reader.goals, pattern, spot, place)
+        for call in reader.untimed:
+            assert call.term.__class__ is tuple
+            self.untimed.append(Unknown(call.term[0], spot(call.term) or place))
+        self._doubt_parts(reader, pattern, spot, place)
+        heads = [] if definition.head is None else [head_event(rule, 1)]
+        made = made_by_goals((*reader.goals, *query_goals(definition.head or TRUE)))
+        self._declared.fit(chain(heads, reader.events, made), rule, self._names, spot, place)
+        for window, part in reader.windows:
+            check_window(window, part, rule, self._names, reader.place, self.warnings.append)
+        for one in reader.inner:
+            self.inner.append(self.definition(one, None, spot, spot(one) or place))
+        return definition
+
+    def _doubt_parts(
+        self, reader: PatternReader, pattern: Pattern, spot: Spot, place: Optional[Place]
+    ) -> None:
+        """Warn about aggregates and absences of a pattern that are probably mistakes."""
+        for aggregate, part in reader.aggregates:
+            check_aggregate(aggregate, part, pattern, self._names, reader.place, self.warnings.append)
+        for absence in reader.absences:
+            doubted = gap_doubt(absence, spot, self._names)
+            if doubted is not None:
+                self._warn(doubted, spot(absence) or place)
+
+    def _doubt(self, rule: CompoundTerm, spot: Spot) -> None:
+        """Warn of a rule in the place of a pattern that has no brackets: two arrows in a row; and of a variable."""
+        inner, begin = deref(rule[2]), spot(rule, 2)
+        if inner.__class__ is Var:
+            name = self._names.get(inner, "_")
+            self._warn(f"{name} is any event, those of this rule included: it fires for itself", begin)
+        if inner.__class__ is tuple and inner[0] in ARROWS and begin is not None and begin.character != "(":
+            self._warn("this rule is inside the pattern of another; put it in brackets", spot(inner))
+
+    def _goals(self, goals: List[Subgoal], pattern: Pattern, spot: Spot, place: Optional[Place]) -> None:
+        """Check what the goals of a rule call, and note it: what is not there may come with the rest of the file."""
+        counts = occurrences([], pattern)
+        for call in goals:
+            term = call.term
+            if term.__class__ is Var and counts[term] == sum(one.term is term for one in goals):
+                name = self._names.get(term, "this variable")
+                raise RuleError(f"{name} never gets a goal to call", spot(call.parent, call.number) or place)
+            self._called(call, spot, place)
+
+    def _called(self, call: Subgoal, spot: Spot, place: Optional[Place]) -> None:
+        """Note what a goal of a rule calls."""
+        term = call.term
+        module = call.parent[1] if call.parent[0] is COLON else None
+        if term.__class__ is tuple:
+            self.calls.append(Unknown(term[0], spot(term) or place, "", _advice(term), module))
+        elif term.__class__ is Atom:
+            where = spot(call.parent, call.number) or place
+            self.calls.append(Unknown(term.functor, where, module=module))
+
+    def _unbound(self, head: Term, pattern: Pattern, place: Optional[Place]) -> None:
+        bound = {*bound_by(pattern), *_bound_later(head)}
+        free = [var for var in variables(head) if var not in bound]
+        event = deref(head[1]) if head.__class__ is tuple and head[0] in ALARMS else head
+        if event.__class__ is Var and event in free:
+            which = "the head" if event is head else "the event of this alarm"
+            raise RuleError(f"nothing in the pattern gives {which} a value", place)
+        if free:
+            names = [self._names[var] for var in free if var in self._names]
+            which = f"{' and '.join(names)} in the head" if names else f"{len(free)} variable(s) in the head"
+            exactly = (
+                " (rev retracts exactly the event that it names)"
+                if head.__class__ is tuple and head[0] is _REV
+                else ""
+            )
+            self._warn(f"nothing in the pattern can bind {which}{exactly}", place)
+
+
+def _bound_later(head: Term) -> List[Var]:
+    """Return the variables of a synchronized event that its query will bind."""
+    if head.__class__ is tuple and head[0] in SYNCHRONIZED:
+        return variables(head[2])
+    return []
+
+
+def reread_rule(
+    term: Term, label: Optional[Term], place: Optional[Place], names: Dict[Var, str]
+) -> RuleDefinition:
+    """Return the definition of a rule from its term, for a program that was accepted before.
+
+    Raises:
+        RuleError: if the term is not a rule, or the rule cannot fire.
+    """
+    if not is_plain_rule(term):
+        raise RuleError("expected an event rule", place)
+    return FileChecker().definition(term, label, nowhere, place, names)
+
+
+def nowhere(part: Term, number: int = 0) -> Optional[Place]:
+    """Give no place: that of a term which was not read from a text."""
+    return None
+
+
+def _holds_label(term: Term) -> bool:
+    """Tell whether a term has the form of a label and something after it."""
+    return term.__class__ is tuple and (term[0] is RULE or term[0] is COLON)
+
+
+def _advice(goal: CompoundTerm) -> str:
+    """Return what was probably meant by a goal, where there is no such predicate."""
+    name = SPELLINGS.get(goal[0])
+    if name is not None:
+        return f"{name} is part of the goal here; to apply it to the pattern, write (Pattern where Goal) {name} ..."
+    return "a rule that contains a comma needs brackets of its own" if goal[0] is _INSERT else ""
+
+
+def _name(term: Term) -> str:
+    term = deref(term)
+    return term.name if term.__class__ is Atom else "(not an atom)"
+
+
+def _is_negative(term: Term) -> bool:
+    return term.__class__ is tuple and term[0] is _MINUS
+
+
+_NEARLY_ARROWS = frozenset((functor("->", 2), functor("=", 2)))
+
+
+def clause_error(logic: PrologSystem, term: Term) -> Optional[str]:
+    """Return why a term cannot be added as a clause, or None."""
+    try:
+        if term.__class__ is tuple and term[0] is _GRAMMAR:
+            return None
+        if term.__class__ is tuple and term[0] is SINGLE_SIDED:
+            term, _ = translate_single_sided(term)
+        head, _ = split_clause(copy(term))
+        if head.__class__ is tuple and head[0] is _LESS and _is_negative(deref(head[2])):
+            return "this compares two terms; the arrow of an event rule is <-, without a space"
+        key = head[0] if head.__class__ is tuple else head.functor if head.__class__ is Atom else None
+        assert key is not None  # or `split_clause` has raised an error
+        logic.database.require_writable(key, "modify")
+    except PrologError as error:
+        is_near = term.__class__ is tuple and term[0] in _NEARLY_ARROWS
+        return error.message + (
+            "; the arrow of an event rule is <-, that of a clause is :-" if is_near else ""
+        )
+    return None
+
+
+_INCLUDE = functor("include", 1)
+
+
+def included(term: Term) -> Optional[Term]:
+    """Return the name of the file in ``:- include(File)``, None for another term."""
+    term = deref(term)
+    if term.__class__ is not tuple or term[0] not in DIRECTIVES:
+        return None
+    goal = deref(term[1])
+    return deref(goal[1]) if goal.__class__ is tuple and goal[0] is _INCLUDE else None
+
+
+_SINGLE_SIDED = functor("=>", 2)
+_GIVING_WAY: Dict[Functor, Callable[[Term], bool]] = {
+    TIMER: sets_timer,
+    functor("timers", 1): lambda term: False,
+    functor("module", 2): lambda term: False,
+    **dict.fromkeys(STATE, declares_state),
+    **dict.fromkeys(HOLDS, lambda term: False),
+}
+"""Predicates with names that programs give to facts of their own, and whether a fact of them was meant as a goal."""
+
+_DECLARES = frozenset(
+    (
+        *[functor(name, 1) for name in ("dynamic", "discontiguous", "multifile", "table")],
+        functor("dynamic", 2),
+    )
+)
+_AS = functor("as", 2)
+
+
+def defined_in(steps: Sequence[FileEntry]) -> Set[Functor]:
+    """Return the predicates that a file defines in earnest: by clauses with a body, several facts, or declaring them.
+
+    Several facts count where nobody would write a goal so: not for what the standard has, nor for goals about events.
+    """
+    found: Set[Functor] = set()
+    facts: Set[Optional[Functor]] = set()
+    for step in steps:
+        if step.kind == "clause" and step.term.__class__ is tuple and _has_body(step.term):
+            key = _key(step.term[1])
+            if key is not None:
+                found.add(key)
+        elif step.kind == "clause":
+            key = _key(step.term)
+            if key is not None and key in facts and is_replaceable(key):
+                found.add(key)
+            facts.add(key)
+        elif step.kind == "directive":
+            found |= _declared(step.term)
+    return found
+
+
+def fact_error(
+    logic: PrologSystem,
+    term: Term,
+    defined: Set[Functor],
+    is_guarded: Optional[Callable[[Functor], bool]] = None,
+) -> Optional[str]:
+    """Return why a fact of a file that defines these predicates is refused, or None.
+
+    Args:
+        logic: knows the predicates.
+        term: the fact.
+        defined: what the file defines in earnest.
+        is_guarded: which predicates of the system such a fact may not replace; by default all.
+    """
+    key = None if _has_body(term) else _key(term)
+    if key is None or key in defined or not (is_guarded or logic.is_of_system)(key):
+        return None
+    if key in _GIVING_WAY and not _GIVING_WAY[key](term):
+        return None
+    return (
+        f"a fact of {key} would replace the built-in predicate: write :- before a goal; "
+        f"to define a predicate of that name, declare it (:- dynamic {key}.)"
+    )
+
+
+def _has_body(term: Term) -> bool:
+    return term.__class__ is tuple and term[0] in (_CLAUSE, _GRAMMAR, _SINGLE_SIDED)
+
+
+def _key(term: Term) -> Optional[Functor]:
+    term = deref(term)
+    if isinstance(term, Atom):
+        return term.functor
+    return term[0] if term.__class__ is tuple else None
+
+
+def _declared(goal: Term) -> Set[Functor]:
+    """Return the predicates that a directive declares."""
+    goal = deref(goal)
+    if goal.__class__ is not tuple or goal[0] not in _DECLARES:
+        return set()
+    found: Set[Functor] = set()
+    stack = [deref(goal[1])]
+    while stack:
+        term = stack.pop()
+        if term.__class__ is not tuple:
+            continue
+        if term[0] is COMMA or term[0] is CONS:
+            stack += [deref(term[2]), deref(term[1])]
+        elif term[0] is _AS:  # with options
+            stack.append(deref(term[1]))
+        elif term[0] is SLASH:
+            name, arity = deref(term[1]), deref(term[2])
+            if isinstance(name, Atom) and isinstance(arity, int):
+                found.add(functor(name.name, arity))
+    return found

@@ -1,0 +1,471 @@
+"""What a load that fails or is interrupted has done so far is taken back.
+
+Loading event files: read, check all of it, then act; what is refused leaves nothing behind.
+"""
+
+from os import PathLike
+from pathlib import Path
+from typing import Callable, Dict, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
+
+from ...foundation.errors import (
+    Errors,
+    Place,
+    ProgramErrors,
+    RetalisError,
+    RuleError,
+    SyntaxFault,
+    UsageError,
+)
+from ...prolog.machine.errors import PrologError
+from ...prolog.syntax.operators import Operators
+from ...prolog.syntax.term_reader import OF_FILES, Program, ReadTerm, read_program
+from ...prolog.terms.term_traversal import copy
+from ...prolog.terms.types import Term, deref
+from ..language.goal_analysis import Unknown, unknown_calls
+from ..language.pattern_tree import RuleDefinition
+from ..language.rule_parser import Property
+from ..network.event_rule import EventRule
+from .consult import Consultation, Consulted, Loaded
+from .event_file_checker import (
+    DIRECTIVES,
+    TOO_DEEP,
+    FileChecker,
+    FileEntry,
+    clause_error,
+    defined_in,
+    fact_error,
+    included,
+    nowhere,
+)
+from .file_directives import Directives
+from .file_kind import change_reading, is_of_events
+from .source_files import LIBRARY, SourceFiles, require_library
+from .source_preprocessing import ConditionalCompilation, TermExpansion
+
+
+class LoadSavepoint:
+    """What there was before a load, of what costs little to note."""
+
+    def __init__(self, rules: Loaded, loaded: Set[Path]):
+        self._rules = rules
+        self._loaded = loaded
+        self._serial = rules.serial
+        self._properties = rules.all_properties()
+
+    def restore(self) -> None:
+        """Take back what has come since."""
+        rules = self._rules
+        for rule in list(rules.rules):
+            if rule.serial > self._serial:
+                rules.remove(rule)
+        rules.restore_properties(self._properties)
+        rules.files.loaded = self._loaded
+
+
+class LoadRollback:
+    """What the program was before a file was loaded: clauses, rules, properties and operators."""
+
+    def __init__(self, rules: Loaded):
+        self._rules = rules
+        self._active = set(rules.rules)
+        found = list(rules.logic.database.predicates.values())
+        self._library = [predicate for predicate in found if predicate.library]
+        self._clauses = {predicate: set(predicate.live()) for predicate in found if predicate.kind == "user"}
+        self._properties = rules.all_properties()
+        self._operators = rules.logic.operators.copy()
+
+    def restore(self) -> None:
+        """Take back what has come since."""
+        rules = self._rules
+        rules.logic.operators.become(self._operators)
+        for rule in list(rules.rules):
+            if rule not in self._active:
+                rules.remove(rule)
+        for predicate in self._library:
+            rules.logic.database.give_back(predicate)
+        for predicate in list(rules.logic.database.predicates.values()):
+            if predicate.kind == "user":
+                kept = self._clauses.get(predicate, ())
+                for clause in list(predicate.live()):
+                    if clause not in kept:
+                        predicate.remove(clause)
+                if not predicate.clauses and predicate not in self._clauses and not predicate.dynamic:
+                    predicate.kind = "undefined"
+        rules.restore_properties(self._properties)
+
+
+class CheckedProgram(NamedTuple):
+    """A file that has no errors in itself: what to do, the rules to add then, what these call, and its folder.
+
+    Folder and path are None for the file that was asked for: there they are set already.
+    """
+
+    steps: "List[Union[FileEntry, Consulted, CheckedProgram]]"
+    rules: List[EventRule]
+    calls: List[Unknown]
+    folder: Optional[Path] = None
+    path: Optional[Path] = None
+
+    @property
+    def may_stop_half_way(self) -> bool:
+        """Whether something may be left to undo when it raises an error; not rules, labels, or one clause."""
+        kinds = [step.kind if isinstance(step, FileEntry) else "" for step in self.steps]
+        return kinds != ["clause"] and any(kind != "property" for kind in kinds)
+
+
+class _Reading(NamedTuple):
+    """A file that is being read: its terms so far, how the next ones read, and the errors."""
+
+    checker: FileChecker
+    operators: Operators
+    errors: Errors
+    conditions: ConditionalCompilation
+
+
+class EventFileLoader:
+    """Loads event files into `Rules`."""
+
+    def __init__(self, rules: Loaded):
+        self._rules = rules
+        self._files: SourceFiles = rules.files
+        self._directives = Directives(rules.logic)
+        self._consulting = Consultation(rules, self._directives, self.use)
+        self._expansion = TermExpansion(rules.logic)
+        self._acting: List[CheckedProgram] = []
+        """The files whose terms are being taken in, the outer ones first."""
+        self._begun: List[Union[LoadSavepoint, LoadRollback]] = []
+        """What takes a load back that is under way; what comes after the first two is of loads inside it."""
+        self._gathered: Optional[List[Unknown]] = None
+        self._modules = rules.logic.database.modules
+        self._modules.on_begin = self._files.note_module
+        self._files.on_same_module = self._modules.on_clash
+        rules.logic.files = self._files
+
+    def note_calls(self, found: List[Unknown]) -> None:
+        """Warn of calls of what is not there: at the end of the file that is being loaded, or now."""
+        if self._acting:
+            self._acting[0].calls.extend(found)
+        else:
+            self._warn_of_unknown(found)
+
+    def gather(self) -> None:
+        """Say nothing of calls of what is not there until all has been loaded that belongs together."""
+        if self._gathered is None:
+            self._gathered = []
+
+    def end_gathering(self) -> None:
+        """Warn of the calls of what is not there even now."""
+        found, self._gathered = self._gathered, None
+        self._warn_of_unknown(found or [])
+
+    def load_text(self, text: str, source: str, folder: Optional[Path]) -> None:
+        """Load a text; see `Rules.load_text`."""
+        if folder is None:
+            self._load(text, source)
+            return
+        with self._files.inside(folder / Path(source).name), self._files.relative_to(folder):
+            self._load(text, source)
+
+    def load_file(self, path: Union[str, "PathLike[str]"]) -> None:
+        """Load a file; see `Rules.load_file`."""
+        self._load_file(self._files.resolve(path))
+
+    def use(self, name: Term, once: bool) -> None:
+        """Load the file that a term names, or do nothing for a library that is always there.
+
+        Args:
+            name: the file, or ``library(Name)``.
+            once: leave it at that where the file has been loaded before.
+
+        Raises:
+            ProgramErrors: all errors; nothing of the file is active then.
+            PrologError: for an unknown library, or a term that names no file.
+            UsageError: where the file cannot be read.
+        """
+        name = deref(name)
+        if name.__class__ is tuple and name[0] is LIBRARY:
+            require_library(name)
+            return
+        path = self._files.find(name)
+        if not self._files.has_loaded(path) or not (once or self._files.module(path)):
+            self._load_file(path)
+        self._modules.bring_in(self._files.module(path))
+
+    def load_terms(self, terms: Sequence[Tuple[Term, Optional[Place]]]) -> None:
+        """Load terms; see `Rules.load_terms`."""
+        logic = self._rules.logic
+        reading = self._reading(FileChecker(logic.brief, self._rules.declared.now()), Errors())
+        for term, place in terms:
+            name = included(term)
+            if name is None:
+                reading.checker.term(copy(term), nowhere, place)
+            else:
+                self._include(name, place, reading)
+        self._finish(lambda errors: self._checked(reading.checker, errors), reading.errors)
+
+    def load_read(self, read: ReadTerm) -> None:
+        """Load a term that was read, as if it stood alone in an event file.
+
+        Raises:
+            ProgramErrors: all errors; nothing is active then.
+        """
+        rules = self._rules
+        checker = FileChecker(declared=rules.declared.now())
+        checker.read(read)
+        with rules.logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
+            self._finish(lambda errors: self._checked(checker, errors), Errors())
+
+    def _load_file(self, path: Path) -> None:
+        text = self._files.text(path)
+        with self._files.inside(path), self._files.relative_to(path.parent):
+            self._load(text, str(path))
+
+    def _load(self, text: str, source: str) -> None:
+        rules = self._rules
+        with rules.logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
+            self._finish(lambda errors: self._accept(text, source, errors), Errors())
+
+    def _accept(self, text: str, source: str, errors: Errors) -> CheckedProgram:
+        if not is_of_events(text, self._rules.logic, self._opened):
+            return CheckedProgram([Consulted(text, source)], [], [])
+        reading = self._reading(FileChecker(declared=self._rules.declared.now()), errors)
+        self._read(read_program(text, reading.operators, source, OF_FILES), reading)
+        errors.extend(reading.conditions.unclosed())
+        return self._checked(reading.checker, errors)
+
+    def _opened(self, name: Term) -> Tuple[str, str]:
+        path = self._files.find(name)
+        return self._files.text(path), str(path)
+
+    def _reading(self, checker: FileChecker, errors: Errors) -> _Reading:
+        def holds(goal: Term, place: Optional[Place]) -> bool:
+            try:
+                return self._rules.logic.once(goal)
+            except PrologError as error:
+                raise RuleError(f"this condition raises an error: {error.message}", place) from error
+
+        return _Reading(checker, self._rules.logic.operators.copy(), errors, ConditionalCompilation(holds))
+
+    def _read(self, program: Program, reading: _Reading) -> None:
+        """Read the terms of a text, and in their places those of files that it includes."""
+        for read in program:
+            if isinstance(read, SyntaxFault):
+                if not reading.conditions.skip:
+                    reading.errors.append(read)
+                continue
+            try:
+                self._read_one(read, program, reading)
+            except RetalisError as error:
+                reading.errors.append(error if error.place else RuleError(error.message, read.place))
+
+    def _read_one(self, read: ReadTerm, program: Program, reading: _Reading) -> None:
+        term = deref(read.term)
+        directive = term[1] if term.__class__ is tuple and term[0] in DIRECTIVES else None
+        if directive is not None and reading.conditions.take(directive, read.place_of(term, 1)):
+            return
+        if reading.conditions.skip:
+            return
+        name = included(term)
+        if name is not None:
+            self._include(name, read.place_of(term, 1), reading, program)
+            return
+        found = self._expansion.terms(term)
+        if found is not None:
+            for one in found:
+                reading.checker.term(self._expansion.goals(one), nowhere, read.place)
+            return
+        expanded = self._expansion.goals(term)
+        if expanded is term:
+            reading.checker.read(read)
+        else:
+            reading.checker.term(expanded, nowhere, read.place)
+        if read.singletons and self._rules.warn_singletons:
+            names = ", ".join(read.singletons)
+            self._rules.on_warning(RuleError(f"singleton variables: {names}", read.place))
+        if directive is not None:
+            change_reading(directive, program)
+
+    def _include(
+        self, name: Term, place: Optional[Place], reading: _Reading, outer: Optional[Program] = None
+    ) -> None:
+        """Read the terms of another file as if they stood here."""
+        try:
+            path = self._files.find(name)
+            text = self._files.text(path)
+            with self._files.inside(path), self._files.relative_to(path.parent):
+                program = read_program(text, reading.operators, str(path), OF_FILES)
+                if outer is not None:
+                    program.flags = outer.flags
+                self._read(program, reading)
+                if outer is not None:
+                    outer.flags = program.flags
+        except (UsageError, PrologError) as error:
+            reading.errors.append(RuleError(error.message, place))
+
+    def _checked(self, checker: FileChecker, errors: Errors) -> CheckedProgram:
+        """Check what needs the logic: clauses, goals of rules, files that are used."""
+        errors.extend(checker.errors)
+        logic = self._rules.logic
+        steps: List[Union[FileEntry, Consulted, CheckedProgram]] = []
+        defined = defined_in(checker.steps)
+        for step in checker.steps:
+            if step.kind == "clause":
+                problem = clause_error(logic, step.term) or fact_error(logic, step.term, defined)
+                if problem is not None:
+                    errors.append(RuleError(problem, step.place))
+            if step.kind in ("use", "ensure"):
+                accepted = self._used(step, errors)
+                if accepted is not None:
+                    steps.append(accepted)
+            else:
+                steps.append(step)
+        for call in checker.untimed:
+            if call.key not in defined and logic.is_of_system(call.key):
+                message = (
+                    f"{call.key} is defined only in the goals of check: "
+                    "write check instead of where, do or another operator"
+                )
+                errors.append(RuleError(message, call.place))
+        rules = self._compiled([*checker.rules, *checker.inner], errors)
+        for warning in checker.warnings.with_rest():
+            self._rules.on_warning(warning)
+        return CheckedProgram(steps, rules, checker.calls)
+
+    def _compiled(self, definitions: List[RuleDefinition], errors: Errors) -> List[EventRule]:
+        rules = []
+        for definition in definitions:
+            try:
+                rules.append(self._rules.compile(definition))
+            except RetalisError as error:
+                errors.append(error if error.place else RuleError(error.message, definition.place))
+            except RecursionError:
+                errors.append(RuleError(TOO_DEEP, definition.place))
+        return rules
+
+    def _used(self, step: FileEntry, errors: Errors) -> Optional[CheckedProgram]:
+        """Return the plan of a file that is used; None for a library, or what need not be loaded again."""
+        name = deref(step.term)
+        try:
+            if name.__class__ is tuple and name[0] is LIBRARY:
+                require_library(name)
+                return None
+            path = self._files.find(name)
+            if self._files.module(path) or (step.kind == "ensure" and self._files.has_loaded(path)):
+                return None
+            text = self._files.text(path)
+            with self._files.inside(path), self._files.relative_to(path.parent):
+                accepted = self._accept(text, str(path), errors)
+            return accepted._replace(folder=path.parent, path=path)
+        except (UsageError, PrologError) as error:
+            errors.append(RuleError(error.message, step.place))
+            return None
+
+    def _finish(self, accepted: Callable[[Errors], CheckedProgram], errors: Errors) -> None:
+        """Check all of a program, then have it act; what is refused leaves nothing behind."""
+        loaded = set(self._files.loaded)
+        before: Optional[LoadRollback] = None
+        outermost = not self._begun
+        if outermost:
+            self._begun = [LoadSavepoint(self._rules, loaded)]
+        try:
+            checked = accepted(errors)
+            if errors:
+                raise ProgramErrors(_in_order(errors))
+            if checked.may_stop_half_way:
+                before = LoadRollback(self._rules)
+                self._begun.append(before)
+            self._act(checked)
+        except RetalisError as error:
+            if before is not None:
+                before.restore()
+            self._files.loaded = loaded
+            if outermost:
+                self._begun = []
+            if isinstance(error, ProgramErrors):
+                raise
+            raise ProgramErrors([error]) from error
+        if outermost:
+            self._begun = []
+
+    @property
+    def is_loading(self) -> bool:
+        """Whether a load is under way."""
+        return bool(self._begun or self._acting)
+
+    def mend(self) -> None:
+        """Take back what an interrupted load has done so far."""
+        self._acting.clear()
+        for before in self._begun[:2]:
+            before.restore()
+        self._begun = []
+        self._gathered = None
+
+    def _act(self, accepted: CheckedProgram) -> None:
+        self._acting.append(accepted)
+        try:
+            with self._files.relative_to(accepted.folder):
+                self._take_in(accepted)
+        finally:
+            self._acting.pop()
+        self._warn_of_unknown(accepted.calls)
+
+    def _warn_of_unknown(self, found: List[Unknown]) -> None:
+        if self._gathered is not None:
+            self._gathered.extend(found)
+            return
+        for warning in unknown_calls(self._rules.logic, found, self._rules.terms):
+            self._rules.on_warning(warning)
+
+    def _take_in(self, accepted: CheckedProgram) -> None:
+        with self._modules.of_file(not accepted.rules):
+            self._take_all(accepted)
+
+    def _take_all(self, accepted: CheckedProgram) -> None:
+        rules, late = self._rules, []
+        for step in accepted.steps:
+            if isinstance(step, CheckedProgram):
+                module = "" if step.path is None else self._files.module(step.path)
+                if not module:  # else a file before it has had it loaded meanwhile
+                    self._act(step)
+                    module = self._modules.last
+                self._modules.bring_in(module)
+            elif isinstance(step, Consulted):
+                self._consult(step, accepted)
+            elif step.kind == "later":
+                late.append(step)
+            elif step.kind == "clause":
+                rules.logic.add_clause(step.term, step.place)
+            elif isinstance(step.term, Property):
+                rules.set_property(step.term)
+            else:
+                self._run(step)
+        for rule in accepted.rules:
+            rules.activate(rule)
+        for step in late:
+            self._run(step)
+
+    def _consult(self, one: Consulted, accepted: CheckedProgram) -> None:
+        if accepted.path is None:
+            self._consulting.load(one, accepted.calls.extend)
+            return
+        with self._files.inside(accepted.path):
+            self._consulting.load(one, accepted.calls.extend)
+
+    def _run(self, step: FileEntry) -> None:
+        warning = self._directives.run(step.term, step.goals, step.place)
+        if warning is not None:
+            self._rules.on_warning(warning)
+
+
+def _in_order(errors: Errors) -> Errors:
+    """Order errors by file, in the order in which the files came up, and there by line and column."""
+    files: Dict[Optional[str], int] = {}
+    for error in errors:
+        files.setdefault(error.place.source if error.place else None, len(files))
+
+    def where(error: RetalisError) -> Tuple[int, int, int]:
+        place = error.place
+        return (files[None], 0, 0) if place is None else (files[place.source], place.line, place.column)
+
+    errors.sort(key=where)
+    return errors

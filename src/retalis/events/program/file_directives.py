@@ -1,0 +1,149 @@
+"""Directives of event files: run so that what goes wrong is shown at the goal where it did.
+
+The declarations of events in a file: each holds from where it stands, and what follows has to fit.
+"""
+
+from typing import Any, Iterable, List, Mapping, Optional, Tuple
+
+from ...foundation.errors import Errors, Place, RuleError, UsageError
+from ...prolog.machine.errors import PrologError
+from ...prolog.machine.machine import Machine
+from ...prolog.syntax.operators import DECLARE_EVENT
+from ...prolog.system.prolog_system import PrologSystem
+from ...prolog.terms.types import COMMA, TRUE, Atom, CompoundTerm, Term, Var, deref, functor
+from ..language.event_declarations import (
+    STRICTLY,
+    UNDECLARED,
+    Declarations,
+    VariableKinds,
+    declared_in,
+    has_branches,
+)
+from ..language.goal_analysis import calls
+from ..language.pattern_parser import EventTerm, Spot
+
+_GOAL = functor("$goal", 1)
+_CALLABLE = (tuple, Atom, Var)
+
+Goals = List[Tuple[Term, Optional[Place]]]
+
+
+def goals_of(directive: Term, spot: Spot) -> Goals:
+    """Return the goals of a directive that are called one after the other, each with its place."""
+    found: Goals = []
+    stack: List[Tuple[Any, int]] = [(directive, 1)]
+    while stack:
+        parent, number = stack.pop()
+        goal = deref(parent[number])
+        if goal.__class__ is tuple and goal[0] is COMMA:
+            stack += [(goal, 2), (goal, 1)]
+        else:
+            found.append((goal, spot(parent, number)))
+    return found
+
+
+class Directives:
+    """Runs directives.
+
+    Before each goal of several one is called that notes which it is; so it is known, without looking into the
+    machine, which was begun last when it is over. It leaves nothing to go back to (a long run would keep it):
+    what a goal raises when it is asked for another solution is shown at the one that was begun last.
+    """
+
+    def __init__(self, logic: PrologSystem):
+        self._logic = logic
+        self._last = 0
+        self._many = 0
+        logic.define("$goal", 1, self._enter)
+
+    def run(self, goal: Term, goals: Goals, place: Optional[Place]) -> Optional[RuleError]:
+        """Run a directive; return a warning where it fails, at the goal that was reached last.
+
+        Raises:
+            RuleError: what it raised, at the goal that did.
+        """
+        before = self._last, self._many
+        goal, goals = self._logic.of_file(goal), [(self._logic.of_file(one), at) for one, at in goals]
+        wrong = [at for at, (one, _) in enumerate(goals) if not _is_callable(one)]
+        noting = len(goals) > 1 and not wrong  # else it raises an error that shows all of it
+        self._last, self._many = wrong[0] if wrong else 0, len(goals)
+        try:
+            if self._logic.once(_noting([one for one, _ in goals]) if noting else goal, goal):
+                return None
+            return RuleError("this directive fails", goals[self._last][1] or place)
+        except PrologError as error:
+            at = goals[self._last][1] or place
+            raise RuleError(f"this directive raises an error: {error.message}", at) from error
+        finally:
+            self._last, self._many = before
+
+    def _enter(self, machine: Machine, number: Term) -> bool:
+        reached = deref(number)
+        if not isinstance(reached, int) or not 0 <= reached < self._many:
+            return False  # called by a program, by its name
+        self._last = reached
+        return True
+
+
+def _is_callable(goal: Term) -> bool:
+    return all(call.term.__class__ in _CALLABLE for call in calls((_GOAL, goal), 1))
+
+
+def _noting(goals: List[Term]) -> Term:
+    """Return the goals as one that notes before each which it is."""
+    result: Optional[Term] = None
+    for number in range(len(goals) - 1, -1, -1):
+        one = goals[number] if result is None else (COMMA, goals[number], result)
+        result = (COMMA, (_GOAL, number), one)
+    return result or TRUE
+
+
+_SET_FLAG = functor("set_etalis_flag", 2)
+
+
+class FileDeclarations:
+    """What holds at a place of a file that is being read.
+
+    Args:
+        declared: what holds where it begins; None where nothing is looked at.
+        errors: take what does not fit.
+    """
+
+    def __init__(self, declared: Optional[Declarations], errors: Errors):
+        self._declared = declared
+        self._errors = errors
+
+    def take(self, goals: Goals, spot: Spot) -> None:
+        """Have what the goals of a directive declare hold for the rest of the file.
+
+        Raises:
+            RuleError: where one is no declaration, or not that of before.
+        """
+        declared = self._declared
+        for goal, _ in () if declared is None else goals:
+            if declared is None or goal.__class__ is not tuple:
+                continue
+            if goal[0] is DECLARE_EVENT:
+                for one, place in declared_in(goal, spot):
+                    try:
+                        declared.add(one)
+                    except UsageError as error:
+                        raise RuleError(error.message, place) from error
+            elif goal[0] is _SET_FLAG and deref(goal[1]) is UNDECLARED:
+                declared.strict = deref(goal[2]) is STRICTLY
+
+    def fit(
+        self,
+        events: Iterable[EventTerm],
+        term: CompoundTerm,
+        names: Mapping[Var, str],
+        spot: Spot,
+        place: Optional[Place],
+    ) -> None:
+        """Look whether events fit that stand in a rule, clause or directive, whose variables are its own."""
+        if self._declared:
+            kinds = VariableKinds(names, told=not has_branches(term))
+            for error in self._declared.misfits(
+                events, lambda part, number=0: spot(part, number) or place, kinds
+            ):
+                self._errors.append(error)

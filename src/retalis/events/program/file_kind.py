@@ -1,0 +1,127 @@
+"""What the directives of a file change for the rest of it while it is read: operators, and how quotes read.
+
+Whether a file is one of event rules, which is accepted or refused as a whole, or a Prolog program.
+"""
+
+import re
+from typing import Any, Callable, List, Optional, Tuple
+
+from ...foundation.errors import RetalisError, SyntaxFault
+from ...prolog.syntax.term_reader import OF_FILES, Program, read_program
+from ...prolog.system.prolog_system import PrologSystem
+from ...prolog.terms.list_terms import conjuncts, list_items
+from ...prolog.terms.types import Atom, Functor, Term, deref, functor
+from ..language.rule_parser import RULE, is_rule
+from .event_file_checker import DIRECTIVES, PROPERTY_FACT, included
+
+_OP = functor("op", 3)
+_SET_FLAG = functor("set_prolog_flag", 2)
+
+
+def change_reading(goal: Term, program: Program) -> None:
+    """Have operators and flags that a directive sets hold for the rest of the file."""
+    for one in conjuncts(goal):
+        if one.__class__ is not tuple:
+            continue
+        arguments = [deref(argument) for argument in one[1:]]
+        if one[0] is _OP and arguments[0].__class__ is int and arguments[1].__class__ is Atom:
+            for name in _names(arguments[2]):
+                try:
+                    program.operators.add(arguments[0], arguments[1].name, name)
+                except (RetalisError, ValueError):
+                    continue  # the directive itself reports it when it is run
+        elif one[0] is _SET_FLAG and arguments[0].__class__ is Atom and arguments[1].__class__ is Atom:
+            name = arguments[0].name
+            if name in ("double_quotes", "back_quotes"):
+                changed: Any = {name: arguments[1].name}
+                program.flags = program.flags._replace(**changed)
+
+
+def _names(term: Term) -> List[str]:
+    items = list_items(term)
+    found = [deref(item) for item in items] if items else [term]
+    return [item.name for item in found if item.__class__ is Atom]
+
+
+_WORDS = re.compile(r"<-|'rule:'|'?\b(?:do|iff|IFF|event_rule_property|include)\b")
+"""One of these is in each text that has event rules."""
+
+_NAMES = re.compile(r"[:?]-\s*(?:\(\s*)?([a-z]\w*)")
+"""What the directives of a text call first."""
+
+_OF_LANGUAGE = frozenset(
+    (
+        "event", "declare_event", "new_event", "timer", "cancel_timer", "state", "delete_state",
+        "memorize", "memorize_diactive", "delete_memory", "subscribe", "delete_subscription",
+        "subscribe_to", "ins_event_rule", "del_event_rule", "del_all_event_rules",
+        "compile_event_file", "compile_events", "compile_event_rules", "execute_event_stream_file",
+        "fire_event_list", "fire_event_list_return_external_events", "set_etalis_flag", "reset_db",
+        "reset_etalis", "reset_etalis_state",
+    )
+)  # fmt: skip
+"""Goals of the event language that no Prolog program has."""
+
+Opened = Callable[[Term], Optional[Tuple[str, str]]]
+"""Gives the text of a file and what errors call it."""
+
+
+def is_of_events(text: str, logic: PrologSystem, opened: Opened) -> bool:
+    """Tell whether a text has an event rule, or a directive that calls a predicate of the event language.
+
+    Args:
+        text: of the file.
+        logic: knows predicates and operators.
+        opened: gives the text of a file that this one includes, None where there is none.
+    """
+    if not _may_be(text):
+        return False
+    return _has_rules(read_program(text, logic.operators.copy(), flags=OF_FILES), logic, opened, 0)
+
+
+def _may_be(text: str) -> bool:
+    if _WORDS.search(text):
+        return True
+    return any(match.group(1) in _OF_LANGUAGE for match in _NAMES.finditer(text))
+
+
+def _is_of_language(logic: PrologSystem, key: Functor) -> bool:
+    return key.name in _OF_LANGUAGE and logic.is_added(key)
+
+
+_MAX_INCLUDE_DEPTH = 50
+"""Files that include each other, at most."""
+
+
+def _has_rules(program: Program, logic: PrologSystem, opened: Opened, depth: int) -> bool:
+    for read in program:
+        if isinstance(read, SyntaxFault):
+            if read.place is not None and "<-" in read.place.text:
+                return True
+            continue
+        term = deref(read.term)
+        if is_rule(term) or term.__class__ is tuple and (term[0] is PROPERTY_FACT or term[0] is RULE):
+            return True
+        if term.__class__ is not tuple or term[0] not in DIRECTIVES:
+            continue
+        name = included(term)
+        if name is not None and depth < _MAX_INCLUDE_DEPTH:
+            found = _text(name, opened)
+            if found is not None:
+                inner = read_program(found[0], program.operators, found[1], program.flags)
+                if _has_rules(inner, logic, opened, depth + 1):
+                    return True
+                program.flags = inner.flags
+            continue
+        first = next(iter(conjuncts(term[1])))
+        key = first[0] if first.__class__ is tuple else first.functor if isinstance(first, Atom) else None
+        if key is not None and _is_of_language(logic, key):
+            return True
+        change_reading(term[1], program)
+    return False
+
+
+def _text(name: Term, opened: Opened) -> Optional[Tuple[str, str]]:
+    try:
+        return opened(name)
+    except RetalisError:
+        return None  # who reads the file in earnest says so

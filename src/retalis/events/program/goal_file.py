@@ -1,0 +1,155 @@
+"""Goal files (``goalPredicates.txt``): one goal a line, the full stop left out more often than not."""
+
+from functools import partial
+from pathlib import Path
+from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Tuple, Union
+
+from ...foundation.errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault
+from ...prolog.syntax.operators import Operators
+from ...prolog.syntax.term_reader import ReadTerm, read_term
+from ...prolog.terms.types import Term, deref, functor
+from .source_files import SourceFiles
+
+Read = Union[ReadTerm, SyntaxFault]
+Load = Callable[[Optional[Path], Callable[[], Any]], Any]
+
+_DIRECTIVES = (functor(":-", 1), functor("?-", 1))
+_INCLUDE = functor("include", 1)
+
+
+_IN_VAIN = 100_000
+"""Characters that are read again, beside a multiple of the file, to see whether lines that do not read go on.
+
+Past them, each is an error of its own: of thousands that have errors, each read to a full stop far below would take
+time that grows with the square of the file.
+"""
+
+
+class FileGoal(NamedTuple):
+    """A goal, where it stands, and the folder of the file in which it stands."""
+
+    term: Term
+    place: Place
+    folder: Optional[Path]
+
+
+def goal_of(term: Term) -> Term:
+    """Return the goal that a term of a goal file or stream is: ``:- Goal`` is Goal."""
+    term = deref(term)
+    return deref(term[1]) if term.__class__ is tuple and term[0] in _DIRECTIVES else term
+
+
+def goals_of(
+    text: str, source: str, folder: Optional[Path], operators: Operators, files: SourceFiles, load: Load
+) -> Iterator[Union[FileGoal, RetalisError]]:
+    """Yield the goals of a goal file and, in their places, those of the files that it includes.
+
+    ``:- Goal`` is Goal; ``include(File)`` stands for the goals of another goal file. An error is yielded where
+    something does not read.
+
+    Args:
+        text: of the goal file.
+        source: what errors call it.
+        folder: where it stands.
+        operators: those that hold in it.
+        files: of the program.
+        load: does a piece of work of a file of the program that stands in a folder, while nothing else is done.
+    """
+    if folder is None:
+        yield from _goals(text, source, None, operators, files, load)
+        return
+    with files.inside(folder / Path(source).name):
+        yield from _goals(text, source, folder, operators, files, load)
+
+
+def _goals(
+    text: str, source: str, folder: Optional[Path], operators: Operators, files: SourceFiles, load: Load
+) -> Iterator[Union[FileGoal, RetalisError]]:
+    for read in read_goals(text, operators, source):
+        if isinstance(read, SyntaxFault):
+            yield read
+            continue
+        term = goal_of(read.term)
+        if term.__class__ is not tuple or term[0] is not _INCLUDE:
+            yield FileGoal(term, read.place, folder)
+            continue
+        try:
+            path, inner = load(folder, partial(_found, files, term[1]))
+            yield from goals_of(inner, str(path), path.parent, operators, files, load)
+        except RetalisError as error:
+            yield RuleError(error.message, read.place)
+
+
+def _found(files: SourceFiles, name: Term) -> Tuple[Path, str]:
+    path = files.find(name)
+    return path, files.text(path)
+
+
+def read_goals(text: str, operators: Operators, source: str) -> Iterator[Read]:
+    """Yield the goals of a goal file, and a `SyntaxFault` for each that does not read.
+
+    A line is a goal of its own where it reads as one, with or without a full stop. Where it does not, the
+    goal goes on to a line that ends in a full stop.
+    """
+    lines = text.split("\n")
+    at = stop = 0
+    in_vain = 4 * len(text) + _IN_VAIN
+    while at < len(lines):
+        if _is_blank(lines[at]):
+            at += 1
+            continue
+        goal = _read(lines, at, at + 1, operators, source)
+        end = at + 1
+        if isinstance(goal, SyntaxFault) and in_vain > 0:
+            stop = max(stop, end)
+            while stop < len(lines) and not _ends_goal(lines[stop]):
+                stop += 1
+            if stop < len(lines):
+                longer = _read(lines, at, stop + 1, operators, source)
+                # Where the longer one fails after the first line, its lines belong together: none is a goal.
+                if not isinstance(longer, SyntaxFault) or _line(longer) > at + 1:
+                    goal, end = longer, stop + 1
+                else:
+                    in_vain -= sum(map(len, lines[at : stop + 1]))
+        yield _unfinished(goal, lines, at) if isinstance(goal, SyntaxFault) and end == at + 1 else goal
+        at = end
+
+
+def _unfinished(fault: SyntaxFault, lines: List[str], at: int) -> SyntaxFault:
+    """Return the error about a line that does not read, with what is missing where it ends in the midst of a term."""
+    place = fault.place
+    follows = at + 1 < len(lines) and not _is_blank(lines[at + 1])
+    if place is None or not follows or not _is_blank(lines[at][place.column - 1 :]):
+        return fault
+    message = fault.message.partition("; ")[0]  # not that a comma were superfluous
+    return SyntaxFault(f"{message}; a goal over several lines ends with a full stop", place)
+
+
+def _is_blank(line: str) -> bool:
+    code = line.strip()
+    return not code or code.startswith("%")
+
+
+def _ends_goal(line: str) -> bool:
+    """Tell whether a goal that began before this line may end with it, in a full stop."""
+    return line.rstrip().endswith(".") or line.split("%")[0].rstrip().endswith(".")
+
+
+def _line(fault: SyntaxFault) -> int:
+    return 0 if fault.place is None else fault.place.line
+
+
+def _read(lines: List[str], start: int, end: int, operators: Operators, source: str) -> Read:
+    try:
+        return read_term("\n".join(lines[start:end]), operators, source, first_line=start + 1)
+    except SyntaxFault as fault:
+        return fault
+
+
+def errors_in(error: RetalisError, place: Place) -> List[RetalisError]:
+    """Return the errors that a goal of a goal file met: those of the file that it loads, or its own."""
+    if isinstance(error.__cause__, ProgramErrors):
+        errors = error.__cause__.errors
+    else:
+        errors = [error]
+    return [one if one.place else RuleError(one.message, place) for one in errors]

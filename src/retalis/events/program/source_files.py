@@ -1,0 +1,391 @@
+"""Files and libraries as ``use_module/1``, ``ensure_loaded/1`` and ``include/1`` name them.
+
+Operators that libraries of SWI-Prolog export: with them the clauses of a file read whose library is not there.
+
+Files that a program names: where relative ones are, and which have been loaded.
+"""
+
+import os
+from contextlib import contextmanager
+from pathlib import Path, PurePath
+from typing import Callable, Dict, Iterator, List, Optional, Set, Tuple, Union
+
+from ...foundation.errors import UsageError
+from ...prolog.database.module_system import GRAMMAR_NAME, indicated
+from ...prolog.machine.errors import CONTEXT, PrologError, existence_error, instantiation_error, type_error
+from ...prolog.syntax.operators import Operators
+from ...prolog.terms.list_terms import list_items
+from ...prolog.terms.types import COLON, NIL, SLASH, Atom, String, Term, Var, atom, deref, functor
+from .file_sandbox import FileSandbox, check_name
+
+LIBRARY = functor("library", 1)
+_EXCEPT, _AS, _CLAUSE = functor("except", 1), functor("as", 2), functor(":-", 2)
+_MAX_ARGUMENTS = 1000
+_ELSEWHERE = (
+    "what the program calls of it has to be defined elsewhere, or the file to be given to SWI-Prolog: "
+    ":- use_swi(File), see docs/prolog.md"
+)
+
+LIBRARIES = frozenset(
+    (
+        "aggregate",
+        "ansi_term",
+        "apply",
+        "apply_macros",
+        "assoc",
+        "backcomp",
+        "basics",
+        "between",
+        "date",
+        "dcg/basics",
+        "dcg/high_order",
+        "debug",
+        "dif",
+        "edinburgh",
+        "error",
+        "freeze",
+        "gensym",
+        "format",
+        "heaps",
+        "listing",
+        "lists",
+        "occurs",
+        "option",
+        "ordsets",
+        "pairs",
+        "pio",
+        "plunit",
+        "prolog_code",
+        "pure_input",
+        "random",
+        "rbtrees",
+        "readutil",
+        "solution_sequences",
+        "statistics",
+        "system",
+        "tabling",
+        "terms",
+        "time",
+        "ugraphs",
+        "varnumbers",
+        "when",
+        "yall",
+    )
+)
+"""Libraries of other Prolog systems whose usual predicates are always there."""
+
+
+def require_library(term: Term) -> None:
+    """Accept ``library(Name)`` where its predicates are always there.
+
+    Raises:
+        PrologError: where there is no such library.
+    """
+    name = deref(term[1])  # type: ignore[index]
+    if name.__class__ is Var:
+        raise instantiation_error()
+    if library_path(name) not in LIBRARIES:
+        raise existence_error("library", name, (CONTEXT, Var(), atom(_ELSEWHERE)))
+
+
+def renaming(file: Term, imports: Term = NIL) -> List[Term]:
+    """Return the clauses by which predicates have the names that ``use_module(File, [p/1 as q])`` gives them.
+
+    They call those of the module that is called as its file, and the plain ones where there is no such module.
+    """
+    imports = deref(imports)
+    if imports.__class__ is tuple and imports[0] is _EXCEPT:
+        imports = imports[1]
+    found: List[Term] = []
+    for item in map(deref, list_items(imports) or ()):
+        if item.__class__ is tuple and item[0] is _AS:
+            named, name = deref(item[1]), deref(item[2])
+            key = indicated(named) if named.__class__ is tuple and named[0] in (SLASH, GRAMMAR_NAME) else None
+            if key is not None and name.__class__ is Atom and key.arity <= _MAX_ARGUMENTS:
+                args = [Var() for _ in range(key.arity)]
+                module = atom(PurePath(library_path(file)).stem)
+                found.append((_CLAUSE, _call(name.name, args), (COLON, module, _call(key.name, args))))
+    return found
+
+
+def _call(name: str, args: List[Var]) -> Term:
+    return (functor(name, len(args)), *args) if args else atom(name)
+
+
+def library_path(name: Term) -> str:
+    """Return the name of a library as a text, with slashes between its parts; "" for what is none."""
+    try:
+        return file_name(name)
+    except PrologError:
+        return ""
+
+
+def file_name(term: Term) -> str:
+    """Return the name of a file: an atom, a string, or parts with slashes between them.
+
+    Raises:
+        PrologError: where it is none.
+    """
+    parts = []
+    pending = [term]
+    while pending:
+        part = deref(pending.pop())
+        if part.__class__ is Var:
+            raise instantiation_error()
+        if part.__class__ is Atom:
+            parts.append(str(part.name))
+        elif part.__class__ is String:
+            parts.append(str(part.text))
+        elif part.__class__ is tuple and part[0] is SLASH:
+            pending += [part[2], part[1]]
+        else:
+            raise type_error("file", part)
+    return "/".join(parts)
+
+
+_META = "1150 fx rdf_meta"
+_EXPORTED: Dict[str, str] = {
+    "clpfd": """
+        760 yfx #<==>
+        750 xfy #==>
+        750 yfx #<==
+        740 yfx #\\/
+        730 yfx #\\
+        720 yfx #/\\
+        710 fy #\\
+        700 xfx #> #< #>= #=< #= #\\= in ins in_set
+        450 xfx ..""",
+    "clpb": """
+        500 yfx #
+        300 fy ~""",
+    "chr": """
+        1200 xfx @
+        1190 xfx pragma
+        1180 xfx ==> <=>
+        1150 fx chr_constraint chr_type chr_declaration constraints handler rules
+        1130 xfx --->
+        1100 xfx \\
+        500 yfx #""",
+    "persistency": "1150 fx persistent",
+    "record": "1150 fx record",
+    "semweb/rdf11": f"""
+        {_META}
+        650 xfx ^^
+        110 xfx @""",
+    "semweb/rdf_db": _META,
+    "semweb/rdf_prefixes": _META,
+}
+
+
+def declare_operators(name: Term, operators: Operators) -> None:
+    """Declare the operators of ``library(Name)`` in a table; nothing for another name."""
+    name = deref(name)
+    if name.__class__ is not tuple or name[0] is not LIBRARY:
+        return
+    for line in _EXPORTED.get(library_path(name[1]), "").strip().split("\n"):
+        priority, kind, *names = line.split() or ("0", "fx")
+        for one in names:
+            operators.add(int(priority), kind, one)
+
+
+_ENDINGS = (".pl", ".prolog", ".pro")
+"""What may be left out of the name of a file."""
+
+State = Tuple[Optional[Path], int, bool]
+"""Where relative paths are, how many files are open, and whether they are the program's own."""
+
+
+class SourceFiles:
+    """The files of a program.
+
+    Attributes:
+        door: opens them.
+        loaded: those that have been loaded, or are being loaded.
+        omitted: of those that were loaded without some of their terms, how many these were.
+        modules: the names of those that are modules.
+        on_same_module: called with what is to be said of two that are one module.
+    """
+
+    def __init__(self) -> None:
+        self.door = FileSandbox()
+        self.loaded: Set[Path] = set()
+        self.omitted: Dict[str, int] = {}
+        self._again = False
+        self.modules: Dict[Path, str] = {}
+        self.on_same_module: Callable[[str], None] = lambda text: None
+        self._folder: Optional[Path] = None
+        self._open: List[Path] = []
+
+    @contextmanager
+    def loading(self, folder: Optional[Path] = None) -> Iterator[None]:
+        """Load the program's own files meanwhile, those of a folder."""
+        with self.door.loading(), self.relative_to(folder):
+            yield
+
+    @contextmanager
+    def relative_to(self, folder: Optional[Path]) -> Iterator[None]:
+        """Have relative paths be relative to a folder."""
+        before = self._folder
+        if folder is not None:
+            self._folder = Path(folder)
+        try:
+            yield
+        finally:
+            self._folder = before
+
+    @contextmanager
+    def loading_again(self, before: Dict[str, int]) -> Iterator[None]:
+        """Refuse files meanwhile of which more has to be left out than before."""
+        self.omitted, self._again = dict(before), True
+        try:
+            yield
+        finally:
+            self._again = False
+
+    def may_omit(self, source: str) -> Optional[int]:
+        """Return how many terms of a file may be left out; None for any number."""
+        return self.omitted.get(source, 0) if self._again else None
+
+    def note_omitted(self, source: str, number: int) -> None:
+        """Note how many terms of a file were left out."""
+        self.omitted.pop(source, None)
+        if number:
+            self.omitted[source] = number
+
+    def state(self) -> State:
+        """Return where relative paths are and what is allowed, for `restore`."""
+        return self._folder, len(self._open), self.door.is_loading
+
+    def restore(self, state: "Optional[State]") -> None:
+        """Go back to a state, with None to that in which nothing is being loaded."""
+        self._folder, count, self.door.is_loading = state or (None, 0, False)
+        del self._open[count:]
+
+    def resolve(self, name: Union[str, "os.PathLike[str]"]) -> Path:
+        """Return a path, seen from the file that names it, else from where goals start.
+
+        Raises:
+            PrologError: a permission error where it leads out of the folders that are allowed, others for what
+                no file is called.
+        """
+        check_name(str(name))
+        path = (self.door.start if self._folder is None else self._folder) / Path(name)
+        self.door.require(str(path), str(name))
+        return path
+
+    def find(self, name: Term) -> Path:
+        """Return the path of a file that a program names; the ending ``.pl`` may be left out.
+
+        Raises:
+            PrologError: where the term names no file, or one out of the folders that are allowed.
+        """
+        text = file_name(name)
+        path = self.resolve(text)
+        if self.door.is_file(str(path), text):
+            return path
+        endings = [ending for ending in _ENDINGS if self.door.is_file(f"{path}{ending}", text)]
+        return Path(f"{path}{endings[0]}") if endings else path
+
+    def is_file(self, path: Path) -> bool:
+        """Tell whether there is such a file; errors are those of `resolve`."""
+        return self.door.is_file(str(path), str(path))
+
+    def text(self, path: Path) -> str:
+        """Return the text of a file.
+
+        Raises:
+            PrologError: permission, existence and resource errors.
+            UsageError: where it cannot be read.
+        """
+        return self.door.read(str(path), str(path))
+
+    @property
+    def innermost(self) -> Optional[Path]:
+        """The file that is being loaded, that of the others in which it is."""
+        return self._open[-1] if self._open else None
+
+    # For `StreamFiles`
+
+    def to_read(self, name: Term, encoding: str = "utf-8") -> Tuple[str, str]:
+        """Return the path of a file that a goal reads, and its text.
+
+        Raises:
+            PrologError: permission, existence and resource errors.
+            UsageError: where it cannot be read.
+        """
+        path = str(self.resolve(file_name(name)))
+        return path, self.door.read(path, path, encoding)
+
+    def to_write(self, name: Term, more: bool) -> str:
+        """Return the path of a file that a goal writes, empty but where ``more`` is added to it.
+
+        Raises:
+            PrologError: permission and resource errors.
+            UsageError: where it cannot be written.
+        """
+        text = file_name(name)
+        check_name(text)
+        path = str((self.door.start if self._folder is None else self._folder) / Path(text))
+        self.door.begin(path, text, not more)
+        return path
+
+    def add(self, path: str, text: str, encoding: str = "utf-8") -> None:
+        """Write a text to the end of a file; errors are those of `to_write`."""
+        self.door.append(path, text, encoding)
+
+    def absolute(self, name: str) -> str:
+        """Return a path from the root, seen from where relative names start."""
+        check_name(name)
+        return os.path.abspath((self.door.start if self._folder is None else self._folder) / Path(name))
+
+    def is_readable(self, path: str) -> bool:
+        """Tell whether there is such a file, which goals may read; errors are those of `resolve`."""
+        return self.is_file(self.resolve(path))
+
+    def is_folder(self, path: str) -> bool:
+        """Tell whether there is such a folder, whose files goals may read; errors are those of `resolve`."""
+        return self.door.is_folder(str(self.resolve(path)), path)
+
+    def has_loaded(self, path: Path) -> bool:
+        """Tell whether a file has been loaded, or is being loaded."""
+        return _real(path) in self.loaded
+
+    def note_module(self, name: str) -> None:
+        """Note that the file that is being loaded is a module; say so where another file is the same one."""
+        if not self._open:
+            return
+        path = self._open[-1]
+        for other, one in self.modules.items():
+            if one == name and other != path and other in self.loaded:
+                self.on_same_module(
+                    f"Warning: {other} is module {name} as well; what {path} has of it is added to that\n"
+                )
+                break
+        self.modules[path] = name
+
+    def module(self, path: Path) -> str:
+        """Return the name of the module that a file is, once it has begun to be loaded; "" for another file."""
+        real = _real(path)
+        return self.modules.get(real, "") if real in self.loaded else ""
+
+    @contextmanager
+    def inside(self, place: Path) -> Iterator[None]:
+        """Be in a file meanwhile.
+
+        Raises:
+            UsageError: where that file is being loaded already.
+        """
+        place = _real(place)
+        if place in self._open:
+            raise UsageError(f"{place.name} loads itself")
+        depth = len(self._open)
+        self._open.append(place)
+        self.loaded.add(place)
+        try:
+            yield
+        finally:
+            del self._open[depth:]
+
+
+def _real(path: Path) -> Path:
+    return Path(os.path.realpath(path))  # `Path.resolve` raises an error of its own for a link to itself

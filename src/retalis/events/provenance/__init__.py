@@ -1,0 +1,1 @@
+"""Provenance of events: lineage, event log and justification."""

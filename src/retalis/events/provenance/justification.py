@@ -1,0 +1,324 @@
+"""Why an event happened, as a term; or what was missing for one that did not."""
+
+from typing import Any, Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Set, Tuple, Union
+
+from ...prolog.terms import timestamps
+from ...prolog.terms.list_terms import make_list
+from ...prolog.terms.term_traversal import copy, resolve, variant_key
+from ...prolog.terms.timestamps import interval_term
+from ...prolog.terms.types import Term, Trail, Var, atom, functor
+from ...prolog.terms.unification import undo, unify
+from ..language.pattern_tree import (
+    Absent,
+    Action,
+    Aggregate,
+    Awaited,
+    Condition,
+    Either,
+    Occurs,
+    Pair,
+    Pattern,
+    Repeated,
+    Shaped,
+    Star,
+    Windowed,
+    Within,
+)
+from ..language.window_parser import shape_term, window_term
+from ..matches.partial_matches import Found, PartialMatch, TrackedMatch
+from ..matches.run_groups import repetitions
+from .event_log import Fired, Occurrence, Remembered
+from .lineage import LineageTracker
+
+_EVENT = functor("event", 2)
+_CLAUSE_BODY = functor("clause_body", 2)
+_JUSTIFICATION = functor("justification", 3)
+_HEAD = functor("head", 2)
+_DEFAULT = atom("default")
+_FAILED = atom("failed")
+_FAILED_BODY = functor("failed", 1)
+_UNLABELED = atom("unlabeled")
+_MAX_RULES_EXPLAINED = 500
+"""How many rules an explanation of what did not happen goes through."""
+_WRITTEN_OUT = 100
+"""How many repetitions of a pattern it shows."""
+
+
+_Streamed = Union[Windowed, Shaped, Awaited]
+Show = Callable[[Occurrence], Term]
+"""Gives what stands for an event in the term of a match."""
+
+
+class Justifier:
+    """Answers ``justify_event/3`` and ``justification_edge/2`` from what the tracker remembers."""
+
+    def __init__(self, rules: Remembered, tracker: LineageTracker):
+        self._rules = rules
+        self._tracker = tracker
+
+    # ---- what happened -------------------------------------------------------------------------------
+
+    def edges(self) -> Iterator[Tuple[Term, Term]]:
+        """Yield ``event(H,I)`` and ``clause_body(Label,Body)`` for each remembered event that a rule fired."""
+        for one in self._tracker.all():
+            if one.rule is not None and one.match is not None:
+                body = describe(one.rule.definition.pattern, one.match, _as_event)
+                yield _as_event(one), (_CLAUSE_BODY, _label(one.rule), body)
+
+    def explanations(self, event: Term, interval: Term) -> Iterator[Tuple[Term, Term, Term]]:
+        """Yield event, interval and explanation for each occurrence; one explanation where there is none."""
+        found = False
+        for one in self._tracker.all():
+            shown = interval_term(one.start, one.end)
+            if _unifies((event, one.term), (interval, shown)):
+                found = True
+                yield one.term, shown, self._why(one)
+        if not found:
+            yield event, interval, make_list(_Missing(self._rules, self._tracker).why_not(event, interval))
+
+    def _why(self, root: Occurrence) -> Term:
+        """Return the tree of an occurrence, the newest first; done without recursion along the rules."""
+        done: Dict[int, Term] = {}
+        stack = [root]
+        while stack:
+            one = stack[-1]
+            missing = [source for source in one.sources() if id(source) not in done]
+            if missing:
+                stack += missing
+                continue
+            stack.pop()
+            label: Term = _UNLABELED
+            body: Term = _DEFAULT
+            if one.rule is not None and one.match is not None:
+                label = _label(one.rule)
+                body = describe(one.rule.definition.pattern, one.match, lambda source: done[id(source)])
+            head = (_HEAD, one.term, interval_term(one.start, one.end))
+            done[id(one)] = (_JUSTIFICATION, label, head, body)
+        return done[id(root)]
+
+
+class _Missing:
+    """What was missing for an event that did not happen, each rule on the way looked at once."""
+
+    def __init__(self, rules: Remembered, tracker: LineageTracker):
+        self._rules = rules
+        self._tracker = tracker
+        self._open: Set[Hashable] = set()
+        self._left = _MAX_RULES_EXPLAINED
+
+    def why_not(self, event: Term, interval: Term) -> List[Term]:
+        """Return one explanation for each rule that could have fired an event."""
+        key = variant_key(event)
+        found = []
+        if key not in self._open:
+            self._open.add(key)
+            for rule in self._rules.rules:
+                explained = self._for_rule(rule, event, interval)
+                if explained is not None:
+                    found.append(explained)
+            self._open.discard(key)
+        return found or [(_JUSTIFICATION, _UNLABELED, (_HEAD, event, interval), _FAILED)]
+
+    def _for_rule(self, rule: Fired, event: Term, interval: Term) -> Optional[Term]:
+        head = rule.definition.head
+        if head is None or not self._left:
+            return None
+        trail: Trail = []
+        try:
+            if not unify(head, event, trail):
+                return None
+            self._left -= 1
+            body = self._pattern(rule.definition.pattern)
+            shown = (_HEAD, resolve(event), interval)
+            return (_JUSTIFICATION, _label(rule), shown, copy((_FAILED_BODY, body)))
+        finally:
+            undo(trail, 0)
+
+    def _pattern(self, pattern: Pattern) -> Term:
+        if isinstance(pattern, Occurs):
+            return self._event(pattern.term)
+        if isinstance(pattern, Repeated):
+            pattern = _shown_of(pattern)
+        name, parts = _parts(pattern)
+        operands = [part.term if isinstance(part, _Quoted) else self._pattern(part) for part in parts]
+        shown = functor(name, len(parts))(*[_as_term(part) for part in parts])
+        return (
+            _JUSTIFICATION,
+            _UNLABELED,
+            (_HEAD, shown, make_list([Var(), Var()])),
+            functor(name, len(operands))(*operands),
+        )
+
+    def _event(self, term: Term) -> Term:
+        term = resolve(term)
+        for one in self._tracker.all():
+            if _unifies((term, one.term)):
+                shown = interval_term(one.start, one.end)
+                return (_JUSTIFICATION, _UNLABELED, (_HEAD, one.term, shown), _DEFAULT)
+        return self.why_not(term, make_list([Var(), Var()]))[0]
+
+
+def describe(pattern: Pattern, match: PartialMatch, show: Show) -> Term:
+    """Return the term of a match: its events, shown by ``show``, under the names of the operators."""
+    while isinstance(pattern, (Condition, Within)) or (isinstance(pattern, Absent) and pattern.inside):
+        pattern = pattern.pattern
+    if isinstance(pattern, Occurs):
+        while match.parts is not None:
+            part = match.parts[0]
+            assert isinstance(part, PartialMatch)
+            match = part
+        return show(match.event) if isinstance(match.event, Occurrence) else match.term
+    parts: Sequence[Any] = match.parts or ()
+    if isinstance(pattern, Absent):
+        return describe(pattern.pattern, match, show)
+    if isinstance(pattern, Action):
+        return describe(pattern.pattern, parts[0] if _is_wrapped(parts) else match, show)
+    while _is_wrapped(parts):
+        match = parts[0]
+        parts = match.parts or ()
+    if isinstance(pattern, Either):
+        return describe(pattern.branches[parts[0]], parts[1], show)
+    if isinstance(pattern, Repeated):
+        return _described_one_by_one(pattern, match, show)
+    if isinstance(pattern, Pair):
+        left = describe(pattern.left, parts[0], show)
+        return functor(f"{pattern.operator}f", 2)(left, describe(pattern.right, parts[1], show))
+    return _describe_run(pattern, parts, show)
+
+
+def _described_one_by_one(pattern: Repeated, match: PartialMatch, show: Show) -> Term:
+    """Return the term of several repetitions: that of the sequence written out."""
+    first, *others = repetitions(match, pattern.times)
+    shown = describe(pattern.pattern, first, show)
+    for one in others:
+        shown = functor("seqf", 2)(shown, describe(pattern.pattern, one, show))
+    return shown
+
+
+def _is_wrapped(parts: Sequence[Any]) -> bool:
+    """Tell whether the parts are those of a condition or action around a match."""
+    return (
+        bool(parts)
+        and isinstance(parts[0], PartialMatch)
+        and (len(parts) == 1 or parts[1].__class__ is Found)
+    )
+
+
+def _describe_run(pattern: Any, parts: Sequence[Any], show: Show) -> Term:
+    """Return the term of what is made of any number of matches, or given on by an operator on streams."""
+    if isinstance(pattern, (Windowed, Shaped, Awaited)):
+        return _describe_streamed(pattern, parts, show)
+    first = describe(pattern.first, parts[0], show)
+    held = [part for part in parts if part.__class__ is TrackedMatch]
+    taken = list(held[0].matches) if held else []
+    if isinstance(pattern, Star):
+        repeated = [describe(pattern.repeated, one, show) for one in taken]
+        return functor("seqf", 2)(first, functor("star_timesf", 1)(make_list(repeated)))
+    kind = atom(pattern.kind) if pattern.value is None else functor(pattern.kind, 1)(copy(pattern.value))
+    if not taken:
+        return functor("aggregate", 2)(kind, first)
+    newest_first = [describe(pattern.collected, one, show) for one in reversed(taken)]
+    return functor("aggregate", 2 + len(newest_first))(kind, *newest_first, first)
+
+
+def _describe_streamed(pattern: _Streamed, parts: Sequence[Any], show: Show) -> Term:
+    if isinstance(pattern, Windowed):
+        held: List[Any] = [one for one in parts if one.__class__ is TrackedMatch]
+        taken = held[0].match.parts if held else ()
+        shown = [describe(pattern.collected, one, show) for one in taken]
+        return functor("windowf", 3)(_kinds(pattern), make_list(shown), window_term(pattern.window))
+    first = describe(pattern.pattern, parts[0], show)
+    if isinstance(pattern, Shaped):
+        return functor("withf", 2)(first, copy(shape_term(pattern)))
+    return functor("absentf", 3)(first, copy(_as_term(pattern.negated)), timestamps.to_seconds(pattern.span))
+
+
+def _kinds(pattern: Windowed) -> Term:
+    """Return what a window measures: the list of its kinds, or the only one."""
+    kinds = []
+    measured = zip(pattern.kinds, pattern.settings, pattern.values, pattern.scopes)
+    for name, setting, value, scope in measured:
+        settings = () if setting is None else setting if setting.__class__ is tuple else (setting,)
+        args = settings if value is None else (*settings, copy(value))
+        kind = functor(name, len(args))(*args) if args else atom(name)
+        of_step = None if scope is None else atom(pattern.window.steps[scope].name)
+        kinds.append(kind if of_step is None else functor("of", 2)(of_step, kind))
+    return kinds[0] if len(kinds) == 1 else make_list(kinds)
+
+
+def _parts(pattern: Pattern) -> "Tuple[str, List[Union[Pattern, _Quoted]]]":
+    """Return name and operands of a pattern as an explanation shows it."""
+    if isinstance(pattern, Pair):
+        return f"{pattern.operator}f", [pattern.left, pattern.right]
+    if isinstance(pattern, Either):
+        return "orf", list(pattern.branches)
+    if isinstance(pattern, Absent):
+        return "cnotf" if pattern.inside else "fnotf", [pattern.pattern, _Quoted(_as_term(pattern.negated))]
+    if isinstance(pattern, Star):
+        return "star_timesf", [pattern.first, _Quoted(_as_term(pattern.repeated))]
+    if isinstance(pattern, Aggregate):
+        return "aggregatef", [pattern.first, _Quoted(_as_term(pattern.collected))]
+    if isinstance(pattern, Within):
+        return "withinf", [pattern.pattern, _Quoted((pattern.span + 1) / 1e9)]
+    if isinstance(pattern, (Condition, Action)):
+        return _parts_with_goal(pattern)
+    assert isinstance(pattern, (Windowed, Shaped, Awaited))
+    return _streamed_parts(pattern)
+
+
+def _parts_with_goal(pattern: Union[Condition, Action]) -> "Tuple[str, List[Union[Pattern, _Quoted]]]":
+    name = "dof" if isinstance(pattern, Action) else "checkf" if pattern.timed else "wheref"
+    return name, [pattern.pattern, _Quoted(resolve(pattern.goal))]
+
+
+def _streamed_parts(
+    pattern: _Streamed,
+) -> "Tuple[str, List[Union[Pattern, _Quoted]]]":
+    if isinstance(pattern, Windowed):
+        window = _Quoted(window_term(pattern.window))
+        return "windowf", [_Quoted(_kinds(pattern)), pattern.collected, window]
+    if isinstance(pattern, Shaped):
+        return "withf", [pattern.pattern, _Quoted(resolve(shape_term(pattern)))]
+    return "absentf", [
+        pattern.pattern,
+        _Quoted(_as_term(pattern.negated)),
+        _Quoted(timestamps.to_seconds(pattern.span)),
+    ]
+
+
+def _shown_of(part: Repeated) -> Pattern:
+    """Return what an explanation shows of repetitions: the sequence written out, of not too many of them."""
+    return part._replace(times=min(part.times, _WRITTEN_OUT)).written_out()
+
+
+class _Quoted:
+    """A part of an explanation that is shown as it stands."""
+
+    def __init__(self, term: Term):
+        self.term = term
+
+
+def _as_term(part: "Union[Pattern, _Quoted]") -> Term:
+    if isinstance(part, _Quoted):
+        return part.term
+    if isinstance(part, Occurs):
+        return resolve(part.term)
+    if isinstance(part, Repeated):
+        part = _shown_of(part)
+    name, parts = _parts(part)
+    return functor(name, len(parts))(*[_as_term(one) for one in parts])
+
+
+def _as_event(occurrence: Occurrence) -> Term:
+    return (_EVENT, occurrence.term, interval_term(occurrence.start, occurrence.end))
+
+
+def _label(rule: Optional[Fired]) -> Term:
+    return _UNLABELED if rule is None or rule.label is None else rule.label
+
+
+def _unifies(*pairs: Tuple[Term, Term]) -> bool:
+    trail: Trail = []
+    result = all(unify(copy(left), right, trail) for left, right in pairs)
+    undo(trail, 0)
+    return result

@@ -1,0 +1,190 @@
+"""Flags of the event language: their values, defaults, and what they do to the network."""
+
+from difflib import get_close_matches
+from math import inf
+from typing import Callable, Dict, List, NamedTuple, Optional, Tuple
+
+from ...foundation.errors import UsageError
+from ...prolog.terms.timestamps import from_seconds
+from ...prolog.terms.types import Atom, Term, atom
+from ..language.event_declarations import STRICTLY, UNDECLARED
+from ..matches.partial_matches import ConsumptionPolicy, NetworkOptions
+from ..streams.stream_elements import KeyBounds
+
+_SWITCH = ("off", "on")
+
+
+class Flag(NamedTuple):
+    """A flag: its default, and the names it takes (none: a number).
+
+    Attributes:
+        default: the default.
+        values: the names.
+        takes: the numbers that it takes, for errors.
+        least: the smallest of these, apart from the default.
+        whole: whether they are whole.
+    """
+
+    default: Term
+    values: Tuple[str, ...]
+    takes: str = ""
+    least: float = 0
+    whole: bool = False
+
+
+def _switch(default: str = "off") -> Flag:
+    return Flag(atom(default), _SWITCH)
+
+
+_SECONDS = Flag(-1, (), "a number of seconds from 0, or -1 for none", 0)
+
+FLAGS: Dict[str, Flag] = {
+    "event_consumption_policy": Flag(atom("recent"), tuple(policy.value for policy in ConsumptionPolicy)),
+    "out_of_order": _switch(),
+    "revision_flag": _switch(),
+    "etalis_justification": _switch(),
+    "rule_sharing": _switch(),
+    "garbage_control": Flag(atom("off"), ("off", "general", "pattern")),
+    "garbage_window": _SECONDS,
+    "garbage_window_step": _SECONDS,
+    "max_gap": _SECONDS,
+    "state_ttl": _SECONDS,
+    "max_keys": Flag(100_000, (), "a number of keys from 1", 1, True),
+    "logging": _switch(),
+    "logging_to_file": _switch(),
+    "store_fired_events": _switch(),
+    "store_fired_events_java": _switch(),
+    "java_notification": _switch(),
+    "output_temporary_files": _switch(),
+    "prolog_backend": Flag(atom("swi"), ("swi",)),
+    "db_trace": _switch(),
+    "subPatterns": _switch("on"),
+    "save_ruleId": _switch(),
+    UNDECLARED.name: Flag(atom("allowed"), ("allowed", STRICTLY.name)),
+}
+
+
+class Flags:
+    """The values of all flags.
+
+    Args:
+        on_change: called with the name of a flag that was given another value.
+
+    Attributes:
+        followers: called with the value of a flag that is a number, by its name, when that has changed.
+    """
+
+    def __init__(self, on_change: Callable[[str], None]):
+        self._on_change = on_change
+        self._defaults: Dict[str, Term] = {name: flag.default for name, flag in FLAGS.items()}
+        self._values = dict(self._defaults)
+        self.followers: Dict[str, Callable[[float], None]] = {}
+        self._changing: Optional[str] = None
+
+    def get(self, name: str) -> Optional[Term]:
+        """Return the value of a flag, or None where there is no such flag."""
+        return self._values.get(name)
+
+    def names(self) -> List[str]:
+        """Return the names of all flags."""
+        return list(FLAGS)
+
+    def set(self, name: str, value: Term) -> None:
+        """Set a flag.
+
+        Raises:
+            UsageError: for an unknown flag or a value that it does not take.
+        """
+        flag = FLAGS.get(name)
+        if flag is None:
+            meant = get_close_matches(name, FLAGS, 1)
+            raise UsageError(f"there is no flag {name}{f'; did you mean {meant[0]}?' if meant else ''}")
+        if flag.values:
+            if value.__class__ is not Atom or value.name not in flag.values:
+                raise UsageError(f"{name} takes {', '.join(flag.values)}")
+        elif (
+            not isinstance(value, (int, float))
+            or not (flag.least <= value < inf or value == flag.default)  # nan is neither
+            or (flag.whole and value % 1)
+        ):
+            raise UsageError(f"{name} takes {flag.takes}")
+        if value != self._values[name]:
+            self._changing = name
+            self._values[name] = value
+            self._tell(name)
+            self._changing = None
+
+    def set_default(self, name: str, value: Term) -> None:
+        """Set a flag, also to come back to when all are reset."""
+        self.set(name, value)
+        self._defaults[name] = value
+
+    def changed(self) -> Dict[str, Term]:
+        """Return the flags that have other values than by default."""
+        return {name: value for name, value in self._values.items() if value != self._defaults[name]}
+
+    def _tell(self, name: str) -> None:
+        self._on_change(name)
+        if name in self.followers:
+            self.followers[name](self.number(name))
+
+    def mend(self) -> None:
+        """Have what follows from a flag be done that was being set when an interrupt came."""
+        if self._changing is not None:
+            self._tell(self._changing)
+            self._changing = None
+
+    def reset(self) -> None:
+        """Set all flags to their defaults."""
+        for name, value in self._defaults.items():
+            self.set(name, value)
+
+    def is_on(self, name: str) -> bool:
+        """Tell whether a switch is on."""
+        return self._values[name] is atom("on")
+
+    def number(self, name: str) -> float:
+        """Return the value of a flag that is a number."""
+        value = self._values[name]
+        assert isinstance(value, (int, float))
+        return value
+
+    def _text(self, name: str) -> str:
+        value = self._values[name]
+        assert isinstance(value, Atom)
+        return value.name
+
+    def mode(self) -> NetworkOptions:
+        """Return how the network is to run."""
+        return NetworkOptions(
+            ConsumptionPolicy(self._text("event_consumption_policy")),
+            self.is_on("out_of_order"),
+            self.is_on("revision_flag") or self.is_on("etalis_justification"),
+            self.is_on("revision_flag"),
+        )
+
+    def key_bounds(self) -> KeyBounds:
+        """Return the bounds of the states of keys, for what has no properties."""
+        ttl = self.number("state_ttl")
+        return KeyBounds(None, from_seconds(ttl) if ttl > 0 else None, int(self.number("max_keys")))
+
+    def garbage_control(self, properties: Dict[str, List[int]]) -> Optional[Tuple[int, int]]:
+        """Return window and step of the garbage control of a rule with these properties, or None.
+
+        A time to live is a garbage control of that window: at each event, all goes that is older.
+        """
+        ttl = self.key_bounds().idle
+        if "ttl" in properties:
+            ttl = min([one for one in properties["ttl"] if one], default=None)  # 0 means that nothing ends
+        found = self._garbage_control(properties)
+        return (ttl, 0) if ttl is not None and (found is None or ttl < found[0]) else found
+
+    def _garbage_control(self, properties: Dict[str, List[int]]) -> Optional[Tuple[int, int]]:
+        kind = self.get("garbage_control")
+        if kind is atom("general"):
+            window = self.number("garbage_window")
+            if window > 0:
+                return from_seconds(window), max(0, from_seconds(self.number("garbage_window_step")))
+        elif kind is atom("pattern") and "window" in properties and "window_step" in properties:
+            return min(properties["window"]), min(properties["window_step"])
+        return None

@@ -1,0 +1,368 @@
+"""What goals of the event language are given: names of files, lists, intervals.
+
+Events written as goals: ``event/1,2`` and ``new_event/2,3,5``, in programs and on the String topics.
+
+The goals with which a program makes events at times of its own: ``new_event/2,3,5``.
+
+Goals that fire events: one, a list, a file.
+"""
+
+import re
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
+
+from ...foundation.bounded_caches import Cache
+from ...foundation.errors import Errors, ProgramErrors, SyntaxFault, UsageError
+from ...prolog.builtins.argument_checks import callable_of, integer
+from ...prolog.builtins.time_predicates import instant_of
+from ...prolog.machine.errors import PrologError, domain_error, instantiation_error, type_error
+from ...prolog.machine.machine import Machine
+from ...prolog.syntax.event_text import EventReader
+from ...prolog.syntax.operators import Operators
+from ...prolog.syntax.term_reader import read_program
+from ...prolog.system.prolog_system import PrologSystem
+from ...prolog.terms import timestamps
+from ...prolog.terms.list_terms import list_items, make_list
+from ...prolog.terms.term_traversal import copy
+from ...prolog.terms.timestamps import FIRST, LAST, SECOND, WholeSeconds, from_any
+from ...prolog.terms.types import Atom, Frame, Functor, String, Term, Values, Var, deref, functor
+from ..dispatch.dispatcher import Dispatcher
+
+EVENT2 = functor("event", 2)
+
+
+def path_of(term: Term) -> str:
+    """Return the name of a file.
+
+    Raises:
+        PrologError: where it is none.
+    """
+    term = deref(term)
+    if term.__class__ is Var:
+        raise instantiation_error()
+    if term.__class__ not in (Atom, String):
+        raise type_error("atom", term)
+    return str(term.name if term.__class__ is Atom else term.text)
+
+
+def items_of(term: Term) -> List[Term]:
+    """Return the items of a list.
+
+    Raises:
+        PrologError: where it is none.
+    """
+    items = list_items(term)
+    if items is None:
+        raise type_error("list", term)
+    return items
+
+
+def interval_of(term: Term) -> Tuple[int, int]:
+    """Return the interval of ``[T1,T2]``.
+
+    Raises:
+        PrologError: where it is none, or reversed.
+    """
+    stamps = list_items(term)
+    if stamps is None or len(stamps) != 2:
+        raise type_error("interval", term)
+    try:
+        start, end = from_any(stamps[0]), from_any(stamps[1])
+    except UsageError:
+        raise type_error("datime", term) from None
+    if end < start:
+        raise domain_error("interval", term)
+    return start, end
+
+
+_SECOND = re.compile(r"datime\((\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9}),", re.ASCII)
+_NANOSECOND = re.compile(r"\d{1,9}\)", re.ASCII)
+
+
+class InputEvent(NamedTuple):
+    """An event and the two instants of its interval; None where the clock is to stamp it.
+
+    Attributes:
+        ground: whether the event has no variables; None where nobody has looked.
+    """
+
+    term: Term
+    start: Any
+    end: Any
+    ground: Optional[bool] = None
+
+
+class InputReader:
+    """Reads events from the text of their goals; not for use by two threads at once.
+
+    Args:
+        operators: those that hold in the texts.
+    """
+
+    def __init__(self, operators: Operators):
+        self._reader = EventReader(operators)
+        self._seconds: Cache[str, int] = Cache(64, 1 << 16)
+
+    def goal(self, text: str) -> Term:
+        """Return the goal of a text.
+
+        Raises:
+            SyntaxFault: where it is none.
+        """
+        return self._reader.read(text)
+
+    def event(self, text: str) -> Optional[InputEvent]:
+        """Return the event that a text makes, or None where it is another goal.
+
+        Raises:
+            SyntaxFault: where it is not a goal.
+            PrologError: where it is such a goal with arguments that make no event.
+        """
+        if text.startswith("event("):
+            found = self._stamped(text)
+            if found is not None:
+                return found
+        return event_of(self._reader.read(text))
+
+    def _stamped(self, text: str) -> Optional[InputEvent]:
+        """Read ``event(E,[T,T])`` as other nodes write it, the two stamps by their own short way; None if it is not.
+
+        That the text up to the stamps and ``)`` is ``event(E)`` makes sure that they stand where they seem to.
+        """
+        at = text.rfind(",[datime(")
+        stamps = text[at + 2 :]
+        middle = (len(stamps) - 3) // 2
+        stamp = stamps[:middle]
+        if at < 0 or stamps != f"{stamp},{stamp}])":
+            return None
+        last = stamp.rfind(",") + 1
+        second = self._seconds.get(stamp[:last])
+        if second is None:
+            second = self._learn(stamp[:last])
+        if second is None or not _NANOSECOND.fullmatch(stamp, last):
+            return None
+        try:
+            goal = self._reader.read(text[:at] + ")")
+        except SyntaxFault:  # for the one that names the place in the whole text
+            return None
+        if goal.__class__ is not tuple or goal[0] is not EVENT1:
+            return None
+        instant = WholeSeconds(second + int(stamp[last:-1]))
+        return InputEvent(callable_of(goal[1]), instant, instant, self._reader.ground)
+
+    def _learn(self, text: str) -> Optional[int]:
+        """Return the instant of a datime's text up to its nanoseconds, and remember it; None where it is none."""
+        found = _SECOND.fullmatch(text)
+        if found is None:
+            return None
+        try:
+            instant = timestamps.from_term((timestamps.DATIME7, *map(int, found.groups()), 0))
+        except UsageError:
+            return None
+        return self._seconds.keep(text, instant, len(text))
+
+
+def event_of(goal: Term) -> Optional[InputEvent]:
+    """Return the event that a goal makes, or None where it is another goal.
+
+    Raises:
+        PrologError: where it is such a goal with arguments that make no event.
+    """
+    goal = deref(goal)
+    if goal.__class__ is not tuple:
+        return None
+    reader = READERS.get(goal[0])
+    return None if reader is None else reader(goal[1:])
+
+
+def _event1(arguments: Sequence[Term]) -> InputEvent:
+    term = callable_of(arguments[0])
+    if term.__class__ is tuple and term[0] is _EVENT2:  # event(event(E,[T1,T2])) is event(E,[T1,T2])
+        return _with_interval(term[1:])
+    return InputEvent(term, None, None)
+
+
+def _with_interval(arguments: Sequence[Term]) -> InputEvent:
+    stamps = list_items(arguments[1])
+    if stamps is None or len(stamps) != 2:
+        raise type_error("interval", arguments[1])
+    return _checked(arguments, instant_of(stamps[0]), instant_of(stamps[1]))
+
+
+def _with_instant(arguments: Sequence[Term]) -> InputEvent:
+    instant = timestamps.from_parts(integer(arguments[1]), integer(arguments[2]))
+    return _checked(arguments, instant, instant)
+
+
+def _with_instants(arguments: Sequence[Term]) -> InputEvent:
+    start = timestamps.from_parts(integer(arguments[1]), integer(arguments[2]))
+    end = timestamps.from_parts(integer(arguments[3]), integer(arguments[4]))
+    return _checked(arguments, start, end)
+
+
+EVENT1 = functor("event", 1)
+_EVENT2 = functor("event", 2)
+READERS: Dict[Functor, Callable[[Sequence[Term]], InputEvent]] = {
+    EVENT1: _event1,
+    _EVENT2: _with_interval,
+    functor("new_event", 2): _with_interval,
+    functor("new_event", 3): _with_instant,
+    functor("new_event", 5): _with_instants,
+}
+
+
+def _checked(arguments: Sequence[Term], start: int, end: int) -> InputEvent:
+    if end < start or not (timestamps.in_range(start) and timestamps.in_range(end)):
+        raise type_error("interval", arguments[1])
+    return InputEvent(callable_of(arguments[0]), start, end)
+
+
+def define_new_event(logic: PrologSystem, dispatcher: Dispatcher) -> None:
+    """Define ``new_event``: with a list of two stamps, with seconds and nanoseconds, with those of start and end."""
+    dispatch = dispatcher.dispatch
+
+    def at_instant(machine: Machine, arguments: Sequence[Term], after: Frame, plain: bool = False) -> Frame:
+        event, seconds, nanoseconds = arguments
+        if seconds.__class__ is int and nanoseconds.__class__ is int:
+            instant = seconds * SECOND + nanoseconds
+            if FIRST <= instant < LAST:
+                return dispatch(event, instant, instant, after, None, plain or None, plain)
+        return general(machine, arguments, after)
+
+    def general(machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
+        made = READERS[functor("new_event", len(arguments))](arguments)
+        return dispatch(made.term, made.start, made.end, after, own=False)
+
+    logic.define_control("new_event", 2, general, at_once=True)
+    logic.define_control("new_event", 3, at_instant, at_once=True, gate=dispatcher.gate)
+    logic.define_control("new_event", 5, general, at_once=True)
+
+
+_EVENT1 = functor("event", 1)
+
+
+def define_firing(rules: Any) -> None:
+    """Define the goals that fire events for a program's rules."""
+    _FiringGoals(rules).define(rules.logic)
+
+
+class _FiringGoals:
+    """Goals that fire events: one, a list, a file."""
+
+    def __init__(self, rules: Any):
+        self.rules = rules
+
+    def define(self, logic: PrologSystem) -> None:
+        logic.define_control("event", 1, self.event, at_once=True)
+        logic.define_control("event", 2, self.event, at_once=True)
+        logic.define_control("fire_event_list", 1, self.fire_list)
+        logic.define_control("fire_event_list_return_external_events", 2, self.fire_and_return)
+        logic.define_control("execute_event_stream_file", 1, self.execute_file)
+        logic.define("exists_file", 1, self.exists)
+
+    def event(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Optional[Frame]:
+        """Dispatch an event, with the interval given or stamped by the clock."""
+        term = callable_of(arguments[0])
+        interval: Optional[Term] = arguments[1] if len(arguments) == 2 else None
+        if interval is None and term.__class__ is tuple and term[0] is EVENT2:
+            interval = term[2]
+            term = callable_of(term[1])
+        self.rules.declared.require(term)
+        if interval is None:
+            start = end = self.rules.clock.stamp()
+        else:
+            start, end = interval_of(interval)
+        found: Frame = self.rules.dispatcher.dispatch(term, start, end, after, own=False)
+        return found
+
+    def fire_list(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Optional[Frame]:
+        goals = list_items(arguments[0])
+        if goals is None:
+            self.rules.on_warning(
+                UsageError("fire_event_list takes a list; what it was given is fired as a single event")
+            )
+            goals = [callable_of(arguments[0])]
+        return self._each([copy(goal) for goal in goals], after)
+
+    def fire_and_return(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Optional[Frame]:
+        goals = [(_EVENT1, copy(item)) for item in items_of(arguments[0])]
+        if not machine.unify(arguments[1], make_list([])):
+            return None
+        return self._each(goals, after)
+
+    def exists(self, machine: Machine, name: Term) -> bool:
+        files = self.rules.files
+        return bool(files.is_file(files.resolve(path_of(name))))
+
+    def execute_file(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Optional[Frame]:
+        files = self.rules.files
+        path = files.resolve(path_of(arguments[0]))
+        text = files.text(path)
+        goals: List[Term] = []
+        errors = Errors()
+        for read in read_program(text, self.rules.logic.operators, str(path)):
+            if isinstance(read, SyntaxFault):
+                errors.append(read)
+            else:
+                goals.append(read.term)
+        if errors:
+            raise ProgramErrors(errors)
+        return self._each(goals, after)
+
+    def _each(self, goals: Sequence[Term], after: Frame) -> Optional[Frame]:
+        """Return the frame that calls the goals in order; what fails or raises is reported, and the rest goes on."""
+        stream = _Stream(self.rules, goals)
+        return stream.run((stream, after))
+
+
+class _Stream:
+    """Code of a frame that calls the goals that are left."""
+
+    def __init__(self, rules: Any, goals: Sequence[Term]):
+        self.rules = rules
+        self.goals = iter(goals)
+        self.machine: Machine = rules.logic.machine
+        query = Var()
+        self.call = rules.logic.compile_goal((functor("call", 1), query), [query], [])
+
+    def run(self, frame: Frame) -> Optional[Frame]:
+        for goal in self.goals:
+            found: Optional[Frame] = self.machine.attempt(
+                self.call, (goal,), self._done(frame), (_FAILED, self, goal, frame), self._raised(goal)
+            )
+            return found
+        last: Frame = frame[1]
+        return last
+
+    def _done(self, frame: Frame) -> Callable[[Values], Frame]:
+        return lambda outputs: frame
+
+    def _raised(self, goal: Term) -> Callable[[PrologError], None]:
+        def report(error: PrologError) -> None:
+            self.goals = iter([_RAISED, *self.goals])
+            text = self.rules.logic.show(goal)
+            self.rules.on_error(UsageError(f"{text} in an event stream: {error.message}"))
+
+        return report
+
+
+_RAISED: Any = object()
+
+
+class _Failed:
+    """Code of the frame for a goal of a stream that failed (or raised, which is reported already)."""
+
+    @staticmethod
+    def run(frame: Frame) -> Frame:
+        after: Frame
+        _, stream, goal, after = frame
+        left = list(stream.goals)
+        if left and left[0] is _RAISED:
+            stream.goals = iter(left[1:])
+        else:
+            stream.goals = iter(left)
+            text = stream.rules.logic.show(goal)
+            stream.rules.on_error(UsageError(f"{text} in an event stream fails"))
+        return after
+
+
+_FAILED = _Failed()

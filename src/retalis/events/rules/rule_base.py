@@ -1,0 +1,508 @@
+"""The rules that take events, in order, and found by label and by what they say.
+
+All event rules of a program and the flags by which they run.
+"""
+
+import logging
+from os import PathLike
+from pathlib import Path
+from typing import Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Tuple, Union
+
+from ...foundation.errors import Place, RetalisError, RuleError
+from ...prolog.machine.resource_limits import keep_back
+from ...prolog.system.prolog_system import PrologSystem
+from ...prolog.terms.term_traversal import copy, term_key, variables
+from ...prolog.terms.timestamps import SECOND, from_seconds
+from ...prolog.terms.types import Term, Trail, atom, deref
+from ...prolog.terms.unification import unify
+from ..dispatch.dispatcher import Dispatcher
+from ..dispatch.listeners import TERM, ListenerPhase
+from ..language.event_declarations import UNDECLARED
+from ..language.goal_analysis import called_by
+from ..language.pattern_tree import RuleDefinition
+from ..language.rule_parser import Property, is_absolute, is_rule
+from ..matches.partial_matches import NetworkOptions, with_property
+from ..network.event_rule import EventRule
+from ..network.goal_evaluation import RuleOwner, UnderWay, Woken
+from ..program.event_file_checker import FileChecker, nowhere
+from ..program.event_file_loader import EventFileLoader
+from ..program.source_files import SourceFiles
+from ..provenance.event_log import EventLog, Fired, Occurrence
+from ..provenance.justification import Justifier
+from ..provenance.lineage import LineageTracker
+from .event_flags import Flags
+from .event_types import EventTypes
+from .rule_predicates import define_predicates
+from .timer_service import NodeTimers, RuleAlarm, Timers, Timing
+
+_UNLABELED = atom("unlabeled")
+
+_Groups = Dict[Hashable, Dict[EventRule, None]]
+
+
+class RuleIndex:
+    """The rules of a program, the oldest first."""
+
+    def __init__(self) -> None:
+        self._all: Dict[EventRule, None] = {}
+        self._by_label: _Groups = {}
+        self._by_key: _Groups = {}
+
+    def __iter__(self) -> Iterator[EventRule]:
+        return iter(self._all)
+
+    def add(self, rule: EventRule) -> None:
+        """Take a rule in, after all others."""
+        self._all[rule] = None
+        self._file(rule)
+
+    def take_out(self, rule: EventRule) -> bool:
+        """Take a rule out; returns whether it was there."""
+        if self._all.pop(rule, 0) is not None:
+            return False
+        _take_out(self._by_label, term_key(label_of(rule)), rule)
+        _take_out(self._by_key, rule.definition.key, rule)
+        return True
+
+    def labelled(self, label: Term) -> List[EventRule]:
+        """Return the rules that have a label."""
+        return list(self._by_label.get(term_key(label), ()))
+
+    def alike(self, key: Hashable) -> List[EventRule]:
+        """Return the rules that say the same, see `RuleDefinition.key`."""
+        return list(self._by_key.get(key, ()))
+
+    def mend(self) -> None:
+        """Put right what an interrupt may have left half done: a rule is found in every way, or in none."""
+        self._by_label, self._by_key = {}, {}
+        for rule in self._all:
+            self._file(rule)
+
+    def _file(self, rule: EventRule) -> None:
+        self._by_label.setdefault(term_key(label_of(rule)), {})[rule] = None
+        self._by_key.setdefault(rule.definition.key, {})[rule] = None
+
+
+def label_of(rule: EventRule) -> Term:
+    """Return the label of a rule."""
+    return _UNLABELED if rule.label is None else rule.label
+
+
+def _take_out(groups: _Groups, key: Hashable, rule: EventRule) -> None:
+    """Take a rule out from among those of a key."""
+    del groups[key][rule]
+    if not groups[key]:
+        del groups[key]
+
+
+log = logging.getLogger("retalis")
+
+_CONFIGURING = frozenset(
+    ("event_consumption_policy", "out_of_order", "revision_flag", "etalis_justification", "garbage_control")
+    + ("garbage_window", "garbage_window_step", "state_ttl", "max_keys")
+)
+
+
+class RuleBase:
+    """The event rules of a program.
+
+    Args:
+        logic: where goals are compiled and clauses are kept.
+        dispatcher: whose events the rules take, and which takes theirs.
+        clock: gives ``now()`` and takes alarms by ``call_at(instant, callback)``.
+        cap: how many partial matches a rule may have (the oldest go), and how many alarms may be set (further ones
+            are dropped).
+        future: by how many nanoseconds a stamp may be ahead of the clock to move the clocks of rules.
+
+    Attributes:
+        on_error: called with each error of a rule or goal while events flow.
+        on_reset: called where a goal has partial matches dropped, and with True what is kept of past events.
+        on_warning: called with each warning.
+        warn_singletons: whether variables that stand in a clause only once are worth a warning.
+        flags: the flags of ``set_etalis_flag/2``.
+        declared: the events that have been declared.
+        mode: what the flags say about how the network runs.
+        key_bounds: the bounds of the states of keys that flags set.
+        fired_before: how many whole matches rules had that were deleted.
+    """
+
+    def __init__(
+        self,
+        logic: PrologSystem,
+        dispatcher: Dispatcher,
+        clock: Timing,
+        cap: int = 1_000_000,
+        future: int = 10 * SECOND,
+    ):
+        self.logic = logic
+        self.dispatcher = dispatcher
+        self.clock = clock
+        self.cap = cap
+        self.future = future
+        self.on_error: Callable[[RetalisError], None] = lambda error: log.error("%s", error)
+        self.warn_singletons = False
+        self.revs_of_nothing = 0
+        self.fired_before = 0
+        self.on_reset: Callable[[bool], None] = lambda past: None
+        self.on_warning: Callable[[RetalisError], None] = lambda error: log.warning("%s", error)
+        self.under_way = UnderWay()
+        self._table = RuleIndex()
+        self.flags = Flags(self._flag_changed)
+        self.declared = EventTypes(self)
+        self.mode: NetworkOptions = self.flags.mode()
+        self.key_bounds = self.flags.key_bounds()
+        self.tracker = LineageTracker(self)
+        self.justifier = Justifier(self, self.tracker)
+        self.store = EventLog(self)
+        self.deadlines = NodeTimers(self)
+        self.files = SourceFiles()
+        self.loader = EventFileLoader(self)
+        self._properties: Dict[Hashable, List[Property]] = {}
+        self.serial = 0
+        self.timers = Timers(self)
+        define_predicates(self)
+
+    # ---- loading -------------------------------------------------------------------------------------
+
+    def load_text(self, text: str, source: str = "text", folder: Optional[Path] = None) -> None:
+        """Load the text of an event file.
+
+        Raises:
+            ProgramErrors: all errors; nothing of the text is active then.
+        """
+        self.loader.load_text(text, source, folder)
+
+    def load_file(self, path: Union[str, "PathLike[str]"]) -> None:
+        """Load an event file of the program's own, whose folder its goals may read from then on.
+
+        Raises:
+            ProgramErrors: all errors; nothing of the file is active then.
+            PrologError: where it is not there, or no file can have that name.
+            UsageError: where it cannot be read.
+        """
+        with self.files.loading():
+            found = self.files.resolve(path)
+            self.files.door.add_own(found.parent)
+            self.loader.load_file(found)
+
+    def load_terms(self, terms: Sequence[Tuple[Term, Optional[Place]]]) -> None:
+        """Load terms as if they were an event file.
+
+        Raises:
+            ProgramErrors: all errors; nothing is active then.
+        """
+        self.loader.load_terms(terms)
+
+    # ---- rules ---------------------------------------------------------------------------------------
+
+    @property
+    def rules(self) -> List[EventRule]:
+        """The rules that take events, oldest first."""
+        return list(self._table)
+
+    def add(self, definition: RuleDefinition) -> EventRule:
+        """Add a rule after all others; it sees later events only."""
+        rule = self.compile(definition)
+        self.activate(rule)
+        return rule
+
+    def compile(self, definition: RuleDefinition) -> EventRule:
+        """Build a rule without having it take events.
+
+        Raises:
+            RetalisError: where a goal or pattern cannot be compiled.
+        """
+        self.serial += 1
+        return EventRule(self, definition, self.serial, self._name(definition))
+
+    def activate(self, rule: EventRule) -> None:
+        """Have a rule take events."""
+        self._table.add(rule)
+        self._configure(rule)
+
+    def insert(self, term: Term) -> bool:
+        """Add one rule given as a term; anything else is added as a clause, and the result is False.
+
+        Raises:
+            ProgramErrors: where the rule cannot fire.
+        """
+        term = copy(term)
+        self.loader.load_terms([(term, None)])
+        return is_rule(term)
+
+    def delete(self, term: Term) -> bool:
+        """Delete by label (all rules with it), or by rule: exactly that one, and its partial matches.
+
+        Returns:
+            Whether there was one.
+        """
+        term = deref(term)
+        if is_rule(term):
+            found = self._same_rules(term)[:1]
+        else:
+            found = self._table.labelled(term)
+        for rule in found:
+            self.remove(rule)
+        return bool(found)
+
+    def delete_by_head(self, head: Term) -> bool:
+        """Delete all rules whose head unifies with a term; returns whether there were any."""
+        found = []
+        for rule in self.rules:
+            trail: Trail = []
+            own = rule.definition.head
+            if own is not None and unify(copy(own), copy(head), trail):
+                found.append(rule)
+        for rule in found:
+            self.remove(rule)
+        return bool(found)
+
+    def remove(self, rule: EventRule) -> None:
+        """Take a rule out, with its partial matches."""
+        known = self._table.take_out(rule)
+        rule.unlisten()
+        rule.clear()
+        if known:
+            self.fired_before += rule.firings.number
+
+    def set_aside(self, rule: EventRule) -> None:
+        """Have a rule take no events for now; what waits in it stays."""
+        self._table.take_out(rule)
+        rule.unlisten()
+
+    def arrange(self, rules: Sequence[EventRule], gone: Sequence[EventRule] = ()) -> None:
+        """Have these rules take events, in this order, and no others; what waits in them stays.
+
+        Args:
+            rules: new ones, those that take events, and those that were set aside.
+            gone: what was set aside for good.
+        """
+        for rule in gone:
+            self._table.add(rule)
+        kept = set(rules)
+        for rule in self.rules:
+            if rule in kept:
+                self._table.take_out(rule)
+            else:
+                self.remove(rule)
+        for rule in rules:
+            self.serial += 1
+            rule.serial = self.serial
+            self.activate(rule)
+
+    def mend(self) -> None:
+        """Put right what an interrupt may have left half done: a rule is there and listens, or neither."""
+        self._table.mend()
+        self.loader.mend()
+        self._table.mend()
+        self.flags.mend()
+        chosen = set(self.tracker.listeners)
+        self.deadlines.clear()  # each node asks anew
+        for rule in self.rules:
+            rule.mend()
+            if not rule.sound:
+                self._configure(rule)
+            chosen.update(rule.listeners)
+        self.dispatcher.keep_only(ListenerPhase.RULES, chosen)
+        self.tracker.mend()
+        self.timers.mend()
+
+    def _same_rules(self, term: Term) -> List[EventRule]:
+        checker = FileChecker()
+        checker.term(copy(term), nowhere, None)
+        if not checker.rules:
+            return []
+        wanted = checker.rules[0]
+        found = self._table.alike(wanted.key)
+        return [rule for rule in found if wanted.label is None or label_of(rule) is wanted.label]
+
+    def note_conditions(self, conditions: Term, caller: str) -> None:
+        """Warn of predicates that the conditions of a memory or subscription call and that are not there."""
+        self.loader.note_calls(called_by(conditions, caller))
+
+    def terms(self) -> List[Term]:
+        """Return the rules as they were written, and the bodies of the program's clauses."""
+        predicates = [one for one in self.logic.database.predicates.values() if one.kind == "user"]
+        bodies = [clause.body for one in predicates if not one.library for clause in one.live()]
+        return [*(rule.definition.term for rule in self.rules), *bodies]
+
+    def _name(self, definition: RuleDefinition) -> str:
+        show = self.logic.brief
+        head = "(no head)"
+        if (
+            definition.head is not None
+        ):  # a rule made at run time has no names; its own would be ever new ones
+            unnamed = dict.fromkeys(variables(definition.head), "_")
+            head = show(definition.head, {**unnamed, **definition.names}, made=True)
+        label = "" if definition.label is None else f"{show(definition.label)}: "
+        return f"rule {label}{head}"
+
+    # ---- how they run --------------------------------------------------------------------------------
+
+    def set_property(self, one: Property) -> None:
+        """Give a label a property; it holds for the rules that have the label, at once."""
+        known = self._properties.setdefault(term_key(one.label), [])
+        if one.word is not None:
+            known[:] = [other for other in known if other.name != one.name]
+        if one not in known:
+            known.append(one)
+        for rule in self._table.labelled(one.label):
+            self._configure(rule)
+
+    def all_properties(self) -> Dict[Hashable, List[Property]]:
+        """Return the properties of all labels, as `restore_properties` takes them."""
+        return {key: list(found) for key, found in self._properties.items()}
+
+    def restore_properties(self, properties: Dict[Hashable, List[Property]]) -> None:
+        """Have the labels have these properties and no others; this holds for their rules at once."""
+        if properties != self._properties:
+            self._properties = properties
+            for rule in self.rules:
+                self._configure(rule)
+
+    def properties(self, label: Term) -> List[Property]:
+        """Return the properties of a label."""
+        return self._properties.get(term_key(label), [])
+
+    def _configure(self, rule: EventRule) -> None:
+        found: Dict[str, List[int]] = {}
+        mode = self.mode
+        for one in self.properties(label_of(rule)):
+            if one.word is not None:
+                mode = with_property(mode, one.name, one.word)
+            else:
+                found.setdefault(one.name, []).append(from_seconds(one.number))
+        windows = found.get("window", []) + found.get("event_rule_window", [])
+        rule.configure(mode, min(windows) if windows else None, self.flags.garbage_control(found))
+
+    def _flag_changed(self, name: str) -> None:
+        if name in _CONFIGURING:
+            self.mode = self.flags.mode()
+            self.key_bounds = self.flags.key_bounds()
+            self.tracker.configure()
+            for rule in self.rules:
+                self._configure(rule)
+        elif name == "store_fired_events":
+            self.store.keep_all(self.flags.is_on(name))
+        elif name == UNDECLARED.name:
+            self.declared.in_use = True
+
+    def newest_allowed(self) -> int:
+        """Return the newest stamp that may move the clock of a rule: some time after that by which alarms are due.
+
+        A pinned clock says the same instant for ever; the time of its stream goes on.
+        """
+        return max(self.clock.now(), self.clock.reached()) + self.future
+
+    def clear(self) -> None:
+        """Drop all partial matches and what is kept of past events: time went back. Timers go on from there."""
+        self.deadlines.clear()
+        for rule in self.rules:
+            rule.clear()
+        self.tracker.clear()
+        self.timers.start_anew()
+
+    def reset(self) -> None:
+        """Drop all rules, properties, partial matches, stored events and timers; set all flags to their defaults."""
+        for rule in list(self.rules):
+            self.remove(rule)
+        self.on_reset(True)
+        self._properties.clear()
+        self.declared.clear()
+        self.store.clear()
+        self.tracker.clear()
+        self.timers.clear()
+        self.flags.reset()
+        self.files.loaded.clear()
+
+    @property
+    def fired(self) -> int:
+        """How many whole matches all rules had, those that were deleted included."""
+        return self.fired_before + sum(rule.firings.number for rule in self.rules)
+
+    @property
+    def waiting(self) -> int:
+        """How many partial matches there are."""
+        return sum(rule.held for rule in self.rules)
+
+    # ---- alarms and reports --------------------------------------------------------------------------
+
+    def set_alarm(
+        self, rule: RuleOwner, term: Term, start: int, instant: int, token: Optional[Occurrence] = None
+    ) -> None:
+        """Have an event fire when its instant has come."""
+        if len(self.clock.alarms) >= self.cap:
+            rule.alarms_dropped += 1
+            text = f": more than {self.cap} alarms are set; {rule.alarms_dropped} have been dropped so far"
+            self._warn_seldom(rule, rule.alarms_dropped, text)
+            return
+        self.clock.call_at(instant, RuleAlarm(self, rule, term, start, instant, token))
+
+    def time(self) -> int:
+        """Return the present instant by which alarms ring; while one rings, its own."""
+        ringing = self.clock.ringing
+        return self.clock.reached() if ringing is None else ringing
+
+    def wake(self, node: Woken, instant: int) -> None:
+        """Have a node ring when an instant has come."""
+        self.deadlines.add(node, instant)
+
+    def came_late(self, rule: RuleOwner, what: str) -> None:
+        """Report that a match of a rule came too late to be taken."""
+        rule.late += 1
+        self._warn_seldom(rule, rule.late, f": {what}; {rule.late} so far")
+
+    def look_at_alarm(self, rule: RuleOwner, head: Term, alarm: Optional[Tuple[Term, int, int]]) -> None:
+        """Report an alarm for an instant that is over: one before its own start is None here, and rings never."""
+        if not is_absolute(head) or (alarm is not None and alarm[2] >= self.clock.now()):
+            return
+        rule.alarms_past += 1
+        then = "it is an ordinary event" if alarm is None else "it fires at once"
+        text = f": the instant of its alarm is in the past, so {then}; {rule.alarms_past} so far"
+        self._warn_seldom(rule, rule.alarms_past, text)
+
+    def took_nothing_back(self, term: Term, rule: Optional[Fired]) -> None:
+        """Report an event ``rev(E)`` where there is no E to take back; at 1, 2, 4, 8 ... of them."""
+        self.revs_of_nothing += 1
+        number = self.revs_of_nothing
+        if number & (number - 1) == 0:
+            who = "" if rule is None else f"{rule.name}: "
+            text = f"{who}rev retracts nothing: no event {self.logic.brief(term)} that still holds is known"
+            place = None if rule is None else rule.place
+            self.on_warning(RuleError(f"{text}; {number} so far", place))
+
+    def rule_failed(self, rule: RuleOwner, error: RuleError) -> None:
+        """Report what stopped a rule from firing."""
+        rule.firings.errors += 1
+        context = self.dispatcher.current
+        met = "" if context is None else f", at event {self.logic.brief(context[TERM])}"
+        self.on_error(RuleError(f"{rule.name}{met}: {error.message}", rule.place))
+
+    def goal_failed(self, rule: RuleOwner, goal: Term, error: RetalisError) -> None:
+        """Report an error that a goal of a rule raised, or stopped for."""
+        if keep_back(error):
+            shown = self.logic.brief(goal, names=rule.definition.names)
+            self.rule_failed(rule, RuleError(f"goal {shown}: {error.message}"))
+
+    def dropped(self, rule: RuleOwner, ways: int = 0) -> None:
+        """Report that a rule has too many partial matches, or more than `ways` ways to take steps from one start."""
+        text = f" has more than {self.cap} partial matches; {rule.dropped} of the oldest have been dropped so far"
+        if ways:
+            text = (
+                f" has more than {ways} ways to take its steps from one start; "
+                f"{rule.dropped} have been dropped so far"
+            )
+        self._warn_seldom(rule, rule.dropped, text)
+
+    def dropped_key(self, rule: RuleOwner) -> None:
+        """Report that an operator of a rule has too many keys."""
+        text = (
+            f" has more than {self.key_bounds.keys} keys; {rule.dropped} of the least recently used have been "
+            "dropped so far; flag max_keys sets the number, property(ttl, SECONDS) of a label ends idle keys"
+        )
+        self._warn_seldom(rule, rule.dropped, text)
+
+    def _warn_seldom(self, rule: RuleOwner, number: int, text: str) -> None:
+        """Report what has happened to a rule a number of times; at 1, 2, 4, 8 ... of them."""
+        if number & (number - 1) == 0:
+            self.on_warning(RuleError(f"{rule.name}{text}", rule.place))

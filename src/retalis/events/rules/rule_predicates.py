@@ -1,0 +1,292 @@
+"""Goals of other Prologs that load files, and what is known of the file that is being loaded.
+
+The goals of the event language: rules, flags, files, stored events; those that fire are in `firing`.
+"""
+
+from pathlib import Path
+from typing import Any, Dict, Hashable, Iterator, Sequence, Tuple
+
+from ...foundation.errors import UsageError
+from ...prolog.builtins.argument_checks import callable_of
+from ...prolog.machine.errors import domain_error, existence_error, instantiation_error
+from ...prolog.machine.machine import Machine
+from ...prolog.system.prolog_system import PrologSystem
+from ...prolog.terms.list_terms import list_items
+from ...prolog.terms.term_traversal import copy, freeze, resolve
+from ...prolog.terms.timestamps import interval_term, shown
+from ...prolog.terms.types import CONS, NIL, Atom, Term, Var, atom, deref, functor
+from ...prolog.terms.unification import undo
+from ..provenance.event_log import solutions
+from .event_flags import FLAGS
+from .event_predicates import EVENT2, define_firing, items_of, path_of
+from .timer_service import define_timers
+
+_IF = functor("if", 1)
+_ONCE = ("not_loaded", "changed")
+
+
+def define_load_goals(rules: Any) -> None:
+    """Define the goals; those of the event language's own are in `predicates`."""
+    logic, loader = rules.logic, rules.loader
+
+    def load(machine: Machine, names: Term, options: Term = NIL) -> bool:
+        given = [deref(option) for option in list_items(options) or ()]
+        once = any(
+            option.__class__ is tuple and option[0] is _IF and getattr(deref(option[1]), "name", "") in _ONCE
+            for option in given
+        )
+        found = list_items(names)
+        for name in [names] if found is None else found:
+            loader.use(name, once)
+        return True
+
+    def context(machine: Machine, key: Term, value: Term) -> Iterator[bool]:
+        path = rules.files.innermost
+        for one in () if path is None else _known(path):
+            mark = len(machine.trail)
+            if machine.unify_all((key, one[0]), (value, one[1])):
+                yield True
+            undo(machine.trail, mark)
+
+    def use(machine: Machine, name: Term, imports: Term = NIL) -> bool:
+        loader.use(name, once=False)
+        return True
+
+    for name in ("reconsult", "compile", "load_files"):
+        logic.define(name, 1, load)
+    for name in ("autoload", "reexport"):
+        logic.define(name, 1, use)
+        logic.define(name, 2, use)
+    logic.define("load_files", 2, load)
+    logic.define_nondeterministic("prolog_load_context", 2, context)
+
+
+def _known(path: Path) -> Tuple[Tuple[Term, Term], ...]:
+    """Return what is known of the file at a path while it is loaded."""
+    return (
+        (atom("directory"), atom(str(path.parent))),
+        (atom("source"), atom(str(path))),
+        (atom("file"), atom(str(path))),
+        (atom("module"), atom("user")),
+        (atom("dialect"), atom("swi")),
+    )
+
+
+def define_predicates(rules: Any) -> None:
+    """Define all goals of the event language for a program's rules."""
+    logic = rules.logic
+    _RuleGoals(rules).define(logic)
+    _FlagGoals(rules).define(logic)
+    define_firing(rules)
+    define_load_goals(rules)
+    define_timers(logic, rules.timers, rules.declared.require)
+    _ListingGoals(rules).define(logic)
+
+
+def _each(machine: Machine, terms: Sequence[Term], found: Iterator[Tuple[Term, ...]]) -> Iterator[bool]:
+    """Unify terms with one solution after the other."""
+    for solution in list(found):
+        mark = len(machine.trail)
+        if all(machine.unify(term, value) for term, value in zip(terms, solution)):
+            yield True
+        undo(machine.trail, mark)
+
+
+class _RuleGoals:
+    """Goals that add and delete rules."""
+
+    def __init__(self, rules: Any):
+        self.rules = rules
+
+    def define(self, logic: PrologSystem) -> None:
+        logic.define("ins_event_rule", 1, self.insert)
+        logic.define("del_event_rule", 1, self.delete)
+        logic.define("del_all_event_rules", 1, self.delete_by_head)
+        for name in ("compile_event_file", "compile_events"):
+            logic.define(name, 1, self.load_file)
+        logic.define("consult", 1, self.consult)
+        logic.define("[|]", 2, lambda machine, name, more: self.consult(machine, (CONS, name, more)))
+        logic.define("use_module", 1, self.use)
+        logic.define("use_module", 2, lambda machine, name, imports: self.use(machine, name))
+        logic.define("ensure_loaded", 1, self.ensure_loaded)
+        logic.define("compile_event_rules", 1, self.load_terms)
+        logic.define("compile_event_rules", 2, lambda machine, module, terms: self.load_terms(machine, terms))
+        logic.define("reset_db", 0, self.reset_db)
+        logic.define("call_gc", 0, self.reset_db)
+        logic.define("reset_etalis_state", 0, self.reset_state)
+        logic.define("reset_etalis", 0, self.reset)
+
+    def insert(self, machine: Machine, rule: Term) -> bool:
+        return bool(self.rules.insert(callable_of(rule)))
+
+    def delete(self, machine: Machine, rule: Term) -> bool:
+        self.rules.delete(callable_of(rule))
+        return True
+
+    def delete_by_head(self, machine: Machine, head: Term) -> bool:
+        self.rules.delete_by_head(callable_of(head))
+        return True
+
+    def load_file(self, machine: Machine, path: Term) -> bool:
+        self.rules.loader.load_file(path_of(path))
+        return True
+
+    def consult(self, machine: Machine, names: Term) -> bool:
+        found = list_items(names)
+        for name in [names] if found is None else found:
+            self.rules.loader.use(name, once=False)
+        return True
+
+    def use(self, machine: Machine, name: Term) -> bool:
+        self.rules.loader.use(name, once=False)
+        return True
+
+    def ensure_loaded(self, machine: Machine, name: Term) -> bool:
+        self.rules.loader.use(name, once=True)
+        return True
+
+    def load_terms(self, machine: Machine, terms: Term) -> bool:
+        self.rules.load_terms([(term, None) for term in items_of(terms)])
+        return True
+
+    def reset_db(self, machine: Machine) -> bool:
+        for rule in self.rules.rules:
+            rule.clear_matches()
+        self.rules.on_reset(False)
+        return True
+
+    def reset_state(self, machine: Machine) -> bool:
+        for rule in self.rules.rules:
+            rule.clear()
+        self.rules.on_reset(True)
+        self.rules.store.clear()
+        self.rules.tracker.clear()
+        return True
+
+    def reset(self, machine: Machine) -> bool:
+        for name in self.rules.flags.changed():
+            self.rules.logic.require_flags(atom(name))
+        self.rules.reset()
+        return True
+
+
+class _FlagGoals:
+    """Goals that set and read flags and counters."""
+
+    def __init__(self, rules: Any):
+        self.rules = rules
+        state = rules.logic.state  # where it is kept with what built-ins keep
+        self.counters: Dict[Hashable, int] = state.setdefault("counters of events", {})
+        self.values: Dict[Hashable, Term] = state.setdefault("flags of events", {})
+
+    def define(self, logic: PrologSystem) -> None:
+        logic.define("set_etalis_flag", 2, self.set_flag)
+        logic.define_nondeterministic("get_etalis_flag", 2, self.get_flag)
+        logic.define("incCounter", 1, self.increase)
+        logic.define("counter", 2, self.count)
+        logic.define("resetCounter", 1, self.reset_counter)
+        logic.define("set_flag", 2, self.set_value)
+        logic.define("get_flag", 2, self.get_value)
+
+    def set_flag(self, machine: Machine, name: Term, value: Term) -> bool:
+        name, value = callable_of(name), deref(value)
+        if value.__class__ is Var:
+            raise instantiation_error()
+        if name.__class__ is not Atom:
+            raise domain_error("etalis_flag", name)
+        self.rules.logic.require_flags(name)
+        try:
+            self.rules.flags.set(name.name, value)
+        except UsageError as error:
+            if self.rules.flags.get(name.name) is None:
+                raise domain_error("etalis_flag", name, error.message) from None
+            raise domain_error("etalis_flag_value", (functor("+", 2), name, value), error.message) from None
+        return True
+
+    def get_flag(self, machine: Machine, name: Term, value: Term) -> Iterator[bool]:
+        name = deref(name)
+        names = list(FLAGS) if name.__class__ is Var else [name.name if name.__class__ is Atom else ""]
+        for one in names:
+            found = self.rules.flags.get(one)
+            if found is None:
+                raise existence_error("etalis_flag", name)
+            mark = len(machine.trail)
+            if machine.unify(name, atom(one)) and machine.unify(value, found):
+                yield True
+            undo(machine.trail, mark)
+
+    def increase(self, machine: Machine, name: Term) -> bool:
+        key = _key(name)
+        self.counters[key] = self.counters.get(key, 0) + 1
+        return True
+
+    def count(self, machine: Machine, name: Term, value: Term) -> bool:
+        return bool(machine.unify(value, self.counters.get(_key(name), 0)))
+
+    def reset_counter(self, machine: Machine, name: Term) -> bool:
+        self.counters.pop(_key(name), None)
+        return True
+
+    def set_value(self, machine: Machine, name: Term, value: Term) -> bool:
+        key, value = _key(name), copy(value)
+        if value is _NO_VALUE:
+            self.values.pop(key, None)
+        else:
+            self.values[key] = value
+        return True
+
+    def get_value(self, machine: Machine, name: Term, value: Term) -> bool:
+        return bool(machine.unify(value, copy(self.values.get(_key(name), _NO_VALUE))))
+
+
+_NO_VALUE = atom("nil")
+
+
+def _key(term: Term) -> Hashable:
+    try:
+        return freeze(deref(term))
+    except ValueError:
+        raise instantiation_error() from None
+
+
+class _ListingGoals:
+    """Goals that look at what is there."""
+
+    def __init__(self, rules: Any):
+        self.rules = rules
+
+    def define(self, logic: PrologSystem) -> None:
+        logic.define("t1", 1, lambda machine, instant: self.checked(machine, instant, 0))
+        logic.define("t2", 1, lambda machine, instant: self.checked(machine, instant, 1))
+        logic.define_nondeterministic("fired_event", 2, self.fired)
+        logic.define_nondeterministic("stored_event", 1, self.stored)
+        self.rules.store.define()
+        logic.define("see_db", 0, self.see)
+        logic.define_nondeterministic("justify_event", 3, self.justify)
+        logic.define_nondeterministic("justification_edge", 2, self.edges)
+        logic.database.predicate(functor("event_rule_property", 3)).dynamic = True
+
+    def checked(self, machine: Machine, instant: Term, at: int) -> bool:
+        interval = self.rules.under_way.checked
+        return interval is not None and bool(machine.unify(instant, shown(interval[at])))
+
+    def fired(self, machine: Machine, event: Term, interval: Term) -> Iterator[bool]:
+        return solutions(self.rules.store.stored(), machine, event, interval)
+
+    def stored(self, machine: Machine, event: Term) -> Iterator[bool]:
+        found = self.rules.store.stored()
+        stored = [((EVENT2, term, interval_term(start, end)),) for term, start, end in found]
+        return _each(machine, (event,), iter(stored))
+
+    def justify(self, machine: Machine, event: Term, interval: Term, why: Term) -> Iterator[bool]:
+        found = self.rules.justifier.explanations(resolve(event), resolve(interval))
+        return _each(machine, (event, interval, why), found)
+
+    def edges(self, machine: Machine, head: Term, body: Term) -> Iterator[bool]:
+        return _each(machine, (head, body), self.rules.justifier.edges())
+
+    def see(self, machine: Machine) -> bool:
+        logic = self.rules.logic
+        for rule in self.rules.rules:
+            logic.output(f"{rule.name}: {rule.held} partial matches\n")
+        return True

@@ -1,0 +1,1 @@
+"""Explanations of why an event happened or did not happen."""

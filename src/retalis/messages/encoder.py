@@ -1,0 +1,236 @@
+"""Event terms to message bytes.
+
+For each type a function is generated that takes terms apart by unpacking and packs each run of fixed-size
+slots with one `struct` call. It takes what events are made of and nothing else; whatever it stumbles over
+goes to `checking`, which takes every form that is allowed and says exactly what is wrong with the others.
+"""
+
+from struct import Struct, pack
+from struct import error as StructError
+from typing import Any, Callable, List
+
+from ..foundation import codegen
+from ..foundation.bounded_caches import Cache
+from ..foundation.errors import MessageError
+from ..foundation.python_interpreter import text_size
+from ..prolog.terms.types import CONS, FALSE, NIL, TRUE, Atom, Lazy, Term, atom, functor
+from .field_values import SMALL, array_maker, raw_bytes, text_bytes
+from .term_validation import CheckingEncoder
+from .type_definition import PRIMITIVES, TIMES, VARIABLE, Definition, Field
+
+_BOOLS = {TRUE: True, FALSE: False}
+
+
+class Encoder:
+    """The encoder of one message type.
+
+    >>> definitions = Definitions()
+    >>> encoder = definitions.encoder(definitions.add("my_robot/Bumper", "bool left"))
+    >>> encoder.encode(functor("my_robot__0__Bumper", 1)(atom("true")), "bumper") == bytes([1])
+    True
+
+    Attributes:
+        definition: the type.
+        encode: the function ``encode(term, topic="")`` from an event term to the bytes of a message. Raises
+            `MessageError`, which names the topic, the slot and what was expected, where the term is none.
+    """
+
+    __slots__ = ("definition", "encode")
+
+    def __init__(self, definition: Definition):
+        self.definition = definition
+        self.encode: Callable[..., bytes] = _compile_encode(definition)
+
+
+class _Unusual(Exception):
+    """The term is not as events are, or not right at all: to be looked at closely."""
+
+
+class _PackedTexts(Cache[Atom, bytes]):
+    """The bytes of atoms that stand for texts, length included; bounded."""
+
+    def read(self, term: Term) -> bytes:
+        raw = text_bytes(term) if term.__class__ is Atom else raw_bytes(term)
+        if raw is None:
+            raise _Unusual
+        packed: bytes = pack("<I", len(raw)) + raw
+        return (
+            self.keep(term, packed, text_size(term.name) + len(packed)) if term.__class__ is Atom else packed
+        )
+
+
+_packed = _PackedTexts(2048, 1 << 20, 1024)
+_ERRORS = (_Unusual, MessageError, ValueError, TypeError, KeyError, StructError, OverflowError)
+
+
+class _EncoderSource:
+    """Source of the function for one type, in the making."""
+
+    def __init__(self) -> None:
+        self.lines: List[str] = []
+        self.checks: List[str] = []
+        self.chunks: List[str] = []
+        self.format = ""
+        self.values: List[str] = []
+        given = codegen.BoundNames(
+            {
+                "C": CONS,
+                "N": NIL,
+                "bools": _BOOLS,
+                "packed": _packed.get,
+                "read": _packed.read,
+                "Unusual": _Unusual,
+                "errors": _ERRORS,
+                "join": b"".join,
+            }
+        )
+        self.names, self.name = given.values, given.name
+
+    def message(self, definition: Definition, value: str) -> None:
+        if not definition.fields:
+            self.checks.append(f"{value} is not {self.name('A', atom(definition.functor_name))}")
+            return
+        head = self.name("f")
+        parts = [self.name("v") for _ in definition.fields]
+        self.lines.append(f"{head}, {', '.join(parts)} = {value}")
+        wanted = functor(definition.functor_name, len(definition.fields))
+        self.checks.append(f"{head} is not {self.name('F', wanted)}")
+        for slot, part in zip(definition.fields, parts):
+            self.slot(slot, part)
+
+    def slot(self, slot: Field, value: str) -> None:
+        if slot.length is None:
+            self.single(slot, value)
+        elif slot.is_bytes:
+            self.blob(slot, value)
+        elif 0 < slot.length <= SMALL and slot.definition is None and slot.type != "string":
+            for item in self.items(value, slot.length):
+                self.single(slot, item)
+        else:
+            self.chunk(f"{self.name('array', _array_packer(slot))}({value})")
+
+    def single(self, slot: Field, value: str) -> None:
+        if slot.definition is not None:
+            self.message(slot.definition, value)
+        elif slot.type == "string":
+            self.chunk(f"(packed({value}) or read({value}))")
+        elif slot.type in TIMES:
+            for item in self.items(value, 2):
+                self.fixed(TIMES[slot.type][0], item)
+        elif slot.type == "bool":
+            self.fixed("?", f"bools[{value}]")
+        else:
+            self.fixed(PRIMITIVES[slot.type], value)
+
+    def items(self, value: str, number: int) -> List[str]:
+        """Take a list of a known length apart; return the variables of its items."""
+        items = [self.name("v") for _ in range(number)]
+        ends = [self.name("c") for _ in range(number)]
+        last = self.name("e")
+        pattern = last
+        for item, end in zip(reversed(items), reversed(ends)):
+            pattern = f"({end}, {item}, {pattern})"
+        self.lines.append(f"{pattern[1:-1]} = {value}")
+        self.checks += [f"{end} is not C" for end in ends] + [f"{last} is not N"]
+        return items
+
+    def blob(self, slot: Field, value: str) -> None:
+        packed = f"(packed({value}) or read({value}))"
+        if slot.length == VARIABLE:
+            self.chunk(packed)
+            return
+        raw = self.name("v")
+        self.lines.append(f"{raw} = {packed}[4:]")
+        self.checks.append(f"len({raw}) != {slot.length}")
+        self.chunk(raw)
+
+    def fixed(self, code: str, value: str) -> None:
+        self.format += code
+        self.values.append(value)
+
+    def flush(self) -> None:
+        if self.format:
+            packer = self.name("S", Struct("<" + self.format).pack)
+            self.chunks.append(f"{packer}({', '.join(self.values)})")
+            self.format, self.values = "", []
+
+    def chunk(self, source: str) -> None:
+        self.flush()
+        self.chunks.append(source)
+
+    def result(self) -> str:
+        self.flush()
+        if len(self.chunks) == 1:
+            return self.chunks[0]
+        return f"join(({', '.join(self.chunks)}))" if self.chunks else "b''"
+
+    def body(self) -> List[str]:
+        result = self.result()
+        check = [f"if {' or '.join(self.checks)}: raise Unusual"] if self.checks else []
+        return [*self.lines, *check, f"return {result}"]
+
+
+def _compile_encode(definition: Definition) -> Callable[..., bytes]:
+    code = _EncoderSource()
+    code.message(definition, "term")
+    lines = ["def encode(term, topic=''):", "  try:", *("    " + line for line in code.body())]
+    lines += ["  except errors:", "    return check(term, topic)"]
+    code.names["check"] = CheckingEncoder(definition).encode
+    made: Callable[..., bytes] = codegen.function(lines, code.names, f"encode {definition.name}", "encode")
+    return made
+
+
+def _array_packer(slot: Field) -> Callable[[Term], bytes]:
+    """Return the function that packs the list of an array, with its number of elements where that varies."""
+    if slot.definition is None and slot.type in PRIMITIVES and slot.type != "bool":
+        return _number_packer(slot)
+    code = _EncoderSource()
+    code.single(slot._replace(length=None), "term")
+    lines = ["def encode(term):", *("  " + line for line in code.body())]
+    element = codegen.function(lines, code.names, f"encode element {slot.type}", "encode")
+    length = slot.length
+
+    def encode(term: Term) -> bytes:
+        items = _list_items(term)
+        if length == VARIABLE:
+            return pack("<I", len(items)) + b"".join(map(element, items))
+        if len(items) != length:
+            raise _Unusual
+        return b"".join(map(element, items))
+
+    return encode
+
+
+def _number_packer(slot: Field) -> Callable[[Term], bytes]:
+    code, length = PRIMITIVES[slot.type], slot.length
+    make = array_maker(code)
+    size = Struct("<" + code).size
+
+    def encode(term: Term) -> bytes:
+        if term.__class__ is Lazy and term.make is make and term.made is None:
+            raw = bytes(term.source)
+            number = len(raw) // size
+        else:
+            items = _list_items(term)
+            number = len(items)
+            raw = pack(f"<{number}{code}", *items)
+        if length == VARIABLE:
+            return pack("<I", number) + raw
+        if number != length:
+            raise _Unusual
+        return raw
+
+    return encode
+
+
+def _list_items(term: Term) -> List[Term]:
+    if term.__class__ is Lazy:
+        term = term.term()
+    items = []
+    rest: Any = term  # what is no list does not unpack, or has no cons
+    while rest is not NIL:
+        cons, item, rest = rest
+        if cons is not CONS:
+            raise _Unusual
+        items.append(item)
+    return items

@@ -1,0 +1,306 @@
+"""The careful way from a term to a message: slot by slot, with every form that is allowed.
+
+Terms with variables against message types: what no values of the variables would make right.
+"""
+
+from struct import error as StructError
+from struct import pack
+from typing import Any, Callable, Dict, List, Optional
+
+from ..foundation.errors import MessageError, counted
+from ..prolog.terms import timestamps
+from ..prolog.terms.list_terms import list_items, make_list
+from ..prolog.terms.types import CONS, FALSE, NIL, TRUE, Atom, Functor, Term, Var, atom, deref, functor
+from ..prolog.terms.types import String as PrologString
+from .field_values import text_bytes
+from .type_definition import PRIMITIVES, TIMES, VARIABLE, Definition, Field, integer_range
+
+_BOOLS: Dict[Atom, bool] = {TRUE: True, atom("True"): True, FALSE: False, atom("False"): False}
+_SPECIAL = {atom("nan"): float("nan"), atom("inf"): float("inf"), atom("infinite"): float("inf")}
+_NEGATIVE = functor("-", 1)
+_SHOWN = 60
+
+
+class CheckingEncoder:
+    """Encodes the terms of one type, saying what is wrong with those that do not fit."""
+
+    def __init__(self, definition: Definition):
+        self.definition = definition
+
+    def encode(self, term: Term, topic: str = "") -> bytes:
+        """Return the bytes of the message that ``term`` stands for.
+
+        Raises:
+            MessageError: naming the topic, the slot and what was expected.
+        """
+        chunks: List[bytes] = []
+        try:
+            _message(self.definition, term, "", chunks)
+        except _Misfit as misfit:
+            where = [f"topic {topic}"] if topic else []
+            where.append(self.definition.name)
+            if misfit.path:
+                where.append(f"slot {misfit.path}")
+            raise MessageError(f"{', '.join(where)}: {misfit.reason}") from None
+        return b"".join(chunks)
+
+
+class _Misfit(Exception):
+    def __init__(self, path: str, reason: str):
+        super().__init__(path, reason)
+        self.path = path
+        self.reason = reason
+
+
+def _expected(path: str, what: str, term: Term) -> _Misfit:
+    return _Misfit(path, f"expected {what}, got {describe(term)}")
+
+
+def _message(definition: Definition, term: Term, path: str, chunks: List[bytes]) -> None:
+    term = deref(term)
+    slots = definition.fields
+    if not slots:
+        if not _is_empty(term, definition.functor_name):
+            raise _expected(path, f"the atom {definition.functor_name}", term)
+        return
+    if term.__class__ is not tuple or term[0].name != definition.functor_name or term[0].arity != len(slots):
+        raise _expected(path, f"{definition.functor_name}/{len(slots)}", term)
+    for slot, value in zip(slots, term[1:]):
+        _slot(slot, value, f"{path}.{slot.name}" if path else slot.name, chunks)
+
+
+def _is_empty(term: Term, name: str) -> bool:
+    if term.__class__ is tuple:
+        return len(term) == 1 and term[0].name == name
+    return term.__class__ is Atom and term.name == name
+
+
+def _slot(slot: Field, term: Term, path: str, chunks: List[bytes]) -> None:
+    if slot.length is None:
+        _single(slot, term, path, chunks)
+        return
+    if slot.is_bytes:
+        raw = _bytes(slot, term, path)
+        if slot.length == VARIABLE:
+            chunks.append(pack("<I", len(raw)))
+        chunks.append(raw)
+        return
+    items = _items(slot, term, path)
+    if slot.length == VARIABLE:
+        chunks.append(pack("<I", len(items)))
+    element = slot._replace(length=None)
+    for index, item in enumerate(items):
+        _single(element, item, f"{path}[{index}]", chunks)
+
+
+def _items(slot: Field, term: Term, path: str) -> List[Term]:
+    items = list_items(term)
+    if items is None:
+        raise _expected(path, f"a list ({slot.describe()})", deref(term))
+    _check_length(slot, len(items), path)
+    return items
+
+
+def _check_length(slot: Field, number: int, path: str) -> None:
+    if slot.length != VARIABLE and number != slot.length:
+        raise _Misfit(
+            path, f"expected {counted(slot.length or 0, 'element')} ({slot.describe()}), got {number}"
+        )
+
+
+def _bytes(slot: Field, term: Term, path: str) -> bytes:
+    """Return the bytes of a byte array, given as text or as a list of numbers."""
+    value = deref(term)
+    if value.__class__ is tuple or value is NIL:
+        chunks: List[bytes] = []
+        for index, item in enumerate(_items(slot, value, path)):
+            _single(slot._replace(length=None), item, f"{path}[{index}]", chunks)
+        return b"".join(chunks)
+    raw = _text(value, path, f"a string or a list ({slot.describe()})")
+    _check_length(slot, len(raw), path)
+    return raw
+
+
+def _text(value: Term, path: str, what: str) -> bytes:
+    try:
+        raw = text_bytes(value)
+    except MessageError as error:
+        raise _Misfit(path, error.message) from None
+    if raw is None:
+        raise _expected(path, what, value)
+    return raw
+
+
+def _single(slot: Field, term: Term, path: str, chunks: List[bytes]) -> None:
+    if slot.definition is not None:
+        _message(slot.definition, term, path, chunks)
+        return
+    chunks.append(_READERS[slot.type](slot.type, deref(term), path))
+
+
+def _string(kind: str, value: Term, path: str) -> bytes:
+    raw = _text(value, path, "a string")
+    return pack("<I", len(raw)) + raw
+
+
+def _time(kind: str, value: Term, path: str) -> bytes:
+    if (
+        kind == "time" and value.__class__ is tuple and timestamps.is_instant(value)
+    ):  # a datime, as `t2` gives it
+        value = make_list(timestamps.to_parts(timestamps.from_term(value)))
+    items = [deref(part) for part in list_items(value) or ()]
+    parts = [part for part in items if isinstance(part, int)]
+    if len(items) != 2 or len(parts) != 2:
+        raise _expected(path, f"{kind} as [Sec,NSec]", value)
+    code = TIMES[kind]
+    for part, name in zip(parts, ("Sec", "NSec")):
+        _check_range(code[0], part, path, f"{kind} as [Sec,NSec], {name}")
+    return pack("<" + code, *parts)
+
+
+def _bool(kind: str, value: Term, path: str) -> bytes:
+    if value.__class__ is Atom and value in _BOOLS:
+        return pack("<?", _BOOLS[value])
+    if isinstance(value, int) and value in (0, 1):
+        return pack("<?", value)
+    raise _expected(path, "bool (true or false)", value)
+
+
+def _integer(kind: str, value: Term, path: str) -> bytes:
+    if not isinstance(value, int):
+        raise _expected(path, kind, value)
+    _check_range(PRIMITIVES[kind], value, path, kind)
+    return pack("<" + PRIMITIVES[kind], value)
+
+
+def _float(kind: str, value: Term, path: str) -> bytes:
+    if value.__class__ is Atom:
+        value = _SPECIAL.get(value, value)
+    elif value.__class__ is tuple and value[0] is _NEGATIVE:
+        inner = deref(value[1])
+        value = -_SPECIAL[inner] if inner.__class__ is Atom and inner in _SPECIAL else value
+    if not isinstance(value, (float, int)):
+        raise _expected(path, kind, value)
+    try:
+        return pack("<" + PRIMITIVES[kind], value)
+    except (OverflowError, StructError):
+        raise _Misfit(path, f"{describe(value)} is too large for {kind}") from None
+
+
+def _check_range(code: str, value: int, path: str, what: str) -> None:
+    low, high = integer_range(code)
+    if not low <= value <= high:
+        raise _Misfit(path, f"expected {what} from {low} to {high}, got {value}")
+
+
+_Packer = Callable[[str, Term, str], bytes]
+_READERS: Dict[str, _Packer] = {
+    **dict.fromkeys(PRIMITIVES, _integer),
+    "bool": _bool,
+    "float32": _float,
+    "float64": _float,
+    "string": _string,
+    "time": _time,
+    "duration": _time,
+}
+
+
+def describe(term: Term) -> str:
+    """Return a term in a few words for an error: what it is and how it begins."""
+    term = deref(term)
+    if term.__class__ is Var:
+        return "an unbound variable"
+    items = list_items(term)
+    if items is not None:
+        return f"a list of {len(items)}" if items else "an empty list"
+    if term.__class__ is tuple:
+        head: Functor = term[0]
+        return f"{head.name}/{head.arity}"
+    if term.__class__ is Atom:
+        return _short("the atom ", term.name)
+    if term.__class__ is PrologString:
+        return _short("the string ", f'"{term.text}"')
+    return _short("", repr(term))
+
+
+def _short(lead: str, text: str) -> str:
+    return lead + (text if len(text) <= _SHOWN else text[:_SHOWN] + "...")
+
+
+_DEFAULTS: Dict[str, Term] = {
+    "string": atom('""'),
+    "bool": FALSE,
+    "time": make_list([0, 0]),
+    "duration": make_list([0, 0]),
+}
+_SECONDS = Field("", "uint32")
+
+MAX_CHECKED_BYTES = 1 << 20
+"""Bytes that a message may have at least for its terms to be looked at: values are made of all that is left open."""
+
+
+def fault_of(definition: Definition, term: Term, topic: str = "") -> Optional[str]:
+    """Return why a term is no message of a type, whatever its variables are; None where it may be one.
+
+    Nothing is found in types whose messages are larger than `MAX_CHECKED_BYTES` whatever they hold.
+
+    Args:
+        definition: the type.
+        term: the term.
+        topic: is named in the answer.
+    """
+    if definition.measure.least > MAX_CHECKED_BYTES:
+        return None
+    try:
+        CheckingEncoder(definition).encode(_filled(definition, term), topic)
+    except MessageError as error:
+        return error.message
+    return None
+
+
+def _filled(definition: Definition, term: Term) -> Term:
+    """Return a message that has values which fit in the place of variables."""
+    term = deref(term)
+    if term.__class__ is Var:
+        return _pattern_message(definition)
+    if term.__class__ is not tuple or len(term) - 1 != len(definition.fields):
+        return term
+    return (term[0], *[_pattern_slot(slot, value) for slot, value in zip(definition.fields, term[1:])])
+
+
+def _pattern_slot(slot: Field, value: Term) -> Term:
+    value = deref(value)
+    if value.__class__ is Var:
+        return _some(slot)
+    if slot.length is not None:
+        return _elements(slot, slot._replace(length=None), value)
+    if slot.definition is not None:
+        return _filled(slot.definition, value)
+    return _elements(slot, _SECONDS, value) if slot.type in TIMES else value
+
+
+def _elements(slot: Field, element: Field, value: Any) -> Term:
+    """Return a list that has values for its variables; where its end is one, any that fits."""
+    items: List[Term] = []
+    rest = value
+    while rest.__class__ is tuple and rest[0] is CONS:
+        items.append(_pattern_slot(element, rest[1]))
+        rest = deref(rest[2])
+    if rest.__class__ is Var:
+        return _some(slot)
+    return make_list(items) if rest is NIL else value
+
+
+def _some(slot: Field) -> Term:
+    """Return a value that fits into a slot."""
+    if slot.length is not None:
+        number = 0 if slot.length == VARIABLE else slot.length
+        return make_list([_some(slot._replace(length=None))] * number)
+    return _DEFAULTS.get(slot.type, 0) if slot.definition is None else _pattern_message(slot.definition)
+
+
+def _pattern_message(definition: Definition) -> Term:
+    slots = definition.fields
+    if not slots:
+        return atom(definition.functor_name)
+    return (functor(definition.functor_name, len(slots)), *map(_some, slots))

@@ -1,0 +1,595 @@
+"""The types that slots of messages are made of, and how large a message can be.
+
+ROS 1 message definitions: their slots, how large they are, and the checksum of all that.
+
+Where the slots of a message lie in its bytes.
+
+The text of a ``.msg`` file, read and checked.
+"""
+
+import re
+from struct import calcsize, unpack_from
+from struct import error as StructError
+from typing import Callable, Container, Dict, Iterable, Iterator, List, NamedTuple, Optional, Tuple, Union
+
+from ..foundation.errors import SHOWN, MessageError, Place, beginning, counted, place_at, place_in, shortened
+from ..foundation.ros_names import plain_fault, plain_type, type_fault
+
+PRIMITIVES: Dict[str, str] = {
+    "bool": "?",
+    "int8": "b",
+    "uint8": "B",
+    "byte": "b",
+    "char": "B",
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "float32": "f",
+    "float64": "d",
+}
+"""Number types and their `struct` codes; ``byte`` and ``char`` are old names of int8 and uint8."""
+
+TIMES: Dict[str, str] = {"time": "II", "duration": "ii"}
+BUILTIN = frozenset(PRIMITIVES) | frozenset(TIMES) | {"string"}
+
+VARIABLE = -1
+"""The length of an array whose number of elements is in the message."""
+
+MAX_SLOTS = 10_000
+"""Slots that a type may have, those of the types in it included: its functions name each of them."""
+
+MAX_TYPE_DEPTH = 50
+"""How deep types may lie in each other."""
+
+MAX_MESSAGE_BYTES = (1 << 32) - 1
+"""Bytes that a message can have: the wire gives its size in 32 bits."""
+
+
+HEADER = "std_msgs/Header"
+SEPARATOR = "=" * 80
+
+
+ConstantValue = Union[bool, int, float, str]
+
+
+class Constant(NamedTuple):
+    """A named value of a definition; ``text`` is the value as written."""
+
+    type: str
+    name: str
+    text: str
+    value: ConstantValue
+
+
+class Field(NamedTuple):
+    """A slot of a message.
+
+    Attributes:
+        name: the slot's name.
+        type: the type of the slot or of its elements: a built-in one, or ``pkg/Type``.
+        length: None for a single value, `VARIABLE` or the number of elements for an array.
+        definition: the definition of a ``pkg/Type``, None for built-in types.
+    """
+
+    name: str
+    type: str
+    length: Optional[int] = None
+    definition: Optional["Definition"] = None
+
+    @property
+    def is_bytes(self) -> bool:
+        """Whether the slot is an array of bytes, which events show as text."""
+        return self.length is not None and self.type in ("uint8", "char")
+
+    def describe(self) -> str:
+        """Return the type as a definition writes it: ``float64[36]``."""
+        if self.length is None:
+            return self.type
+        return f"{self.type}[{'' if self.length == VARIABLE else self.length}]"
+
+
+class Measure(NamedTuple):
+    """How large the messages of a type are, and what is made for them.
+
+    Attributes:
+        least: bytes of the shortest one.
+        fixed: whether all are as long as that.
+        slots: how many slots there are, those of nested types included.
+        depth: how deep types lie in each other.
+        bare: how many elements of fixed arrays have no bytes.
+        may_be_bare: whether there is an array, of whatever length, whose elements have no bytes.
+    """
+
+    least: int = 0
+    fixed: bool = True
+    slots: int = 0
+    depth: int = 0
+    bare: int = 0
+    may_be_bare: bool = False
+
+    def plus(self, slot: Field) -> "Measure":
+        """Return the measure of messages with one more slot."""
+        one = measure_of(slot)
+        number = 1 if slot.length is None else slot.length
+        varies = number == VARIABLE
+        is_bare = slot.length is not None and not one.least
+        return Measure(
+            self.least + (4 if varies else one.least * number),
+            self.fixed and one.fixed and not varies,
+            self.slots + one.slots + 1,
+            max(self.depth, one.depth + 1),
+            self.bare + (0 if varies else number * (one.bare + is_bare)),
+            self.may_be_bare or one.may_be_bare or is_bare,
+        )
+
+    def problem(self) -> str:
+        """Return what is too much; an empty text where nothing is."""
+        if self.slots > MAX_SLOTS:
+            return f"a type cannot have more than {MAX_SLOTS} slots, including those of the types it contains"
+        if self.depth > MAX_TYPE_DEPTH:
+            return f"types cannot be nested more than {MAX_TYPE_DEPTH} deep"
+        if self.least > MAX_MESSAGE_BYTES:
+            return f"a message cannot have more than {MAX_MESSAGE_BYTES} bytes"
+        return ""
+
+
+def measure_of(slot: Field) -> Measure:
+    """Return the measure of one element of a slot."""
+    if slot.definition is not None:
+        return slot.definition.measure
+    if slot.type == "string":
+        return Measure(4, False)
+    return Measure(calcsize("<" + (TIMES.get(slot.type) or PRIMITIVES[slot.type])))
+
+
+def measured(fields: Iterable[Field]) -> Measure:
+    """Return the measure of messages with these slots."""
+    found = Measure()
+    for slot in fields:
+        found = found.plus(slot)
+    return found
+
+
+class Definition:
+    """A message type with all the types it is made of.
+
+    >>> kind = Definitions().find("std_msgs/String")
+    >>> kind.name, [slot.name for slot in kind.fields], kind.md5sum
+    ('std_msgs/String', ['data'], '992ce8a1687cec8c8bd883ec73ca41d1')
+
+    Attributes:
+        name: ``pkg/Type``.
+        fields: the slots in order.
+        constants: the constants in order.
+        text: the definition's own text.
+        event: what its event terms are called, where that is not ``pkg__0__Type``.
+        md5sum: the checksum by which ROS tells versions of a type apart.
+        measure: how large its messages are.
+
+    Raises:
+        MessageError: for a name that is none.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        fields: Tuple[Field, ...],
+        constants: Tuple[Constant, ...] = (),
+        text: str = "",
+        event: str = "",
+    ):
+        from hashlib import md5  # noqa: PLC0415 - loads OpenSSL, and many programs have no messages
+
+        fault = type_fault(name)
+        if fault is not None:
+            raise MessageError(fault)
+        self.name = name
+        self.fields = fields
+        self.constants = constants
+        self.text = text
+        self.event = event
+        self.measure = measured(fields)
+        self.md5sum = md5(_checksum_text(self).encode()).hexdigest()
+
+    @property
+    def functor_name(self) -> str:
+        """The name of the type's event terms: ``pkg__0__Type``.
+
+        >>> Definitions().find("std_msgs/String").functor_name
+        'std_msgs__0__String'
+        """
+        return self.event or functor_name(self.name)
+
+    @property
+    def full_text(self) -> str:
+        """The text with those of all nested types, as it stands in connection headers and bags.
+
+        >>> definitions = Definitions()
+        >>> seen = definitions.add("my_robot/Seen", "Header header")
+        >>> "MSG: std_msgs/Header" in seen.full_text
+        True
+        """
+        parts = [self.text]
+        for nested in self.dependencies():
+            parts.append(f"{SEPARATOR}\nMSG: {nested.name}\n{nested.text}")
+        return "\n".join(parts)
+
+    def dependencies(self) -> List["Definition"]:
+        """Return the definitions of all nested types, each once, in the order of their first use.
+
+        >>> definitions = Definitions()
+        >>> seen = definitions.add("my_robot/Seen", "Header header")
+        >>> [nested.name for nested in seen.dependencies()]
+        ['std_msgs/Header']
+        """
+        found: Dict[str, Definition] = {}
+        _collect(self, found)
+        return list(found.values())
+
+    def renamed(self, name: str) -> "Definition":
+        """Return the same definition under another name (``tf/tfMessage`` for ``tf2_msgs/TFMessage``).
+
+        >>> Definitions().find("std_msgs/String").renamed("my_robot/Text").functor_name
+        'my_robot__0__Text'
+        """
+        return Definition(name, self.fields, self.constants, self.text)
+
+    def as_event(self, event: str) -> "Definition":
+        """Return the same definition with event terms of another name; "" is that of the type.
+
+        >>> Definitions().find("std_msgs/Bool").as_event("bumper_left").functor_name
+        'bumper_left'
+        """
+        if event == self.event:
+            return self
+        return Definition(self.name, self.fields, self.constants, self.text, event)
+
+    def __repr__(self) -> str:
+        return f"Definition({self.name!r}, md5sum={self.md5sum!r})"
+
+
+def functor_name(type_name: str) -> str:
+    """Return the functor's name of a message type: ``pkg__0__Type`` for ``pkg/Type``."""
+    return type_name.replace("/", "__0__")
+
+
+def type_name(functor_name: str) -> Optional[str]:
+    """Return ``pkg/Type`` for ``pkg__0__Type``, or None where the name is not of that form."""
+    package, mark, rest = functor_name.partition("__0__")
+    return f"{package}/{rest}" if mark and package and rest else None
+
+
+def _collect(definition: Definition, found: Dict[str, Definition]) -> None:
+    for slot in definition.fields:
+        nested = slot.definition
+        if nested is not None and nested.name not in found:
+            found[nested.name] = nested
+            _collect(nested, found)
+
+
+def _checksum_text(definition: Definition) -> str:
+    """Return the text whose MD5 is the type's: constants, then slots, nested types by their checksums.
+
+    Comments, spacing and whether a nested type is an array do not count, as in ROS's own tools.
+    """
+    lines = [f"{constant.type} {constant.name}={constant.text}" for constant in definition.constants]
+    for slot in definition.fields:
+        if slot.definition is None:
+            lines.append(f"{slot.describe()} {slot.name}")
+        else:
+            lines.append(f"{slot.definition.md5sum} {slot.name}")
+    return "\n".join(lines).strip()
+
+
+BARE = 10_000
+"""Elements without bytes (messages without slots in an array) that a message may have, where no setting says so."""
+
+
+def element_size(slot: Field) -> Optional[int]:
+    """Return the bytes of one element of a slot, or None where elements differ in size."""
+    measure = measure_of(slot)
+    return measure.least if measure.fixed else None
+
+
+def explain(definition: Definition, data: bytes) -> str:
+    """Say why bytes are not a message of a type."""
+    size = len(data)
+    try:
+        end = _Walk(data).end(definition, 0, "")
+    except _Truncated as cut:
+        return f"{_size(size)} not a {definition.name}: they end inside slot {beginning(cut.path)}"
+    return f"{_size(size)} not a {definition.name}: {size - end} left over"
+
+
+def _size(size: int) -> str:
+    return f"{counted(size, 'byte')} {'is' if size == 1 else 'are'}"
+
+
+def check_bare(definition: Definition, data: bytes, most: int) -> None:
+    """Count the elements without bytes in a message: their number is all that there is of them.
+
+    Raises:
+        MessageError: where there are too many, or the bytes are not a message.
+    """
+    walk = _Walk(data)
+    try:
+        walk.end(definition, 0, "")
+    except _Truncated:
+        raise MessageError(explain(definition, data)) from None
+    if walk.bare > most:
+        raise MessageError(
+            f"a {definition.name} has {walk.bare} zero-byte elements in its arrays: at most {most} are allowed"
+        )
+
+
+def element_end(data: bytes, slot: Field, at: int) -> int:
+    """Return where a slot ends that begins at a place.
+
+    Raises:
+        struct.error: where the bytes end before.
+    """
+    try:
+        return _Walk(data).end_of(slot, at, slot.name)
+    except _Truncated as cut:
+        raise StructError(cut.path) from None
+
+
+class _Truncated(Exception):
+    def __init__(self, path: str):
+        super().__init__(path)
+        self.path = path
+
+
+class _Walk:
+    """Goes over the bytes of a message without making anything of them, and counts elements without bytes."""
+
+    def __init__(self, data: bytes):
+        self.data = data
+        self.bare = 0
+
+    def end(self, definition: Definition, at: int, prefix: str) -> int:
+        """Return where a message that begins at a place ends."""
+        for slot in definition.fields:
+            at = self.end_of(slot, at, prefix + slot.name)
+        return at
+
+    def end_of(self, slot: Field, at: int, path: str) -> int:
+        """Return where a slot that begins at a place ends."""
+        number = 1 if slot.length is None else slot.length
+        if slot.length == VARIABLE:
+            at, number = at + 4, self.number(at, path)
+        one = measure_of(slot)
+        if not one.fixed:
+            return self.elements(slot, number, at, path)
+        at += number * one.least
+        self.bare += number * (one.bare + (slot.length is not None and not one.least))
+        if at > len(self.data):
+            raise _Truncated(path)
+        return at
+
+    def elements(self, slot: Field, number: int, at: int, path: str) -> int:
+        """Return where elements that differ in size end."""
+        for index in range(number):
+            place = path if slot.length is None else f"{path}[{index}]"
+            if slot.definition is not None:
+                at = self.end(slot.definition, at, place + ".")
+            else:
+                at += 4 + self.number(at, place)
+                if at > len(self.data):
+                    raise _Truncated(place)
+        return at
+
+    def number(self, at: int, path: str) -> int:
+        """Return the number at a place."""
+        if at + 4 > len(self.data):
+            raise _Truncated(path)
+        number: int = unpack_from("<I", self.data, at)[0]
+        return number
+
+
+_HEADER_NAMES = ("Header", "std_msgs/Header", "roslib/Header")
+
+MAX_SECTIONS = 1000
+
+_COMMENT = re.compile(r"#.*")
+_STRING_CONSTANT = re.compile(r"\s*string\s+(?P<name>\w+)\s*=(?P<value>.*)")
+_CONSTANT = re.compile(r"\s*(?P<type>[\w/]+)\s+(?P<name>\w+)\s*=(?P<value>.*)")
+_FIELD = re.compile(r"\s*(?P<type>[\w/]+)(?P<array>\[\s*(?:[0-9]+\s*)?\])?\s+(?P<name>\w+)\s*$")
+
+_MAX_INTEGER_CHARACTERS = 100
+"""Characters of the longest text of an integer, with all its zeros; Python takes long for long ones."""
+
+
+def split_sections(name: str, text: str) -> Dict[str, str]:
+    """Return the texts of a concatenated definition by type name, the first under ``name``.
+
+    The parts are separated by a line of ``=`` and a line ``MSG: pkg/Type``.
+
+    Raises:
+        MessageError: for a separator without a type, or a type that comes twice with different texts.
+    """
+    sections: Dict[str, str] = {}
+    current, start = name, 0
+    lines: List[str] = []
+    for number, line in enumerate(text.splitlines(), 1):
+        if start:
+            if not line.startswith("MSG:"):
+                raise MessageError(
+                    "expected 'MSG: pkg/Type' after the line of '='", place_in(name, number, 1, line)
+                )
+            current, lines, start = plain_type(line[4:].strip()), [], 0
+        elif len(line) >= 20 and not line.strip("="):
+            _add_section(sections, current, lines)
+            start = number
+        else:
+            lines.append(line)
+    if start:
+        raise MessageError("expected 'MSG: pkg/Type' after the line of '='", Place(name, start, 1, SEPARATOR))
+    _add_section(sections, current, lines)
+    return sections
+
+
+def _add_section(sections: Dict[str, str], name: str, lines: List[str]) -> None:
+    text = "\n".join(lines) + "\n" if lines else ""
+    known = sections.setdefault(name, text)
+    if known.split() != text.split():
+        raise MessageError(f"{name[:SHOWN]} is defined twice with different contents")
+    if len(sections) > MAX_SECTIONS:
+        raise MessageError(f"a definition cannot contain more than {MAX_SECTIONS} types")
+
+
+def parse(name: str, text: str, find: Callable[[str, str], Definition], source: str = "") -> Definition:
+    """Read the definition of one type.
+
+    Args:
+        name: ``pkg/Type``.
+        text: its text, without those of nested types.
+        find: called with the name of a nested type as written and the package of this one;
+            returns the definition.
+        source: where the text comes from, for errors; the type's name by default.
+
+    Raises:
+        MessageError: with its place, for a line that is neither slot nor constant, and for what
+            ``find`` raises.
+    """
+    return Definition(name, *_DefinitionReader(name, text, find, source or name).read(), text)
+
+
+class _DefinitionReader:
+    def __init__(self, name: str, text: str, find: Callable[[str, str], Definition], source: str):
+        self.package = name.split("/")[0]
+        self.text = text
+        self.find = find
+        self.source = source
+        self.fields: Dict[str, Field] = {}
+        self.constants: Dict[str, Constant] = {}
+        self.measure = Measure()
+
+    def read(self) -> Tuple[Tuple[Field, ...], Tuple[Constant, ...]]:
+        try:
+            self.text.encode()
+        except UnicodeEncodeError as error:
+            raise self._error(
+                "half a surrogate pair, which cannot be stored in a file", error.start
+            ) from None
+        for offset, line in lines_of(self.text):
+            self._line(offset, line)
+        return tuple(self.fields.values()), tuple(self.constants.values())
+
+    def _line(self, offset: int, line: str) -> None:
+        found = _STRING_CONSTANT.match(line)
+        if found:
+            self._constant("string", found, offset)
+            return
+        line = _COMMENT.sub("", line)
+        if not line.strip():
+            return
+        found = _FIELD.match(line)
+        if found:
+            self._field(found, offset)
+            return
+        found = _CONSTANT.match(line)
+        if found:
+            self._constant(found["type"], found, offset)
+            return
+        at = offset + len(line) - len(line.lstrip())
+        raise self._error(f"expected 'type name' or 'type NAME=value', found {shortened(line.strip())}", at)
+
+    def _constant(self, kind: str, found: "re.Match[str]", offset: int) -> None:
+        text = found["value"].strip()
+        self._new_name(found, offset, self.constants)
+        if len(self.constants) >= MAX_SLOTS:
+            raise self._error(
+                f"a type cannot have more than {MAX_SLOTS} constants", offset + found.start("name")
+            )
+        if kind not in PRIMITIVES and kind != "string":
+            raise self._error(f"a constant cannot be of type {kind[:SHOWN]}", offset + found.start())
+        try:
+            value = constant_value(kind, text)
+        except ValueError:
+            at = offset + found.start("value")
+            raise self._error(f"{shortened(text)} is not a value of type {kind}", at) from None
+        self.constants[found["name"]] = Constant(kind, found["name"], text, value)
+
+    def _field(self, found: "re.Match[str]", offset: int) -> None:
+        self._new_name(found, offset, self.fields)
+        kind, array, length = plain_type(found["type"]), found["array"], None
+        if array is not None:
+            length = self._length(array[1:-1].strip(), offset + found.start("array"))
+        if kind in BUILTIN:
+            definition = None
+        else:
+            definition = self._nested(kind, offset + found.start("type"))
+            kind = definition.name
+        slot = self.fields[found["name"]] = Field(found["name"], kind, length, definition)
+        self.measure = self.measure.plus(slot)
+        problem = self.measure.problem()
+        if problem:
+            raise self._error(problem, offset + found.start("type"))
+
+    def _length(self, digits: str, at: int) -> int:
+        if len(digits) > len(str(MAX_MESSAGE_BYTES)) or (digits and int(digits) > MAX_MESSAGE_BYTES):
+            raise self._error(f"an array cannot have more than {MAX_MESSAGE_BYTES} elements", at)
+        return int(digits) if digits else VARIABLE
+
+    def _nested(self, kind: str, at: int) -> Definition:
+        try:
+            return self.find(HEADER if kind in _HEADER_NAMES else kind, self.package)
+        except MessageError as error:
+            if error.place is not None:
+                raise
+            raise self._error(error.message, at) from None
+
+    def _new_name(self, found: "re.Match[str]", offset: int, known: Container[str]) -> None:
+        name = found["name"]
+        fault = plain_fault(name)
+        if fault is not None:
+            raise self._error(fault, offset + found.start("name"))
+        if name in known:
+            raise self._error(f"{name[:SHOWN]} is defined twice", offset + found.start("name"))
+
+    def _error(self, message: str, offset: int) -> MessageError:
+        return MessageError(message, place_at(self.source, self.text, offset))
+
+
+def lines_of(text: str) -> Iterator[Tuple[int, str]]:
+    """Yield the lines of a text, each with the offset at which it begins."""
+    offset = 0
+    for line in text.splitlines(keepends=True):
+        yield offset, line.rstrip("\r\n")
+        offset += len(line)
+
+
+_BOOLS = {"true": True, "True": True, "1": True, "false": False, "False": False, "0": False}
+
+
+def constant_value(kind: str, text: str) -> ConstantValue:
+    """Return the value of a constant.
+
+    Raises:
+        ValueError: if the text is not a value of that type.
+    """
+    if kind == "string":
+        return text
+    if kind == "bool":
+        if text not in _BOOLS:
+            raise ValueError(text)
+        return _BOOLS[text]
+    if kind in ("float32", "float64"):
+        return float(text)
+    if len(text) > _MAX_INTEGER_CHARACTERS:
+        raise ValueError(text)
+    value = int(text) if text.lstrip("+-").isdigit() else int(text, 0)
+    low, high = integer_range(PRIMITIVES[kind])
+    if not low <= value <= high:
+        raise ValueError(text)
+    return value
+
+
+def integer_range(code: str) -> Tuple[int, int]:
+    """Return the least and the greatest integer of a `struct` code."""
+    bits = {"b": 8, "h": 16, "i": 32, "q": 64}[code.lower()]
+    return (0, (1 << bits) - 1) if code.isupper() else (-(1 << (bits - 1)), (1 << (bits - 1)) - 1)

@@ -1,0 +1,1 @@
+"""Running a program over recorded bags, without ROS."""

@@ -1,0 +1,695 @@
+"""Atoms and their text: conversions, concatenation, parts.
+
+Strings: conversions and parts.
+"""
+
+from typing import Callable, Dict, Iterator, List, Optional, Tuple
+
+from ...foundation.cancellation import BULK, in_bulks, look, watched
+from ..machine.errors import (
+    domain_error,
+    existence_error,
+    instantiation_error,
+    representation_error,
+    type_error,
+)
+from ..machine.machine import LAST
+from ..terms.list_terms import list_items, make_list
+from ..terms.term_traversal import is_ground
+from ..terms.types import NIL, Atom, String, Term, Var, atom, deref, functor
+from ..terms.unification import unify
+from .argument_checks import atom_of, integer_or_var, is_iso, items, partial_items
+from .builtin_registry import Machine, Outcome, Solutions, deterministic, nondeterministic
+from .text_arguments import (
+    MAX_CODE,
+    atomic_text,
+    chars,
+    check_parts,
+    codes,
+    constant_text,
+    each,
+    fill_sink,
+    is_sink,
+    is_text_list,
+    joined,
+    long_text,
+    no_compound,
+    number_or_error,
+    number_text,
+    parse,
+    parse_number,
+    parts_text,
+    text_of,
+    whole_text,
+)
+
+
+@deterministic("atom_length/2")
+def atom_length(machine: Machine, text: Term, length: Term) -> bool:
+    """Give the number of characters of an atom."""
+    size = deref(length)
+    value = len(atom_of(text).name if is_iso(machine) else text_of(text))
+    if size.__class__ is not Var:
+        if size.__class__ is not int:
+            raise type_error("integer", size)
+        if size < 0:
+            raise domain_error("not_less_than_zero", size)
+    return unify(size, value, machine.trail)
+
+
+_LONG = 1 << 16
+"""Characters that are changed in one piece."""
+
+_PART = 64
+"""Bytes of a short text."""
+
+Make = Callable[[str], Term]
+"""What makes a term of a text."""
+
+
+def _converter(
+    to_list: Make, from_text: Callable[[Machine, str], Term], kind: str
+) -> Callable[[Machine, Term, Term], bool]:
+    def run(machine: Machine, constant: Term, parts: Term) -> bool:
+        found = constant_text(deref(constant))
+        if found is not None:
+            check_parts(parts)
+            given = deref(parts)
+            if given.__class__ is String:
+                return given.text == found
+            return unify(parts, to_list(found), machine.trail)
+        if deref(constant).__class__ is not Var:
+            raise type_error(kind, deref(constant))
+        text = parts_text(machine, parts, to_list is codes)
+        return unify(constant, from_text(machine, text), machine.trail)
+
+    return run
+
+
+def _atom(machine: Machine, text: str) -> Term:
+    return atom(text)
+
+
+def _number(machine: Machine, text: str) -> Term:
+    return number_or_error(text, machine.logic.operators)
+
+
+def _any_constant(machine: Machine, text: str) -> Term:
+    found = parse_number(text, machine.logic.operators)
+    return atom(text) if found is None else found
+
+
+deterministic("atom_codes/2")(_converter(codes, _atom, "atom"))
+deterministic("atom_chars/2")(_converter(chars, _atom, "atom"))
+deterministic("name/2")(_converter(codes, _any_constant, "atomic"))
+
+
+def _number_converter(to_list: Make) -> Callable[[Machine, Term, Term], bool]:
+    def run(machine: Machine, number: Term, parts: Term) -> bool:
+        number = deref(number)
+        if number.__class__ not in (Var, int, float):
+            raise type_error("number", number)
+        # The text decides where it is there: "0x10" is 16, whatever number the other side is.
+        if not is_iso(machine):
+            check_parts(parts)
+        if isinstance(number, (int, float)) and not is_ground(parts):
+            return unify(parts, to_list(number_text(number)), machine.trail)
+        text = parts_text(machine, parts, to_list is codes)
+        return unify(number, number_or_error(text, machine.logic.operators), machine.trail)
+
+    return run
+
+
+deterministic("number_codes/2")(_number_converter(codes))
+deterministic("number_chars/2")(_number_converter(chars))
+
+
+def _no_code(machine: Machine, code: int) -> Exception:
+    return representation_error("character_code") if is_iso(machine) else type_error("character_code", code)
+
+
+@deterministic("char_code/2")
+def char_code(machine: Machine, char: Term, code: Term) -> bool:
+    """Relate a character with its code."""
+    char, code = deref(char), deref(code)
+    if char.__class__ is Atom:
+        if len(char.name) != 1:
+            raise type_error("character", char)
+        if code.__class__ not in (Var, int):
+            raise type_error("integer", code)
+        if code.__class__ is int and not 0 <= code <= MAX_CODE:
+            raise _no_code(machine, code)
+        return unify(code, ord(char.name), machine.trail)
+    if char.__class__ is not Var:
+        raise type_error("character", char)
+    if code.__class__ is Var:
+        raise instantiation_error()
+    if code.__class__ is not int:
+        raise type_error("integer", code)
+    if not 0 <= code <= MAX_CODE:
+        raise _no_code(machine, code)
+    return unify(char, atom(chr(code)), machine.trail)
+
+
+@deterministic("atom_number/2")
+def atom_number(machine: Machine, text: Term, number: Term) -> bool:
+    """Relate an atom with the number that it reads as."""
+    text, number = deref(text), deref(number)
+    if text.__class__ is Var:
+        if number.__class__ is Var:
+            raise instantiation_error()
+        if number.__class__ not in (int, float):
+            raise type_error("number", number)
+        return unify(text, atom(number_text(number)), machine.trail)
+    if text.__class__ not in (Atom, String):
+        if number.__class__ is Var:
+            raise type_error("atom", text)
+        if number.__class__ not in (int, float):
+            raise type_error("number", number)
+        return False
+    found = parse_number(atomic_text(text), machine.logic.operators)
+    return found is not None and unify(number, found, machine.trail)
+
+
+@deterministic("term_to_atom/2")
+def term_to_atom(machine: Machine, term: Term, text: Term) -> bool:
+    """Relate a term with its text."""
+    given = deref(text)
+    if deref(term).__class__ is Var and given.__class__ is not Var:
+        return unify(term, parse(machine, text_of(given)), machine.trail)
+    if given.__class__ is Var or deref(term).__class__ is not Var:
+        if given.__class__ is not Var:
+            return unify(term, parse(machine, text_of(given)), machine.trail)
+        if deref(term).__class__ is Var:
+            raise instantiation_error()
+    return unify(text, atom(machine.logic.show(term)), machine.trail)
+
+
+@nondeterministic("atom_concat/3")
+def atom_concat(machine: Machine, left: Term, right: Term, whole: Term) -> Outcome:
+    """Relate two texts with the atom that they make together."""
+    return _concat(machine, left, right, whole, atom)
+
+
+@nondeterministic("string_concat/3")
+def string_concat(machine: Machine, left: Term, right: Term, whole: Term) -> Outcome:
+    """Relate two texts with the string that they make together."""
+    return _concat(machine, left, right, whole, String)
+
+
+def _concat(machine: Machine, left: Term, right: Term, whole: Term, make: Make) -> Outcome:
+    left, right = deref(left), deref(right)
+    start = None if left.__class__ is Var else atomic_text(left)
+    end = None if right.__class__ is Var else atomic_text(right)
+    if start is not None and end is not None:
+        found = deref(whole)
+        text = constant_text(found)
+        if text is None and found.__class__ is not Var:
+            raise type_error("atomic", found)
+        long_text(len(start) + len(end), start, end)
+        return text == start + end if text is not None else unify(whole, make(start + end), machine.trail)
+    if deref(whole).__class__ is Var:
+        raise instantiation_error()
+    text = atomic_text(whole)
+    long_text(len(text))
+    if start is not None:
+        return text.startswith(start) and unify(right, make(text[len(start) :]), machine.trail)
+    if end is not None:
+        return text.endswith(end) and unify(left, make(text[: len(text) - len(end)]), machine.trail)
+    return halves(machine, left, right, text, make)
+
+
+def halves(machine: Machine, left: Term, right: Term, text: str, make: Make) -> Solutions:
+    """Yield for each way to cut a text in two parts, made by ``make``, that unify with left and right."""
+    for at in range(len(text) + 1):
+        long_text(len(text))
+        if machine.unify_all((left, make(text[:at])), (right, make(text[at:]))):
+            yield LAST if at == len(text) else None
+
+
+@nondeterministic("sub_atom/5")
+def sub_atom(machine: Machine, text: Term, before: Term, length: Term, after: Term, part: Term) -> Outcome:
+    """Enumerate the parts of an atom."""
+    return sub_text(machine, text, before, length, after, part, atom)
+
+
+@nondeterministic("sub_string/5")
+def sub_string(machine: Machine, text: Term, before: Term, length: Term, after: Term, part: Term) -> Outcome:
+    """Enumerate the parts of a string."""
+    return sub_text(machine, text, before, length, after, part, String)
+
+
+def sub_text(
+    machine: Machine, text: Term, before: Term, length: Term, after: Term, part: Term, make: Make
+) -> Outcome:
+    """Enumerate the parts of a text in order of their start, then of their length."""
+    if deref(text).__class__ is Var:
+        raise instantiation_error()
+    kind = "atom" if make is atom else "string"
+    whole = atomic_text(text, kind)
+    size = len(whole)
+    b, count, a = integer_or_var(before), integer_or_var(length), integer_or_var(after)
+    for value in (b, count, a):
+        if value is not None and value < 0:
+            raise domain_error("not_less_than_zero", value)
+    given = deref(part)
+    if given.__class__ is not Var:
+        if is_iso(machine):
+            atom_of(given)
+        return _occurrences(machine, whole, atomic_text(given, kind), before, length, after, b, a)
+    if b is not None and count is not None:
+        start, end = b, b + count
+    elif b is not None and a is not None:
+        start, end = b, size - a
+    elif count is not None and a is not None:
+        start, end = size - a - count, size - a
+    else:
+        return _parts(machine, whole, _spans(size, b, count, a), before, length, after, part, make)
+    return bool(
+        0 <= start <= end <= size
+        and machine.unify_all(
+            (before, start), (length, end - start), (after, size - end), (part, make(whole[start:end]))
+        )
+    )
+
+
+def _parts(
+    machine: Machine,
+    whole: str,
+    spans: Iterator[Tuple[int, int]],
+    before: Term,
+    length: Term,
+    after: Term,
+    part: Term,
+    make: Make,
+) -> Solutions:
+    size = len(whole)
+    for at, (start, end) in enumerate(spans):
+        if not at & 255:
+            look()
+        long_text(end - start)
+        if machine.unify_all(
+            (before, start), (length, end - start), (after, size - end), (part, make(whole[start:end]))
+        ):
+            yield None
+
+
+def _spans(size: int, b: Optional[int], count: Optional[int], a: Optional[int]) -> Iterator[Tuple[int, int]]:
+    if b is not None:
+        return ((b, end) for end in range(b, size + 1))
+    if count is not None:
+        return ((start, start + count) for start in range(size - count + 1))
+    if a is not None:
+        return ((start, size - a) for start in range(size - a + 1))
+    return ((start, end) for start in range(size + 1) for end in range(start, size + 1))
+
+
+def _occurrences(
+    machine: Machine,
+    whole: str,
+    wanted: str,
+    before: Term,
+    length: Term,
+    after: Term,
+    b: Optional[int],
+    a: Optional[int],
+) -> Outcome:
+    size, count = len(whole), len(wanted)
+    if b is not None:
+        start = b
+        found = whole.startswith(wanted, start)
+    elif a is not None:
+        start = size - a - count
+        found = start >= 0 and whole.startswith(wanted, start)
+    else:
+        start = whole.find(wanted)
+        found = start >= 0
+        if found and whole.find(wanted, start + 1) >= 0:
+            return _many(machine, whole, wanted, before, length, after)
+    return bool(found and machine.unify_all((before, start), (length, count), (after, size - start - count)))
+
+
+def _many(machine: Machine, whole: str, wanted: str, before: Term, length: Term, after: Term) -> Solutions:
+    size = len(whole)
+    start = whole.find(wanted)
+    while start >= 0:
+        following = whole.find(wanted, start + 1)
+        if machine.unify_all((before, start), (length, len(wanted)), (after, size - start - len(wanted))):
+            yield LAST if following < 0 else None
+        start = following
+
+
+@deterministic("atomic_list_concat/2")
+def atomic_list_concat(machine: Machine, parts: Term, whole: Term) -> bool:
+    """Join texts to an atom."""
+    return unify(
+        whole, atom(joined([atomic_text(item, "text") for item in watched(items(parts))])), machine.trail
+    )
+
+
+@deterministic("atomic_list_concat/3")
+def atomic_list_concat_separated(machine: Machine, parts: Term, separator: Term, whole: Term) -> bool:
+    """Join texts with a separator to an atom, or split an atom at it."""
+    between = atomic_text(separator, "text")
+    text = _join(parts, between)
+    if text is not None:
+        found = constant_text(deref(whole))
+        return found == text if found is not None else unify(whole, atom(text), machine.trail)
+    if deref(whole).__class__ is Var:
+        raise instantiation_error()
+    if not between:
+        raise domain_error("non_empty_atom", separator)
+    text = atomic_text(whole)
+    look(size=_PART * text.count(between))
+    return unify(parts, make_list(each(atom, text.split(between))), machine.trail)
+
+
+def _join(parts: Term, between: str) -> Optional[str]:
+    """Return the joined text, or None where the list or an item is not bound yet."""
+    found: List[str] = []
+    if list_items(parts) is None:
+        partial_items(parts)  # raises for what is not a list
+        return None
+    for item in watched(items(parts)):
+        item = deref(item)
+        text = constant_text(item)
+        if text is None:
+            if item.__class__ is Var:
+                return None
+            raise type_error("text", item)
+        found.append(text)
+    return joined(found, between)
+
+
+def _case(change: Callable[[str], str], make: Make, kind: str) -> Callable[[Machine, Term, Term], bool]:
+    def run(machine: Machine, text: Term, result: Term) -> bool:
+        given = atomic_text(text)
+        long_text(len(given), given)
+        if len(given) > _LONG and "Σ" not in given:  # how that changes depends on what is around it
+            changed = "".join([change(some) for some in in_bulks(given)])
+        else:
+            changed = change(given)
+        no_compound(result, kind)
+        return unify(result, make(changed), machine.trail)
+
+    return run
+
+
+deterministic("upcase_atom/2")(_case(str.upper, atom, "atom"))
+deterministic("downcase_atom/2")(_case(str.lower, atom, "atom"))
+deterministic("string_upper/2")(_case(str.upper, String, "string"))
+deterministic("string_lower/2")(_case(str.lower, String, "string"))
+
+
+_CHECK_INTERVAL_MASK = len(BULK) - 1
+
+
+@deterministic("string_length/2")
+def string_length(machine: Machine, text: Term, length: Term) -> bool:
+    """Give the number of characters of a text."""
+    size = len(text_of(text))
+    integer_or_var(length)
+    return unify(length, size, machine.trail)
+
+
+def _string_converter(to_parts: Callable[[str], Term]) -> Callable[[Machine, Term, Term], bool]:
+    def run(machine: Machine, text: Term, parts: Term) -> bool:
+        if deref(text).__class__ is not Var:
+            whole, given = text_of(text), deref(parts)
+            if given is not NIL and given.__class__ not in (Var, tuple):
+                return whole == constant_text(given)
+            return unify(parts, to_parts(whole), machine.trail)
+        return unify(text, String(parts_text(machine, parts, True)), machine.trail)
+
+    return run
+
+
+deterministic("string_chars/2")(_string_converter(chars))
+deterministic("string_codes/2")(_string_converter(codes))
+
+
+def _is_no_text(term: Term) -> bool:
+    term = deref(term)
+    return term.__class__ is tuple and not is_text_list(term)
+
+
+@deterministic("atom_string/2")
+def atom_string(machine: Machine, name: Term, text: Term) -> bool:
+    """Relate the text of an atom or a number with a string."""
+    if deref(name).__class__ is Var:
+        return unify(name, atom(whole_text(text, "string")), machine.trail)
+    if deref(text).__class__ is Var:
+        return unify(text, String(whole_text(name, "atom")), machine.trail)
+    if _is_no_text(name) != _is_no_text(text):
+        return False
+    return whole_text(text, "string") == whole_text(name, "atom")
+
+
+@deterministic("string_to_atom/2")
+def string_to_atom(machine: Machine, text: Term, name: Term) -> bool:
+    """Do what ``atom_string/2`` does."""
+    return atom_string(machine, name, text)
+
+
+@deterministic("number_string/2")
+def number_string(machine: Machine, number: Term, text: Term) -> bool:
+    """Relate a number with its string; fails where the text is not a number."""
+    number = deref(number)
+    if number.__class__ not in (Var, int, float):
+        raise type_error("number", number)
+    check_parts(text)
+    if is_ground(text):
+        found = parse_number(parts_text(machine, text, True).strip(), machine.logic.operators)
+        return found is not None and unify(number, found, machine.trail)
+    if not isinstance(number, (int, float)):
+        raise instantiation_error()
+    return unify(text, String(number_text(number)), machine.trail)
+
+
+@deterministic("text_to_string/2")
+def text_to_string(machine: Machine, text: Term, result: Term) -> bool:
+    """Give the string of an atom, string, or list of codes or characters."""
+    found = text_of(text, numbers=False)
+    given = deref(result)
+    if given.__class__ is Atom:
+        return given.name == found
+    return unify(result, String(found), machine.trail)
+
+
+def _wanted_code(term: Term) -> Term:
+    """Return the code that is looked for in a text: it may be given as a character."""
+    term = deref(term)
+    if term.__class__ is Var or (term.__class__ is int and term >= 0):
+        return term
+    if term.__class__ is Atom or term.__class__ is String or is_text_list(term):
+        text = text_of(term)
+        if len(text) == 1:
+            return ord(text)
+    raise type_error("character", term)
+
+
+@nondeterministic("string_code/3")
+def string_code(machine: Machine, index: Term, text: Term, code: Term) -> Outcome:
+    """Relate the characters' codes with their positions from 1."""
+    at = integer_or_var(index)
+    whole = text_of(text, numbers=False)
+    if at is None:
+        return _codes(machine, index, whole, _wanted_code(code))
+    if at < 0:
+        raise domain_error("not_less_than_zero", at)
+    return 0 < at <= len(whole) and unify(code, ord(whole[at - 1]), machine.trail)
+
+
+def _codes(machine: Machine, index: Term, whole: str, wanted: Term) -> Solutions:
+    for at, char in enumerate(whole, 1):
+        if machine.unify_all((index, at), (wanted, ord(char))):
+            yield LAST if at == len(whole) else None
+
+
+@nondeterministic("text_concat/3")
+def text_concat(machine: Machine, left: Term, right: Term, whole: Term) -> Outcome:
+    """Relate two texts with the text that they make together: a string where one of them is."""
+    given = [deref(term) for term in (left, right, whole)]
+    make: Callable[[str], Term] = String if any(term.__class__ is String for term in given) else atom
+    start, end, text = (None if term.__class__ is Var else text_of(term) for term in given)
+    if start is not None and end is not None:
+        long_text(len(start) + len(end), start, end)
+        return unify(whole, make(start + end), machine.trail) if text is None else text == start + end
+    if text is None:
+        raise instantiation_error()
+    long_text(len(text))
+    if start is not None:
+        return text.startswith(start) and unify(right, make(text[len(start) :]), machine.trail)
+    if end is not None:
+        return text.endswith(end) and unify(left, make(text[: len(text) - len(end)]), machine.trail)
+    return halves(machine, left, right, text, make)
+
+
+@deterministic("split_string/4")
+def split_string(machine: Machine, text: Term, separators: Term, pad: Term, parts: Term) -> bool:
+    """Split a text at any of the separators and strip the pad characters from each part."""
+    whole, between, strip = (text_of(given, numbers=False) for given in (text, separators, pad))
+    between, strip = _different(between), _different(strip)
+    long_text(len(whole), whole)
+    partial_items(parts)
+    return unify(parts, make_list(each(String, list(_split(whole, between, strip)))), machine.trail)
+
+
+def _different(text: str) -> str:
+    """Return each character of a text once."""
+    return text if len(text) < 2 else "".join(dict.fromkeys(watched(text)))
+
+
+def _split(text: str, separators: str, pad: str) -> Iterator[str]:
+    """Yield the parts of a text; separators that are pad characters too count once, and not at the ends."""
+    text = _strip(text, pad)
+    start = 0
+    for at, char in enumerate(text):
+        if not at & _CHECK_INTERVAL_MASK:
+            look()
+        if at >= start and char in separators:
+            yield _strip(text[start:at], pad)
+            start = at + 1
+            while char in pad and text[start] in pad:  # what is left does not end with one
+                start += 1
+    yield _strip(text[start:], pad)
+
+
+def _strip(text: str, pad: str) -> str:
+    return text.strip(pad) if pad else text
+
+
+@deterministic("normalize_space/2")
+def normalize_space(machine: Machine, sink: Term, text: Term) -> bool:
+    """Unify a text with runs of white space made one blank."""
+    sink = deref(sink)
+    if sink.__class__ is Var:
+        raise instantiation_error()
+    if not is_sink(sink):
+        raise existence_error("stream", sink) if sink.__class__ is Atom else type_error("output", sink)
+    return fill_sink(machine, sink, joined(_words(atomic_text(text)), " "))
+
+
+def _words(text: str) -> List[str]:
+    """Return what stands between white space."""
+    words: List[str] = []
+    whole = True  # the last word ends where a piece ends
+    for piece in in_bulks(text):
+        found = piece.split()
+        if not whole and found and not piece[0].isspace():
+            words[-1] += found.pop(0)
+        words += found
+        whole = piece[-1:].isspace()  # the only piece of an empty text is empty
+    return words
+
+
+# Characters
+
+_CLASSES: Dict[str, Callable[[str], bool]] = {
+    "alnum": str.isalnum,
+    "alpha": str.isalpha,
+    "csym": lambda char: char.isalnum() or char == "_",
+    "csymf": lambda char: char.isalpha() or char == "_",
+    "prolog_var_start": lambda char: char.isupper() or char == "_",
+    "prolog_atom_start": lambda char: char.isalpha() and not char.isupper(),
+    "prolog_identifier_continue": lambda char: char.isalnum() or char == "_",
+    "prolog_symbol": lambda char: char in "#$&*+-./:<=>?@\\^~",
+    "ascii": lambda char: ord(char) < 128,
+    "white": lambda char: char in " \t",
+    "cntrl": lambda char: ord(char) < 32 or 127 <= ord(char) < 160,
+    "space": str.isspace,
+    "end_of_line": lambda char: char in "\n\v\f\r",
+    "lower": str.islower,
+    "upper": str.isupper,
+    "punct": lambda char: char > " " and char != "\x7f" and not char.isalnum() and not char.isspace(),
+    "graph": lambda char: char > " " and char != "\x7f" and not char.isspace(),
+    "print": lambda char: char >= " " and char != "\x7f",
+    "period": lambda char: char in ".?!",
+    "quote": lambda char: char in "'\"`",
+    "paren": lambda char: char in "()[]{}",
+    "digit": lambda char: char.isdigit(),
+    "newline": lambda char: char == "\n",
+}
+
+
+_PARAMETRIC = ("digit", "xdigit", "to_lower", "to_upper", "upper", "lower")
+
+
+def _of_code(term: Term) -> Optional[str]:
+    term = deref(term)
+    if term.__class__ is Var:
+        return None
+    if term.__class__ is int:
+        if not 0 <= term <= 0x10FFFF:
+            raise domain_error("character", term)
+        return chr(term)
+    text = constant_text(term)
+    if text is None or len(text) != 1:
+        raise type_error("character", term)
+    return text
+
+
+def _char_type(as_code: bool) -> Callable[[Machine, Term, Term], Outcome]:
+    def wrap(char: str) -> Term:
+        return ord(char) if as_code else atom(char)
+
+    def run(machine: Machine, char: Term, kind: Term) -> Outcome:
+        kind = deref(kind)
+        _check_type(kind)
+        given = _of_code(char)
+        if given is None and kind.__class__ is Var:
+            raise instantiation_error()
+        if given is None or kind.__class__ is Var:
+            return enumerate_(machine, char, kind, given)
+        found = next(_types(given, kind, wrap), None)
+        return found is not None and unify(kind, found, machine.trail)
+
+    def enumerate_(machine: Machine, char: Term, kind: Term, given: Optional[str]) -> Solutions:
+        for one in [given] if given is not None else map(chr, range(256)):
+            for found in _types(one, kind, wrap):
+                pairs = [(kind, found)]
+                if given is None:
+                    pairs.append((char, wrap(one)))
+                if machine.unify_all(*pairs):
+                    yield None
+
+    return run
+
+
+def _changed(char: str, changed: str) -> str:
+    """Return a character in the other case, or itself where it has no single one."""
+    return changed if len(changed) == 1 else char
+
+
+def _check_type(kind: Term) -> None:
+    """Raise a type error for what is not a type of characters."""
+    if kind.__class__ is tuple and len(kind) == 2 and kind[0].name in _PARAMETRIC:
+        return
+    if kind.__class__ is not Var and (kind.__class__ is not Atom or kind.name not in _CLASSES):
+        raise type_error("char_type", kind)
+
+
+def _types(char: str, kind: Term, wrap: Callable[[str], Term]) -> Iterator[Term]:
+    """Yield the types of a character that may be the one asked for."""
+    name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else None
+    for plain, test in _CLASSES.items():
+        if (name is None or (plain == name and kind.__class__ is Atom)) and test(char):
+            yield atom(plain)
+    if kind.__class__ is Atom:
+        return
+    if name in (None, "digit") and char.isdigit() and char.isascii():
+        yield (functor("digit", 1), ord(char) - 48)
+    if name in (None, "xdigit") and char in "0123456789abcdefABCDEF":
+        yield (functor("xdigit", 1), int(char, 16))
+    if name in (None, "to_lower"):
+        yield (functor("to_lower", 1), wrap(_changed(char, char.upper())))
+    if name in (None, "to_upper"):
+        yield (functor("to_upper", 1), wrap(_changed(char, char.lower())))
+    if name in (None, "upper") and char.isupper():
+        yield (functor("upper", 1), wrap(char.lower()[0]))
+    if name in (None, "lower") and char.islower():
+        yield (functor("lower", 1), wrap(char.upper()[0]))
+
+
+nondeterministic("char_type/2")(_char_type(False))
+nondeterministic("code_type/2")(_char_type(True))

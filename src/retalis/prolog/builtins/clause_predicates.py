@@ -1,0 +1,455 @@
+"""The clause store as predicates: assert, retract, clause, declarations.
+
+Tabled predicates: their declarations, and forgetting what their tables hold.
+"""
+
+from typing import Callable, Dict, Iterator, List, Optional, Set, Tuple
+
+from ..compiler.clause_nodes import CONTROL
+from ..compiler.predicate_code import key_of
+from ..database.clause_index import NEVER, Clause, may_match
+from ..database.control_constructs import functor_of
+from ..database.predicate import Predicate
+from ..machine.errors import domain_error, indicator, instantiation_error, permission_error, type_error
+from ..machine.machine import LAST
+from ..terms.list_terms import conjuncts
+from ..terms.term_traversal import copy
+from ..terms.types import (
+    COMMA,
+    CONS,
+    NIL,
+    SLASH,
+    Atom,
+    Frame,
+    Functor,
+    Term,
+    Trail,
+    Values,
+    Var,
+    atom,
+    deref,
+    functor,
+)
+from ..terms.unification import undo, unify
+from .argument_checks import callable_of, indicator_of, is_iso, is_true, items, option_values
+from .builtin_registry import Machine, Outcome, Solutions, control, deterministic, nondeterministic
+from .tabling import AS, Mode, modes_of, tables_of
+
+_NECK = functor(":-", 2)
+
+
+def _check_rights(machine: Machine, key: Functor, action: str, kind: str) -> Predicate:
+    """Return a predicate whose clauses may be changed or looked at."""
+    predicate: Predicate = machine.logic.database.predicate(key)
+    if key in CONTROL or (
+        predicate.library and (predicate.system or action == "modify") and not predicate.dynamic
+    ):
+        raise permission_error(action, kind, indicator(key))
+    return predicate if predicate.tabled is None else predicate.tabled
+
+
+def _assert(first: bool) -> Callable[[Machine, Term], bool]:
+    def run(machine: Machine, term: Term) -> bool:
+        logic = machine.logic
+        clause = logic.add_clause(term, first=first, asserted=True)
+        predicate = clause.predicate
+        if not predicate.compiled and len(predicate) == 1:
+            predicate.dynamic = True
+        return True
+
+    return run
+
+
+def _strip(term: Term) -> Term:
+    """Return a clause without a module in front."""
+    term = deref(term)
+    while term.__class__ is tuple and term[0].name == ":" and len(term) == 3:
+        term = deref(term[2])
+    return term
+
+
+deterministic("assertz/1", "assert/1")(_assert(False))
+deterministic("asserta/1")(_assert(True))
+
+
+def _split(machine: Machine, term: Term) -> Tuple[Term, Term]:
+    modules = machine.logic.database.modules
+    term = modules.looked_for(term)
+    if term.__class__ is tuple and term[0] is _NECK:
+        return modules.looked_for(term[1]), term[2]
+    return term, atom("true")
+
+
+def _key(head: Term) -> Functor:
+    if head.__class__ is Var:
+        raise instantiation_error()
+    if head.__class__ is tuple:
+        key: Functor = head[0]
+        return key
+    if head.__class__ is Atom:
+        return head.functor
+    raise type_error("callable", head)
+
+
+def _candidates(predicate: Predicate, head: Term) -> Iterator[Clause]:
+    """Yield the clauses whose heads may match, as they are now."""
+    if predicate.incremental:
+        predicate.note_read()
+    frame = (None, *head[1:], None) if head.__class__ is tuple else (None, None)
+    keys = [key_of(arg) for arg in frame[1:-1]]
+    generation = predicate.database.generation
+    clauses, _ = predicate.select(frame)
+    for at in range(len(clauses)):
+        clause = clauses[at]
+        if clause.died > generation and may_match(keys, clause.keys):
+            yield clause
+
+
+@nondeterministic("retract/1")
+def retract(machine: Machine, term: Term) -> Outcome:
+    """Remove the clauses that unify, one at each solution."""
+    head, body = _split(machine, term)
+    predicate = _check_rights(machine, _key(head), "modify", "static_procedure")
+    return _each_clause(machine, predicate, head, body, predicate.remove)
+
+
+Shown = Callable[[Term], Term]
+"""Gives a body as it is unified: with the names that hold in its module."""
+
+
+def _each_clause(
+    machine: Machine,
+    predicate: Predicate,
+    head: Term,
+    body: Term,
+    action: Optional[Callable[[Clause], object]],
+) -> Outcome:
+    """Go through the clauses that unify with a head and a body, as they were at the call; do ``action`` for each."""
+    found = list(_candidates(predicate, head))
+    trail, modules = machine.trail, machine.logic.database.modules
+    of_module = action is None and modules.plain_of(predicate.functor) is not None
+    shown: Shown = modules.plain if of_module else _as_it_is
+    if len(found) > 1:
+        return _clauses(trail, found, head, body, action, shown)
+    return bool(found) and _is_clause(trail, found[0], head, body, action, shown)
+
+
+def _as_it_is(body: Term) -> Term:
+    return body
+
+
+def _clauses(
+    trail: Trail,
+    found: List[Clause],
+    head: Term,
+    body: Term,
+    action: Optional[Callable[[Clause], object]],
+    shown: Shown,
+) -> Solutions:
+    last = found[-1]
+    for clause in found:
+        mark = len(trail)
+        if _is_clause(trail, clause, head, body, action, shown):
+            yield LAST if clause is last else None
+        else:
+            undo(trail, mark)
+
+
+def _is_clause(
+    trail: Trail,
+    clause: Clause,
+    head: Term,
+    body: Term,
+    action: Optional[Callable[[Clause], object]],
+    shown: Shown,
+) -> bool:
+    own_head, own_body = _renamed(clause)
+    if not unify(own_head, head, trail) or not unify(shown(own_body), body, trail):
+        return False
+    if action is not None and clause.died == NEVER:  # else it went meanwhile, and is a solution all the same
+        action(clause)
+    return True
+
+
+def _renamed(clause: Clause) -> Tuple[Term, Term]:
+    if clause.ground:
+        return clause.head, clause.body
+    fresh: Dict[Var, Term] = {}
+    return copy(clause.head, fresh), copy(clause.body, fresh)
+
+
+@deterministic("retractall/1")
+def retractall(machine: Machine, head: Term) -> bool:
+    """Remove all clauses whose heads unify; the predicate is dynamic afterwards."""
+    head = machine.logic.database.modules.looked_for(head)
+    key = _key(head)
+    predicate = _check_rights(machine, key, "modify", "static_procedure")
+    if not predicate.defined:
+        predicate.dynamic = True
+        machine.logic.database.changes += 1
+        return True
+    trail = machine.trail
+    mark = len(trail)
+    for clause in list(_candidates(predicate, head)):
+        if unify(head, clause.head if clause.ground else copy(clause.head), trail):
+            predicate.remove(clause)
+        undo(trail, mark)
+    return True
+
+
+@nondeterministic("clause/2")
+def clause_of(machine: Machine, head: Term, body: Term) -> Outcome:
+    """Enumerate the clauses of a predicate."""
+    head = machine.logic.database.modules.looked_for(head)
+    key = _key(head)
+    body = deref(body)
+    if body.__class__ not in (Var, Atom, tuple):
+        raise type_error("callable", body)
+    predicate = _check_rights(machine, key, "access", "private_procedure")
+    return _each_clause(machine, predicate, head, body, None)
+
+
+@deterministic("abolish/1")
+def abolish(machine: Machine, term: Term) -> bool:
+    """Remove a predicate."""
+    key = indicator_of(machine.logic.database.modules.names_of(term))
+    predicate = _check_rights(machine, key, "modify", "static_procedure")
+    if predicate.defined and not predicate.dynamic and machine.logic.flags["iso"] is atom("true"):
+        raise permission_error("modify", "static_procedure", indicator(key))
+    predicate.abolish()
+    return True
+
+
+@deterministic("abolish/2")
+def abolish_named(machine: Machine, name: Term, arity: Term) -> bool:
+    """Remove a predicate."""
+    return abolish(machine, (SLASH, name, arity))
+
+
+def declared(term: Term) -> Iterator[Term]:
+    """Yield what a declaration names: items of lists and conjunctions."""
+    return (item for item, _ in declared_with_options(term))
+
+
+def declared_with_options(term: Term) -> Iterator[Tuple[Term, Values]]:
+    """Yield what a declaration names, each with the options that ``as`` gives it."""
+    stack: List[Tuple[Term, Values]] = [(term, ())]
+    while stack:
+        item, options = stack.pop()
+        item = deref(item)
+        if item.__class__ is tuple and item[0] is COMMA:
+            stack += [(one, options) for one in reversed(list(conjuncts(item)))]
+        elif item.__class__ is tuple and item[0] is CONS:
+            stack += ((item[2], options), (item[1], options))
+        elif item.__class__ is tuple and item[0] is AS:
+            stack.append((item[1], (*options, *conjuncts(item[2]))))
+        elif item is not NIL:
+            yield item, options
+
+
+def _declaration(attribute: str) -> Callable[[Machine, Term], bool]:
+    def run(machine: Machine, term: Term) -> bool:
+        for item in declared(machine.logic.database.modules.names_of(term)):
+            predicate = machine.logic.database.writable(indicator_of(item), "modify")
+            setattr(predicate, attribute, True)
+            machine.logic.database.changes += 1
+        return True
+
+    return run
+
+
+@deterministic("dynamic/1", "thread_local/1")
+def dynamic(machine: Machine, term: Term) -> bool:
+    """Declare predicates dynamic; ``as incremental`` has incremental tables depend on their clauses."""
+    for item, options in declared_with_options(machine.logic.database.modules.names_of(term)):
+        declare_dynamic(machine, item, set(map(_dynamic_option, options)))
+    return True
+
+
+@deterministic("dynamic/2")
+def dynamic_with_options(machine: Machine, names: Term, options: Term) -> bool:
+    """Declare the predicates of a list dynamic, with options as in SWI-Prolog; unknown ones are ignored."""
+    chosen: Set[str] = set()
+    for option in option_values(options):
+        if option.__class__ is tuple and len(option) == 2 and option[0].name in _MARKS and is_true(option[1]):
+            chosen.add(option[0].name)
+    for item in items(machine.logic.database.modules.names_of(names)):
+        declare_dynamic(machine, item, chosen)
+    return True
+
+
+_MARKS = frozenset(("incremental", "discontiguous", "multifile"))
+_WITHOUT_EFFECT = frozenset(("opaque", "volatile", "shared", "local", "abstract"))
+"""Options of SWI-Prolog that say what is so anyway, as there is one thread, or what concerns its saved states."""
+
+
+def _dynamic_option(option: Term) -> str:
+    """Return the name of an option of ``dynamic ... as``."""
+    key = _key(option)
+    if key.name not in _MARKS | _WITHOUT_EFFECT or key.arity != (key.name == "abstract"):
+        raise domain_error("predicate_option", option)
+    return key.name
+
+
+def declare_dynamic(machine: Machine, item: Term, options: Set[str]) -> None:
+    """Make the predicate dynamic that ``Name/Arity`` names."""
+    database = machine.logic.database
+    predicate = database.writable(indicator_of(item), "modify")
+    predicate.dynamic = True
+    predicate.discontiguous |= "discontiguous" in options
+    predicate.multifile |= "multifile" in options
+    database.changes += 1
+    if "incremental" in options:
+        tables_of(machine).observe(predicate)
+
+
+deterministic("discontiguous/1")(_declaration("discontiguous"))
+deterministic("multifile/1")(_declaration("multifile"))
+deterministic("module_transparent/1", "volatile/1", "public/1")(lambda machine, term: True)
+
+
+@nondeterministic("current_predicate/1")
+def current_predicate(machine: Machine, term: Term) -> Solutions:
+    """Enumerate the program's predicates that have clauses; one that is named whole may be built in."""
+    modules = machine.logic.database.modules
+    term = _strip(modules.names_of(term))
+    if term.__class__ is Var:
+        term = (SLASH, Var(), Var())
+    if term.__class__ is not tuple or term[0] is not SLASH:
+        raise type_error("predicate_indicator", term)
+    name, arity = deref(term[1]), deref(term[2])
+    for part, kind, classes in ((name, "atom", (Var, Atom)), (arity, "integer", (Var, int))):
+        if part.__class__ not in classes:
+            raise type_error(kind, part) if is_iso(machine) else type_error("predicate_indicator", term)
+    database = machine.logic.database
+    if name.__class__ is Atom and arity.__class__ is int:
+        predicate = database.predicates.get(functor(name.name, arity))
+        if predicate is not None and _is_current(predicate, is_iso(machine)):
+            yield LAST
+        return
+    for key, predicate in list(database.predicates.items()):
+        there = predicate.kind == "user" and not predicate.library and len(predicate)
+        if (
+            there
+            and modules.plain_of(key) is None
+            and machine.unify_all((name, atom(key.name)), (arity, key.arity))
+        ):
+            yield None
+
+
+def _is_current(predicate: Predicate, iso: bool) -> bool:
+    """Tell whether a predicate that is named whole has clauses, or is built in."""
+    predicate.note_read()
+    if predicate.kind == "undefined":
+        return False
+    return bool(len(predicate)) or predicate.kind != "user" and not iso
+
+
+@control("garbage_collect/0", "prompt/2")
+def nothing(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+    """Do nothing: there is nothing to do."""
+    return after
+
+
+_IGNORED = {
+    "subsumptive": "each variant of a call has a table of its own",
+    "shared": "goals run in one thread",
+    "lazy": "declare it incremental",
+    "monotonic": "declare it incremental",
+    "max_answers": "all answers are kept",
+    "answer_abstract": "answers of any size are kept",
+    "subgoal_abstract": "calls of any size have tables",
+}
+"""Options of SWI-Prolog that have no effect, and what is so instead."""
+
+_WITH_ARGUMENT = ("max_answers", "answer_abstract", "subgoal_abstract")
+
+
+@deterministic("table/1")
+def table_declaration(machine: Machine, which: Term) -> bool:
+    """Declare predicates tabled; ``as incremental`` has their tables depend on what they read."""
+    for item, options in declared_with_options(machine.logic.database.modules.names_of(which)):
+        if item.__class__ is tuple and item[0].name == ":" and len(item) == 3:
+            item = deref(item[2])
+        declare_as(machine, item, options)
+    return True
+
+
+def declare_as(machine: Machine, item: Term, options: Values = ()) -> None:
+    """Make the predicate tabled that ``Name/Arity`` names, or a term that has the modes of its arguments.
+
+    Args:
+        machine: of the program.
+        item: what is declared.
+        options: those of ``as``: later declarations add theirs.
+
+    Raises:
+        PrologError: where it names no predicate, or there is no such mode or option.
+    """
+    item = deref(item)
+    if item.__class__ is tuple and item[0] is AS:
+        declare_as(machine, item[1], (*options, *conjuncts(item[2])))
+        return
+    if item.__class__ is tuple and item[0] is not SLASH:
+        key, modes = modes_of(item)
+    else:
+        key, modes = indicator_of(item), {}
+    names = [_option(machine, key, option) for option in options]
+    declare(machine, key, modes)
+    tables = tables_of(machine)
+    tables.declared.setdefault(key, copy(item))
+    predicate = machine.logic.database.predicate(key)
+    if "dynamic" in names:
+        declare_dynamic(machine, indicator(key), set())
+    incremental = "incremental" in names or (predicate.incremental and "opaque" not in names)
+    if incremental != predicate.incremental:
+        predicate.incremental = incremental
+        machine.logic.database.changes += 1
+        tables.clear()
+    if incremental:  # clauses of the predicate itself may be added and removed, too
+        tables.observe(predicate.with_clauses)
+
+
+def _option(machine: Machine, key: Functor, option: Term) -> str:
+    """Return the name of an option; warn of one that has no effect."""
+    option = callable_of(option)
+    found = functor_of(option)
+    name = found.name
+    if found.arity != (name in _WITH_ARGUMENT) or name not in (*_IGNORED, *_OPTIONS):
+        raise domain_error("table_option", option)
+    if name in _IGNORED:
+        text = f"Warning: table {key} as {machine.logic.show(option)}: the option has no effect: {_IGNORED[name]}\n"
+        machine.logic.message("warning", text)
+    return name
+
+
+_OPTIONS = ("incremental", "opaque", "variant", "dynamic")
+
+
+def declare(machine: Machine, key: Functor, modes: Dict[int, Mode]) -> None:
+    """Make a predicate tabled: its clauses go to a hidden predicate that the tables call."""
+    database = machine.logic.database
+    if database.predicate(key).tabled is not None:
+        return
+    predicate = database.writable(key, "modify")
+    hidden = database.predicate(functor(f"{key.name} tabled", key.arity))
+    for clause in list(predicate.live()):
+        hidden.add(clause)
+    hidden.dynamic, hidden.discontiguous, hidden.multifile = (
+        predicate.dynamic,
+        predicate.discontiguous,
+        predicate.multifile,
+    )
+    tables = tables_of(machine)
+    if predicate.incremental:  # a dynamic predicate: what it was declared holds for its clauses
+        predicate.incremental = False
+        tables.observe(hidden)
+    predicate.table(hidden, tables.moded_caller(predicate, modes) if modes else tables.caller(predicate))
+    database.forget()
+
+
+@control("abolish_all_tables/0")
+def abolish_all_tables(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+    """Forget the answers of all tabled predicates."""
+    tables_of(machine).clear()
+    return after

@@ -1,0 +1,226 @@
+"""Translation of grammar rules (DCG) to clauses.
+
+Single-sided rules, ``Head, Guard => Body``: the head matches a call without binding anything of it.
+
+The first rule whose head matches and whose guard succeeds is the only one; a call that none takes is an error. A
+rule becomes a clause that tests its arguments, and cuts; behind the last one stands a clause that raises the error.
+"""
+
+from typing import Any, List, NamedTuple, Set, Tuple
+
+from ..compiler.clause_nodes import ARROW, BAR, EQUAL, NOT, SEMICOLON, SOFT_ARROW
+from ..database.control_constructs import add_arguments
+from ..machine.errors import instantiation_error, no_matching_rule, type_error
+from ..terms.list_terms import conjunction, list_items, make_list
+from ..terms.term_traversal import resolve
+from ..terms.types import (
+    COLON,
+    COMMA,
+    CONS,
+    EMPTY_BLOCK,
+    NIL,
+    TRUE,
+    Atom,
+    CompoundTerm,
+    String,
+    Term,
+    Var,
+    atom,
+    deref,
+    functor,
+)
+from .builtin_registry import Machine, deterministic
+
+_NECK = functor(":-", 2)
+_CURLY = functor("{}", 1)
+_PHRASE = functor("phrase", 3)
+_CALL = "call"
+
+
+def translate_rule(rule: CompoundTerm) -> Term:
+    """Return the clause of a grammar rule ``Head --> Body``.
+
+    Raises:
+        PrologError: where head or body are none of a grammar.
+    """
+    head, body = deref(rule[1]), rule[2]
+    first, last = Var(), Var()
+    if head.__class__ is tuple and head[0] is COMMA:
+        pushed = _terminals(deref(head[2]))
+        middle = Var()
+        translated = (COMMA, translate_body(body, first, middle), _consume(pushed, last, middle))
+        return (_NECK, add_arguments(head[1], (first, last)), translated)
+    if head.__class__ is Var:
+        raise instantiation_error()
+    if head.__class__ not in (tuple, Atom):
+        raise type_error("callable", head)
+    return (_NECK, add_arguments(head, (first, last)), translate_body(body, first, last))
+
+
+def translate_body(body: Term, first: Term, last: Term) -> Term:
+    """Return the goal of a grammar body between two states of the list; without recursion, however deep it is."""
+    whole = Var()
+    pending: List[_Hole] = [_Hole(whole, body, first, last)]
+    while pending:
+        hole, body, first, last = pending.pop()
+        parts = _sequence(body)
+        goals = []
+        state = first
+        for at, part in enumerate(parts):
+            following = last if at == len(parts) - 1 else Var()
+            goals.append(_part(part, state, following, pending))
+            state = following
+        hole.ref = conjunction(goals)
+    return resolve(whole)
+
+
+class _Hole(NamedTuple):
+    """A variable of a goal that stands for a body inside, until that is translated: between which states it is."""
+
+    goal: Var
+    body: Term
+    first: Term
+    last: Term
+
+
+def _inside(pending: List[_Hole], body: Term, first: Term, last: Term) -> Var:
+    hole = _Hole(Var(), body, first, last)
+    pending.append(hole)
+    return hole.goal
+
+
+def _sequence(body: Term) -> List[Term]:
+    parts = []
+    stack = [body]
+    while stack:
+        item = deref(stack.pop())
+        if item.__class__ is tuple and item[0] is COMMA:
+            stack += (item[2], item[1])
+        else:
+            parts.append(item)
+    return parts
+
+
+def _part(part: Term, first: Term, last: Term, pending: List[_Hole]) -> Term:
+    if part.__class__ is tuple:
+        return _compound_part(part, first, last, pending)
+    if part.__class__ is Var:
+        return (_PHRASE, part, first, last)
+    if part is NIL or part.__class__ is String:
+        return _consume(_terminals(part), first, last)
+    if part.__class__ is not Atom:
+        raise type_error("callable", part)
+    if part.name == "!":
+        return (COMMA, part, (EQUAL, first, last))
+    if part is EMPTY_BLOCK:
+        return (EQUAL, first, last)
+    return (functor(part.name, 2), first, last)
+
+
+def _compound_part(part: CompoundTerm, first: Term, last: Term, pending: List[_Hole]) -> Term:
+    key = part[0]
+    if key is CONS:
+        return _consume(_terminals(part), first, last)
+    if key in (SEMICOLON, BAR):
+        left = _inside(pending, part[1], first, last)
+        return (SEMICOLON, left, _inside(pending, part[2], first, last))
+    if key in (ARROW, SOFT_ARROW):
+        middle = Var()
+        return (key, _inside(pending, part[1], first, middle), _inside(pending, part[2], middle, last))
+    if key is NOT:
+        return (COMMA, (NOT, _inside(pending, part[1], first, Var())), (EQUAL, first, last))
+    if key is _CURLY:
+        return (COMMA, part[1], (EQUAL, first, last))
+    if key.name == _CALL:
+        return (functor(_CALL, len(part) + 1), *part[1:], first, last)
+    return add_arguments(part, (first, last))
+
+
+def _terminals(term: Term) -> List[Term]:
+    if term.__class__ is String:
+        return [ord(char) for char in term.text]
+    found = list_items(term)
+    if found is None:
+        raise type_error("list", term)
+    return found
+
+
+def _consume(terminals: List[Term], first: Term, last: Term) -> Term:
+    return (EQUAL, first, make_list(terminals, last))
+
+
+SINGLE_SIDED = functor("=>", 2)
+_IDENTICAL = functor("==", 2)
+_SUBSUMES = functor("subsumes_term", 2)
+_NO_RULE = functor("$no_matching_rule", 1)
+_CUT = atom("!")
+
+
+def translate_single_sided(rule: CompoundTerm) -> Tuple[Term, Term]:
+    """Return the clause of a rule ``Head => Body``, and the one that has to stand behind all of its predicate.
+
+    Raises:
+        PrologError: where the head is none.
+    """
+    head: Any = deref(rule[1])
+    guard: Term = TRUE
+    if head.__class__ is tuple and head[0] is COMMA:
+        head, guard = deref(head[1]), deref(head[2])
+    if head.__class__ is tuple and head[0] is COLON:
+        head = deref(head[2])
+    if head.__class__ is Var:
+        raise instantiation_error()
+    if isinstance(head, Atom):
+        called: Term = head
+        tests: List[Term] = []
+    elif head.__class__ is tuple:
+        called, tests = _tested(head)
+    else:
+        raise type_error("callable", head)
+    goals = [*tests, *([] if guard is TRUE else [guard]), _CUT, rule[2]]
+    last = (called[0], *(Var() for _ in called[1:])) if called.__class__ is tuple else called
+    return (_NECK, called, conjunction(goals)), (_NECK, last, (_NO_RULE, last))
+
+
+def _tested(head: CompoundTerm) -> Tuple[Term, List[Term]]:
+    """Return the head with a variable for each argument that has to be tested, and the tests."""
+    seen: Set[Var] = set()
+    called: List[Term] = []
+    wanted: List[Term] = []
+    given: List[Term] = []
+    tests: List[Term] = []
+    for argument in map(deref, head[1:]):
+        if isinstance(argument, Var) and argument not in seen:
+            seen.add(argument)
+            called.append(argument)
+            continue
+        fresh = Var()
+        called.append(fresh)
+        if argument.__class__ is not tuple and argument.__class__ is not Var:
+            tests.append((_IDENTICAL, fresh, argument))
+        else:
+            wanted.append(argument)
+            given.append(fresh)
+    if wanted:
+        tests += _subsuming(wanted, given, seen)
+    return (head[0], *called), tests
+
+
+def _subsuming(wanted: List[Term], given: List[Term], seen: Set[Var]) -> List[Term]:
+    """Return goals that match terms with the arguments, of which nothing is bound; ``seen`` is bound by then."""
+    known: List[Term] = list(seen)
+    shape = functor("$arguments", len(wanted) + len(known))
+    general = (shape, *wanted, *known)
+    return [(_SUBSUMES, general, (shape, *given, *known)), *[(EQUAL, *pair) for pair in zip(wanted, given)]]
+
+
+def is_behind(body: Term) -> bool:
+    """Tell whether a clause with this body is the one behind all rules of a predicate."""
+    body = deref(body)
+    return body.__class__ is tuple and body[0] is _NO_RULE
+
+
+@deterministic("$no_matching_rule/1")
+def raise_no_rule(machine: Machine, call: Term) -> bool:
+    """Raise the error of a call that no rule takes."""
+    raise no_matching_rule("user", call)

@@ -1,0 +1,382 @@
+"""Input and streams as predicates: open and close, read terms and characters, see and tell."""
+
+from typing import Callable, List, Optional
+
+from ...foundation.cancellation import look
+from ...foundation.errors import SyntaxFault
+from ..machine.errors import (
+    domain_error,
+    instantiation_error,
+    permission_error,
+    representation_error,
+    type_error,
+    uninstantiation_error,
+)
+from ..terms.types import Atom, CompoundTerm, String, Term, Var, atom, deref
+from ..terms.unification import unify
+from .argument_checks import atom_of, natural, option_values
+from .builtin_registry import Machine, deterministic
+from .output_predicates import character_of
+from .text_arguments import MAX_CODE, flags_of, nothing, unify_options
+from .text_streams import InputStream, OutputStream, streams_of, syntax_error_in
+
+_END = atom("end_of_file")
+
+
+# Files
+
+
+@deterministic("open/3")
+def open_stream(machine: Machine, name: Term, mode: Term, stream: Term) -> bool:
+    """Open a file to read, write or append."""
+    return _open(machine, name, mode, stream, [])
+
+
+@deterministic("open/4")
+def open_with(machine: Machine, name: Term, mode: Term, stream: Term, options: Term) -> bool:
+    """Open a file; the options ``alias``, ``type``, ``encoding`` and ``eof_action`` are looked at."""
+    return _open(machine, name, mode, stream, option_values(options))
+
+
+def _open(machine: Machine, name: Term, mode: Term, stream: Term, options: List[Term]) -> bool:
+    how, values = _mode_of(mode), dict(_OPEN_OPTIONS)
+    if deref(name).__class__ is Var:
+        raise instantiation_error()
+    if deref(stream).__class__ is not Var:
+        raise uninstantiation_error(deref(stream))
+    for option in options:
+        if not isinstance(option, tuple) or len(option) != 2:
+            raise domain_error("stream_option", option)
+        if option[0].name in values:
+            values[option[0].name] = atom_of(option[1]).name
+    kind, encoding, eof_action = values["type"], values["encoding"], values["eof_action"]
+    if kind not in ("text", "binary") or eof_action not in ("", "error", "eof_code", "reset"):
+        raise domain_error("stream_option", options[-1])
+    streams = streams_of(machine)
+    python = "latin-1" if kind == "binary" else _ENCODINGS.get(encoding, "utf-8")
+    opened = streams.open(deref(name), how, values["alias"] or None, kind, python)
+    source = streams.find_open(opened)
+    if eof_action and isinstance(source, InputStream):
+        source.eof_action = eof_action
+    return unify(stream, opened, machine.trail)
+
+
+def _mode_of(term: Term) -> str:
+    """Return how a file is opened.
+
+    Raises:
+        PrologError: where that is none.
+    """
+    mode = deref(term)
+    if mode.__class__ is Var:
+        raise instantiation_error()
+    if not isinstance(mode, Atom):
+        raise type_error("atom", mode)
+    if mode.name not in ("read", "write", "append"):
+        raise domain_error("io_mode", mode)
+    return mode.name
+
+
+_OPEN_OPTIONS = {"alias": "", "type": "text", "encoding": "", "eof_action": ""}
+_ENCODINGS = {"octet": "latin-1", "iso_latin_1": "latin-1", "ascii": "latin-1"}
+
+
+@deterministic("close/1")
+def close(machine: Machine, stream: Term) -> bool:
+    """Close a stream; those that are always there stay."""
+    streams = streams_of(machine)
+    found = streams.find(stream)
+    if not isinstance(found, str):
+        streams.close(found)
+    return True
+
+
+@deterministic("close/2")
+def close_with(machine: Machine, stream: Term, options: Term) -> bool:
+    """Close a stream."""
+    for option in option_values(options):
+        if not isinstance(option, tuple) or option[0].name != "force":
+            raise domain_error("close_option", option)
+    return close(machine, stream)
+
+
+@deterministic("set_input/1")
+def set_input(machine: Machine, stream: Term) -> bool:
+    """Read from a stream from now on."""
+    streams = streams_of(machine)
+    streams.input = streams.to_read(stream)
+    return True
+
+
+@deterministic("set_output/1")
+def set_output(machine: Machine, stream: Term) -> bool:
+    """Write to a stream from now on."""
+    streams = streams_of(machine)
+    streams.set_output(streams.to_write(stream))
+    return True
+
+
+@deterministic("see/1")
+def see(machine: Machine, name: Term) -> bool:
+    """Read from a stream, or a file, from now on."""
+    return set_input(machine, _opened(machine, name, "read"))
+
+
+@deterministic("tell/1")
+def tell(machine: Machine, name: Term) -> bool:
+    """Write to a stream, or a file, from now on."""
+    return set_output(machine, _opened(machine, name, "write"))
+
+
+@deterministic("append/1")
+def append(machine: Machine, name: Term) -> bool:
+    """Write to the end of a file from now on."""
+    return set_output(machine, _opened(machine, name, "append"))
+
+
+def _opened(machine: Machine, name: Term, mode: str) -> Term:
+    """Return a stream by its term or alias, or that of a file by its name, which is opened where it is not open."""
+    streams, name = streams_of(machine), deref(name)
+    if isinstance(name, tuple) and name[0].name == "$stream":
+        return name
+    known = atom_of(name).name if name.__class__ is Atom else ""
+    if known in streams.aliases or known in ("user", "user_input", "user_output", "user_error"):
+        return name
+    names = {one.asked: one for one in streams.opened.values() if one.mode == mode}
+    if known in names:
+        return streams.term_of(names[known])
+    opened = streams.open(name, mode)
+    streams.find_open(opened).asked = known
+    return opened
+
+
+@deterministic("seen/0")
+def seen(machine: Machine) -> bool:
+    """Close what is read; read the user's input from now on."""
+    streams = streams_of(machine)
+    if streams.input is not streams.user:
+        streams.close(streams.input)
+    return True
+
+
+@deterministic("told/0")
+def told(machine: Machine) -> bool:
+    """Close what is written; write the user's output from now on."""
+    streams = streams_of(machine)
+    if streams.output is not None:
+        streams.close(streams.output)
+    return True
+
+
+def _require_stream(machine: Machine, stream: Term) -> None:
+    """Accept a stream or a variable.
+
+    Raises:
+        PrologError: for anything else.
+    """
+    if deref(stream).__class__ is not Var:
+        streams_of(machine).find(stream)
+
+
+@deterministic("current_input/1", "seeing/1")
+def current_input(machine: Machine, stream: Term) -> bool:
+    """Give the stream that is read."""
+    _require_stream(machine, stream)
+    streams = streams_of(machine)
+    return unify(stream, streams.term_of(streams.input), machine.trail)
+
+
+@deterministic("current_output/1", "telling/1")
+def current_output(machine: Machine, stream: Term) -> bool:
+    """Give the stream that is written."""
+    _require_stream(machine, stream)
+    streams = streams_of(machine)
+    return unify(stream, streams.current_output(), machine.trail)
+
+
+@deterministic("flush_output/1")
+def flush_output_of(machine: Machine, stream: Term) -> bool:
+    """Write what is held back of a line."""
+    found = streams_of(machine).to_write(stream)
+    if isinstance(found, OutputStream):
+        found.flush()
+    return True
+
+
+@deterministic("set_stream/2")
+def set_stream(machine: Machine, stream: Term, setting: Term) -> bool:
+    """Take a setting of a stream; only an alias changes something."""
+    streams, wanted = streams_of(machine), deref(setting)
+    found = streams.find(stream)
+    if isinstance(wanted, tuple) and wanted[0].name == "alias" and not isinstance(found, str):
+        number = next(number for number, one in streams.opened.items() if one is found)
+        streams.aliases[atom_of(wanted[1]).name] = number
+    return True
+
+
+# Terms
+
+
+def _read(machine: Machine, stream: Optional[Term], options: List[CompoundTerm], term: Term) -> bool:
+    source = streams_of(machine).to_read(stream)
+    found = source.term(machine.logic.operators, flags_of(machine, options))
+    if isinstance(found, SyntaxFault):
+        raise syntax_error_in(source, streams_of(machine).term_of(source), found)
+    if found is None:
+        found = nothing(machine)
+    return unify(term, found.term, machine.trail) and unify_options(machine, found, options)
+
+
+@deterministic("read/1")
+def read(machine: Machine, term: Term) -> bool:
+    """Read a term."""
+    return _read(machine, None, [], term)
+
+
+@deterministic("read/2")
+def read_from(machine: Machine, stream: Term, term: Term) -> bool:
+    """Read a term from a stream."""
+    return _read(machine, stream, [], term)
+
+
+@deterministic("read_term/2")
+def read_term(machine: Machine, term: Term, options: Term) -> bool:
+    """Read a term with options."""
+    return _read(machine, None, _options(options), term)
+
+
+@deterministic("read_term/3")
+def read_term_from(machine: Machine, stream: Term, term: Term, options: Term) -> bool:
+    """Read a term from a stream with options."""
+    wanted = _options(options)
+    return _read(machine, stream, wanted, term)
+
+
+def _options(options: Term) -> List[CompoundTerm]:
+    found = option_values(options)
+    return [one for one in found if isinstance(one, tuple)]
+
+
+# Characters
+
+
+def _define(name: str, take: bool, as_term: Callable[[str], Term], check: Callable[[Term], None]) -> None:
+    kind = "binary" if name.endswith("byte") else "text"
+
+    def take_one(machine: Machine, source: InputStream, value: Term) -> bool:
+        check(deref(value))
+        _require_kind(source, kind)
+        return unify(value, as_term(source.character(take)), machine.trail)
+
+    @deterministic(f"{name}/1")
+    def one(machine: Machine, value: Term) -> bool:
+        return take_one(machine, streams_of(machine).input, value)
+
+    @deterministic(f"{name}/2")
+    def two(machine: Machine, stream: Term, value: Term) -> bool:
+        return take_one(machine, streams_of(machine).to_read(stream), value)
+
+
+def _require_kind(source: InputStream, kind: str) -> None:
+    """Accept a stream of a kind.
+
+    Raises:
+        PrologError: a permission error for bytes of a text; the bytes of a binary file are read as characters, too.
+    """
+    if kind == "binary" and source.kind == "text":
+        raise permission_error("input", "text_stream", source.itself)
+
+
+def _code(character: str) -> Term:
+    return ord(character) if character else -1
+
+
+def _atom(character: str) -> Term:
+    return atom(character) if character else _END
+
+
+def _is_character(value: Term) -> None:
+    if value.__class__ is not Var and not (
+        isinstance(value, Atom) and (len(value.name) == 1 or value is _END)
+    ):
+        raise type_error("character", value)
+
+
+def _is_code(value: Term) -> None:
+    if value.__class__ is Var:
+        return
+    if value.__class__ is not int:
+        raise type_error("integer", value)
+    if not -1 <= value <= MAX_CODE:
+        raise representation_error("character_code")
+
+
+def _is_byte(value: Term) -> None:
+    if value.__class__ is not Var and not (isinstance(value, int) and -1 <= value <= 255):
+        raise type_error("in_byte", value)
+
+
+for _name, _made, _check in (
+    ("char", _atom, _is_character),
+    ("code", _code, _is_code),
+    ("byte", _code, _is_byte),
+):
+    _define(f"get_{_name}", True, _made, _check)
+    _define(f"peek_{_name}", False, _made, _check)
+
+
+@deterministic("peek_string/3")
+def peek_string(machine: Machine, stream: Term, length: Term, text: Term) -> bool:
+    """Give the next characters of a stream, which stay."""
+    source, wanted = streams_of(machine).to_read(stream), natural(length)
+    return unify(text, String(source.ahead(wanted)), machine.trail)
+
+
+@deterministic("get0/1")
+def get_any(machine: Machine, code: Term) -> bool:
+    """Read a character as its code."""
+    return unify(code, _code(streams_of(machine).input.character(True)), machine.trail)
+
+
+@deterministic("get/1")
+def get_visible(machine: Machine, code: Term) -> bool:
+    """Read the next character that is no layout, as its code."""
+    source = streams_of(machine).input
+    found = source.character(True)
+    while found and found.isspace():
+        found = source.character(True)
+    return unify(code, _code(found), machine.trail)
+
+
+@deterministic("skip/1")
+def skip(machine: Machine, character: Term) -> bool:
+    """Read up to a character, and that."""
+    return _skip(machine, None, character)
+
+
+@deterministic("skip/2")
+def skip_in(machine: Machine, stream: Term, character: Term) -> bool:
+    """Read up to a character of a stream, and that."""
+    return _skip(machine, stream, character)
+
+
+def _skip(machine: Machine, stream: Optional[Term], character: Term) -> bool:
+    source, wanted = streams_of(machine).to_read(stream), character_of(machine, character)
+    steps = 0
+    while source.character(True) not in (wanted, ""):
+        steps += 1
+        if not steps & 1023:
+            look()
+    return True
+
+
+@deterministic("at_end_of_stream/0")
+def at_end(machine: Machine) -> bool:
+    """Succeed where nothing more can be read."""
+    return not streams_of(machine).input.character(False)
+
+
+@deterministic("at_end_of_stream/1")
+def at_end_of(machine: Machine, stream: Term) -> bool:
+    """Succeed where nothing more can be read from a stream."""
+    return not streams_of(machine).to_read(stream).character(False)

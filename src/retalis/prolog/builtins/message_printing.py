@@ -1,0 +1,314 @@
+"""Messages, assertions, and the listing of clauses."""
+
+from functools import lru_cache
+from typing import Any, Callable, Dict, Iterable, Iterator, List, Optional, Tuple
+
+from ..compiler.clause_nodes import ARROW, NOT, SEMICOLON, SOFT_ARROW
+from ..database.clause_index import Clause
+from ..database.predicate import Predicate
+from ..machine.errors import ERROR, describe, indicator
+from ..machine.machine import LAST
+from ..syntax.operators import Operator, Operators
+from ..syntax.term_writer import add_full_stop, by_name, write_term
+from ..terms.list_terms import list_items
+from ..terms.term_traversal import copy
+from ..terms.types import COMMA, SLASH, TRUE, Atom, Functor, String, Term, Var, atom, deref, functor
+from .argument_checks import atom_of, indicator_of
+from .builtin_registry import Machine, Solutions, deterministic, nondeterministic
+from .output_predicates import formatted, letter_names, write_to
+
+_NECK, _DIRECTIVE = functor(":-", 2), functor(":-", 1)
+_FORMAT = functor("format", 2)
+_LINE: Dict[str, Any] = {"quoted": True, "numbervars": True, "spacing": True}
+"""How a line of a clause is written."""
+
+# Messages
+
+
+@deterministic("print_message/2")
+def print_message(machine: Machine, kind: Term, message: Term) -> bool:
+    """Report a message: ``format(Form,Args)``, an error term, or any term; ``silent`` kinds say nothing."""
+    name = atom_of(kind).name
+    if name in ("silent", "debug", "banner"):
+        return True
+    text = message_text(machine, deref(message))
+    lead = {"error": "ERROR: ", "warning": "Warning: "}.get(name, "")
+    machine.logic.message(name, f"{lead}{text}\n")
+    return True
+
+
+def message_text(machine: Machine, message: Term) -> str:
+    """Return a message as text."""
+    if message.__class__ is tuple:
+        if message[0] is _FORMAT:
+            return formatted(machine, message[1], message[2], 0)
+        if message[0] is ERROR:
+            return describe(message)
+    if message.__class__ is String:
+        return message.text
+    return machine.logic.show(message)
+
+
+@deterministic("print_message_lines/3")
+def print_message_lines(machine: Machine, stream: Term, prefix: Term, lines: Term) -> bool:
+    """Write the lines of a message: ``Form-Args``, ``Form`` and ``nl`` items."""
+    out = []
+    for line in list_items(lines) or []:
+        line = deref(line)
+        if line.__class__ is Atom and line.name == "nl":
+            out.append("\n")
+        elif line.__class__ is tuple and line[0].name == "-":
+            out.append(formatted(machine, line[1], line[2], 0))
+        else:
+            out.append(formatted(machine, line, atom("[]"), 0))
+    write_to(machine, stream, "".join(out))
+    return True
+
+
+# Listing
+
+
+@deterministic("portray_clause/1")
+def portray_clause(machine: Machine, term: Term) -> bool:
+    """Write a clause, laid out, with its variables named."""
+    machine.logic.write(clause_text(machine, term))
+    return True
+
+
+@deterministic("portray_clause/2")
+def portray_clause_to(machine: Machine, stream: Term, term: Term) -> bool:
+    """Write a clause to a stream."""
+    write_to(machine, stream, clause_text(machine, term))
+    return True
+
+
+def clause_text(machine: Machine, term: Term) -> str:
+    """Return a clause laid out with a goal a line and variables named A, B, ...; ``_`` for those alone."""
+    term = copy(term)
+    names = letter_names(term)
+    term = deref(term)
+    operators = machine.logic.operators
+    portray = by_name(term, operators, **_LINE, variable_names=names)
+    layout = _BodyLayout(operators, names, portray)
+    if any(operators.find(key.name) != usual for key, usual in _laid_out_operators()):
+        # The layout is that of the usual priorities; with others the text would read as another term.
+        layout.put(layout.text(term, 1199))
+    elif term.__class__ is tuple and term[0] is _NECK and deref(term[2]) is not TRUE:
+        layout.put(f"{layout.head(term[1])} :-\n    ")
+        layout.body(term[2], 1, 1199)
+    elif term.__class__ is tuple and term[0] is _NECK:
+        layout.put(layout.text(term[1], 1199))
+    elif term.__class__ is tuple and term[0] is _DIRECTIVE:
+        layout.put(":- ")
+        layout.body(term[1], 1, 1199)
+    else:
+        layout.put(layout.text(term, 1200 if term.__class__ is Atom else 1199))
+    return add_full_stop(layout.done()) + "\n"
+
+
+@lru_cache(maxsize=1)
+def _laid_out_operators() -> List[Tuple[Functor, List[Operator]]]:
+    """Return the operators that clauses are laid out by, with their usual definitions."""
+    usual = Operators.prolog()
+    keys = (_NECK, COMMA, SEMICOLON, ARROW, SOFT_ARROW, NOT)
+    return [(key, usual.find(key.name)) for key in keys]
+
+
+class _BodyLayout:
+    """Bodies with a goal a line and control constructs as columns."""
+
+    def __init__(
+        self,
+        operators: Operators,
+        names: Dict[Var, str],
+        portray: Optional[Callable[[Term], Optional[str]]] = None,
+    ):
+        self._portray = portray
+        self._operators = operators
+        self._names = names
+        self._out: List[str] = []
+
+    def put(self, text: str) -> None:
+        """Add text."""
+        self._out.append(text)
+
+    def done(self) -> str:
+        """Return what was written."""
+        return "".join(self._out)
+
+    def head(self, head: Term) -> str:
+        """Return the head of a rule; a prefix operator is put in brackets: the neck would be read as its argument."""
+        head = deref(head)
+        is_prefix = head.__class__ is Atom and head.name in self._operators.prefix
+        return f"({self.text(head, 1200)})" if is_prefix else self.text(head, 1199)
+
+    def text(self, term: Term, priority: int) -> str:
+        """Return a term on one line; an operator of a higher priority is put in brackets, as SWI-Prolog does."""
+        term = deref(term)
+        if term.__class__ is Atom and any(one.priority > priority for one in self._operators.find(term.name)):
+            return f"({write_term(term, self._operators, **_LINE)})"
+        return write_term(
+            term,
+            self._operators,
+            **_LINE,
+            priority=priority,
+            variable_names=self._names,
+            portray=self._portray,
+        )
+
+    def body(self, goal: Term, depth: int, priority: int) -> None:
+        """Write a body; conjunctions go on without recursion."""
+        goal = deref(goal)
+        while goal.__class__ is tuple and goal[0] is COMMA:
+            self.body(goal[1], depth, 999)
+            self.put(f",\n{'    ' * depth}")
+            goal = deref(goal[2])
+        if goal.__class__ is tuple and goal[0] in (SEMICOLON, ARROW, SOFT_ARROW) and depth < 40:
+            self.put("(   ")
+            self._branches(goal, depth)
+            self.put(f"\n{'    ' * depth})")
+        elif goal.__class__ is tuple and goal[0] is NOT and depth < 40:
+            self.put("\\+ ")
+            self.body(goal[1], depth, 200)
+        else:
+            self.put(self.text(goal, 999))
+
+    def _branches(self, goal: Term, depth: int) -> None:
+        lead = f"\n{'    ' * depth}"
+        while goal.__class__ is tuple and goal[0] is SEMICOLON:
+            self._branch(deref(goal[1]), depth, lead)
+            self.put(f"{lead};   ")
+            goal = deref(goal[2])
+        self._branch(goal, depth, lead)
+
+    def _branch(self, goal: Term, depth: int, lead: str) -> None:
+        if goal.__class__ is tuple and goal[0] in (ARROW, SOFT_ARROW):
+            self.body(goal[1], depth + 1, 999)
+            self.put(f"{lead}{'->' if goal[0] is ARROW else '*->'}{'  ' if goal[0] is ARROW else ' '}")
+            goal = deref(goal[2])
+        self.body(goal, depth + 1, 999)
+
+
+@deterministic("listing/1")
+def listing(machine: Machine, which: Term) -> bool:
+    """Write the clauses of a predicate, by name or ``Name/Arity``, or of a list of them."""
+    which = deref(machine.logic.database.modules.names_of(which))
+    found = list_items(which)
+    for item in found if found is not None and which.__class__ is tuple else [which]:
+        for predicate in _named(machine, deref(item)):
+            _list_predicate(machine, predicate)
+    return True
+
+
+def _named(machine: Machine, which: Term) -> List[Predicate]:
+    database = machine.logic.database
+    if which.__class__ is tuple and which[0] is SLASH and deref(which[2]).__class__ is not Var:
+        key = indicator_of(which)
+        return [database.predicate(key)] if key in database.predicates else []
+    name = atom_of(which[1] if which.__class__ is tuple and which[0] is SLASH else which).name
+    plain_of = database.modules.plain_of
+    found = [
+        predicate
+        for key, predicate in database.predicates.items()
+        if key.name == name or (plain_of(key) or key).name == name
+    ]
+    return sorted(found, key=lambda predicate: predicate.functor.arity)
+
+
+@deterministic("listing/0")
+def listing_all(machine: Machine) -> bool:
+    """Write all clauses of the program."""
+    found = list(machine.logic.database.predicates.values())
+    hidden = {predicate.tabled for predicate in found}
+    for predicate in found:
+        if not predicate.library and predicate not in hidden:
+            _list_predicate(machine, predicate)
+    return True
+
+
+def _list_predicate(machine: Machine, predicate: Predicate) -> None:
+    own = predicate.with_clauses
+    if own.kind != "user" and not own.dynamic:
+        return
+    logic = machine.logic
+    modules = logic.database.modules
+    key = modules.plain_of(predicate.functor) or predicate.functor
+    for declared, one in (("dynamic", own), ("table", predicate)):
+        if own.dynamic if declared == "dynamic" else own is not predicate:
+            incremental = " as incremental" if one.incremental else ""
+            logic.write(f":- {declared} {logic.show(indicator(key))}{incremental}.\n\n")
+    for clause in own.live():
+        logic.write(clause_text(machine, modules.plain((_NECK, clause.head, clause.body))))
+    logic.write("\n")
+
+
+# Properties
+
+
+@nondeterministic("predicate_property/2")
+def predicate_property(machine: Machine, head: Term, prop: Term) -> Solutions:
+    """Enumerate what is known of a predicate."""
+    logic = machine.logic
+    modules = logic.database.modules
+    head = modules.looked_for(head)
+    if head.__class__ is Var:
+        for key, predicate in list(logic.database.predicates.items()):
+            if not predicate.defined or predicate.library or modules.plain_of(key) is not None:
+                continue
+            general = (key, *[Var() for _ in range(key.arity)]) if key.arity else atom(key.name)
+            for found in _properties(predicate):
+                if machine.unify_all((head, general), (prop, found)):
+                    yield None
+        return
+    key = head[0] if head.__class__ is tuple else atom_of(head).functor
+    known = logic.lookup(key)
+    plain = modules.plain_of(key)
+    if known is None and plain is not None:
+        known = logic.lookup(plain)
+    for found in [] if known is None else _properties(known):
+        if machine.unify(prop, found):
+            yield None
+
+
+def _properties(predicate: Predicate) -> Iterator[Term]:
+    yield atom("defined")
+    yield atom("visible")
+    own = predicate.with_clauses
+    yield atom("dynamic" if own.dynamic else "static")
+    if predicate.library:
+        yield atom("system" if predicate.system else "library")
+        if predicate.system:
+            yield atom("built_in")
+    if own.kind != "user" and not own.dynamic:
+        yield atom("foreign")
+    else:
+        own.note_read()
+        yield (functor("number_of_clauses", 1), len(own))
+    if own.discontiguous:
+        yield atom("discontiguous")
+    if own.multifile:
+        yield atom("multifile")
+    if predicate.incremental:
+        yield atom("incremental")
+    if predicate.tabled is not None:
+        yield atom("tabled")
+        for option in ("variant", "incremental") if predicate.incremental else ("variant",):
+            yield (functor("tabled", 1), atom(option))
+
+
+@nondeterministic("nth_clause/3")
+def nth_clause(machine: Machine, head: Term, number: Term, reference: Term) -> Solutions:
+    """Enumerate the clauses of a predicate with their numbers; the reference is the clause itself."""
+    head = deref(head)
+    key = head[0] if head.__class__ is tuple else atom_of(head).functor
+    predicate = machine.logic.lookup(key)
+    given = deref(number)
+    clauses: Iterable[Clause] = ()
+    if predicate is not None:
+        predicate.with_clauses.note_read()
+        clauses = predicate.with_clauses.live()
+    for at, clause in enumerate(clauses, 1):
+        if given.__class__ is int and at != given:
+            continue
+        if machine.unify_all((number, at), (reference, copy((_NECK, clause.head, clause.body)))):
+            yield None if given.__class__ is Var else LAST

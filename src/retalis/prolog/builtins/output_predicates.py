@@ -1,0 +1,448 @@
+"""Terms of which only the outer parts are written.
+
+Output: write and its sisters, format, and output caught as text.
+
+Output of single characters by their codes, and of bytes.
+"""
+
+from typing import Any, Callable, Dict, List, Optional, Union
+
+from ...foundation.cancellation import look
+from ..machine.arithmetic import evaluate
+from ..machine.errors import (
+    domain_error,
+    existence_error,
+    instantiation_error,
+    permission_error,
+    representation_error,
+    resource_error,
+    type_error,
+)
+from ..machine.machine import Code, Guard
+from ..syntax.term_writer import write_term
+from ..terms.list_terms import list_items, make_list
+from ..terms.term_traversal import resolve
+from ..terms.types import CONS, NIL, Atom, CompoundTerm, Frame, Term, Values, Var, atom, deref
+from ..terms.unification import unify
+from .argument_checks import integer, is_iso, option_values
+from .builtin_registry import Machine, control, deterministic
+from .format_strings import Formatter, portray_of, printed
+from .text_arguments import MAX_CODE, fill_sink, is_sink, joined, long_text, make_text, whole_text
+from .text_streams import OutputCapture, OutputStream, is_stream_term, streams_of
+
+_LEFT_OUT = atom("...")
+_MAX_TERM_DEPTH = 200
+"""A limit above this holds for lists only: what is deeper is written whole."""
+
+
+def cut_off(term: Term, most: int, depth: int = 1) -> Term:
+    """Return a term with ``...`` for what lies deeper than a number of terms in each other.
+
+    An item of a list counts as being as deep as its place: that keeps long lists short.
+    """
+    term = deref(term)
+    if depth > most:
+        return _LEFT_OUT
+    if term.__class__ is not tuple or depth > _MAX_TERM_DEPTH:
+        return term
+    if term[0] is not CONS:
+        return (term[0], *[cut_off(argument, most, depth + 1) for argument in term[1:]])
+    items: List[Term] = []
+    rest: Any = term
+    while rest.__class__ is tuple and rest[0] is CONS:
+        items.append(cut_off(rest[1], most, min(depth, _MAX_TERM_DEPTH) + 1))
+        depth += 1
+        rest = deref(rest[2])
+        if rest is NIL:
+            return make_list(items)
+        if depth >= most:
+            return make_list(items, _LEFT_OUT)
+    return make_list(items, cut_off(rest, most, min(depth, _MAX_TERM_DEPTH) + 1))
+
+
+_WIDEST = 10_000_000
+
+
+def write_to(machine: Machine, stream: Term, text: str) -> None:
+    """Write text to a stream.
+
+    Raises:
+        PrologError: where it is not an output stream.
+    """
+    streams_of(machine).write(stream, text)
+
+
+def _writer(**options: bool) -> Callable[[Machine, Term], str]:
+    def text(machine: Machine, term: Term) -> str:
+        return write_term(term, machine.logic.operators, **options)
+
+    return text
+
+
+def letter_names(term: Term) -> Dict[Var, str]:
+    """Return names for the variables of a term: A, B, ..., and ``_`` for those that occur once."""
+    counts: Dict[Var, int] = {}
+    stack = [resolve(term)]
+    steps = 0
+    while stack:
+        steps += 1
+        if not steps & 1023:
+            look()
+        item = stack.pop()
+        if item.__class__ is Var:
+            counts[item] = counts.get(item, 0) + 1
+        elif item.__class__ is tuple:
+            stack.extend(item[:0:-1])
+    names: Dict[Var, str] = {}
+    number = 0
+    for var, count in counts.items():
+        if count == 1:
+            names[var] = "_"
+        else:
+            names[var] = chr(65 + number % 26) + (str(number // 26) if number > 25 else "")
+            number += 1
+    return names
+
+
+def _canonical(machine: Machine, term: Term) -> str:
+    operators = machine.logic.operators
+    names = letter_names(term)
+    return write_term(term, operators, ignore_ops=True, brace_terms=False, variable_names=names)
+
+
+_WRITERS: Dict[str, Callable[[Machine, Term], str]] = {
+    "write": _writer(quoted=False, numbervars=True),
+    "print": printed,
+    "writeln": _writer(quoted=False, numbervars=True),
+    "writeq": _writer(quoted=True, numbervars=True),
+    "write_canonical": _canonical,
+}
+
+
+def _define(name: str, text: Callable[[Machine, Term], str]) -> None:
+    end = "\n" if name == "writeln" else ""
+
+    def one(machine: Machine, term: Term) -> bool:
+        machine.logic.write(text(machine, term) + end)
+        return True
+
+    def two(machine: Machine, stream: Term, term: Term) -> bool:
+        write_to(machine, stream, text(machine, term) + end)
+        return True
+
+    deterministic(f"{name}/1")(one)
+    deterministic(f"{name}/2")(two)
+
+
+for _name, _text in _WRITERS.items():
+    _define(_name, _text)
+
+
+@deterministic("nl/0")
+def nl(machine: Machine) -> bool:
+    """Write a newline."""
+    machine.logic.write("\n")
+    return True
+
+
+@deterministic("nl/1")
+def nl_to(machine: Machine, stream: Term) -> bool:
+    """Write a newline to a stream."""
+    write_to(machine, stream, "\n")
+    return True
+
+
+def _blanks(count: Term) -> str:
+    number = evaluate(count)
+    if not isinstance(number, int):
+        raise type_error("integer_expression", deref(count))
+    if number > _WIDEST:
+        raise resource_error("memory")
+    long_text(number)
+    return " " * number
+
+
+@deterministic("tab/1")
+def tab(machine: Machine, count: Term) -> bool:
+    """Write blanks."""
+    machine.logic.write(_blanks(count))
+    return True
+
+
+@deterministic("tab/2")
+def tab_to(machine: Machine, stream: Term, count: Term) -> bool:
+    """Write blanks to a stream."""
+    write_to(machine, stream, _blanks(count))
+    return True
+
+
+def character_of(machine: Machine, char: Term) -> str:
+    """Return the character that an argument is; a code is taken too unless the flag ``iso`` is set.
+
+    Raises:
+        PrologError: instantiation and type errors.
+    """
+    found = deref(char)
+    if found.__class__ is Var:
+        raise instantiation_error()
+    if found.__class__ is int and not is_iso(machine) and 0 <= found <= MAX_CODE:
+        return chr(found)
+    if found.__class__ is not Atom or len(found.name) != 1:
+        raise type_error("character", found)
+    return str(found.name)
+
+
+@deterministic("put_char/1", "put/1")
+def put_char(machine: Machine, char: Term) -> bool:
+    """Write a character."""
+    machine.logic.write(character_of(machine, char))
+    return True
+
+
+@deterministic("put_char/2")
+def put_char_to(machine: Machine, stream: Term, char: Term) -> bool:
+    """Write a character to a stream."""
+    write_to(machine, stream, character_of(machine, char))
+    return True
+
+
+@deterministic("flush_output/0", "ttyflush/0")
+def flush_output(machine: Machine) -> bool:
+    """Write what is held back of a line."""
+    found = streams_of(machine).output
+    if found is not None:
+        found.flush()
+    return True
+
+
+# write_term
+
+
+def write_options(machine: Machine, options: Term) -> Dict[str, object]:
+    """Return the options of ``write_term`` for the writer."""
+    found: Dict[str, object] = {"quoted": False}
+    iso = is_iso(machine)
+    for option in option_values(options):
+        if option.__class__ is not tuple or len(option) != 2:
+            raise domain_error("write_option", option) if iso else type_error("option", option)
+        name, value = option[0].name, deref(option[1])
+        if value.__class__ is Var:
+            raise instantiation_error()
+        read = _OPTIONS.get(name)
+        if read is not None:
+            found[name] = read(option, value, iso)
+    if "portray" in found:
+        found["portray"] = portray_of(machine) if found["portray"] else None
+    return found
+
+
+def _truth(option: CompoundTerm, value: Term, iso: bool) -> bool:
+    if value.__class__ is not Atom or value.name not in ("true", "false"):
+        raise domain_error("write_option", option) if iso else type_error("bool", value)
+    return value.name == "true"
+
+
+def _spacing(option: CompoundTerm, value: Term, iso: bool) -> bool:
+    if value.__class__ is not Atom or value.name not in ("standard", "next_argument"):
+        raise domain_error("spacing", value)
+    return value.name == "next_argument"
+
+
+_OPTIONS: Dict[str, Callable[[CompoundTerm, Term, bool], object]] = {
+    "quoted": _truth,
+    "ignore_ops": _truth,
+    "numbervars": _truth,
+    "brace_terms": _truth,
+    "portray": _truth,
+    "spacing": _spacing,
+    "max_depth": lambda option, value, iso: integer(value),
+    "priority": lambda option, value, iso: integer(value),
+    "variable_names": lambda option, value, iso: _variable_names(option),
+}
+"""What reads the value of an option, given the whole option and whether the flag ``iso`` is set."""
+
+
+def _variable_names(option: CompoundTerm) -> Dict[Var, str]:
+    names: Dict[Var, str] = {}
+    for pair in option_values(option[1]):
+        if pair.__class__ is not tuple or str(pair[0]) != "=/2":
+            raise domain_error("write_option", option)
+        var = deref(pair[2])
+        name = deref(pair[1])
+        if name.__class__ is Var:
+            raise instantiation_error()
+        if name.__class__ is not Atom:
+            raise domain_error("write_option", option)
+        if var.__class__ is Var:
+            names.setdefault(var, name.name)
+    return names
+
+
+def _with_options(machine: Machine, term: Term, options: Term) -> str:
+    found: Dict[str, Any] = write_options(machine, options)
+    depth = found.pop("max_depth", 0)
+    return write_term(cut_off(term, depth) if depth > 0 else term, machine.logic.operators, **found)
+
+
+@deterministic("write_term/2")
+def write_term_2(machine: Machine, term: Term, options: Term) -> bool:
+    """Write a term with options."""
+    machine.logic.write(_with_options(machine, term, options))
+    return True
+
+
+@deterministic("write_term/3")
+def write_term_3(machine: Machine, stream: Term, term: Term, options: Term) -> bool:
+    """Write a term with options to a stream."""
+    write_to(machine, stream, _with_options(machine, term, options))
+    return True
+
+
+# format
+
+
+def _arguments(term: Term) -> List[Term]:
+    term = deref(term)
+    if term is NIL:
+        return []
+    if term.__class__ is tuple and term[0] is CONS:
+        found = list_items(term)
+        if found is not None:
+            return found
+    return [term]
+
+
+def _format_text(form: Term) -> str:
+    form = deref(form)
+    if form.__class__ in (int, float):
+        raise type_error("text", form)
+    return whole_text(form, "text")
+
+
+def formatted(machine: Machine, form: Term, arguments: Term, column: int) -> str:
+    """Return the text of ``format(form, arguments)``."""
+    return Formatter(machine, column).format(_format_text(form), _arguments(arguments))
+
+
+@deterministic("format/1")
+def format_1(machine: Machine, form: Term) -> bool:
+    """Write formatted text."""
+    return format_2(machine, form, NIL)
+
+
+@deterministic("format/2")
+def format_2(machine: Machine, form: Term, arguments: Term) -> bool:
+    """Write formatted text."""
+    logic = machine.logic
+    formatter = Formatter(machine, logic.column)
+    try:
+        formatter.format(_format_text(form), _arguments(arguments))
+    finally:  # what comes before an error is written
+        logic.write(formatter.line.text())
+    return True
+
+
+@deterministic("format/3")
+def format_3(machine: Machine, sink: Term, form: Term, arguments: Term) -> bool:
+    """Write formatted text to a stream, or unify it: ``atom(A)``, ``string(S)``, ``codes(Cs)``, ``chars(Cs)``."""
+    sink = deref(sink)
+    if is_sink(sink):
+        return fill_sink(machine, sink, formatted(machine, form, arguments, 0))
+    if sink.__class__ not in (Var, Atom) and not is_stream_term(sink):
+        raise type_error("output", sink)
+    write_to(machine, sink, "")
+    write_to(machine, sink, formatted(machine, form, arguments, 0))
+    return True
+
+
+@deterministic("sformat/3")
+def sformat(machine: Machine, text: Term, form: Term, arguments: Term) -> bool:
+    """Give formatted text as a string."""
+    return unify(text, make_text("string", formatted(machine, form, arguments, 0)), machine.trail)
+
+
+@deterministic("sformat/2")
+def sformat_2(machine: Machine, text: Term, form: Term) -> bool:
+    """Give formatted text as a string."""
+    return sformat(machine, text, form, NIL)
+
+
+# Output caught as text
+
+
+@control("with_output_to/2")
+def with_output_to(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+    """Run a goal once and unify what it writes: ``atom(A)``, ``string(S)``, ``codes(Cs)``, ``chars(Cs)``."""
+    sink = deref(args[0])
+    if sink.__class__ is Var:
+        raise instantiation_error()
+    if not is_sink(sink):
+        raise existence_error("stream", sink) if sink.__class__ is Atom else type_error("output", sink)
+    logic = machine.logic
+    height = len(machine.choices)
+    capture = OutputCapture(logic)
+    machine.choices.append((_CAUGHT, capture, len(machine.trail)))
+    return logic.control.call(args[1], (_RELEASE, machine, height, sink, capture.texts, after))
+
+
+def _give_back(entry: Frame) -> None:
+    capture: OutputCapture = entry[1]
+    capture.end()
+
+
+def _release(frame: Frame) -> Optional[Frame]:
+    machine: Machine
+    after: Frame
+    _, machine, height, sink, captured, after = frame
+    _give_back(machine.choices[height])
+    del machine.choices[height:]
+    return after if fill_sink(machine, sink, joined(captured)) else None
+
+
+_CAUGHT = Guard("with_output_to", _give_back)
+_RELEASE = Code("with_output_to", _release)
+
+
+def _code_of(code: Term) -> str:
+    found = integer(code)
+    if not 0 <= found <= MAX_CODE:
+        raise representation_error("character_code")
+    return chr(found)
+
+
+@deterministic("put_code/1")
+def put_code(machine: Machine, code: Term) -> bool:
+    """Write a character by its code."""
+    machine.logic.write(_code_of(code))
+    return True
+
+
+@deterministic("put_code/2")
+def put_code_to(machine: Machine, stream: Term, code: Term) -> bool:
+    """Write a character by its code to a stream."""
+    write_to(machine, stream, _code_of(code))
+    return True
+
+
+def _put_byte(stream: Union[OutputStream, OutputCapture, str, None], named: Term, byte: Term) -> bool:
+    byte = deref(byte)
+    if byte.__class__ is Var:
+        raise instantiation_error()
+    if not isinstance(byte, int) or not 0 <= byte <= 255:
+        raise type_error("byte", byte)
+    if not isinstance(stream, OutputStream) or stream.kind != "binary":
+        raise permission_error("output", "text_stream", deref(named))
+    stream.write(chr(byte))
+    return True
+
+
+@deterministic("put_byte/1")
+def put_byte(machine: Machine, byte: Term) -> bool:
+    """Write a byte to a binary file."""
+    return _put_byte(streams_of(machine).output, atom("current_output"), byte)
+
+
+@deterministic("put_byte/2")
+def put_byte_to(machine: Machine, stream: Term, byte: Term) -> bool:
+    """Write a byte to a binary file."""
+    return _put_byte(streams_of(machine).to_write(stream), stream, byte)

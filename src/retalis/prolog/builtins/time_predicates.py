@@ -1,0 +1,424 @@
+"""Time stamps in programs: ``datime/7``, ``datime/6``, numbers of seconds, and ROS times ``[Sec,NSec]``.
+
+Comparisons are by the instant that a stamp names, whatever its form.
+
+Calendar time as SWI-Prolog has it (everything is UTC), and statistics.
+
+A stamp is a float of seconds since the epoch; a date is ``date(Y,M,D,H,Mn,S,Offset,TimeZone,DST)`` or
+``date(Y,M,D)``. ``get_time/1`` asks the program's clock: ROS time, or the time of a bag.
+"""
+
+import re
+import time
+from datetime import date, datetime, timedelta, timezone
+from typing import Any, Callable, Dict, List, Match, Tuple
+
+from ...foundation.errors import UsageError
+from ..machine.arithmetic import Number, checked
+from ..machine.errors import domain_error, evaluation_error, instantiation_error, type_error
+from ..machine.machine import LAST
+from ..terms import timestamps
+from ..terms.list_terms import make_list
+from ..terms.timestamps import DATIME6, DATIME7, SECOND
+from ..terms.types import CONS, NIL, Atom, CompoundTerm, Lazy, Term, Var, atom, deref, functor
+from ..terms.unification import unify
+from .argument_checks import integer, number
+from .builtin_registry import Machine, Solutions, deterministic, function, nondeterministic
+from .output_predicates import write_to
+from .text_arguments import fill_sink, is_sink, text_of
+
+
+def instant_of(term: Term) -> int:
+    """Return the instant that an argument names.
+
+    Raises:
+        PrologError: an instantiation or type error where it names none.
+    """
+    while term.__class__ is Var and term.ref is not None:
+        term = term.ref
+    if term.__class__ is Lazy and term.make is timestamps.to_term and term.made is None:
+        return term.source  # type: ignore[no-any-return]  # most come from a look-up or a conversion
+    try:
+        return timestamps.from_any(term)
+    except UsageError:
+        raise instantiation_error() if term.__class__ is Var else type_error("datime", term) from None
+
+
+def _arity(term: Term) -> int:
+    """Return 7 or 6 for a datime, 2 for a ROS time, 0 for a number."""
+    term = deref(term) if term.__class__ is not Lazy else term
+    if term.__class__ is Lazy:
+        return term.functor.arity
+    return len(term) - 1 if term.__class__ is tuple else 0
+
+
+@function("convert_to_datime/2")
+def convert_to_datime(time: Term) -> Term:
+    """Give the stamp of a ROS time ``[Sec,NSec]``."""
+    time = deref(time)
+    if time.__class__ is tuple and time[0] is CONS:
+        rest = deref(time[2])
+        if rest.__class__ is tuple and rest[0] is CONS and deref(rest[2]) is NIL:
+            instant = timestamps.from_parts(integer(time[1]), integer(rest[1]))
+            return timestamps.shown(instant)
+    if time.__class__ is Var:
+        raise instantiation_error()
+    raise type_error("[Sec,NSec]", time)
+
+
+@function("datime_interpolate/4")
+def datime_interpolate(first: Term, second: Term, at: Term) -> Term:
+    """Give the weight of the first of two stamps at an instant: 1 at the first, 0 at the second."""
+    return weight_of_first(instant_of(first), instant_of(second), instant_of(at))
+
+
+def weight_of_first(start: int, end: int, middle: int) -> Number:
+    """Return the weight of the first of two instants."""
+    return 1 if start == end else (end - middle) / (end - start)
+
+
+@deterministic("less_datime/2")
+def less_datime(machine: Machine, left: Term, right: Term) -> bool:
+    """Compare."""
+    return instant_of(left) < instant_of(right)
+
+
+@deterministic("less_equal_datime/2")
+def less_equal_datime(machine: Machine, left: Term, right: Term) -> bool:
+    """Compare."""
+    return instant_of(left) <= instant_of(right)
+
+
+@deterministic("equal_datime/2", "equal_datime_retalis/2")
+def equal_datime(machine: Machine, left: Term, right: Term) -> bool:
+    """Compare."""
+    return instant_of(left) == instant_of(right)
+
+
+@deterministic("between_datime/3")
+def between_datime(machine: Machine, at: Term, low: Term, high: Term) -> bool:
+    """Test for a stamp between two others: strictly for datimes, limits included for numbers."""
+    instant, first, last = instant_of(at), instant_of(low), instant_of(high)
+    if _arity(at) or _arity(low) or _arity(high):
+        return first < instant < last
+    return first <= instant <= last
+
+
+def _one_of(earlier: bool) -> Callable[[Machine, Term, Term, Term], bool]:
+    def run(machine: Machine, left: Term, right: Term, result: Term) -> bool:
+        left, right = deref(left), deref(right)
+        if isinstance(left, (int, float)) and isinstance(right, (int, float)):
+            first = left <= right
+        else:
+            first = instant_of(left) <= instant_of(right)
+        return unify(result, left if first is earlier else right, machine.trail)
+
+    return run
+
+
+deterministic("min/3", locked=False)(_one_of(True))
+deterministic("max/3", locked=False)(_one_of(False))
+
+
+@deterministic("is_datime/1")
+def is_datime(machine: Machine, term: Term) -> bool:
+    """Test for a datime."""
+    term = deref(term)
+    return term.__class__ is tuple and term[0] in (DATIME6, DATIME7) and timestamps.is_instant(term)
+
+
+@deterministic("datime_minus_datime/3")
+def datime_minus_datime(machine: Machine, later: Term, earlier: Term, seconds: Term) -> bool:
+    """Give the seconds between two stamps: for two numbers or two whole ``datime/6`` as these are, else a float."""
+    later, earlier = deref(later), deref(earlier)
+    distance = int(instant_of(later)) - int(instant_of(earlier))
+    if isinstance(later, (int, float)) and isinstance(earlier, (int, float)):
+        return unify(seconds, later - earlier, machine.trail)
+    whole, rest = divmod(distance, SECOND)
+    is_integer = _arity(later) == _arity(earlier) == 6 and not rest
+    return unify(seconds, whole if is_integer else distance / SECOND, machine.trail)
+
+
+def _moved(stamp: Term, seconds: Term, sign: int) -> Term:
+    """Return a stamp some seconds later, in its own form."""
+    found: Any = deref(stamp)
+    seconds = deref(seconds)
+    instant = instant_of(found)
+    if not isinstance(seconds, (int, float)):
+        raise instantiation_error() if seconds.__class__ is Var else type_error("number", seconds)
+    if isinstance(found, (int, float)):
+        return checked(found + sign * seconds)
+    try:
+        moved = int(instant) + sign * timestamps.from_seconds(seconds)
+        fields = timestamps.fields(moved)
+    except UsageError:
+        raise evaluation_error("undefined") from None
+    arity = _arity(found)
+    if arity == 2:
+        return make_list(timestamps.to_parts(moved))
+    if arity == 6:
+        return _as_datime6(fields, deref(found[6]).__class__ is float or seconds.__class__ is float)
+    return timestamps.datime(moved) if deref(found[6]).__class__ is int else timestamps.to_term(moved)
+
+
+def _as_datime6(fields: Tuple[int, ...], is_float: bool) -> Term:
+    *whole, second, rest = fields
+    exact: Number = second + rest / SECOND if rest else second
+    return (DATIME6, *whole, float(exact) if is_float else exact)
+
+
+@deterministic("datime_plus_sec/3")
+def datime_plus_sec(machine: Machine, stamp: Term, seconds: Term, result: Term) -> bool:
+    """Add seconds to a stamp of any form, and give one of the same form."""
+    return unify(result, _moved(stamp, seconds, 1), machine.trail)
+
+
+@deterministic("addSec_Datime/3")
+def add_sec_datime(machine: Machine, seconds: Term, stamp: Term, result: Term) -> bool:
+    """Do what ``datime_plus_sec/3`` does."""
+    return datime_plus_sec(machine, stamp, seconds, result)
+
+
+@deterministic("datime_minus_sec/3")
+def datime_minus_sec(machine: Machine, stamp: Term, seconds: Term, result: Term) -> bool:
+    """Take seconds from a stamp of any form, and give one of the same form."""
+    return unify(result, _moved(stamp, seconds, -1), machine.trail)
+
+
+@deterministic("current_datime/1")
+def current_datime(machine: Machine, result: Term) -> bool:
+    """Give the present as ``datime/6``."""
+    return unify(result, timestamps.datime6(machine.logic.now()), machine.trail)
+
+
+@deterministic("month_days/3")
+def month_days(machine: Machine, month: Term, year: Term, days: Term) -> bool:
+    """Give the number of days of a month; year and month may stand in either order."""
+    first, second = integer(month), integer(year)
+    if first > 12:
+        first, second = second, first
+    if not 1 <= first <= 12:
+        raise domain_error("month", first)
+    return unify(days, timestamps.month_days(second, first), machine.trail)
+
+
+@function("absoluteTime/2")
+def absolute_time(stamp: Term) -> Term:
+    """Give the seconds since midnight."""
+    *_, hour, minute, second, rest = timestamps.fields(instant_of(stamp))
+    value = (hour * 60 + minute) * 60 + second
+    return value + rest / SECOND if rest else value
+
+
+_DATE9, _DATE3 = functor("date", 9), functor("date", 3)
+_UTC, _NONE = atom("UTC"), atom("-")
+_EPOCH = datetime(1970, 1, 1)
+
+
+def _of_stamp(stamp: float) -> Tuple[datetime, float]:
+    """Return date and time of a stamp, and the second with its fraction."""
+    try:
+        whole = int(stamp // 1)
+        found = _EPOCH + timedelta(seconds=whole)
+    except (OverflowError, ValueError):  # what is infinite is not a number of seconds
+        raise domain_error("time_stamp", stamp) from None
+    return found, found.second + (stamp - whole)
+
+
+def _of_date(term: CompoundTerm) -> Tuple[datetime, float]:
+    """Return date and time (UTC) that a date term names."""
+    parts = [deref(part) for part in term[1:]]
+    values: List[Number] = [0 if part.__class__ is Var else number(part) for part in parts[:6]]
+    zone = parts[6] if len(parts) == 9 else 0
+    offset = zone if zone.__class__ is int else 0
+    given_year, given_month, day, hour, minute, second = (values + [0, 0, 0])[:6]
+    year, month = integer(given_year), integer(given_month)
+    year += (month - 1) // 12
+    try:
+        start = datetime(year, (month - 1) % 12 + 1, 1)
+        moved = start + timedelta(days=day - 1, hours=hour, minutes=minute, seconds=offset + int(second // 1))
+    except (OverflowError, ValueError):
+        raise domain_error("date", term) from None
+    return moved, moved.second + second - second // 1
+
+
+def _moment(term: Term) -> Tuple[datetime, float]:
+    term = deref(term)
+    if term.__class__ is tuple and term[0] in (_DATE9, _DATE3):
+        return _of_date(term)
+    if term.__class__ not in (Var, int, float):
+        raise type_error("time", term)
+    return _of_stamp(number(term))
+
+
+def _stamp(moment: datetime, second: float) -> float:
+    days = (moment - _EPOCH).days
+    return float(days * 86400 + moment.hour * 3600 + moment.minute * 60) + second
+
+
+@deterministic("get_time/1")
+def get_time(machine: Machine, stamp: Term) -> bool:
+    """Give the present."""
+    return unify(stamp, machine.logic.now() / 1e9, machine.trail)
+
+
+@deterministic("stamp_date_time/3")
+def stamp_date_time(machine: Machine, stamp: Term, result: Term, zone: Term) -> bool:
+    """Give the date of a stamp; local time is UTC."""
+    moment, second = _of_stamp(number(stamp))
+    zone = deref(zone)
+    offset = 0
+    name, dst = _UTC, _NONE
+    if zone.__class__ is Var:
+        unify(zone, atom("local"), machine.trail)
+    elif zone.__class__ is int:
+        offset, name = zone, _NONE
+        moment -= timedelta(seconds=offset)
+    elif zone.__class__ is not Atom or zone.name not in ("local", "UTC"):
+        raise domain_error("timezone", zone)
+    parts = (
+        moment.year,
+        moment.month,
+        moment.day,
+        moment.hour,
+        moment.minute,
+        float(second),
+        offset,
+        name,
+        dst,
+    )
+    return unify(result, (_DATE9, *parts), machine.trail)
+
+
+@deterministic("date_time_stamp/2")
+def date_time_stamp(machine: Machine, given: Term, stamp: Term) -> bool:
+    """Give the stamp of a date."""
+    given = deref(given)
+    if given.__class__ is Var:
+        raise instantiation_error()
+    if given.__class__ is not tuple or given[0] not in (_DATE9, _DATE3):
+        raise type_error("time", given)
+    return unify(stamp, _stamp(*_of_date(given)), machine.trail)
+
+
+_FIELDS = ("year", "month", "day", "hour", "minute", "second", "utc_offset", "time_zone", "daylight_saving")
+
+
+@nondeterministic("date_time_value/3")
+def date_time_value(machine: Machine, name: Term, given: Term, value: Term) -> Solutions:
+    """Enumerate the fields of a date."""
+    given = deref(given)
+    if given.__class__ is not tuple or given[0] is not _DATE9:
+        return
+    for field, part in zip(_FIELDS, given[1:]):
+        if deref(part) is not _NONE and machine.unify_all((name, atom(field)), (value, part)):
+            yield None
+    if machine.unify_all((name, atom("date")), (value, (_DATE3, *given[1:4]))):
+        yield LAST
+
+
+@deterministic("day_of_the_week/2")
+def day_of_the_week(machine: Machine, given: Term, number: Term) -> bool:
+    """Give the day of the week of ``date(Y,M,D)``: Monday is 1."""
+    given = deref(given)
+    if given.__class__ is Var:
+        raise instantiation_error()
+    if given.__class__ is not tuple or given[0] is not _DATE3:
+        return False
+    year, month, day = (integer(part) for part in given[1:])
+    try:
+        return unify(number, date(year, month, day).isoweekday(), machine.trail)
+    except ValueError:
+        raise domain_error("date", given) from None
+
+
+_ISO = re.compile(r"(\d{4})-(\d\d)-(\d\d)(?:[T ](\d\d):(\d\d)(?::(\d\d(?:\.\d+)?))?(Z|[+-]\d\d:?\d\d)?)?$")
+
+
+@deterministic("parse_time/2")
+def parse_time(machine: Machine, text: Term, stamp: Term) -> bool:
+    """Give the stamp of an ISO 8601 text; fails for others."""
+    found = _ISO.match(text_of(text))
+    if found is None:
+        return False
+    year, month, day, hour, minute, second, zone = found.groups()
+    try:
+        moment = datetime(int(year), int(month), int(day), int(hour or 0), int(minute or 0))
+    except ValueError:
+        return False
+    if zone and zone != "Z":
+        sign = -1 if zone[0] == "-" else 1
+        moment -= sign * timedelta(hours=int(zone[1:3]), minutes=int(zone[-2:]))
+    return unify(stamp, _stamp(moment, float(second or 0)), machine.trail)
+
+
+def _formatted(form: str, moment: datetime, second: float) -> str:
+    """Return the text of a C time format; ``%f`` is the fraction of the second, ``%3f`` its first digits."""
+    fraction = second - int(second)
+
+    def fraction_text(match: "Match[str]") -> str:
+        digits = int(match.group(1) or 6)
+        return f"{fraction:.{digits}f}"[2:] if fraction < 1 - 0.5 * 10**-digits else "9" * digits
+
+    text = re.sub(r"%(\d{0,2})f", fraction_text, form)
+    text = (
+        text.replace("%FT%T%:z", "%Y-%m-%dT%H:%M:%S%:z")
+        .replace("%:z", "+00:00")
+        .replace("%+", "%a %b %e %T %Y")
+    )
+    return moment.replace(tzinfo=timezone.utc).strftime(text)
+
+
+@deterministic("format_time/3")
+def format_time(machine: Machine, sink: Term, form: Term, given: Term) -> bool:
+    """Write a stamp or date by a format, or unify it as ``format/3`` does."""
+    text = _formatted(text_of(form), *_moment(given))
+    sink = deref(sink)
+    if is_sink(sink):
+        return fill_sink(machine, sink, text)
+    if sink.__class__ is tuple:
+        raise type_error("output", sink)
+    write_to(machine, sink, text)
+    return True
+
+
+# Statistics
+
+_START = time.monotonic()
+
+
+def _milliseconds(seconds: float) -> int:
+    return int(seconds * 1000)
+
+
+_STATISTICS: Dict[str, Callable[[Machine], Term]] = {
+    "cputime": lambda machine: time.process_time(),
+    "process_cputime": lambda machine: time.process_time(),
+    "inferences": lambda machine: machine.budget.inferences,
+    "epoch": lambda machine: time.time() - (time.monotonic() - _START),
+    "real_time": lambda machine: _pair(machine, "real_time", int(time.time())),
+    "runtime": lambda machine: _pair(machine, "runtime", _milliseconds(time.process_time())),
+    "process_runtime": lambda machine: _pair(machine, "runtime", _milliseconds(time.process_time())),
+    "walltime": lambda machine: _pair(machine, "walltime", _milliseconds(time.monotonic() - _START)),
+    "trail": lambda machine: len(machine.trail),
+    "trailused": lambda machine: len(machine.trail),
+}
+
+
+def _pair(machine: Machine, name: str, value: int) -> Term:
+    """Return ``[Value,SinceTheLastCall]``."""
+    last = machine.logic.state.setdefault("statistics", {})
+    since = value - last.get(name, 0)
+    last[name] = value
+    return make_list([value, since])
+
+
+@deterministic("statistics/2")
+def statistics(machine: Machine, key: Term, value: Term) -> bool:
+    """Give a figure about the process and the machine."""
+    key = deref(key)
+    if key.__class__ is Var:
+        raise instantiation_error()
+    if key.__class__ is not Atom or key.name not in _STATISTICS:
+        raise domain_error("statistics_key", key)
+    return unify(value, _STATISTICS[key.name](machine), machine.trail)

@@ -1,0 +1,187 @@
+"""must_be/2 and is_of_type/2."""
+
+from typing import Callable, Dict, Optional
+
+from ...foundation.cancellation import watched
+from ...foundation.errors import TermTooLarge
+from ..machine.arithmetic import evaluate
+from ..machine.errors import (
+    PrologError,
+    domain_error,
+    error,
+    existence_error,
+    instantiation_error,
+    uninstantiation_error,
+)
+from ..terms.list_terms import list_items, list_parts
+from ..terms.term_traversal import is_ground, resolve
+from ..terms.types import NIL, Atom, CompoundTerm, String, Term, Var, atom, deref, functor
+from ..terms.unification import compare
+from .argument_checks import integer, items
+from .builtin_registry import Machine, deterministic
+from .text_arguments import is_text_list
+
+_NUMBERS = (int, float)
+
+
+def is_acyclic(term: Term) -> bool:
+    """Tell whether a term does not contain itself."""
+    try:
+        resolve(term)
+    except TermTooLarge:
+        return False
+    return True
+
+
+_LIST_OF = functor("list", 1)
+_TYPE_ERROR = functor("type_error", 2)
+
+_ENCODINGS = frozenset(
+    [
+        "octet",
+        "ascii",
+        "iso_latin_1",
+        "text",
+        "utf8",
+        "unicode_be",
+        "unicode_le",
+        "utf16be",
+        "utf16le",
+        "wchar_t",
+    ]
+)
+_STREAMS = frozenset(("user_input", "user_output", "user_error"))
+
+_SIMPLE: Dict[str, Callable[[Term], bool]] = {
+    "any": lambda term: True,
+    "dict": lambda term: False,  # there are none
+    "encoding": lambda term: term.__class__ is Atom and term.name in _ENCODINGS,
+    "stream": lambda term: term.__class__ is Atom and term.name in _STREAMS,
+    "acyclic": is_acyclic,
+    "cyclic": lambda term: not is_acyclic(term),
+    "var": lambda term: term.__class__ is Var,
+    "nonvar": lambda term: term.__class__ is not Var,
+    "ground": is_ground,
+    "rational": lambda term: term.__class__ is int,
+    "positive_integer": lambda term: term.__class__ is int and term > 0,
+    "nonneg": lambda term: term.__class__ is int and term >= 0,
+    "list_or_partial": lambda term: _is_partial_list(term),
+    "list_or_partial_list": lambda term: _is_partial_list(term),
+    "atom": lambda term: term.__class__ is Atom,
+    "atomic": lambda term: term.__class__ in (Atom, String, int, float),
+    "symbol": lambda term: term.__class__ is Atom,
+    "callable": lambda term: term.__class__ in (Atom, tuple),
+    "compound": lambda term: term.__class__ is tuple,
+    "float": lambda term: term.__class__ is float,
+    "integer": lambda term: term.__class__ is int,
+    "number": lambda term: term.__class__ in _NUMBERS,
+    "string": lambda term: term.__class__ is String,
+    "list": lambda term: list_items(term) is not None,
+    "proper_list": lambda term: list_items(term) is not None,
+    "boolean": lambda term: term.__class__ is Atom and term.name in ("true", "false"),
+    "bool": lambda term: term.__class__ is Atom and term.name in ("true", "false"),
+    "char": lambda term: term.__class__ is Atom and len(term.name) == 1,
+    "code": lambda term: term.__class__ is int and 0 <= term <= 0x10FFFF,
+    "pair": lambda term: term.__class__ is tuple and str(term[0]) == "-/2",
+    "text": lambda term: term.__class__ in (Atom, String) or is_text_list(term),
+    "chars": lambda term: _each(term, lambda item: item.__class__ is Atom and len(item.name) == 1),
+    "codes": lambda term: _each(term, lambda item: item.__class__ is int and 0 <= item <= 0x10FFFF),
+}
+
+
+def _each(term: Term, test: Callable[[Term], bool]) -> bool:
+    found = list_items(term)
+    return found is not None and all(test(deref(item)) for item in watched(found))
+
+
+def _is_partial_list(term: Term) -> bool:
+    _, tail = list_parts(term)
+    return tail.__class__ is Var or tail is NIL
+
+
+_OF_ITEMS = {"chars": atom("char"), "codes": atom("code")}
+_WHOLLY_BOUND = frozenset(("text", "string", "rational", "ground", "oneof"))
+"""Types whose error for a term with variables in it is an instantiation error."""
+
+
+def holds(kind: Term, term: Term) -> Optional[bool]:
+    """Tell whether a term is of a type; None where there is no such type.
+
+    Raises:
+        PrologError: where the arguments of the type are none.
+    """
+    name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else ""
+    if kind.__class__ is tuple:
+        return _parametric(name, kind, term)
+    test = _SIMPLE.get(name)
+    return None if test is None else test(term)
+
+
+def _parametric(name: str, kind: CompoundTerm, term: Term) -> Optional[bool]:
+    if name == "oneof" and len(kind) == 2:
+        return is_ground(term) and any(not compare(item, term) for item in watched(items(kind[1])))
+    if name == "between" and len(kind) == 3:
+        low, high = deref(kind[1]), deref(kind[2])
+        if low.__class__ is int:
+            return term.__class__ is int and low <= term <= integer(high)
+        return term.__class__ in _NUMBERS and evaluate(low) <= term <= evaluate(high)
+    if name in ("list", "list_of") and len(kind) == 2:
+        found = list_items(term)
+        return found is not None and all(holds(deref(kind[1]), deref(item)) for item in watched(found))
+    return None
+
+
+def check(kind: Term, term: Term) -> Optional[PrologError]:
+    """Return the error for a term that is not of a type, or None."""
+    kind, term = deref(kind), deref(term)
+    if kind.__class__ is Var:
+        return instantiation_error()
+    name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else ""
+    of_items = _OF_ITEMS.get(name) if kind.__class__ is Atom else None
+    if of_items is not None:
+        kind = (_LIST_OF, of_items)
+    known = holds(kind, term)
+    if known:
+        return None
+    if known is None:
+        return existence_error("type", kind)
+    if name in ("list", "list_of") or of_items is not None:
+        return _no_list(kind, term)
+    if name == "var":
+        return uninstantiation_error(term)
+    if name in ("cyclic", "acyclic"):
+        return domain_error(f"{name}_term", term)
+    if term.__class__ is Var or (name in _WHOLLY_BOUND and not is_ground(term)):
+        return instantiation_error()
+    return type_error_of(kind, term)
+
+
+def _no_list(kind: Term, term: Term) -> Optional[PrologError]:
+    found = list_items(term)
+    if found is None or kind.__class__ is not tuple:
+        return instantiation_error() if _is_partial_list(term) else type_error_of(kind, term)
+    errors = (check(kind[1], item) for item in watched(found))
+    return next((error for error in errors if error is not None), None)
+
+
+def type_error_of(kind: Term, term: Term) -> PrologError:
+    """Return the type error for a type that is a term."""
+    return error((_TYPE_ERROR, kind, term))
+
+
+@deterministic("must_be/2", locked=False)
+def must_be(machine: Machine, kind: Term, term: Term) -> bool:
+    """Raise the error for a term that is not of a type."""
+    found = check(kind, term)
+    if found is not None:
+        raise found
+    return True
+
+
+@deterministic("is_of_type/2", locked=False)
+def is_of_type(machine: Machine, kind: Term, term: Term) -> bool:
+    """Test that a term is of a type; nothing is of an unknown one."""
+    kind = deref(kind)
+    if kind.__class__ is Var:
+        raise instantiation_error()
+    return bool(holds(kind, deref(term)))

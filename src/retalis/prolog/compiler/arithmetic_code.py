@@ -1,0 +1,161 @@
+"""Code for arithmetic: expressions become Python expressions on locals."""
+
+from typing import Tuple
+
+from ..machine.arithmetic import EVALUABLE
+from ..terms import timestamps
+from ..terms.types import Atom, CompoundTerm, Functor, Term, Var, deref, functor
+from .code_scope import Scope
+
+_PLUS, _MINUS, _TIMES = functor("+", 2), functor("-", 2), functor("*", 2)
+_DIRECT = {_PLUS: ("+", "add"), _MINUS: ("-", "subtract"), _TIMES: ("*", "multiply")}
+_BITS = {functor("/\\", 2): "&", functor("\\/", 2): "|", functor("xor", 2): "^"}
+_INTEGRAL = {
+    functor("//", 2),
+    functor("mod", 2),
+    functor("rem", 2),
+    functor("div", 2),
+    functor(">>", 2),
+    functor("<<", 2),
+}
+_FLOORED = {functor("mod", 2): "%", functor("div", 2): "//"}
+_TRUNCATED = functor("//", 2)
+_FUNCTIONS_OF_INTEGERS = {*_INTEGRAL, *_BITS, functor("\\", 1), functor("gcd", 2), functor("msb", 1)}
+_TO_INTEGER = {functor(name, 1) for name in ("integer", "truncate", "round", "floor", "ceiling")}
+_GIVING_AN_OPERAND = {
+    *(functor(name, 1) for name in ("+", "eval", "rational", "rationalize")),
+    *(functor(name, 2) for name in ("max", "min")),
+    *(timestamps.DATIME6, timestamps.DATIME7),
+}
+"""Functions whose value may be a stamp that remembers its instant."""
+_MAX_EXPRESSION_DEPTH = 30
+
+Operand = Tuple[str, str]
+"""A Python expression without side effects, and its class: "int", "float", "num" where it is one of these, or "any".
+
+The last is a number too, and may be a stamp's, which no term may be: see `arithmetic.instants`.
+"""
+
+
+def number(scope: Scope, expression: Term, depth: int = 0) -> Operand:
+    """Write the evaluation of an arithmetic expression and return the expression for its value."""
+    expression = deref(expression)
+    if expression.__class__ is int:
+        return scope.unit.constant(expression), "int"
+    if expression.__class__ is float and expression - expression == 0:
+        return scope.unit.constant(expression), "float"
+    if expression.__class__ is Var:
+        return _variable(scope, expression)
+    if depth < _MAX_EXPRESSION_DEPTH:
+        if expression.__class__ is tuple and expression[0] in EVALUABLE:
+            return _operation(scope, expression, depth)
+        if expression.__class__ is Atom and expression.functor in EVALUABLE:
+            target = scope.temp()
+            scope.line(f"{target} = {scope.unit.constant(EVALUABLE[expression.functor])}()")
+            return target, "num"
+    target = scope.temp()
+    scope.line(f"{target} = measure({scope.build(expression)})")
+    return target, "any"
+
+
+def number_of_program(scope: Scope, expression: Term) -> Operand:
+    """Write the evaluation of an expression whose value becomes a term."""
+    value, kind = number(scope, expression)
+    if kind != "any":
+        return value, kind
+    target = scope.temp()
+    scope.line(
+        f"{target} = {value} if {value}.__class__ is int or {value}.__class__ is float else plain({value})"
+    )
+    return target, "num"
+
+
+def _variable(scope: Scope, var: Var) -> Operand:
+    known = scope.numbers.get(var)
+    if known is not None:
+        return known
+    name = scope.local(var)
+    target = scope.temp("n")
+    if scope.entry:
+        scope.line(f"if {name}.__class__ is int or {name}.__class__ is float:")
+        scope.line(f"    {target} = {name}")
+        scope.line("else:")
+        scope.depth += 1
+        _bound(scope, name, target)
+        scope.depth -= 1
+    else:
+        # What a continuation gets is mostly a variable that the calls before have bound.
+        _bound(scope, name, target)
+    scope.numbers[var] = target, "any"
+    return target, "any"
+
+
+def _bound(scope: Scope, name: str, target: str) -> None:
+    """Write the evaluation of what is most likely a variable that is bound to a number."""
+    scope.line(f"{target} = {name}.ref if {name}.__class__ is Var else {name}")
+    scope.line(f"if {target}.__class__ is not int and {target}.__class__ is not float:")
+    scope.line(f"    {target} = measure({name})")
+
+
+def _operation(scope: Scope, expression: CompoundTerm, depth: int) -> Operand:
+    key: Functor = expression[0]
+    if key in _DIRECT:
+        return _direct(scope, key, expression, depth)
+    # The last operand first, as where an expression is evaluated from its term: of two errors the same one is met.
+    operands = [number(scope, arg, depth + 1) for arg in expression[:0:-1]][::-1]
+    names = ", ".join(name for name, _ in operands)
+    call = f"{scope.unit.constant(EVALUABLE[key])}({names})"
+    target = scope.temp()
+    symbol = "//" if key is _TRUNCATED else _BITS.get(key) or _FLOORED.get(key)
+    if symbol is not None:
+        unknown = [name for name, kind in operands if kind != "int"]
+        test = " and ".join(f"{name}.__class__ is int" for name in unknown) or "True"
+        if key in _FLOORED:
+            test = f"{operands[1][0]} and {test}"
+        elif key is _TRUNCATED:  # rounded down is truncated there; what is larger may take too long
+            test += f" and {operands[0][0]} >= 0 < {operands[1][0]} < {1 << 64}"
+        scope.line(f"{target} = {operands[0][0]} {symbol} {operands[1][0]} if {test} else {call}")
+    else:
+        scope.line(f"{target} = {call}")
+    if key in _GIVING_AN_OPERAND:
+        return target, "any"
+    return target, "int" if key in _FUNCTIONS_OF_INTEGERS or key in _TO_INTEGER else "num"
+
+
+def _direct(scope: Scope, key: Functor, expression: CompoundTerm, depth: int) -> Operand:
+    symbol, slow = _DIRECT[key]
+    left_term, right_term = deref(expression[1]), deref(expression[2])
+    target = scope.temp()
+    unknown = _unknown_variable(scope, left_term), _unknown_variable(scope, right_term)
+    if unknown[0] is not None and right_term.__class__ is int:
+        left, right = unknown[0], scope.unit.constant(right_term)
+        scope.line(
+            f"{target} = {left} {symbol} {right} if {left}.__class__ is int else {slow}({left}, {right})"
+        )
+        return target, "num"
+    if unknown[1] is not None and left_term.__class__ is int:
+        left, right = scope.unit.constant(left_term), unknown[1]
+        scope.line(
+            f"{target} = {left} {symbol} {right} if {right}.__class__ is int else {slow}({left}, {right})"
+        )
+        return target, "num"
+    right, right_kind = number(scope, right_term, depth + 1)
+    left, left_kind = number(scope, left_term, depth + 1)
+    scope.line(f"{target} = {left} {symbol} {right}")
+    if key is _TIMES:  # a product of large integers is refused before it grows beyond use; so are inf and nan
+        scope.line(f"if not LEAST < {target} < LARGEST:")
+        scope.line(f"    checked({target})")
+        kinds = {left_kind, right_kind}
+        return target, "int" if kinds == {"int"} else "float" if "float" in kinds else "num"
+    if left_kind == right_kind == "int":
+        return target, "int"
+    scope.line(f"if {target} - {target}:")  # not zero for infinities and nan
+    scope.line(f"    checked({target})")
+    return target, "float" if "float" in (left_kind, right_kind) else "num"
+
+
+def _unknown_variable(scope: Scope, term: Term) -> "str | None":
+    """Return the name of a variable whose numeric value is not known yet."""
+    if term.__class__ is not Var or term in scope.numbers or not scope.entry:
+        return None
+    return scope.local(term)

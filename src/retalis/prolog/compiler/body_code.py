@@ -1,0 +1,404 @@
+"""Code for bodies: inline goals, calls as frames, and control constructs around calls."""
+
+from typing import FrozenSet, List, Optional, Sequence, Tuple
+
+from ..machine.machine import Code
+from ..terms.list_terms import conjunction
+from ..terms.term_traversal import variables
+from ..terms.types import Atom, Functor, Term, Var, deref, functor
+from .clause_nodes import (
+    ARG,
+    KNOWN_ARG,
+    CallNode,
+    Cut,
+    Disjunction,
+    Fail,
+    GoalNode,
+    Height,
+    IfThenElse,
+    Interpret,
+    Needed,
+    needed_by,
+)
+from .code_scope import ClauseVariables, Scope, Unit
+from .inline_goals import forget, join, write_inline, write_test
+
+_MAX_FRAME_CALLS = 12
+"""Frames of more calls than this are built in several steps."""
+
+_MAX_FILTERED_ARGUMENTS = 4
+"""Arguments of an event that its gate looks at."""
+
+_MAX_GROUND_TESTS = 16
+"""Variables of an event that are looked at to tell whether it has a variable."""
+
+_OUTPUTS = functor("outputs", 0)
+_EMPTY: FrozenSet[Needed] = frozenset()
+_NO_VALUE = ("", "")
+
+
+class BodyGenerator:
+    """Writes the bodies of one clause: the entry function's part and the continuations that it needs.
+
+    Args:
+        unit: where functions are added.
+        clause: its variables.
+        entry: the height at entry, which cuts of the clause cut to.
+        interpret: the code that runs a body from its term.
+        title: what tracebacks call the continuations.
+        key: functor of the clause, for errors.
+        outputs: code that takes the arguments of the goal ``outputs``, which ends a compiled goal.
+    """
+
+    def __init__(
+        self,
+        unit: Unit,
+        clause: ClauseVariables,
+        entry: Height,
+        interpret: object,
+        title: str,
+        key: Optional[Functor],
+        outputs: Optional[Code] = None,
+    ):
+        self.unit = unit
+        self.clause = clause
+        self.entry = entry
+        self.interpret = interpret
+        self.title = title
+        self.key = key
+        self.outputs = outputs
+
+    def write(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
+        """Write goals to the end of the function: the last statements return the next frame."""
+        nodes = join(self.unit.database, self.clause.counts, nodes)
+        at = 0
+        while at < len(nodes):
+            node: GoalNode = nodes[at]
+            if not node.inline:
+                if not self._is_known(scope, nodes, at):
+                    break
+                node = self._known(scope, nodes[at:])
+            scope.later = needed_by(nodes[at + 1 :])
+            write_inline(scope, node)
+            if isinstance(nodes[at], Fail):
+                return
+            at += 1
+        rest = nodes[at:]
+        if not rest:
+            self._flush(scope)
+            scope.line(f"return {scope.after}")
+        elif isinstance(rest[0], (CallNode, Interpret)):
+            self._calls(scope, rest)
+        elif isinstance(rest[0], Disjunction):
+            self._either(scope, rest[0], rest[1:])
+        elif isinstance(rest[0], IfThenElse):
+            self._condition(scope, rest[0], rest[1:])
+        else:
+            raise AssertionError(rest[0])
+
+    def _is_known(self, scope: Scope, nodes: Sequence[GoalNode], at: int) -> bool:
+        """Tell whether a goal is ``arg/3`` whose number has most likely been given a value."""
+        node = nodes[at]
+        database = self.unit.database
+        if not isinstance(node, CallNode) or node.key is not ARG or database.is_library:
+            return False
+        if not database.predicate(ARG).library:
+            return False  # the program has one of its own
+        number = deref(node.args[0])
+        known = number.__class__ is Var and number in scope.names and number not in scope.fresh
+        return known and all(_is_callable(other.source) for other in nodes[at:])
+
+    def _known(self, scope: Scope, nodes: Sequence[GoalNode]) -> CallNode:
+        """Write the test that the number of ``arg/3`` is a variable: then the rest is run from its terms.
+
+        Return the goal to write for all other numbers.
+        """
+        goal = nodes[0]
+        assert isinstance(goal, CallNode)
+        var = deref(goal.args[0])
+        assert var.__class__ is Var
+        number = scope.names[var]
+        found = CallNode("builtin", KNOWN_ARG, goal.args, True)
+        if scope.numbers.get(var, _NO_VALUE)[0] == number:
+            return found
+        scope.dereference(number)
+        scope.line("if k is Var:")
+        before = scope.branch()
+        scope.depth += 1
+        height = scope.names.get(self.entry)
+        if height is None:
+            height = scope.temp("h")
+            scope.push(f"{height} = len(choices)")
+        rest = scope.build(conjunction(node.source for node in nodes if node.source is not None))
+        self._flush(scope)
+        scope.line(f"return ({scope.unit.constant(self.interpret)}, {rest}, {height}, {scope.after})")
+        scope.depth -= 1
+        scope.restore(before)
+        return found
+
+    # Leaving the function
+
+    def _flush(self, scope: Scope, needed: FrozenSet[Needed] = _EMPTY) -> None:
+        """Write what has to happen before a frame is returned or a choice point pushed."""
+        if self.entry in needed and self.entry not in scope.names:
+            self._enter(scope)
+        if scope.pending is not None:
+            scope.push(scope.pending)
+            scope.pending = None
+            scope.fail = "return None"
+
+    def _calls(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
+        count = 0
+        while count < min(len(nodes), _MAX_FRAME_CALLS) and isinstance(nodes[count], (CallNode, Interpret)):
+            if nodes[count].inline:
+                break
+            count += 1
+        calls, rest = nodes[:count], nodes[count:]
+        self._flush(scope, needed_by(rest) | needed_by(calls))
+        if count == 1 and not rest and self._loops(scope, calls[0]):
+            return
+        # New variables are made before the frames that share them.
+        for call in calls:
+            for var in sorted(call.vars, key=self.clause.number):
+                if isinstance(var, Var) and var not in scope.names and not self.clause.is_void(var):
+                    scope.create(var)
+        frame = self._continuation(scope, rest, scope.after) if rest else scope.after
+        if self._at_once(calls[0]):
+            self._control(scope, calls, frame, not rest)
+            return
+        for call in reversed(calls):
+            frame = self._frame(scope, call, frame)
+        first = calls[0]
+        if isinstance(first, CallNode) and first.key is scope.calls_at_once:
+            frame = f"{self.unit.predicate(first.key)}.run({frame})"
+        scope.line(f"return {frame}")
+
+    def _at_once(self, call: GoalNode) -> bool:
+        """Tell whether a call is of a control predicate that most often does all at once."""
+        return isinstance(call, CallNode) and call.key is not _OUTPUTS and self.unit.at_once(call.key)
+
+    def _control(self, scope: Scope, calls: Sequence[GoalNode], frame: str, last: bool) -> None:
+        """Write the first call in line; where it has done all at once, what follows goes on without a frame."""
+        first, others = calls[0], calls[1:]
+        assert isinstance(first, CallNode)
+        for other in reversed(others):
+            frame = self._frame(scope, other, frame)
+        depth = scope.depth
+        gate = self._gate(scope, first)
+        if gate is not None:
+            scope.line(f"if {gate}:")
+            scope.depth += 1
+        args = "".join(f"{scope.build(arg)}, " for arg in first.args)
+        call = f"{self.unit.builtin(first.key)}(M, ({args}), "
+        plain = "" if gate is None else f", {self._plain(scope, first.args[0])}"
+        if others:
+            then, found = scope.temp("then"), scope.temp("r")
+            scope.line(f"{then} = {frame}")
+            scope.line(f"{found} = {call}{then}{plain})")
+            scope.line(f"if {found} is not {then}:")
+            scope.line(f"    return {found}")
+        else:
+            scope.line(f"return {call}{frame}{plain})")
+        scope.depth = depth
+        if not (last and len(others) == 1 and self._loops(scope, others[0])) and (others or gate is not None):
+            scope.line(f"return {frame}")
+
+    def _gate(self, scope: Scope, call: CallNode) -> Optional[str]:
+        """Return the condition under which a call can have anything to do, where that can be told beforehand."""
+        if not call.args:
+            return None
+        term = deref(call.args[0])
+        positions: List[int] = []
+        known: List[str] = []
+        if term.__class__ is tuple:
+            key: Functor = term[0]
+            for at, arg in enumerate(term[1:], 1):
+                arg = deref(arg)
+                is_known = arg.__class__ is Var and arg in scope.names and arg not in scope.fresh
+                if arg.__class__ is Atom or is_known:
+                    positions.append(at)
+                    known.append(scope.build(arg))
+        elif term.__class__ is Atom:
+            key = term.functor
+        else:
+            return None
+        gate = self.unit.gate(call.key, key, tuple(positions[:_MAX_FILTERED_ARGUMENTS]))
+        if gate is None:
+            return None
+        values = [*[scope.build(arg) for arg in call.args[1:]], *known[:_MAX_FILTERED_ARGUMENTS]]
+        return f"{gate}({', '.join(values)})"
+
+    @staticmethod
+    def _plain(scope: Scope, term: Term) -> str:
+        """Return the condition under which a term that is built has surely no variables."""
+        found = variables(term)
+        names = [scope.names.get(var) for var in found]
+        if len(names) > _MAX_GROUND_TESTS or None in names or any(var in scope.fresh for var in found):
+            return "False"
+        return " and ".join(f"{name}.__class__ in PLAIN" for name in names) or "True"
+
+    def _frame(self, scope: Scope, call: GoalNode, after: str) -> str:
+        if isinstance(call, Interpret):
+            term = scope.build(call.term)
+            return f"({scope.unit.constant(self.interpret)}, {term}, {scope.names[call.height]}, {after})"
+        assert isinstance(call, CallNode)
+        if self.outputs is not None and call.key is _OUTPUTS:
+            code = self.unit.constant(self.outputs)
+        else:
+            code = self.unit.predicate(call.key)
+        parts = [code, *[scope.build(arg) for arg in call.args], after]
+        return f"({', '.join(parts)})"
+
+    def _loops(self, scope: Scope, call: GoalNode) -> bool:
+        """Write a last call of the predicate itself as another turn of the loop around it."""
+        if scope.loop is None or not isinstance(call, CallNode) or scope.after != "after":
+            return False
+        key, locals_, statement, end = scope.loop
+        if call.key is not key:
+            return False
+        values = [scope.build(arg) for arg in call.args]
+        if end is not None:
+            scope.line(f"if {values[end[0]]} is {end[1]}:")
+            scope.line(f"    return {scope.after}")
+        changed = [(local, value) for local, value in zip(locals_, values) if local != value]
+        if changed:
+            targets, sources = zip(*changed)
+            scope.line(f"{', '.join(targets)} = {', '.join(sources)}")
+        if statement or not changed:
+            scope.line(statement or "pass")
+        scope.looped = True
+        return True
+
+    # Continuations
+
+    def _live(self, scope: Scope, needed: FrozenSet[Needed]) -> List[Needed]:
+        return sorted((var for var in needed if var in scope.names), key=self.clause.number)
+
+    def _continuation(
+        self, scope: Scope, nodes: Sequence[GoalNode], after: str, retried: bool = False
+    ) -> str:
+        """Return an expression for the frame that runs ``nodes``; their function is written later.
+
+        A frame that is ``retried`` is a choice point: it ends with the length of the trail.
+        """
+        live = self._live(scope, needed_by(nodes))
+        code, function = self._code()
+        self._job(function, live, nodes, retried)
+        parts = [code, *[scope.names[var] for var in live], after]
+        if retried:
+            parts.append("len(trail)")
+        scope.fresh.difference_update(live)
+        return f"({', '.join(parts)})"
+
+    def _code(self) -> Tuple[str, str]:
+        function = self.unit.unique("then_")
+        code = self.unit.code(self.title, function)
+        code.functor = self.key
+        return self.unit.constant(code), function
+
+    def _job(self, function: str, live: List[Needed], nodes: Sequence[GoalNode], retried: bool) -> None:
+        def write() -> None:
+            scope = Scope(self.unit, self.clause)
+            scope.entry = False
+            scope.names = {var: self.clause.local(var) for var in live}
+            # A continuation of a clause whose cut is not needed any more does not know the height.
+            parts = ["_", *scope.names.values(), "after", *(["_"] if retried else [])]
+            scope.line(f"{', '.join(parts)} = frame")
+            self.write(scope, nodes)
+            self.unit.add([f"def {function}(frame):", *scope.lines])
+
+        self.unit.jobs.append(write)
+
+    def _share(self, scope: Scope, groups: Sequence[Sequence[GoalNode]]) -> None:
+        """Create the variables that more than one of the parts of a control construct needs."""
+        seen: FrozenSet[Needed] = _EMPTY
+        twice: FrozenSet[Needed] = _EMPTY
+        for group in groups:
+            needed = needed_by(group)
+            twice |= seen & needed
+            seen |= needed
+        for var in sorted(twice, key=self.clause.number):
+            if isinstance(var, Var) and var not in scope.names:
+                scope.create(var)
+                scope.fresh.discard(var)
+
+    def _join(self, scope: Scope, rest: Sequence[GoalNode]) -> None:
+        """Make the frame for what follows a control construct; its branches go on with it."""
+        if rest:
+            frame = self._continuation(scope, rest, scope.after)
+            scope.after = scope.temp("after")
+            scope.line(f"{scope.after} = {frame}")
+
+    def _alternative(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
+        """Write the pushing of a choice point that runs ``nodes``."""
+        if nodes:
+            if isinstance(nodes[0], Fail):
+                scope.push("choose((DEAD, len(trail)))")
+            else:
+                scope.push(f"choose({self._continuation(scope, nodes, scope.after, True)})")
+        else:
+            scope.push(f"choose((RESUME, {scope.after}, len(trail)))")
+
+    # Control
+
+    def _either(self, scope: Scope, node: Disjunction, rest: Sequence[GoalNode]) -> None:
+        self._share(scope, [*node.branches, rest])
+        self._flush(scope, needed_by([node, *rest]))
+        self._join(scope, rest)
+        first, *others = node.branches
+        for branch in reversed(others):
+            self._alternative(scope, branch)
+        scope.fail = "return None"
+        self.write(scope, first)
+
+    def _condition(self, scope: Scope, node: IfThenElse, rest: Sequence[GoalNode]) -> None:
+        self._share(scope, [[*node.test, *node.then], node.otherwise, rest])
+        if all(goal.inline for goal in node.test) and node.inner is None and not node.soft:
+            self._if(scope, node, rest)
+            return
+        self._flush(scope, needed_by([node, *rest]))
+        self._join(scope, rest)
+        height = Height(scope.temp("h"))
+        height.name = f"g{self.clause.number(height)}"
+        scope.push(f"{height.name} = len(choices)")
+        scope.names[height] = height.name
+        self._alternative(scope, node.otherwise)
+        if node.inner is not None:
+            scope.push(f"{node.inner.name} = len(choices)")
+            scope.names[node.inner] = node.inner.name
+        scope.fail = "return None"
+        self.write(scope, [*node.test, Cut(height, node.soft), *node.then])
+
+    def _if(self, scope: Scope, node: IfThenElse, rest: Sequence[GoalNode]) -> None:
+        """Write a condition with an inline test and calls in its branches."""
+        scope.later = needed_by([*node.then, *rest])
+        if rest:
+            self._height(scope, rest)
+            self._join(scope, rest)
+        missed = write_test(scope, node.test)
+        before = scope.branch()
+        scope.depth += 1
+        self.write(scope, node.then)
+        scope.depth -= 1
+        scope.restore(before)
+        forget(scope, missed)
+        scope.line("else:")
+        scope.depth += 1
+        self.write(scope, node.otherwise)
+        scope.depth -= 1
+
+    def _height(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
+        if self.entry in needed_by(nodes) and self.entry not in scope.names:
+            self._enter(scope)
+
+    def _enter(self, scope: Scope) -> None:
+        """Write the remembering of the height at entry."""
+        scope.push(f"{self.entry.name} = len(choices)")
+        scope.names[self.entry] = self.entry.name
+
+
+def _is_callable(term: Optional[Term]) -> bool:
+    if term is None:
+        return False
+    goal = deref(term)
+    return goal.__class__ is tuple or goal.__class__ is Atom

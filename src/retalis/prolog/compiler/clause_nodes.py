@@ -1,0 +1,522 @@
+"""What those who write code know of predicates; the rooms above have them.
+
+Bodies of clauses as nodes: what the generator of Python code walks.
+"""
+
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    FrozenSet,
+    Iterable,
+    Iterator,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Protocol,
+    Sequence,
+    Tuple,
+    Union,
+)
+
+from ...foundation.errors import Place
+from ..machine.errors import type_error
+from ..machine.machine import Machine
+from ..terms.list_terms import conjuncts
+from ..terms.term_traversal import variables
+from ..terms.types import (
+    COLON,
+    COMMA,
+    FALSE,
+    TRUE,
+    Atom,
+    CompoundTerm,
+    Functor,
+    Lazy,
+    Step,
+    Term,
+    Var,
+    deref,
+    functor,
+)
+
+Finder = Callable[..., Optional[bool]]
+"""A predicate as a function of its arguments: whether there is a solution, None where it cannot tell."""
+
+
+class KnownClause(Protocol):
+    """A clause."""
+
+    head: Term
+    body: Term
+    place: Optional[Place]
+
+    @property
+    def is_large(self) -> bool:
+        """Whether it is so large that it is interpreted always."""
+
+
+class JoinedGoals(NamedTuple):
+    """Goals in a row that one function does; see `joining`.
+
+    Attributes:
+        length: how many goals.
+        function: takes the inputs; returns the output, or None where a goal fails.
+        inputs: arguments of the goals.
+        output: the argument that the last goal gives.
+    """
+
+    length: int
+    function: Callable[..., Optional[Term]]
+    inputs: Tuple[Term, ...]
+    output: Term
+
+
+Joins = Callable[[Sequence[CompoundTerm], Mapping[Any, int]], Optional[JoinedGoals]]
+"""Takes goals in a row, the first that of the predicate itself, and how often variables occur in the clause."""
+
+
+class KnownFunction(Protocol):
+    """What a predicate computes that is a function of some of its arguments; see `Functional`."""
+
+    @property
+    def function(self) -> Callable[..., Any]:
+        """Takes the inputs, returns the outputs."""
+
+    @property
+    def inputs(self) -> Tuple[int, ...]:
+        """Positions of the inputs."""
+
+    @property
+    def outputs(self) -> Tuple[int, ...]:
+        """Positions of the outputs."""
+
+    @property
+    def shows(self) -> Tuple[Optional[Callable[..., Term]], ...]:
+        """What makes the terms of the outputs."""
+
+    @property
+    def single(self) -> bool:
+        """Whether there is one output."""
+
+    @property
+    def joins(self) -> Optional[Joins]:
+        """What tells which goals after one of it go together with it."""
+
+
+class KnownFinders(Protocol):
+    """The functions of a predicate; see `Direct`."""
+
+    first: Finder
+    only: Finder
+
+    def prepare(self, once: bool) -> None:
+        """Generate a function before it is called."""
+
+
+class KnownPredicate(Protocol):
+    """A predicate; see `Predicate`."""
+
+    functor: Functor
+    kind: str
+    function: Optional[Callable[..., Any]]
+    gate: Optional[Callable[[Functor, Tuple[int, ...]], object]]
+    known: Optional[Functor]
+    compiled: bool
+    steady: bool
+    dynamic: bool
+    library: bool
+    system: bool
+    ground: bool
+
+    @property
+    def run(self) -> Step:
+        """The function that does a call."""
+
+    @property
+    def functional(self) -> Optional[KnownFunction]:
+        """What it computes."""
+
+    @property
+    def tabled(self) -> object:
+        """The predicate that its clauses belong to where tables answer its calls."""
+
+    def live(self) -> Iterator[KnownClause]:
+        """Yield its clauses."""
+
+    def fact_finder(self, once: bool) -> Finder:
+        """Return a function of the arguments that looks a ground fact up."""
+
+    def __len__(self) -> int: ...
+
+
+class KnownModules(Protocol):
+    """The modules of a program; see `Modules`."""
+
+    def named(self, term: Term, /) -> Optional[object]:
+        """Return the module that a term names."""
+
+    def goal(self, goal: CompoundTerm, /) -> Term:
+        """Return what ``Module:Goal`` calls."""
+
+
+class KnownDatabase(Protocol):
+    """All predicates; see `Database` and `Library`."""
+
+    machine: Machine
+
+    @property
+    def modules(self) -> KnownModules:
+        """The modules of the program."""
+
+    @property
+    def is_library(self) -> bool:
+        """Whether these are the predicates as the library sees them."""
+
+    @property
+    def interprets(self) -> bool:
+        """Whether nothing of the program is compiled."""
+
+    @property
+    def interpret(self) -> object:
+        """The code that runs a goal from its term."""
+
+    def predicate(self, key: Functor, /) -> KnownPredicate:
+        """Return the predicate of a functor."""
+
+    def is_inline(self, key: Functor, /) -> bool:
+        """Tell whether a predicate is a deterministic built-in."""
+
+    def direct(self, key: Functor, /) -> KnownFinders:
+        """Return the functions of a predicate."""
+
+
+ARROW = functor("->", 2)
+SOFT_ARROW = functor("*->", 2)
+SEMICOLON = functor(";", 2)
+BAR = functor("|", 2)
+NOT = functor("\\+", 1)
+CALL = functor("call", 1)
+ONCE = functor("once", 1)
+IGNORE = functor("ignore", 1)
+EQUAL = functor("=", 2)
+DIFFERENT = functor("\\=", 2)
+IS = functor("is", 2)
+
+COMPARISONS = {
+    functor("=:=", 2): "==",
+    functor("=\\=", 2): "!=",
+    functor("<", 2): "<",
+    functor(">", 2): ">",
+    functor("=<", 2): "<=",
+    functor(">=", 2): ">=",
+}
+ORDERS = {
+    functor("==", 2): "== 0",
+    functor("\\==", 2): "!= 0",
+    functor("@<", 2): "< 0",
+    functor("@>", 2): "> 0",
+    functor("@=<", 2): "<= 0",
+    functor("@>=", 2): ">= 0",
+}
+TYPE_TESTS = {
+    functor("var", 1): "{0}.__class__ is Var",
+    functor("nonvar", 1): "{0}.__class__ is not Var",
+    functor("atom", 1): "{0}.__class__ is Atom",
+    functor("integer", 1): "{0}.__class__ is int",
+    functor("float", 1): "{0}.__class__ is float",
+    functor("number", 1): "({0}.__class__ is int or {0}.__class__ is float)",
+    functor("string", 1): "{0}.__class__ is String",
+    functor("compound", 1): "{0}.__class__ is tuple",
+    functor("atomic", 1): "({0}.__class__ is not tuple and {0}.__class__ is not Var)",
+    functor("callable", 1): "({0}.__class__ is tuple or {0}.__class__ is Atom)",
+}
+
+CONTROL = {COMMA, SEMICOLON, BAR, ARROW, SOFT_ARROW, NOT, TRUE.functor, functor("!", 0)}
+"""What a program may not define: control constructs."""
+
+ARG, KNOWN_ARG = functor("arg", 3), functor("$arg", 3)
+FUNCTOR = functor("functor", 3)
+_CUT = functor("!", 0)
+_MAX_CONTROL_DEPTH = 40
+"""Control constructs nested deeper than this are run by interpretation."""
+
+
+class Height:
+    """A remembered height of the stack of choice points: what a cut cuts to."""
+
+    __slots__ = ("name",)
+
+    def __init__(self, name: str):
+        self.name = name
+
+
+Needed = Union[Var, Height]
+"""What a goal needs to be there."""
+
+
+class GoalNode:
+    """A goal of a body.
+
+    Attributes:
+        vars: variables and heights that it needs.
+        inline: it is straight Python: it leaves no choice point and calls no predicate of the program.
+        cuts: it has a cut of the clause in it.
+        source: the goal in the body; None for what stands in none.
+    """
+
+    __slots__ = ("vars", "inline", "cuts", "source")
+
+    def __init__(self, needed: FrozenSet[Needed], inline: bool, cuts: bool = False):
+        self.vars = needed
+        self.inline = inline
+        self.cuts = cuts
+        self.source: Optional[Term] = None
+
+
+class CallNode(GoalNode):
+    """Any goal that is one compound term: a call, or a built-in of the kind ``form``.
+
+    Attributes:
+        once: of a call of a function, whether its first solution is enough.
+    """
+
+    __slots__ = ("form", "key", "args", "once")
+
+    def __init__(self, form: str, key: Functor, args: Tuple[Term, ...], inline: bool):
+        super().__init__(frozenset(variables((key, *args))), inline)
+        self.form = form
+        self.key = key
+        self.args = args
+        self.once = False
+
+
+class Succeed(GoalNode):
+    """``true``."""
+
+    __slots__ = ()
+
+
+class Fail(GoalNode):
+    """``fail``."""
+
+    __slots__ = ()
+
+
+class Cut(GoalNode):
+    """A cut to a height; ``soft`` takes back only the choice point at it."""
+
+    __slots__ = ("height", "soft")
+
+    def __init__(self, height: Height, soft: bool = False):
+        super().__init__(frozenset([height]), True)
+        self.height = height
+        self.soft = soft
+
+
+class IfThenElse(GoalNode):
+    """If-then-else (``soft`` for ``*->``); negation has ``then`` fail and ``otherwise`` empty."""
+
+    __slots__ = ("test", "then", "otherwise", "soft", "inner")
+
+    def __init__(
+        self,
+        test: List[GoalNode],
+        then: List[GoalNode],
+        otherwise: List[GoalNode],
+        inner: Optional[Height],
+        soft: bool = False,
+    ):
+        everything = (*test, *then, *otherwise)
+        cuts = any(node.cuts for node in (*then, *otherwise))
+        inline = not soft and not cuts and inner is None and all(node.inline for node in everything)
+        super().__init__(needed_by(everything).difference([inner]), inline, cuts)
+        self.test = test
+        self.then = then
+        self.otherwise = otherwise
+        self.soft = soft
+        self.inner = inner
+
+
+class Disjunction(GoalNode):
+    """A disjunction."""
+
+    __slots__ = ("branches",)
+
+    def __init__(self, branches: List[List[GoalNode]]):
+        everything = [node for branch in branches for node in branch]
+        super().__init__(needed_by(everything), False, any(node.cuts for node in everything))
+        self.branches = branches
+
+
+class Interpret(GoalNode):
+    """A goal that is run from its term, with cuts to a height."""
+
+    __slots__ = ("term", "height")
+
+    def __init__(self, term: Term, height: Height):
+        super().__init__(frozenset(variables((COMMA, term))) | {height}, False, True)
+        self.term = term
+        self.height = height
+
+
+def needed_by(nodes: Iterable[GoalNode]) -> FrozenSet[Needed]:
+    """Return the variables and heights that nodes need."""
+    return frozenset().union(*[node.vars for node in nodes])
+
+
+class BodyParser:
+    """Turns a body into nodes.
+
+    Args:
+        database: tells which predicates are deterministic built-ins, which are called in line.
+        clause: the height at entry of the clause, which its cuts cut to.
+        direct: tells whether a predicate of the program can be called as a function.
+    """
+
+    def __init__(
+        self,
+        database: KnownDatabase,
+        clause: Height,
+        direct: Optional[Callable[[Functor], bool]] = None,
+    ):
+        self._database = database
+        self._direct = direct
+        self._heights: Dict[str, int] = {}
+        self.clause = clause
+
+    def height(self) -> Height:
+        """Return a new height."""
+        self._heights["h"] = number = self._heights.get("h", 0) + 1
+        return Height(f"h{number}")
+
+    def parse(self, body: Term, cut: Optional[Height] = None, depth: int = 0) -> List[GoalNode]:
+        """Return the nodes of a body.
+
+        Raises:
+            PrologError: a type error where part of the body is not a goal.
+        """
+        cut = self.clause if cut is None else cut
+        nodes: List[GoalNode] = []
+        for goal in conjuncts(body):
+            node = self._node(goal, cut, depth)
+            if not isinstance(node, Succeed):
+                node.source = goal
+                nodes.append(node)
+        return nodes
+
+    def _node(self, goal: Term, cut: Height, depth: int) -> GoalNode:
+        if goal.__class__ is Var:
+            return CallNode("call", CALL, (goal,), False)
+        if goal.__class__ is Atom:
+            return self._atom(goal, cut)
+        if goal.__class__ is Lazy:
+            goal = goal.term()
+        if goal.__class__ is not tuple:
+            raise type_error("callable", goal)
+        key = goal[0]
+        if key is COLON:
+            if deref(goal[1]).__class__ is Var or deref(goal[2]).__class__ is Var:
+                return CallNode("call", CALL, (goal,), False)
+            inner = self._database.modules.goal(goal)
+            several = inner.__class__ is tuple and inner[0] is COMMA
+            return Interpret(inner, cut) if several else self._node(inner, cut, depth)
+        if key in _STRUCTURES and (key is not IGNORE or self._database.predicate(IGNORE).library):
+            if depth > _MAX_CONTROL_DEPTH:
+                return Interpret(goal, cut)
+            return self._control(key, goal, cut, depth + 1)
+        return self._plain(key, goal[1:])
+
+    def _atom(self, goal: Atom, cut: Height) -> GoalNode:
+        if goal is TRUE:
+            return Succeed(frozenset(), True)
+        if goal is FALSE or goal.name == "fail":
+            return Fail(frozenset(), True)
+        if goal.functor is _CUT:
+            node = Cut(cut)
+            node.cuts = cut is self.clause
+            return node
+        return self._plain(goal.functor, ())
+
+    def _plain(self, key: Functor, args: Tuple[Term, ...]) -> GoalNode:
+        form = _FORMS.get(key)
+        if form is not None:
+            return CallNode(form, key, args, True)
+        if key is ARG and deref(args[0]).__class__ is int and self._database.predicate(ARG).library:
+            key = KNOWN_ARG
+        inline = self._database.is_inline(key)
+        if not inline and args and deref(args[0]).__class__ is not Var:
+            known = self._database.predicate(key).known
+            if known is not None:
+                key, inline = known, True
+        if not inline and self._direct is not None and self._direct(key):
+            return CallNode("direct", key, args, True)
+        form = ("functor" if key is FUNCTOR else "builtin") if inline else "call"
+        return CallNode(form, key, args, inline)
+
+    def _control(self, key: Functor, goal: CompoundTerm, cut: Height, depth: int) -> GoalNode:
+        if key is SEMICOLON or key is BAR:
+            return self._either(goal, cut, depth)
+        if key is ARROW or key is SOFT_ARROW:
+            return self._condition(goal, None, cut, depth)
+        argument = deref(goal[1])
+        if argument.__class__ is Var:
+            argument = (CALL, argument)
+        inner = self.height()
+        test = self.parse(argument, inner, depth)
+        barrier = _used(inner, test)
+        if key is NOT:
+            return IfThenElse(test, [Fail(frozenset(), True)], [], barrier)
+        return IfThenElse(test, [], [] if key is IGNORE else [Fail(frozenset(), True)], barrier)
+
+    def _either(self, goal: CompoundTerm, cut: Height, depth: int) -> GoalNode:
+        left = deref(goal[1])
+        if left.__class__ is tuple and (left[0] is ARROW or left[0] is SOFT_ARROW):
+            return self._condition(left, goal[2], cut, depth)
+        branches = [self.parse(left, cut, depth)]
+        rest = deref(goal[2])
+        while rest.__class__ is tuple and rest[0] is SEMICOLON:
+            left = deref(rest[1])
+            if left.__class__ is tuple and (left[0] is ARROW or left[0] is SOFT_ARROW):
+                break
+            branches.append(self.parse(left, cut, depth))
+            rest = deref(rest[2])
+        branches.append(self.parse(rest, cut, depth))
+        return Disjunction(branches)
+
+    def _condition(self, arrow: CompoundTerm, otherwise: Optional[Term], cut: Height, depth: int) -> GoalNode:
+        inner = self.height()
+        test = self.parse(arrow[1], inner, depth)
+        then = self.parse(arrow[2], cut, depth)
+        rest: List[GoalNode] = (
+            [Fail(frozenset(), True)] if otherwise is None else self.parse(otherwise, cut, depth)
+        )
+        return IfThenElse(test, then, rest, _used(inner, test), arrow[0] is SOFT_ARROW)
+
+
+def _used(height: Height, nodes: List[GoalNode]) -> Optional[Height]:
+    return height if height in needed_by(nodes) else None
+
+
+_STRUCTURES = {SEMICOLON, BAR, ARROW, SOFT_ARROW, NOT, ONCE, IGNORE}
+_FORMS: Dict[Functor, str] = {
+    EQUAL: "unify",
+    DIFFERENT: "differ",
+    IS: "is",
+    **dict.fromkeys(COMPARISONS, "arithmetic"),
+    **dict.fromkeys(ORDERS, "order"),
+    **dict.fromkeys(TYPE_TESTS, "type"),
+}
+
+FIXED = frozenset(
+    (
+        *CONTROL,
+        *_FORMS,
+        *(functor("call", arity) for arity in range(1, 9)),
+        *(functor("catch", 3), functor("throw", 1), functor("fail", 0), FALSE.functor, ONCE),
+        *(functor("unify_with_occurs_check", 2), functor("subsumes_term", 2), functor("ground", 1)),
+        *(functor("$arg", 3), functor("$no_rule", 2), functor("$within", 3)),
+    )
+)
+"""What no program may define: control, unification, comparison and tests of types, which are written in line."""

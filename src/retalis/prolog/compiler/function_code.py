@@ -1,0 +1,261 @@
+"""Predicates as plain Python functions: clauses that leave no choice point, without frames.
+
+A function returns True for a solution, False for none, and None where it cannot tell: another clause might
+have a solution too, or the predicate is not made of what functions can do. Then the caller takes back what was
+bound and runs its goal on the machine. That can be done because nothing in a function has an effect: it is made
+of unification, arithmetic, comparison, pure built-ins, facts, and other such predicates.
+"""
+
+from typing import Dict, Iterator, List, Optional, Sequence, Tuple
+
+from ..machine.machine import BAIL
+from ..terms.types import Functor, Term, Trail, functor
+from ..terms.unification import undo
+from .clause_nodes import (
+    BodyParser,
+    CallNode,
+    Cut,
+    Finder,
+    GoalNode,
+    Height,
+    IfThenElse,
+    KnownDatabase,
+    KnownPredicate,
+)
+from .code_scope import ClauseVariables, Scope, Unit
+from .inline_goals import write_sequence
+from .predicate_code import ClauseParts, PredicateGenerator, key_of, title_of
+
+_MAX_FUNCTION_CLAUSES = 8
+_MAX_CLAUSES_VISITED = 100
+"""Clauses that a call may look at, those of the predicates that it calls included."""
+_MAX_NESTED_CALLS = 6
+
+_PURE = frozenset(
+    functor(name, arity)
+    for arity, names in {
+        1: "ground is_list is_datime",
+        2: "=.. copy_term atom_length atom_codes atom_chars char_code atom_number atom_string number_codes "
+        "upcase_atom downcase_atom string_length string_lower string_upper atomic_list_concat memberchk "
+        "less_datime less_equal_datime equal_datime",
+        3: "$arg functor compare atomic_list_concat between_datime datime_minus_datime datime_plus_sec "
+        "datime_minus_sec month_days",
+        4: "split_string",
+    }.items()
+    for name in names.split()
+)
+"""Deterministic built-ins without effects that read nothing but their arguments."""
+
+
+class FunctionCode:
+    """A predicate as functions of its arguments, generated with what calls them, or when they are first called.
+
+    Attributes:
+        first: tells whether there is a solution, whose bindings stay.
+        only: the same, where there is no other one.
+    """
+
+    __slots__ = ("first", "only", "_database", "_key", "_facts", "_missing")
+
+    first: Finder
+    only: Finder
+
+    def __init__(self, database: KnownDatabase, key: Functor):
+        self._database = database
+        self._key = key
+        self._facts = False
+        self.reset(None)
+
+    def reset(self, predicate: Optional[KnownPredicate]) -> None:
+        """Forget the functions; those that look facts up go on as long as there are facts only."""
+        if not self._facts or predicate is None or not predicate.ground:
+            self._facts = False
+            self._missing = {True, False}
+            self.first = lambda *args: self._make(True)(*args)
+            self.only = lambda *args: self._make(False)(*args)
+
+    def prepare(self, once: bool) -> None:
+        """Generate a function before it is called: `first`, or `only`."""
+        if once in self._missing:
+            self._make(once)
+
+    def _make(self, once: bool) -> Finder:
+        database, key = self._database, self._key
+        self._missing.discard(once)
+        predicate = database.predicate(key)
+        function: Finder
+        if work(database, key) is None:
+            function = _unknown
+        elif is_facts(predicate):
+            self._facts = True
+            self.first, self.only = predicate.fact_finder(True), predicate.fact_finder(False)
+            self._missing.clear()
+            return self.first if once else self.only
+        else:
+            function = Functions(database, key, rules_of(predicate), predicate).function(once)
+        if once:
+            self.first = function
+        else:
+            self.only = function
+        return function
+
+
+def _unknown(*args: Term) -> None:
+    return None
+
+
+def is_facts(predicate: KnownPredicate) -> bool:
+    """Tell whether a predicate is looked up by its index, not compiled clause by clause."""
+    return predicate.ground and (predicate.dynamic or len(predicate) > _MAX_FUNCTION_CLAUSES)
+
+
+def rules_of(predicate: KnownPredicate) -> List[ClauseParts]:
+    """Return the clauses of a predicate as the generator takes them."""
+    return [
+        ClauseParts(clause.head[1:] if clause.head.__class__ is tuple else (), clause.body, clause.place)
+        for clause in predicate.live()
+    ]
+
+
+def work(database: KnownDatabase, key: Functor, path: Tuple[Functor, ...] = ()) -> Optional[int]:
+    """Return how many clauses a call of a predicate may look at; None where it cannot be a function."""
+    predicate = database.predicate(key)
+    if database.interprets or predicate.kind != "user" or predicate.tabled is not None or predicate.library:
+        return None
+    if key in path or len(path) >= _MAX_NESTED_CALLS:
+        return None
+    if is_facts(predicate):
+        return 1
+    if predicate.dynamic or not 0 < len(predicate) <= _MAX_FUNCTION_CLAUSES:
+        return None
+    total = 0
+    for clause in predicate.live():
+        if clause.is_large:
+            return None
+        entry = Height("height")
+        nodes = parser(database, entry, (*path, key)).parse(clause.body)
+        inside = work_of(database, nodes, (*path, key))
+        if inside is None or any(not node.inline for node in nodes):
+            return None
+        total += 1 + inside
+    return total if total <= _MAX_CLAUSES_VISITED else None
+
+
+def work_of(
+    database: KnownDatabase, nodes: Sequence[GoalNode], path: Tuple[Functor, ...] = ()
+) -> Optional[int]:
+    """Return what the predicates called in a body cost; None where one of its goals cannot be in a function."""
+    total = 0
+    for goal in goals_of(nodes):
+        if goal.form == "direct":
+            cost = work(database, goal.key, path)
+            if cost is None:
+                return None
+            total += cost
+        elif goal.form == "builtin" and not is_pure(database, goal.key):
+            return None
+    return total
+
+
+def is_pure(database: KnownDatabase, key: Functor) -> bool:
+    """Tell whether a deterministic built-in has no effect."""
+    return key in _PURE or database.predicate(key).functional is not None
+
+
+def goals_of(nodes: Sequence[GoalNode]) -> Iterator[CallNode]:
+    """Yield all goals of a body, those in conditions included."""
+    for node in nodes:
+        if isinstance(node, CallNode):
+            yield node
+        elif isinstance(node, IfThenElse):
+            yield from goals_of([*node.test, *node.then, *node.otherwise])
+
+
+def parser(database: KnownDatabase, entry: Height, path: Tuple[Functor, ...] = ()) -> BodyParser:
+    """Return a parser that takes calls of predicates that can be functions as inline goals."""
+    known: Dict[Functor, bool] = {}
+
+    def direct(key: Functor) -> bool:
+        if key not in known:
+            known[key] = work(database, key, path) is not None
+        return known[key]
+
+    return BodyParser(database, entry, direct)
+
+
+def choose_functions(nodes: Sequence[GoalNode], once: bool) -> None:
+    """Let goals use their first solution where that is enough: before a cut, at the end of a test, of a goal."""
+    for at, node in enumerate(nodes):
+        last = once if at == len(nodes) - 1 else isinstance(nodes[at + 1], Cut)
+        if isinstance(node, CallNode):
+            node.once = last
+        elif isinstance(node, IfThenElse):
+            choose_functions(node.test, True)
+            choose_functions(node.then, last)
+            choose_functions(node.otherwise, last)
+
+
+class Functions(PredicateGenerator):
+    """Generates the functions of one predicate."""
+
+    def function(self, once: bool) -> Finder:
+        """Return the function, for the first solution or for the only one."""
+        unit = Unit(self.database.machine, self.database, repeats=True)
+        unit.namespace["key_of"] = key_of
+        lines = ["    mark = len(trail)"]
+        keyed = [] if once else self._keyed()
+        lines += [f"    x{at + 1} = key_of({self.locals[at]})" for at in keyed]
+        for index in range(len(self.rules)):
+            lines += self._block(unit, index, once, keyed)
+        unit.add([f"def main({', '.join(self.locals)}):", *lines, "    return False"])
+        place = next((rule.place for rule in self.rules if rule.place is not None), None)
+        source = unit.source()
+        name = f"{self.key} as a function"
+        found: Finder = unit.finish(source, title_of(place, name))["main"]
+        return found
+
+    def _keyed(self) -> List[int]:
+        """Return the arguments whose first level tells clauses apart."""
+        if len(self.rules) == 1:
+            return []
+        keys = [[key_of(rule.args[at]) for rule in self.rules] for at in range(self.key.arity)]
+        return [at for at, found in enumerate(keys) if len(set(found)) > 1]
+
+    def _block(self, unit: Unit, index: int, once: bool, keyed: List[int]) -> List[str]:
+        """Return the code of a clause: a block that is left to try the next one."""
+        rule = self.rules[index]
+        rest = self.rules[index + 1 :]
+        entry = Height("height")
+        scope = Scope(unit, ClauseVariables((*rule.args, rule.body)), "break")
+        scope.depth = 2
+        scope.cut = "return False"
+        nodes = parser(self.database, entry, (self.key,)).parse(rule.body)
+        committed = any(isinstance(node, Cut) for node in nodes)
+        choose_functions(nodes, once)
+        self._head(scope, rule, None, self._own_locals(scope, rule, None) if rest else self.locals)
+        write_sequence(scope, nodes, frozenset())
+        others = [] if once or committed else [self._may_match(unit, other, keyed) for other in rest]
+        if others:
+            scope.line(f"return None if {' or '.join(others)} else True")
+        else:
+            scope.line("return True")
+        lines = ["    while True:", *scope.lines]
+        if rest and scope.binds:
+            lines += ["    while len(trail) > mark:", "        pop().ref = None"]
+        return lines
+
+    @staticmethod
+    def _may_match(unit: Unit, rule: ClauseParts, keyed: List[int]) -> str:
+        """Return the condition that a clause may match what the arguments were at entry."""
+        tests = []
+        for at in keyed:
+            key = key_of(rule.args[at])
+            if key is not None:
+                tests.append(f"(x{at + 1} is None or x{at + 1} == {unit.constant(key)})")
+        return f"({' and '.join(tests)})" if tests else "True"
+
+
+def give_up(trail: Trail, mark: int) -> object:
+    """Undo bindings and return `BAIL`."""
+    undo(trail, mark)
+    return BAIL

@@ -1,0 +1,180 @@
+"""Code for goals that Python calls: a function of the inputs, or frames that hand the outputs over."""
+
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+
+from ...foundation.codegen import MAX_TERM_ARGUMENTS
+from ...foundation.errors import Place
+from ..machine.machine import Code, Takes
+from ..machine.resource_limits import LimitError
+from ..terms.term_traversal import copy, is_larger, resolve, variables
+from ..terms.types import Frame, Step, Term, Var, deref, functor
+from .body_code import BodyGenerator
+from .clause_nodes import BodyParser, CallNode, GoalNode, Height, KnownDatabase, KnownPredicate, needed_by
+from .code_scope import ClauseVariables, Scope, Unit
+from .function_code import choose_functions, give_up, goals_of, parser, work_of
+from .inline_goals import write_sequence
+from .predicate_code import title_of
+
+_OUTPUTS = functor("outputs", 0)
+
+
+class HandOver(CallNode):
+    """The end of a goal: its outputs go to the continuation."""
+
+    __slots__ = ()
+
+
+def _hand_over(frame: Frame) -> Optional[Frame]:
+    collector: Tuple[Takes, ...] = frame[-1]
+    return collector[0].take(collector, tuple([resolve(value) for value in frame[1:-1]]))
+
+
+HAND_OVER = Code("outputs", _hand_over)
+
+
+class GoalGenerator:
+    """Generates the code of one goal."""
+
+    def __init__(
+        self,
+        database: KnownDatabase,
+        term: Term,
+        inputs: Tuple[Var, ...],
+        outputs: Tuple[Term, ...],
+        place: Optional[Place],
+        name: str,
+    ):
+        self._database = database
+        self._term = resolve(term)
+        self._interprets = database.interprets or is_larger(self._term, MAX_TERM_ARGUMENTS)
+        self._inputs = inputs
+        self._outputs = outputs
+        self._place = place
+        self._name = name
+        self._nodes: List[GoalNode] = []
+        self._entry = Height("height")
+
+    def parse(self) -> None:
+        """Read the goal with the predicates that are defined by now.
+
+        Raises:
+            PrologError: a type error where it is not a goal.
+        """
+        self._entry = Height("height")
+        self._nodes = BodyParser(self._database, self._entry).parse(self._term)
+
+    def call(self) -> Optional[KnownPredicate]:
+        """Return the predicate, where the goal is one call of it with the inputs as they are; else None.
+
+        None for a predicate of the system, too: one of the program may take its place.
+        """
+        if len(self._nodes) != 1:
+            return None
+        node = self._nodes[0]
+        if not isinstance(node, CallNode) or node.inline or tuple(map(deref, node.args)) != self._inputs:
+            return None
+        predicate = self._database.predicate(node.key)
+        return None if predicate.library and predicate.system else predicate
+
+    def _scope(self, unit: Unit) -> Scope:
+        # Inputs count as used twice: a value is never void.
+        scope = Scope(unit, ClauseVariables((*self._inputs, self._term, *self._outputs, *self._inputs)))
+        for at, var in enumerate(self._inputs):
+            scope.names[var] = f"a{at}"
+        return scope
+
+    def _finish(self, unit: Unit) -> Callable[..., Any]:
+        source = unit.source()
+        function: Callable[..., Any] = unit.finish(source, title_of(self._place, self._name))["main"]
+        return function
+
+    def straight(self) -> Optional[Callable[..., Any]]:
+        """Return the function of the inputs, or None where there can be none.
+
+        Bindings that it makes are undone, also where it fails. It returns `BAIL` where the goal has to be run
+        by frames, also to find an error again with its context; limits that run out are not looked for twice.
+        """
+        if self._interprets:
+            return None
+        entry = Height("height")
+        nodes = parser(self._database, entry).parse(self._term)
+        calls = any(goal.form == "direct" for goal in goals_of(nodes))
+        if any(not node.inline for node in nodes) or (calls and work_of(self._database, nodes) is None):
+            return None
+        choose_functions(nodes, True)
+        unit = Unit(self._database.machine, self._database, repeats=calls)
+        scope = self._scope(unit)
+        scope.fail = scope.cut = _FAIL
+        if calls:
+            unit.namespace.update(give_up=give_up, LimitError=LimitError)
+            scope.give_up = _GIVE_UP
+        write_sequence(scope, nodes, frozenset(variables((_OUTPUTS, *self._outputs))))
+        values = [_resolved(scope, output) for output in self._outputs]
+        result = f"({', '.join(values)}{',' if len(values) == 1 else ''})"
+        lines = scope.lines
+        if scope.binds:
+            lines = ["    mark = len(trail)", *lines, f"    result = {result}", "    undo(trail, mark)"]
+            if calls:
+                lines = [lines[0], "    try:", *["    " + line for line in lines[1:]]]
+                lines += [
+                    "    except LimitError:",
+                    "        undo(trail, mark)",
+                    "        raise",
+                    "    except Exception:",
+                    f"        {_GIVE_UP}",
+                ]
+            result = "result"
+        else:
+            lines = [line.replace(_FAIL, "return None") for line in lines]
+        parameters = ", ".join(f"a{at}" for at in range(len(self._inputs)))
+        unit.add([f"def main({parameters}):", *lines, f"    return {result}"])
+        return self._finish(unit)
+
+    def enter(self, hands_over: bool) -> Tuple[Step, bool]:
+        """Return the function of the goal's frame, and whether it is steady, see `Code.steady`."""
+        if self._interprets:
+            return self._interpreted(hands_over), False
+        unit = Unit(self._database.machine, self._database)
+        scope = self._scope(unit)
+        locals_ = [scope.names[var] for var in self._inputs]
+        nodes: Sequence[GoalNode] = self._nodes
+        if hands_over:
+            nodes = [*nodes, HandOver("call", _OUTPUTS, self._outputs, False)]
+        if self._entry in needed_by(nodes):
+            scope.push("height = len(choices)")
+            scope.names[self._entry] = "height"
+        bodies = BodyGenerator(
+            unit, scope.clause, self._entry, self._database.interpret, self._name, None, HAND_OVER
+        )
+        bodies.write(scope, nodes)
+        unit.add(["def main(frame):", f"    {', '.join(['_', *locals_, 'after'])} = frame", *scope.lines])
+        return self._finish(unit), not scope.pushes
+
+    def _interpreted(self, hands_over: bool) -> Step:
+        """Return a function that runs the goal from its term."""
+        call: Callable[[Term, Frame], Optional[Frame]] = self._database.machine.logic.control.call
+        inputs, goal, outputs = self._inputs, self._term, self._outputs
+
+        def run(frame: Frame) -> Optional[Frame]:
+            fresh: Dict[Var, Term] = dict(zip(inputs, frame[1:-1]))
+            body = copy(goal, fresh)
+            if not hands_over:
+                return call(body, frame[-1])
+            return call(body, (HAND_OVER, *copy((_OUTPUTS, *outputs), fresh)[1:], frame[-1]))
+
+        return run
+
+
+_FAIL = "return undo(trail, mark)"
+_GIVE_UP = "return give_up(trail, mark)"
+
+
+def _resolved(scope: Scope, output: Term) -> str:
+    output = deref(output)
+    if output.__class__ is not Var:
+        return f"resolve({scope.build(output)})"
+    known = scope.numbers.get(output)
+    if known is not None and scope.names.get(output) == known[0]:
+        return known[0]
+    name = scope.local(output)
+    return name if output in scope.fresh else f"resolve({name})"

@@ -1,0 +1,471 @@
+"""Goals that are one: built-ins in a row whose values go from one to the next and nowhere else.
+
+They are written as one call. What they hand on does not become terms.
+
+Code for calls that are straight Python: unification, arithmetic, tests, and built-ins as functions.
+
+Code for goals that are straight Python, alone, in order, and as tests.
+
+They leave no choice point and call no predicate of the program.
+"""
+
+from typing import Any, Dict, FrozenSet, List, Mapping, Optional, Sequence, Set, Tuple
+
+from ..terms.list_terms import conjunction
+from ..terms.term_traversal import variables
+from ..terms.types import Atom, Term, Var, deref
+from .arithmetic_code import number, number_of_program
+from .clause_nodes import (
+    COMPARISONS,
+    KNOWN_ARG,
+    ORDERS,
+    TYPE_TESTS,
+    CallNode,
+    Cut,
+    Fail,
+    GoalNode,
+    IfThenElse,
+    JoinedGoals,
+    KnownDatabase,
+    KnownFunction,
+    Needed,
+    needed_by,
+)
+from .code_scope import Scope, ScopeState
+from .unification_code import dereferenced, differs, forget_fresh, match, write_argument, write_functor
+
+_MAX_JOINED_GOALS = 4
+"""Goals in a row that are looked at."""
+
+
+class JoinedNode(CallNode):
+    """Goals in a row that one function does.
+
+    Attributes:
+        function: takes the inputs, which are all arguments but the last; returns the output, or None where one fails.
+    """
+
+    __slots__ = ("function",)
+
+    def __init__(self, goals: Sequence[CallNode], made: JoinedGoals):
+        super().__init__("joined", goals[0].key, (*made.inputs, made.output), True)
+        self.function = made.function
+        self.source = conjunction([goal.source for goal in goals if goal.source is not None])
+
+
+def join(database: KnownDatabase, counts: Mapping[Any, int], nodes: Sequence[GoalNode]) -> Sequence[GoalNode]:
+    """Return goals with those in a row as one that go together.
+
+    Args:
+        database: knows predicates; what the first of them computes has `joins`.
+        counts: how often each variable occurs in the clause.
+        nodes: the goals.
+    """
+    found: List[GoalNode] = []
+    left = list(nodes)
+    while left:
+        goals = _row(database, left)
+        functional = database.predicate(goals[0].key).functional if goals else None
+        joins = None if functional is None else functional.joins
+        made = None if joins is None else joins([(goal.key, *goal.args) for goal in goals], counts)
+        if made is None:
+            found.append(left.pop(0))
+        else:
+            found.append(JoinedNode(goals[: made.length], made))
+            del left[: made.length]
+    return found
+
+
+def _row(database: KnownDatabase, nodes: Sequence[GoalNode]) -> List[CallNode]:
+    """Return the goals at the beginning that are built-in functions."""
+    found: List[CallNode] = []
+    for node in nodes[:_MAX_JOINED_GOALS]:
+        if not isinstance(node, CallNode) or node.form != "builtin":
+            break
+        if database.predicate(node.key).functional is None:
+            break
+        found.append(node)
+    return found
+
+
+def write_call(scope: Scope, node: CallNode) -> None:
+    """Write an inline call; it fails by the scope's fail statement."""
+    _WRITERS[node.form](scope, node)
+
+
+def _unify(scope: Scope, node: CallNode) -> None:
+    left, right = deref(node.args[0]), deref(node.args[1])
+    if left.__class__ is not Var:
+        left, right = right, left
+    if left.__class__ is not Var:
+        _unify_terms(scope, left, right)
+        return
+    if left not in scope.names:
+        if right.__class__ is Var and right not in scope.names:
+            scope.names[left] = scope.names[right] = scope.create(right)
+            scope.fresh.discard(right)
+            return
+        if left not in variables(right):
+            scope.names[left] = scope.build(right)
+            if right.__class__ is not Var:
+                name = scope.clause.local(left)
+                scope.line(f"{name} = {scope.names[left]}")
+                scope.names[left] = name
+                if right.__class__ in (int, float) and right - right == 0:
+                    scope.numbers[left] = name, right.__class__.__name__
+            return
+    if right.__class__ is Var and right not in scope.names:
+        scope.names[right] = scope.local(left)
+        scope.fresh.discard(left)
+        return
+    scope.fresh.discard(left)
+    match(scope, scope.local(left), right)
+
+
+def _unify_terms(scope: Scope, left: Term, right: Term) -> None:
+    """Unify two terms that are both no variables: argument by argument."""
+    if left.__class__ is tuple and right.__class__ is tuple:
+        if left[0] is not right[0]:
+            scope.line(scope.fail)
+            return
+        scope.binds = True
+        scope.line(f"if not unify({scope.build(left)}, {scope.build(right)}, trail):")
+        scope.line(f"    {scope.fail}")
+        forget_fresh(scope, left)
+        forget_fresh(scope, right)
+    elif left.__class__ is not right.__class__ or not (left is right or left == right):
+        scope.line(scope.fail)
+
+
+def _is(scope: Scope, node: CallNode) -> None:
+    target = deref(node.args[0])
+    value, kind = number_of_program(scope, node.args[1])
+    if target.__class__ is Var and target not in scope.names:
+        if target in variables(node.args[1]):
+            scope.create(target)
+        elif value[0] in "tn":
+            scope.names[target] = value
+            scope.numbers[target] = value, kind
+            return
+        else:
+            name = scope.clause.local(target)
+            scope.line(f"{name} = {value}")
+            scope.names[target] = name
+            scope.numbers[target] = name, kind
+            return
+    name = scope.temp("p")
+    scope.line(f"{name} = {scope.build(target)}")
+    scope.binds = True
+    scope.dereference(name)
+    scope.line("if k is Var:")
+    scope.line(f"    {name}.ref = {value}")
+    scope.line(f"    push({name})")
+    scope.line(
+        f"elif k is not {value}.__class__ or not same({name}, {value}):"
+        if value[0] in "tn"
+        else f"elif {differs(deref(node.args[1]), name, value)}:"
+    )
+    scope.line(f"    {scope.fail}")
+
+
+def _builtin(scope: Scope, node: CallNode) -> None:
+    functional = scope.unit.database.predicate(node.key).functional
+    if functional is not None:
+        _function(scope, node, functional)
+        return
+    scope.line(f"if not {_builtin_call(scope, node)}:")
+    scope.line(f"    {scope.fail}")
+
+
+def _builtin_call(scope: Scope, node: CallNode) -> str:
+    scope.binds = True
+    args = "".join(f", {scope.build(arg)}" for arg in node.args)
+    for arg in node.args:
+        forget_fresh(scope, arg)
+    return f"{scope.unit.builtin(node.key)}(M{args})"
+
+
+def _joined(scope: Scope, node: CallNode) -> None:
+    """Write the call of the function of goals that are joined."""
+    assert isinstance(node, JoinedNode)
+    *inputs, output = node.args
+    result = scope.temp("p")
+    call = scope.unit.constant(node.function)
+    scope.line(f"{result} = {call}({', '.join([scope.build(arg) for arg in inputs])})")
+    scope.line(f"if {result} is None:")
+    scope.line(f"    {scope.fail}")
+    for arg in inputs:
+        forget_fresh(scope, arg)
+    output = deref(output)
+    if output.__class__ is Var and output in scope.names:
+        _bind_output(scope, output, result)
+    else:
+        match(scope, result, output)
+
+
+def _function(scope: Scope, node: CallNode, functional: KnownFunction) -> None:
+    """Write a call for the outputs, and their unification; void variables are left alone."""
+    inputs = [node.args[at] for at in functional.inputs]
+    result = scope.temp()
+    call = scope.unit.constant(functional.function)
+    if node.key is KNOWN_ARG:
+        write_argument(scope, result, call, *inputs)
+    else:
+        scope.line(f"{result} = {call}({', '.join([scope.build(arg) for arg in inputs])})")
+        scope.line(f"if {result} is None:")
+        scope.line(f"    {scope.fail}")
+    for arg in inputs:
+        forget_fresh(scope, arg)
+    for index, (at, show) in enumerate(zip(functional.outputs, functional.shows)):
+        arg = deref(node.args[at])
+        if arg.__class__ is Var and scope.clause.is_void(arg):
+            continue
+        value = result if functional.single else f"{result}[{index}]"
+        name = scope.temp("p")
+        scope.line(f"{name} = {value}" if show is None else f"{name} = {scope.unit.constant(show)}({value})")
+        if node.key is KNOWN_ARG and arg.__class__ is Var and arg in scope.names:
+            _bind_output(scope, arg, name)
+        else:
+            match(scope, name, arg)
+
+
+def _bind_output(scope: Scope, var: Var, value: str) -> None:
+    """Write the unification of a variable that is there already, most likely unbound, with a value."""
+    name = scope.names[var]
+    scope.binds = True
+    scope.fresh.discard(var)
+    scope.dereference(name)
+    scope.line(f"if k is Var and {value}.__class__ is not Var:")
+    scope.line(f"    {name}.ref = {value}")
+    scope.line(f"    push({name})")
+    scope.line(f"elif not unify({name}, {value}, trail):")
+    scope.line(f"    {scope.fail}")
+
+
+def _direct(scope: Scope, node: CallNode) -> None:
+    """Write a call of a predicate as a function, see `compiler.direct`."""
+    result = scope.temp()
+    scope.binds = True
+    args = ", ".join([scope.build(arg) for arg in node.args])
+    for arg in node.args:
+        forget_fresh(scope, arg)
+    direct = scope.unit.database.direct(node.key)
+    direct.prepare(node.once)
+    function = scope.unit.constant(direct)
+    scope.line(f"{result} = {function}.{'first' if node.once else 'only'}({args})")
+    scope.line(f"if not {result}:")
+    scope.line(f"    if {result} is None:")
+    scope.line(f"        {scope.give_up}")
+    scope.line(f"    {scope.fail}")
+
+
+def _test(scope: Scope, node: CallNode) -> None:
+    scope.line(f"if not ({simple_test(scope, node)}):")
+    scope.line(f"    {scope.fail}")
+
+
+def simple_test(scope: Scope, node: GoalNode) -> Optional[str]:
+    """Return the Python condition of a test that binds nothing, after writing what it needs; None for others."""
+    if not isinstance(node, CallNode):
+        return None
+    if node.form == "arithmetic":
+        left, _ = number(scope, node.args[0])
+        right, _ = number(scope, node.args[1])
+        return f"{left} {COMPARISONS[node.key]} {right}"
+    if node.form == "type":
+        return TYPE_TESTS[node.key].format(dereferenced(scope, node.args[0]))
+    if node.form == "order":
+        return _order(scope, node)
+    return None
+
+
+def _order(scope: Scope, node: CallNode) -> str:
+    left, right = deref(node.args[0]), deref(node.args[1])
+    operator = ORDERS[node.key]
+    if operator in ("== 0", "!= 0"):
+        if left.__class__ is Atom:
+            left, right = right, left
+        if right.__class__ is Atom:
+            name, word = dereferenced(scope, left), "is" if operator == "== 0" else "is not"
+            return f"{name} {word} {scope.unit.constant(right)}"
+        one, other = dereferenced(scope, left), dereferenced(scope, right)
+        is_same = (
+            f"({one} is {other} or {one}.__class__ is not Var and {one}.__class__ is not Atom"
+            f" and compare({one}, {other}, unlike) == 0)"
+        )
+        return is_same if operator == "== 0" else f"not {is_same}"
+    return f"compare({scope.build(left)}, {scope.build(right)}) {operator}"
+
+
+def _differ(scope: Scope, node: CallNode) -> None:
+    mark = scope.temp("m")
+    scope.line(f"{mark} = len(trail)")
+    scope.line(f"if unify({scope.build(node.args[0])}, {scope.build(node.args[1])}, trail):")
+    scope.line(f"    undo(trail, {mark})")
+    scope.line(f"    {scope.fail}")
+    scope.line(f"undo(trail, {mark})")
+    for arg in node.args:
+        forget_fresh(scope, arg)
+
+
+_WRITERS = {
+    "unify": _unify,
+    "differ": _differ,
+    "is": _is,
+    "arithmetic": _test,
+    "order": _test,
+    "type": _test,
+    "builtin": _builtin,
+    "functor": write_functor,
+    "direct": _direct,
+    "joined": _joined,
+}
+
+
+Missed = Tuple[Set[Needed], Set[Var]]
+
+
+def write_inline(scope: Scope, node: GoalNode) -> None:
+    """Write an inline goal; it fails by the scope's fail statement."""
+    if isinstance(node, CallNode):
+        write_call(scope, node)
+    elif isinstance(node, Cut):
+        _cut(scope, node)
+    elif isinstance(node, IfThenElse):
+        _condition(scope, node)
+    else:
+        scope.line(scope.fail)
+
+
+def _cut(scope: Scope, node: Cut) -> None:
+    if node.soft:
+        height = scope.names[node.height]
+        scope.line(f"choices[{height}] = (DEAD, choices[{height}][-1])")
+        return
+    known = scope.names.get(node.height)
+    if known is None or (scope.pending is not None and node.cuts):
+        # Nothing has been pushed since the clause was entered: only the clauses that follow are given up.
+        scope.pending = None
+        scope.fail = scope.cut
+        return
+    scope.line(f"del choices[{known}:]")
+
+
+def _condition(scope: Scope, node: IfThenElse) -> None:
+    """Write an if-then-else whose parts are all inline."""
+    later = scope.later
+    scope.later = later | needed_by(node.then)
+    missed = write_test(scope, node.test)
+    before = scope.branch()
+    scope.depth += 1
+    start = len(scope.lines)
+    write_sequence(scope, node.then, later)
+    middle, then_state = len(scope.lines), scope.branch()
+    scope.restore(before)
+    forget(scope, missed)
+    scope.depth -= 1
+    scope.line("else:")
+    scope.depth += 1
+    write_sequence(scope, node.otherwise, later)
+    if node.then and isinstance(node.then[-1], Fail):
+        if len(scope.lines) == middle + 1:
+            scope.line("pass")
+    elif node.otherwise and isinstance(node.otherwise[-1], Fail):
+        scope.restore(then_state)
+        if start == middle:
+            scope.lines.insert(middle, "    " * scope.depth + "pass")
+    else:
+        _join(scope, then_state, later, start, middle)
+    scope.depth -= 1
+
+
+def write_sequence(scope: Scope, nodes: Sequence[GoalNode], later: FrozenSet[Needed]) -> None:
+    """Write inline goals one after the other; ``later`` is what is needed after them."""
+    nodes = join(scope.unit.database, scope.clause.counts, nodes)
+    for at, node in enumerate(nodes):
+        scope.later = later | needed_by(nodes[at + 1 :])
+        write_inline(scope, node)
+    scope.later = later
+
+
+def forget(scope: Scope, missed: Missed) -> None:
+    """Forget what a failed test may have left unset."""
+    names, numbers = missed
+    for var in names:
+        scope.names.pop(var, None)
+    for var in numbers:
+        scope.numbers.pop(var, None)
+
+
+def _join(scope: Scope, then_state: ScopeState, later: FrozenSet[Needed], start: int, middle: int) -> None:
+    """Give the variables that are needed later the same names at the ends of both branches."""
+    then_lines: List[str] = []
+    indent = "    " * scope.depth
+    else_names, then_names = scope.names, then_state[0]
+    merged: Dict[Needed, str] = {}
+    for var in {**then_names, **else_names}:
+        left, right = then_names.get(var), else_names.get(var)
+        if left == right:
+            merged[var] = right  # type: ignore[assignment]
+        elif var in later and var.__class__ is Var:
+            name = merged[var] = scope.clause.local(var)
+            if left != name:
+                then_lines.append(f"{indent}{name} = {left or 'Var()'}")
+            if right != name:
+                scope.line(f"{name} = {right or 'Var()'}")
+    if len(scope.lines) == middle + 1:
+        scope.line("pass")
+    if not then_lines and middle == start:
+        then_lines.append(f"{indent}pass")
+    scope.lines[middle:middle] = then_lines
+    scope.names = merged
+    scope.fresh &= then_state[1]
+    numbers = then_state[2]
+    scope.numbers = {
+        var: value for var, value in scope.numbers.items() if numbers.get(var) == value and var in merged
+    }
+
+
+def write_test(scope: Scope, test: List[GoalNode]) -> Missed:
+    """Write an ``if`` line that is true where a test (a list of inline goals) succeeds.
+
+    Bindings of a test that fails are undone.
+
+    Returns:
+        What may have no value where it fails, for `forget`.
+    """
+    known, numbers = set(scope.names), dict(scope.numbers)
+    if len(test) == 1:
+        condition = simple_test(scope, test[0])
+        if condition is not None:
+            scope.line(f"if {condition}:")
+            return set(), set()
+    flag, mark = scope.temp("ok"), scope.temp("m")
+    fail, scope.fail = scope.fail, "break"
+    scope.line(f"{flag} = False")
+    # The test works on copies: what it finds by following its own bindings must not outlive them.
+    outer = scope.names
+    scope.names = dict(outer)
+    for var in sorted(needed_by(test), key=scope.clause.number):
+        if var.__class__ is Var and var in outer:
+            scope.names[var] = scope.temp("w")
+            scope.line(f"{scope.names[var]} = {outer[var]}")
+    at = len(scope.lines)
+    binds, scope.binds = scope.binds, False
+    scope.line("while True:")
+    scope.depth += 1
+    write_sequence(scope, test, scope.later)
+    scope.line(f"{flag} = True")
+    scope.line("break")
+    scope.depth -= 1
+    if scope.binds:
+        scope.lines.insert(at, "    " * scope.depth + f"{mark} = len(trail)")
+        scope.line(f"if not {flag}:")
+        scope.line(f"    undo(trail, {mark})")
+    scope.binds |= binds
+    scope.fail = fail
+    scope.names.update(outer)
+    scope.line(f"if {flag}:")
+    return set(scope.names) - known, {
+        var for var, value in scope.numbers.items() if numbers.get(var) != value
+    }

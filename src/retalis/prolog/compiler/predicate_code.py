@@ -1,0 +1,637 @@
+"""First-level keys of terms, which indexes and compiled clauses compare.
+
+Code that looks for a matching fact among many: one function for each arity and indexed argument.
+
+Code for clauses that build a list (or another chain of terms) while they recurse.
+
+``app([H|T], L, [H|R]) :- app(T, L, R)`` called with an unbound third argument makes one cell a turn, each
+ending in a variable that the next turn binds. The loop written here collects the items instead and makes
+the cells in one go, from the last to the first, so that no variable is needed in between.
+
+Code for predicates: the switch on an argument, and the clauses that are left one after the other.
+"""
+
+from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Tuple
+
+from ...foundation import codegen
+from ...foundation.errors import Place
+from ..machine.machine import Code
+from ..terms.types import TRUE, Atom, CompoundTerm, Frame, Functor, Lazy, Runs, Step, Term, Var, deref
+from .body_code import BodyGenerator
+from .clause_nodes import BodyParser, CallNode, GoalNode, Height, KnownDatabase, needed_by
+from .code_scope import ClauseVariables, Loop, Scope, Unit
+from .inline_goals import write_inline
+from .unification_code import match, take_apart
+
+
+def key_of(term: Any) -> object:
+    """Return the first-level key of a term for indexes: constant, functor, or None for a variable."""
+    kind = term.__class__
+    if kind is tuple:
+        return term[0]
+    if kind is Atom or kind is int:
+        return term
+    if kind is Var:
+        term = deref(term)
+        return None if term.__class__ is Var else key_of(term)
+    if kind is Lazy:
+        found = term.functor
+        return found if found.arity else key_of(term.term())
+    if kind is float:
+        return float, term.hex()
+    return term
+
+
+def fact_search(
+    arity: int, indexed: Optional[int], namespace: Dict[str, object]
+) -> Callable[..., Optional[Frame]]:
+    """Return ``search(frame, clauses, at, end, generation, keys)``, which tries ground facts in order.
+
+    It returns the frame to go on with, after pushing a choice point where another fact may match.
+
+    Args:
+        arity: of the predicate.
+        indexed: the argument (from 0) that the index has compared already: facts agree in its first level.
+        namespace: what `search` names: ``Var``, ``Code``, ``unify``, ``undo``, ``trail``, ``push``, ``choose``,
+            ``may_match``.
+    """
+    source = "\n".join(_search(arity, indexed)) + "\n"
+    found: Callable[..., Optional[Frame]] = codegen.shared_function(
+        source, namespace, f"facts of {arity} arguments"
+    )
+    return found
+
+
+def _search(arity: int, indexed: Optional[int]) -> List[str]:
+    begin = ["def again(entry):", "    _, frame, clauses, at, end, generation, keys, mark = entry"]
+    made = ["def made(frame, clauses, at, end, generation, keys):", "    mark = len(trail)"]
+    tries = _tries(arity, indexed)
+    return [*begin, *tries, 'retry = Code("facts", again)', *made, *_next("    "), *tries]
+
+
+def _next(indent: str) -> List[str]:
+    """Return the lines that go on to the next fact that is there and may match."""
+    lines = [
+        "while at < end:",
+        "    other = clauses[at]",
+        "    if other.died > generation and (keys is None or may_match(keys, other.keys)):",
+        "        break",
+        "    at += 1",
+    ]
+    return [indent + line for line in lines]
+
+
+def _tries(arity: int, indexed: Optional[int]) -> List[str]:
+    """Return the lines that try facts, from one on that may match."""
+    lines = [
+        f"    _, {''.join(f'a{at}, ' for at in range(arity))}after = frame",
+        "    while at < end:",
+        f"        _, {''.join(f'c{at}, ' for at in range(arity))[:-2]} = clauses[at].head",
+        "        at += 1",
+        *_next("        "),
+    ]
+    for at in range(arity):
+        lines += _argument(at, at == indexed)
+    return [
+        *lines,
+        "        if at < end:",
+        "            choose((retry, frame, clauses, at, end, generation, keys, mark))",
+        "        return after",
+        "    return None",
+    ]
+
+
+def _argument(at: int, indexed: bool) -> List[str]:
+    """Return the lines that unify argument ``at`` with the fact's."""
+    lines = [
+        f"        b = a{at}",
+        f"        if b is not c{at}:",
+        "            k = b.__class__",
+        "            while k is Var:",
+        "                r = b.ref",
+        "                if r is None:",
+        "                    break",
+        "                b = r",
+        "                k = r.__class__",
+        "            if k is Var:",
+        f"                b.ref = c{at}",
+        "                push(b)",
+        f"            elif b is not c{at} and not unify(b, c{at}, trail):",
+        "                undo(trail, mark)",
+        "                continue",
+    ]
+    if indexed:
+        return [f"        if c{at}.__class__ is tuple:", *["    " + line for line in lines]]
+    return lines
+
+
+class Shape(NamedTuple):
+    """What makes a clause build: position of the argument that is built, and of the hole in its cell."""
+
+    position: int
+    hole: int
+
+
+def shape_of(
+    clause: ClauseVariables, args: Sequence[Term], nodes: Sequence[GoalNode], key: Functor, switch: int
+) -> Optional[Shape]:
+    """Return the shape of a clause whose last goal calls its own predicate, or None where it does not fit.
+
+    Args:
+        clause: counts of its variables.
+        args: of its head.
+        nodes: its body; inline goals may be arithmetic only, which cannot notice when a cell is made.
+        key: functor of the predicate.
+        switch: the argument that the predicate switches on, a compound term.
+    """
+    call = nodes[-1] if nodes else None
+    if not isinstance(call, CallNode) or call.inline or call.key is not key:
+        return None
+    if any(not isinstance(node, CallNode) or node.form not in ("is", "arithmetic") for node in nodes[:-1]):
+        return None
+    found = None
+    for at, arg in enumerate(args):
+        arg = deref(arg)
+        if arg.__class__ is not tuple or at == switch:
+            continue
+        hole = deref(call.args[at])
+        places = [number for number, item in enumerate(arg) if number and deref(item) is hole]
+        if found is not None or hole.__class__ is not Var or len(places) != 1 or clause.counts[hole] != 2:
+            return None
+        found = Shape(at, places[0])
+    return found
+
+
+def write_building(
+    scope: Scope,
+    locals_: Sequence[str],
+    args: Sequence[Term],
+    nodes: Sequence[GoalNode],
+    shape: Shape,
+    switch: int,
+) -> None:
+    """Write the loop for an unbound argument; afterwards the general code of the clause follows."""
+    call = nodes[-1]
+    assert isinstance(call, CallNode)
+    source, built = locals_[switch], locals_[shape.position]
+    pattern, cell = deref(args[switch]), deref(args[shape.position])
+    assert pattern.__class__ is tuple
+    assert cell.__class__ is tuple
+    before = scope.branch()
+    scope.dereference(built)
+    scope.line("if k is Var:")
+    scope.depth += 1
+    scope.line("items = []")
+    scope.line("for _ in LOOP:")
+    scope.depth += 1
+    for at, arg in enumerate(args):
+        arg = deref(arg)
+        if arg.__class__ is Var and at != shape.position:
+            scope.names.setdefault(arg, locals_[at])
+    take_apart(scope, source, pattern, 0, check=False)
+    for at, arg in enumerate(args):
+        arg = deref(arg)
+        if at not in (switch, shape.position) and not (arg.__class__ is Var and scope.clause.is_void(arg)):
+            match(scope, locals_[at], arg)
+    for at, node in enumerate(nodes[:-1]):
+        scope.later = needed_by(nodes[at + 1 :])
+        write_inline(scope, node)
+    items = [scope.build(item) for number, item in enumerate(cell) if number not in (0, shape.hole)]
+    scope.line(f"items.append({', '.join(items) if len(items) == 1 else '(' + ', '.join(items) + ')'})")
+    _advance(scope, locals_, call, shape)
+    scope.dereference(source)
+    scope.line(f"if k is not tuple or {source}[0] is not {scope.unit.constant(pattern[0])}:")
+    scope.line("    break")
+    scope.depth -= 1
+    scope.line("else:")
+    scope.line("    BUDGET.turned()")
+    scope.line("last = hole = Var()")
+    _cells(scope, cell, shape)
+    scope.line(f"{built}.ref = last")
+    scope.line(f"push({built})")
+    again = [*locals_]
+    again[shape.position] = "hole"
+    scope.line("if len(items) > 255:")
+    scope.line(f"    return ({', '.join([scope.unit.predicate(call.key), *again, 'after'])})")
+    scope.line(f"{built} = hole")
+    scope.line("continue")
+    scope.depth -= 1
+    scope.restore(before)
+    scope.looped = True
+
+
+def _advance(scope: Scope, locals_: Sequence[str], call: CallNode, shape: Shape) -> None:
+    """Write the arguments of the next turn."""
+    changed: List[Tuple[str, str]] = []
+    for at, arg in enumerate(call.args):
+        if at != shape.position:
+            value = scope.build(arg)
+            if value != locals_[at]:
+                changed.append((locals_[at], value))
+    if changed:
+        targets, sources = zip(*changed)
+        scope.line(f"{', '.join(targets)} = {', '.join(sources)}")
+
+
+def _cells(scope: Scope, cell: CompoundTerm, shape: Shape) -> None:
+    """Write the making of the cells, from the last to the first."""
+    count = len(cell) - 2
+    parts = []
+    number = 0
+    for at in range(1, len(cell)):
+        if at == shape.hole:
+            parts.append("last")
+        else:
+            parts.append("item" if count == 1 else f"item[{number}]")
+            number += 1
+    scope.line("items.reverse()")
+    scope.line("for item in items:")
+    scope.line(f"    last = ({', '.join([scope.unit.constant(cell[0]), *parts])})")
+
+
+_TOGETHER = 4
+"""Clauses of a chain that are tried in one function; the rest is another function."""
+
+
+class ClauseParts:
+    """What the generator needs of a clause: arguments of its head, body, where it is from."""
+
+    __slots__ = ("args", "body", "place")
+
+    def __init__(self, args: Sequence[Term], body: Term, place: Optional[Place] = None):
+        self.args = tuple(args)
+        self.body = body
+        self.place = place
+
+
+class PredicateGenerator:
+    """Generates the functions of one predicate.
+
+    Args:
+        database: knows predicates and the machine.
+        key: name and arity.
+        rules: its clauses in order.
+        code: the code object that calls of it go through.
+        unbound: arguments that are unbound in the calls that it is for, as far as that is known.
+    """
+
+    def __init__(
+        self,
+        database: KnownDatabase,
+        key: Functor,
+        rules: Sequence[ClauseParts],
+        code: Runs,
+        unbound: FrozenSet[int] = frozenset(),
+    ):
+        self.database = database
+        self.key = key
+        self.rules = rules
+        self.code = code
+        self.locals = [f"a{at}" for at in range(1, key.arity + 1)]
+        self._unbound = unbound
+        self.position = _switch_position(rules, key.arity, unbound)
+        self._retries: Dict[Tuple[int, ...], Code] = {}
+        self.steady = False
+
+    def main(self) -> Step:
+        """Return the function of the predicate; `steady` then tells whether it is as `Code.steady` says."""
+        unit = Unit(self.database.machine, self.database)
+        body = self._switch(unit)
+        self.steady = not body.pushes
+        head = self._unpack("")
+        if body.looped:
+            loop = ["    for _ in LOOP:", *["    " + line for line in body.lines]]
+            again = ", ".join([unit.constant(self.code), *self.locals, "after"])
+            lines = [head, *loop, "    BUDGET.turned()", f"    return ({again})"]
+        else:
+            lines = [head, *body.lines]
+        unit.add(["def main(frame):", *lines])
+        return self._finish(unit, "main", "")
+
+    def single(self, index: int) -> Step:
+        """Return the function of one clause; its frame ends with the height that its cuts cut to."""
+        unit = Unit(self.database.machine, self.database)
+        scope = self._clause(unit, index, None, height="height")
+        unit.add(["def main(frame):", self._unpack(", height"), *scope.lines])
+        return self._finish(unit, "main", f" clause {index + 1}")
+
+    def _finish(self, unit: Unit, name: str, part: str) -> Step:
+        source = unit.source()
+        place = next((rule.place for rule in self.rules if rule.place is not None), None)
+        function: Step = unit.finish(source, title_of(place, f"{self.key}{part}"))[name]
+        return function
+
+    def _unpack(self, last: str) -> str:
+        return f"    {', '.join(['_', *self.locals, 'after'])}{last} = frame"
+
+    # The switch
+
+    def _switch(self, unit: Unit) -> Scope:
+        everything = tuple(range(len(self.rules)))
+        out = Scope(unit, ClauseVariables(()))
+        if self.position is None:
+            self._chain(out, everything, None)
+            return out
+        groups = self._groups(self.position)
+        local = self.locals[self.position]
+        out.dereference(local)
+        self._tuple_case(out, groups, local)
+        out.line("elif k is Var:")
+        other = self._other(self.position)
+        if other is not None:
+            out.push(f"    return {unit.constant(other)}.run(({', '.join(['None', *self.locals, 'after'])}))")
+        else:
+            retry = ", ".join([unit.constant(self._retry(everything)), *self.locals, "after", "len(trail)"])
+            out.line(f"    return ({retry})")
+        self._atomic_case(out, groups, local, Atom, "is")
+        self._atomic_case(out, groups, local, int, "==")
+        out.line("elif k is Lazy:")
+        again = ["None", *self.locals, "after"]
+        again[self.position + 1] = f"{local}.term()"
+        out.line(f"    return {unit.constant(self.code)}.run(({', '.join(again)}))")
+        others = [key for key in groups if key.__class__ not in (Atom, int, Functor)]
+        rest = tuple(sorted({*groups[None], *[at for key in others for at in groups[key]]}))
+        if rest:
+            out.line("else:")
+            self._case(out, rest, None)
+        out.line("return None")
+        return out
+
+    def _other(self, position: int) -> Optional[Code]:
+        """Return code for calls with an unbound argument at ``position``, if another one tells clauses apart.
+
+        Its function is generated when it is first run.
+        """
+        unbound = self._unbound | {position}
+        if _switch_position(self.rules, self.key.arity, unbound) is None:
+            return None
+
+        def first(frame: Frame) -> Optional[Frame]:
+            code.run = PredicateGenerator(self.database, self.key, self.rules, self.code, unbound).main()
+            return code.run(frame)
+
+        code = Code(str(self.key), first)
+        code.functor = self.key
+        return code
+
+    def _groups(self, position: int) -> Dict[object, List[int]]:
+        """Return the clauses for each first-level key of the switched argument; None for all other keys."""
+        groups: Dict[object, List[int]] = {None: []}
+        for at, rule in enumerate(self.rules):
+            key = key_of(rule.args[position])
+            if key is None:
+                for clauses in groups.values():
+                    clauses.append(at)
+            else:
+                groups.setdefault(key, list(groups[None])).append(at)
+        return groups
+
+    def _tuple_case(self, out: Scope, groups: Dict[object, List[int]], local: str) -> None:
+        keys = [key for key in groups if key.__class__ is Functor]
+        out.line("if k is tuple:")
+        out.depth += 1
+        word = "if"
+        for key in keys:
+            out.line(f"{word} {local}[0] is {out.unit.constant(key)}:")
+            self._case(out, tuple(groups[key]), key)
+            word = "elif"
+        if groups[None]:
+            if keys:
+                out.line("else:")
+                self._case(out, tuple(groups[None]), None)
+            else:
+                self._chain(out, tuple(groups[None]), None)
+        else:
+            if keys:
+                out.line("else:")
+                out.depth += 1
+            out.line("return None")
+            if keys:
+                out.depth -= 1
+        out.depth -= 1
+
+    def _atomic_case(
+        self, out: Scope, groups: Dict[object, List[int]], local: str, kind: type, test: str
+    ) -> None:
+        keys = [key for key in groups if key.__class__ is kind]
+        if not keys:
+            return
+        out.line(f"elif k is {kind.__name__}:")
+        out.depth += 1
+        word = "if"
+        for key in keys:
+            out.line(f"{word} {local} {test} {out.unit.constant(key)}:")
+            self._case(out, tuple(groups[key]), key)
+            word = "elif"
+        if groups[None]:
+            out.line("else:")
+            self._case(out, tuple(groups[None]), None)
+        else:
+            out.line("else:")
+            out.line("    return None")
+        out.depth -= 1
+
+    def _case(self, out: Scope, chain: Tuple[int, ...], key: object) -> None:
+        out.depth += 1
+        self._chain(out, chain, key)
+        out.depth -= 1
+
+    # Chains of clauses
+
+    def _chain(self, out: Scope, chain: Tuple[int, ...], key: object, retried: bool = False) -> None:
+        """Write the clauses of a chain one after the other.
+
+        Args:
+            out: where to.
+            chain: which clauses.
+            key: what is known of the switched argument: its functor or constant.
+            retried: the function runs on backtracking: ``mark`` is there already.
+        """
+        unit = out.unit
+        if len(chain) > 1 and not retried:
+            out.line("mark = len(trail)")
+        for at, index in enumerate(chain[:_TOGETHER]):
+            rest = chain[at + 1 :]
+            scope = self._clause(unit, index, rest, key, out.depth, not retried, len(chain) == 1)
+            out.looped |= scope.looped
+            out.pushes |= scope.pushes
+            out.lines += scope.lines
+            if rest and scope.binds:
+                out.line("while len(trail) > mark:")
+                out.line("    pop().ref = None")
+        rest = chain[_TOGETHER:]
+        if rest:
+            frame = ", ".join([unit.constant(self._retry(rest)), *self.locals, "after", "mark"])
+            out.line(f"return ({frame})")
+
+    def _retry(self, chain: Tuple[int, ...]) -> Code:
+        """Return the code of a choice point for a chain; its function is generated when it is first run."""
+        known = self._retries.get(chain)
+        if known is not None:
+            return known
+
+        def first(frame: Frame) -> Optional[Frame]:
+            unit = Unit(self.database.machine, self.database)
+            out = Scope(unit, ClauseVariables(()))
+            self._chain(out, chain, None, retried=True)
+            unit.add(["def main(frame):", self._unpack(", mark"), *out.lines])
+            code.run = self._finish(unit, "main", f" from clause {chain[0] + 1}")
+            return code.run(frame)
+
+        code = self._retries[chain] = Code(str(self.key), first)
+        code.functor = self.key
+        return code
+
+    def _clause(
+        self,
+        unit: Unit,
+        index: int,
+        rest: Optional[Tuple[int, ...]],
+        key: object = None,
+        depth: int = 1,
+        loops: bool = False,
+        alone: bool = False,
+        height: Optional[str] = None,
+    ) -> Scope:
+        """Return the code of a clause: head, then body; where others follow, as a block that breaks to fail."""
+        rule = self.rules[index]
+        clause = ClauseVariables((*rule.args, rule.body))
+        entry = Height("height")
+        scope = Scope(unit, clause)
+        scope.depth = depth
+        if rest:
+            scope.fail = "break"
+            scope.depth += 1
+        if loops:
+            scope.loop = Loop(self.key, self.locals, "" if rest else "continue", self._end(unit))
+        elif rest == ():
+            # Backtracking runs the last clause: a call of the predicate itself at once saves a step for each
+            # solution. Such calls do not nest: only backtracking runs this code.
+            scope.calls_at_once = self.key
+        if height is not None:
+            scope.names[entry] = height
+        if loops and alone and key.__class__ is Functor and self.position is not None:
+            self._build(scope, rule, entry, self.position)
+        locals_ = self._own_locals(scope, rule, key) if rest else self.locals
+        if rest:
+            frame = ", ".join([unit.constant(self._retry(rest)), *self.locals, "after", "mark"])
+            scope.pending = f"{self._guard(scope, index, rest, locals_)}choose(({frame}))"
+        self._head(scope, rule, key, locals_)
+        nodes = BodyParser(self.database, entry).parse(rule.body)
+        bodies = BodyGenerator(unit, clause, entry, self.database.interpret, str(self.key), self.key)
+        bodies.write(scope, nodes)
+        if rest:
+            indent = "    " * depth
+            if scope.looped:
+                scope.lines = [
+                    f"{indent}for _ in ONE:",
+                    *scope.lines,
+                    f"{indent}else:",
+                    f"{indent}    continue",
+                ]
+            else:
+                scope.lines = [f"{indent}while True:", *scope.lines]
+        return scope
+
+    def _guard(self, scope: Scope, index: int, rest: Tuple[int, ...], locals_: Sequence[str]) -> str:
+        """Return the test, with ``if``, that others may match where a clause has matched; nothing where they may.
+
+        They do not if they have other keys for an argument that was no variable at the call: it has the key of this
+        clause. That is looked at before the head, which binds variables.
+        """
+        tests = []
+        for at, (local, arg) in enumerate(zip(locals_, self.rules[index].args)):
+            key = key_of(arg)
+            others = [key_of(self.rules[other].args[at]) for other in rest]
+            if at != self.position and key is not None and None not in others and key not in others:
+                scope.dereference(local)
+                tests.append(f"{local}.__class__ is Var")
+        if not tests:
+            return ""
+        unknown = scope.temp("u")
+        scope.line(f"{unknown} = {' and '.join(tests)}")
+        return f"if {unknown}: "
+
+    def _end(self, unit: Unit) -> Optional[Tuple[int, str]]:
+        """Return the switched argument and an atom for which the predicate is true whatever the others are."""
+        if self.position is None:
+            return None
+        for key, clauses in self._groups(self.position).items():
+            rule = self.rules[clauses[0]] if clauses else None
+            if key.__class__ is not Atom or rule is None or len(clauses) > 1 or rule.body is not TRUE:
+                continue
+            others = [deref(arg) for at, arg in enumerate(rule.args) if at != self.position]
+            if len(set(others)) == len(others) and all(arg.__class__ is Var for arg in others):
+                return self.position, unit.constant(key)
+        return None
+
+    def _build(self, scope: Scope, rule: ClauseParts, entry: Height, position: int) -> None:
+        """Write a loop of its own for a clause that builds a list as it recurses."""
+        nodes = BodyParser(self.database, entry).parse(rule.body)
+        shape = shape_of(scope.clause, rule.args, nodes, self.key, position)
+        if shape is not None:
+            write_building(scope, self.locals, rule.args, nodes, shape, position)
+
+    def _own_locals(self, scope: Scope, rule: ClauseParts, key: object) -> List[str]:
+        """Copy the arguments for a clause that others follow, and return the names of the copies.
+
+        Dereferencing exchanges a local for what it is bound to; where the clause itself has bound it, the
+        clauses that follow must not see that.
+        """
+        found = []
+        for at, (local, arg) in enumerate(zip(self.locals, rule.args)):
+            arg = deref(arg)
+            is_known = key is not None and at == self.position
+            if is_known or (arg.__class__ is Var and scope.clause.is_void(arg)):
+                found.append(local)
+            else:
+                found.append(f"b{at + 1}")
+        copies = [(own, local) for own, local in zip(found, self.locals) if own != local]
+        if copies:
+            owns, locals_ = zip(*copies)
+            scope.line(f"{', '.join(owns)} = {', '.join(locals_)}")
+        return found
+
+    def _head(self, scope: Scope, rule: ClauseParts, key: object, locals_: Sequence[str]) -> None:
+        """Write the unification of the head: constants, which bind least, then variables, then compound terms."""
+        patterns = [(local, deref(arg), at) for at, (local, arg) in enumerate(zip(locals_, rule.args))]
+        for local, arg, _ in patterns:
+            if arg.__class__ is Var and arg not in scope.names:
+                scope.names[arg] = local
+        for rank in (0, 1, 2):
+            for local, arg, at in patterns:
+                if rank != (2 if arg.__class__ is tuple else 1 if arg.__class__ is Var else 0):
+                    continue
+                if key is not None and at == self.position:
+                    if arg.__class__ is tuple:
+                        take_apart(scope, local, arg, 0, check=False)
+                        continue
+                    if arg.__class__ is not Var:
+                        continue
+                if arg.__class__ is Var and scope.clause.is_void(arg):
+                    continue
+                match(scope, local, arg)
+
+
+def title_of(place: Optional[Place], name: str) -> str:
+    """Return what tracebacks call the code that is generated for something at a place."""
+    return name if place is None else f"{place.source}:{place.line} {name}"
+
+
+def _switch_position(
+    rules: Sequence[ClauseParts], arity: int, unbound: FrozenSet[int] = frozenset()
+) -> Optional[int]:
+    """Return the argument that tells the clauses apart best, the first where it does; None where none does."""
+    best, position = 0, None
+    for at in range(min(arity, 8) if len(rules) > 1 else 0):
+        if at in unbound:
+            continue
+        keys = [key_of(rule.args[at]) for rule in rules]
+        known = [key for key in keys if key is not None]
+        distinct = len(set(known))
+        score = distinct * 4 - (len(keys) - len(known)) * 3
+        if known and score > best:
+            best, position = score, at
+        if at == 0 and distinct > 1 and position == 0:
+            break
+    return position

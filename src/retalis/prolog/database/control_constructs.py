@@ -1,0 +1,508 @@
+"""Bodies that are interpreted, and in which so much time is spent that they are compiled while they run.
+
+What is called seldom is not compiled; but a body that is run once may go over its goals a million times by
+backtracking. The machine shows what it is about to interpret once in a slice of steps, see `Machine.meet`: what is
+met again is compiled, with its variables as arguments, and from then on run that way when it is gone on with.
+
+Control on the machine: running a goal from its term, and the built-ins that decide what runs next.
+"""
+
+from typing import Any, Callable, Dict, List, Optional, Set, Tuple
+
+from ...foundation.cancellation import BULK, look
+from ...foundation.errors import TermTooLarge
+from ..compiler.clause_nodes import ARROW, BAR, CALL, IGNORE, NOT, ONCE, SEMICOLON, SOFT_ARROW
+from ..compiler.predicate_code import ClauseParts, PredicateGenerator
+from ..machine.errors import PrologError, instantiation_error, type_error
+from ..machine.machine import DEAD, RESUME, CatchMark, Code, Machine
+from ..terms.list_terms import list_parts, make_list
+from ..terms.term_traversal import LATE_ROUND, ROUNDS, copy, is_ground, refuse_cycles
+from ..terms.types import (
+    COMMA,
+    FALSE,
+    NIL,
+    TRUE,
+    Atom,
+    CompoundTerm,
+    Frame,
+    Functor,
+    Lazy,
+    Step,
+    Term,
+    Values,
+    Var,
+    deref,
+    functor,
+)
+from .database import Database
+from .module_system import Modules
+
+_MAX_BODY_PARTS = 400
+"""Larger bodies are not compiled; what they have are most likely terms that were passed to them."""
+
+_MAX_BODIES = 16
+STRUCTURES = {COMMA, SEMICOLON, BAR, ARROW, SOFT_ARROW, NOT}
+
+
+class JustInTimeBodies:
+    """The bodies that were met and those that are compiled, by the identity of their terms.
+
+    Attributes:
+        compiled: what runs a body, its variables, and the body, whose identity it keeps from being used again.
+    """
+
+    def __init__(self, database: Database):
+        self._database = database
+        self.compiled: Dict[int, Tuple[Step, Tuple[Var, ...], Term]] = {}
+        self._met: Dict[int, Term] = {}
+        self._refused: Set[int] = set()
+
+    def __len__(self) -> int:
+        """Return how many bodies are held."""
+        return len(self._met) + len(self.compiled)
+
+    def clear(self) -> None:
+        """Forget all: the bodies are over, or what they call has been redefined."""
+        self.compiled.clear()
+        self._met.clear()
+        self._refused.clear()
+
+    def meet(self, body: Term) -> None:
+        """Note that a body is about to be interpreted; compile it where that has been noted before."""
+        if body.__class__ is not tuple or self._database.interprets:
+            return
+        if body[0] not in STRUCTURES and not self._database.is_inline(body[0]):
+            return
+        if self._met.get(id(body)) is not body:
+            if len(self._met) >= _MAX_BODIES:
+                self._forget(next(iter(self._met)))
+            self._met[id(body)] = body
+        elif id(body) not in self.compiled and id(body) not in self._refused:
+            made = None if _calls_what_is_bound(body) else self._compile(body)
+            if made is None:
+                self._refused.add(id(body))
+            else:
+                self.compiled[id(body)] = made
+
+    def _forget(self, oldest: int) -> None:
+        del self._met[oldest]
+        self.compiled.pop(oldest, None)
+        self._refused.discard(oldest)
+
+    def _compile(self, body: Term) -> Optional[Tuple[Step, Tuple[Var, ...], Term]]:
+        names: Dict[Var, Term] = {}
+        try:
+            source = _Copied(names).term(body)
+            if source is None:
+                return None
+            key = functor("$body", len(names))
+            rule = ClauseParts(tuple(names.values()), source)
+            step = PredicateGenerator(self._database, key, [rule], Code("body", _unused)).single(0)
+        except (PrologError, RecursionError):  # where the goal with the error is reached it is thrown
+            return None
+        return step, tuple(names), body
+
+
+def _unused(frame: Frame) -> Optional[Frame]:
+    raise AssertionError("a body does not call itself")
+
+
+def _calls_what_is_bound(body: Term) -> bool:
+    """Tell whether a variable that is bound is one of the goals: a cut that it stands for is that of the body."""
+    left = [body]
+    while left:
+        goal = left.pop()
+        if goal.__class__ is Var and goal.ref is not None:
+            return True
+        if goal.__class__ is tuple and goal[0] in STRUCTURES:
+            left += goal[1:]
+    return False
+
+
+class _Copied:
+    """Copies a body as it was written: variables that are bound now may be bound to something else next time."""
+
+    def __init__(self, names: Dict[Var, Term]):
+        self._names = names
+        self._left = _MAX_BODY_PARTS
+
+    def term(self, term: Any) -> Optional[Term]:
+        """Return the copy; None where the body is too large, or has a term that is not made yet."""
+        if term.__class__ is Var:
+            return self._names.setdefault(term, Var())
+        if term.__class__ is Lazy:
+            return None
+        if term.__class__ is not tuple:
+            return term  # type: ignore[no-any-return]
+        parts: List[Any] = [term[0]]
+        self._left -= len(term)
+        if self._left < 0:
+            return None
+        for part in term[1:]:
+            copied = self.term(part)
+            if copied is None:
+                return None
+            parts.append(copied)
+        return tuple(parts)
+
+
+_CUT = functor("!", 0)
+_FAIL = functor("fail", 0)
+_COLON = functor(":", 2)
+_NECK = functor(":-", 2)
+
+
+Controls = Callable[[Machine, Values, Frame], Optional[Frame]]
+"""A control built-in: takes the machine, the arguments and the frame that follows."""
+
+
+class Control:
+    """Runs goals from their terms as frames of a database's machine.
+
+    Attributes:
+        code: the code of a frame that runs a goal from its term.
+        bodies: those of them that are compiled while they run.
+    """
+
+    def __init__(self, database: Database):
+        self._database = database
+        self.machine = database.machine
+        self._choices = database.machine.choices
+        self._trail = database.machine.trail
+        self.code = database.machine.goal_code = Code("goal", self._run)
+        self._cut_code = Code("cut", self._cut_run)
+        self._soft_code = Code("soft cut", self._soft_run)
+        self._reject_code = Code("reject", self._reject_run)
+        self._exit_code = Code("catch exit", self._exit_run)
+        self._collect_code = Code("collect", self._collect_run)
+        self._collected_code = Code("collected", lambda frame: frame[1](frame[2]), True)
+        self._plain: Dict[Functor, Callable[..., Optional[Frame]]] = {
+            SEMICOLON: self._either,
+            BAR: self._either,
+            ARROW: self._then,
+            SOFT_ARROW: self._soft,
+            NOT: self._not,
+            ONCE: self._once,
+            IGNORE: self._ignore,
+        }
+        self.bodies = JustInTimeBodies(database)
+        self._compiled = self.bodies.compiled
+        database.machine.meet = self.bodies.meet
+        database.machine.budget.on_new = database.on_forget = self.bodies.clear
+        database.interpret = self.code
+        database.solve = self.solve
+
+    def solve(  # noqa: C901 -- runs each goal of what is interpreted: its tests in one place cost least
+        self, goal: Any, height: int, after: Frame
+    ) -> Optional[Frame]:
+        """Return the frame that runs a goal and then ``after``; cuts in it cut to ``height``."""
+        while True:
+            kind = goal.__class__
+            if kind is Var or kind is Lazy:
+                goal = deref(goal)
+                kind = goal.__class__
+            if kind is tuple:
+                key = goal[0]
+                if key is COMMA:
+                    after = (self.code, goal[2], height, after)
+                    goal = goal[1]
+                    continue
+                control = self._plain.get(key)
+                if control is not None:
+                    return control(goal, height, after)
+                if key is _COLON:
+                    goal = self._database.modules.goal(goal)
+                    continue
+                return (self._database.predicate(key), *goal[1:], after)
+            if kind is Atom:
+                if goal is TRUE:
+                    return after
+                key = goal.functor
+                if key is _CUT:
+                    del self._choices[height:]
+                    return after
+                if key is _FAIL or goal is FALSE:
+                    return None
+                return (self._database.predicate(key), after)
+            if kind is Var:
+                raise instantiation_error()
+            raise type_error("callable", goal)
+
+    def call(self, goal: Term, after: Frame) -> Optional[Frame]:
+        """Return the frame of ``call/1``: cuts in the goal are local to it."""
+        if goal.__class__ is not tuple:
+            goal = deref(goal)
+        if goal.__class__ is tuple and goal[0] in STRUCTURES:
+            goal = check_body(goal)
+        return self.solve(goal, len(self._choices), after)
+
+    def once(self, goal: Term, after: Frame) -> Optional[Frame]:
+        """Return the frame that runs a goal for its first solution."""
+        height = len(self._choices)
+        return self.call(goal, (self._cut_code, height, after))
+
+    def _run(self, frame: Frame) -> Optional[Frame]:
+        if self._compiled:
+            compiled = self._compiled.get(id(frame[1]))
+            if compiled is not None:
+                return compiled[0]((None, *compiled[1], frame[3], frame[2]))
+        return self.solve(frame[1], frame[2], frame[3])
+
+    def _cut_run(self, frame: Frame) -> Frame:
+        del self._choices[frame[1] :]
+        return frame[2]  # type: ignore[no-any-return]
+
+    # Control constructs
+
+    def _either(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
+        left = deref(goal[1])
+        if left.__class__ is tuple and left[0] is ARROW:
+            return self._test(left[1], left[2], goal[2], height, after)
+        if left.__class__ is tuple and left[0] is SOFT_ARROW:
+            here = len(self._choices)
+            self._choices.append((self.code, goal[2], height, after, len(self._trail)))
+            then = (self._soft_code, here, (self.code, left[2], height, after))
+            return self.solve(left[1], here + 1, then)
+        self._choices.append((self.code, goal[2], height, after, len(self._trail)))
+        return self.solve(left, height, after)
+
+    def _test(self, test: Term, then: Term, otherwise: Term, height: int, after: Frame) -> Optional[Frame]:
+        here = len(self._choices)
+        self._choices.append((self.code, otherwise, height, after, len(self._trail)))
+        return self.solve(test, here + 1, (self._cut_code, here, (self.code, then, height, after)))
+
+    def _then(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
+        here = len(self._choices)
+        return self.solve(goal[1], here, (self._cut_code, here, (self.code, goal[2], height, after)))
+
+    def _soft(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
+        return self.solve(goal[1], len(self._choices), (self.code, goal[2], height, after))
+
+    def _soft_run(self, frame: Frame) -> Frame:
+        here = frame[1]
+        self._choices[here] = (DEAD, self._choices[here][-1])
+        return frame[2]  # type: ignore[no-any-return]
+
+    def _not(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
+        here = len(self._choices)
+        self._choices.append((RESUME, after, len(self._trail)))
+        return self.solve(goal[1], here + 1, (self._reject_code, here, after))
+
+    def _reject_run(self, frame: Frame) -> None:
+        del self._choices[frame[1] :]
+
+    def _once(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
+        return self.once(goal[1], after)
+
+    def _ignore(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
+        predicate = self._database.predicate(IGNORE)
+        if not predicate.library:
+            return (predicate, goal[1], after)
+        here = len(self._choices)
+        self._choices.append((RESUME, after, len(self._trail)))
+        return self.call(goal[1], (self._cut_code, here, after))
+
+    # Exceptions
+
+    def catch(self, goal: Term, catcher: Term, recovery: Term, after: Frame) -> Optional[Frame]:
+        """Return the frame of ``catch/3``."""
+        mark = CatchMark()
+        here = len(self._choices)
+        recover = (self._database.predicate(CALL), recovery, after)
+        self._choices.append((self.machine.catch_code, mark, catcher, recover, len(self._trail)))
+        return (self._database.predicate(CALL), goal, (self._exit_code, mark, here, after))
+
+    def _exit_run(self, frame: Frame) -> Frame:
+        after: Frame
+        _, mark, here, after = frame
+        if len(self._choices) == here + 1:
+            self._choices.pop()  # the goal left no choice points
+        else:
+            mark.ref = True
+            self._trail.append(mark)
+        return after
+
+    # Collecting solutions
+
+    def collect(
+        self, goal: Term, template: Term, then: Callable[[List[Term]], Optional[Frame]]
+    ) -> Optional[Frame]:
+        """Return the frame that runs a goal for all its solutions, then goes on with ``then(copies)``.
+
+        ``copies`` are copies of ``template``, one for each solution; the bindings are undone.
+        """
+        found: List[Term] = []
+        self._choices.append((self._collected_code, then, found, len(self._trail)))
+        return self.call(goal, (self._collect_code, found, template, (RESUME, None)))
+
+    @staticmethod
+    def _collect_run(frame: Frame) -> None:
+        frame[1].append(copy(frame[2]))
+
+    def forall(self, condition: Term, action: Term, after: Frame) -> Optional[Frame]:
+        """Return the frame of ``forall/2``."""
+        goal = (NOT, (COMMA, (CALL, condition), (NOT, (CALL, action))))
+        return self.solve(goal, 0, after)
+
+
+def check_body(goal: Term) -> Term:
+    """Return a goal as a body: variables that stand as goals in it are called (cuts in them are local).
+
+    Raises:
+        PrologError: type_error(callable, whole goal) where part of a control construct can be no goal.
+    """
+    stack = [goal]
+    open_goals = False
+    for done in ROUNDS:
+        for _ in BULK:
+            if not stack:
+                return _called(goal) if open_goals else goal
+            item = deref(stack.pop())
+            if item.__class__ is tuple:
+                if item[0] in STRUCTURES:
+                    stack.extend(item[1:])
+            elif item.__class__ is Var:
+                open_goals = True
+            elif item.__class__ is not Atom:
+                raise type_error("callable", goal)
+        look()
+        if done == LATE_ROUND:
+            refuse_cycles(goal)
+    raise TermTooLarge
+
+
+def _called(goal: Term) -> Term:
+    """Return a body with its variables called; no recursion along conjunctions."""
+    before = []
+    goal = deref(goal)
+    while goal.__class__ is tuple and goal[0] in STRUCTURES and len(goal) == 3:
+        before.append((goal[0], _called(goal[1])))
+        goal = deref(goal[2])
+    if goal.__class__ is Var:
+        goal = (CALL, goal)
+    elif goal.__class__ is tuple and goal[0] is NOT:
+        goal = (NOT, _called(goal[1]))
+    for key, left in reversed(before):
+        goal = (key, left, goal)
+    return goal
+
+
+def check_partial_list(term: Term) -> None:
+    """Raise a type error for what is neither a list nor may become one.
+
+    Raises:
+        PrologError: a type error.
+    """
+    _, tail = list_parts(term)
+    if tail.__class__ is not Var and tail is not NIL:
+        raise type_error("list", term)
+
+
+def add_arguments(goal: Term, extra: Values, modules: Optional[Modules] = None) -> Term:
+    """Return a goal with more arguments, as ``call/N`` makes it."""
+    found: Any = deref(goal)
+    kind = found.__class__
+    if kind is tuple:
+        if found[0] is _COLON:
+            inner = deref(found[2]) if modules is None else modules.closure_of(found, len(extra))
+            return add_arguments(inner, extra, modules)
+        return (functor(found[0].name, len(found) - 1 + len(extra)), *found[1:], *extra)
+    if kind is Atom:
+        return (functor(found.name, len(extra)), *extra)
+    if kind is Var:
+        raise instantiation_error()
+    raise type_error("callable", found)
+
+
+def thrown(ball: Term) -> PrologError:
+    """Return the exception of ``throw/1``."""
+    ball = deref(ball)
+    if ball.__class__ is Var:
+        raise instantiation_error()
+    return PrologError(ball if is_ground(ball) else copy(ball))
+
+
+def control_predicates(control: Control) -> Dict[Tuple[str, int], Controls]:
+    """Return the control built-ins: functions ``(machine, args, next) -> frame``."""
+
+    def call(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+        if len(args) == 1:
+            return control.call(args[0], after)
+        return control.call(add_arguments(args[0], args[1:], machine.logic.database.modules), after)
+
+    def catch(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+        return control.catch(args[0], args[1], args[2], after)
+
+    def throw(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+        raise thrown(args[0])
+
+    def findall(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+        template, goal, result = args[0], args[1], args[2]
+        tail = args[3] if len(args) == 4 else NIL
+        if machine.logic.flags["iso"] is TRUE:
+            check_partial_list(result)
+
+        def then(found: List[Term]) -> Optional[Frame]:
+            return after if machine.unify(result, make_list(found, tail)) else None
+
+        return control.collect(goal, template, then)
+
+    def forall(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+        return control.forall(args[0], args[1], after)
+
+    found: Dict[Tuple[str, int], Controls] = {("call", arity): call for arity in range(1, 9)}
+    found.update({("catch", 3): catch, ("throw", 1): throw, ("findall", 3): findall, ("findall", 4): findall})
+    found.update({("forall", 2): forall, ("repeat", 0): _repeat(control.machine)})
+    for key in (*STRUCTURES, ONCE, IGNORE):
+        found[key.name, key.arity] = _structure(control, key)
+    return found
+
+
+def _structure(control: Control, key: Functor) -> Controls:
+    def run(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+        return control.call((key, *args), after)
+
+    return run
+
+
+def _repeat(machine: Machine) -> Controls:
+    def repeat(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+        machine.choices.append((again, args, after, len(machine.trail)))
+        return after
+
+    again = Code("repeat", lambda frame: repeat(machine, frame[1], frame[2]))
+    again.functor = functor("repeat", 0)
+    return repeat
+
+
+def functor_of(head: Term) -> Functor:
+    """Return the functor of an atom or a compound: of a clause's head, of an event."""
+    if head.__class__ is tuple:
+        key: Functor = head[0]
+        return key
+    assert head.__class__ is Atom
+    return head.functor
+
+
+def split_clause(term: Term) -> Tuple[Term, Term]:
+    """Return head and body of a clause.
+
+    Raises:
+        PrologError: instantiation and type errors where the term is not a clause.
+    """
+    head: Term = term
+    body: Term = TRUE
+    if term.__class__ is tuple and term[0] is _NECK:
+        head, body = deref(term[1]), deref(term[2])
+    if head.__class__ is tuple and head[0].name == ":" and len(head) == 3:
+        head = deref(head[2])
+    kind = head.__class__
+    if kind is Var:
+        raise instantiation_error()
+    if kind is not tuple and kind is not Atom:
+        raise type_error("callable", head)
+    if body.__class__ is Var:
+        body = (CALL, body)
+    else:
+        body = check_body(body)
+    return head, body

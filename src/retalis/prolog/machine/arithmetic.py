@@ -1,0 +1,801 @@
+"""Stamps as numbers: what arithmetic works with where an operand is a ``datime`` or ``[Sec,NSec]``.
+
+They are numbers of seconds since the epoch like any other, and remember the instant, as the resolution of a double
+near the present is 2.4e-7 s: two of them subtract and compare to the nanosecond. They live within one evaluation
+only: `plain` makes the number that a program sees.
+
+Arithmetic: the evaluable functions, and the evaluation of an expression that is known only at run time.
+
+Integers are unbounded; `/` of integers is an integer where it is exact and a float otherwise; an operation
+on floats whose result is not a finite number raises, as SWI-Prolog does with its default flags.
+
+Evaluable functions of the bits of integers.
+
+Evaluable functions from floats to integers and back.
+
+Evaluable functions beyond the integers: powers, trigonometry, constants, random numbers.
+"""
+
+import math
+import random
+import sys
+import time
+from struct import pack, unpack
+from typing import Any, Callable, Dict, List, Tuple, TypeVar, Union
+
+from ...foundation.cancellation import look
+from ...foundation.errors import TermTooLarge, UsageError
+from ..terms import timestamps
+from ..terms.term_traversal import LATE, MAX_STEPS, refuse_cycles
+from ..terms.timestamps import SECOND
+from ..terms.types import CONS, NIL, Atom, CompoundTerm, Functor, Lazy, String, Term, Var, deref, functor
+from .errors import domain_error, evaluation_error, indicator, instantiation_error, resource_error, type_error
+
+
+class _InstantNumber:
+    """What both kinds of numbers have in common."""
+
+    __slots__ = ()
+
+    instant: int
+    plain: Union[int, float]
+
+    def _beside(self, other: Any) -> Tuple[Any, Any]:
+        """Return what to compare: instants of two stamps, else numbers."""
+        if isinstance(other, _InstantNumber):
+            return self.instant, other.instant
+        return self.plain, other
+
+    def __lt__(self, other: Any) -> Any:
+        one, another = self._beside(other)
+        return one < another
+
+    def __le__(self, other: Any) -> Any:
+        one, another = self._beside(other)
+        return one <= another
+
+    def __gt__(self, other: Any) -> Any:
+        one, another = self._beside(other)
+        return one > another
+
+    def __ge__(self, other: Any) -> Any:
+        one, another = self._beside(other)
+        return one >= another
+
+    def __eq__(self, other: Any) -> Any:
+        one, another = self._beside(other)
+        return one == another
+
+    def __ne__(self, other: Any) -> Any:
+        one, another = self._beside(other)
+        return one != another
+
+    def __hash__(self) -> int:
+        return hash(self.plain)
+
+    def __sub__(self, other: Any) -> Any:
+        if isinstance(other, _InstantNumber):
+            return (self.instant - other.instant) / SECOND
+        if self.plain.__class__ is int and other.__class__ is int:
+            return self.plain - other
+        try:
+            return (self.instant - timestamps.from_seconds(other)) / SECOND
+        except (UsageError, OverflowError):  # an infinity, or an integer beyond all floats
+            return float(self.plain) - other
+
+    def __rsub__(self, other: Any) -> Any:
+        return -self.__sub__(other)
+
+
+class WholeInstant(_InstantNumber, int):
+    """A stamp of whole seconds: an integer."""
+
+    @property
+    def plain(self) -> int:  # type: ignore[override]
+        """The number itself."""
+        return int(self)
+
+    @property
+    def instant(self) -> int:  # type: ignore[override]
+        """Nanoseconds since the epoch."""
+        return int(self) * SECOND
+
+    def __truediv__(self, divisor: Any) -> Any:
+        if divisor.__class__ is int and not int(self) % divisor:
+            return int(self) // divisor  # as `/` of integers does
+        return int(self) / divisor
+
+
+class SplitInstant(_InstantNumber, float):
+    """A stamp with parts of a second: a float, and the instant that it is nearest to."""
+
+    instant: int
+
+    @property
+    def plain(self) -> float:  # type: ignore[override]
+        """The number itself."""
+        return float(self)
+
+
+def of_instant(instant: int) -> Union[int, float]:
+    """Return an instant as a number of seconds since the epoch that remembers it."""
+    whole, rest = divmod(int(instant), SECOND)
+    if not rest:
+        return WholeInstant(whole)
+    number = SplitInstant(timestamps.to_seconds(instant))
+    number.instant = int(instant)
+    return number
+
+
+def is_instant_number(value: object) -> bool:
+    """Tell whether a number is one that remembers an instant."""
+    return isinstance(value, _InstantNumber)
+
+
+def plain(value: Any) -> Any:
+    """Return a number as programs see it."""
+    return value.plain if isinstance(value, _InstantNumber) else value
+
+
+Number = Union[int, float]
+F = TypeVar("F", bound=Callable[..., Number])
+
+EVALUABLE: Dict[Functor, Callable[..., Number]] = {}
+"""Functions of numbers, by name and arity."""
+
+MAX_INTEGER_BITS = 1 << 20
+"""Bits of the largest integer that an operation may make (315,653 digits): a product takes 30 ms."""
+
+MAX_INTEGER = 1 << MAX_INTEGER_BITS
+MIN_INTEGER = -MAX_INTEGER
+
+SLOW_BIT_PRODUCT = 1 << 35
+"""Product of the bits of two integers from which on an operation that is quadratic in them takes more than 50 ms."""
+
+
+def evaluable(name: str, arity: int) -> Callable[[F], F]:
+    """Register a Python function of ``arity`` numbers as the evaluable ``name/arity``."""
+
+    def register(function: F) -> F:
+        EVALUABLE[functor(name, arity)] = function
+        return function
+
+    return register
+
+
+def evaluate(term: Any) -> Number:
+    """Return the value of an arithmetic expression, as a program sees it.
+
+    Raises:
+        PrologError: instantiation, type or evaluation errors.
+    """
+    value = measure(term)
+    return value if value.__class__ is int or value.__class__ is float else plain(value)
+
+
+def measure(term: Any) -> Number:
+    """Return the value of an arithmetic expression for subtraction or comparison: a stamp remembers its instant.
+
+    Raises:
+        PrologError: instantiation, type or evaluation errors.
+    """
+    kind = term.__class__
+    if kind is int or kind is float:
+        return term  # type: ignore[no-any-return]
+    if kind is Var:
+        term = deref(term)
+        kind = term.__class__
+        if kind is int or kind is float:
+            return term  # type: ignore[no-any-return]
+    if kind is tuple and len(term) <= 3:
+        function = EVALUABLE.get(term[0])
+        if function is not None:
+            # Most expressions are one operation on numbers.
+            left: Any = deref(term[1])
+            kind = left.__class__
+            if kind is int or kind is float:
+                if len(term) == 2:
+                    return function(left)
+                right: Any = deref(term[2])
+                kind = right.__class__
+                if kind is int or kind is float:
+                    return function(left, right)
+    return _evaluate_deep(term)
+
+
+def _evaluate_deep(term: Term) -> Number:
+    """Evaluate with a stack of its own: the last operand first, a function once its operands have values."""
+    values: List[Number] = []
+    stack: List[Union[Term, _Apply]] = [term]
+    steps = 0
+    while stack:
+        steps += 1
+        if not steps & 1023:
+            look()
+            if steps == LATE:
+                refuse_cycles(term)
+        item: Any = stack.pop()
+        if item.__class__ is _Apply:
+            arity = item.arity
+            values[-arity:] = [item.apply(*reversed(values[-arity:]))]
+            continue
+        item = deref(item)
+        kind = item.__class__
+        if kind is int or kind is float:
+            values.append(item)
+        elif kind is tuple:
+            if item[0] is CONS:
+                values.append(_listed(item))
+                continue
+            stack.append(_Apply(item[0]))
+            if len(stack) > MAX_STEPS:
+                raise TermTooLarge
+            stack.extend(item[1:])
+        else:
+            values.append(_constant(item))
+    return values[0]
+
+
+class _Apply:
+    """An operation whose operands are on the stack of values."""
+
+    __slots__ = ("functor", "arity")
+
+    def __init__(self, key: Functor):
+        self.functor = key
+        self.arity = key.arity
+
+    def apply(self, *operands: Number) -> Number:
+        """Return the value of the function."""
+        function = EVALUABLE.get(self.functor)
+        if function is None:
+            raise type_error("evaluable", indicator(self.functor))
+        return function(*operands)
+
+
+def _listed(item: CompoundTerm) -> Number:
+    """Return the code that a list of one character, or of its code, is; a ROS time ``[Sec,NSec]`` is a stamp."""
+    first, rest = deref(item[1]), deref(item[2])
+    if first.__class__ is int and rest.__class__ is tuple and rest[0] is CONS and deref(rest[2]) is NIL:
+        part = deref(rest[1])
+        if part.__class__ is int and 0 <= part < SECOND:
+            return of_instant(timestamps.from_parts(first, part))
+    if first.__class__ is Var:
+        raise instantiation_error()
+    code = first if first.__class__ is int and first >= 0 else None
+    text = first.name if first.__class__ is Atom and first is not NIL else ""
+    if len(text) != 1 and code is None:
+        raise type_error("character", first)
+    if rest is not NIL:
+        raise type_error("[]", item)
+    return ord(text) if code is None else code
+
+
+def _constant(item: Term) -> Number:
+    if item.__class__ is Var:
+        raise instantiation_error()
+    if item.__class__ is Atom:
+        function = EVALUABLE.get(item.functor)
+        if function is not None:
+            return function()
+        if item is NIL:
+            raise type_error("evaluable", item)
+        raise type_error("evaluable", indicator(item.functor))
+    if item.__class__ is String:
+        if len(item.text) == 1:
+            return ord(item.text)
+        raise type_error("[]", item)
+    if item.__class__ is Lazy:
+        return measure(item.term())
+    if is_instant_number(item):
+        return item  # type: ignore[return-value]
+    raise type_error("evaluable", item)
+
+
+def checked(value: Number) -> Number:
+    """Return a result, unless it is infinite or nan, or an integer too large to go on with."""
+    if value - value == 0:
+        if value.__class__ is int and not MIN_INTEGER < value < MAX_INTEGER:
+            raise resource_error("memory")
+        return value
+    raise evaluation_error("undefined" if value != value else "float_overflow")
+
+
+def integer(value: Any) -> int:
+    """Return an operand that has to be an integer."""
+    if value.__class__ is not int:
+        if value.__class__ is WholeInstant:
+            return int(value)
+        raise type_error("integer", plain(checked(value)))
+    return value
+
+
+def not_less(least: int, value: Number) -> int:
+    """Return an operand that has to be an integer and not less than 0, or 1."""
+    if integer(value) < least:
+        raise domain_error(f"not_less_than_{'one' if least else 'zero'}", value)
+    return value  # type: ignore[return-value]
+
+
+def bounded(left: int, right: int) -> None:
+    """Refuse an operation on two integers that is quadratic in their sizes where it would take too long."""
+    if left.bit_length() * right.bit_length() > SLOW_BIT_PRODUCT:
+        raise resource_error("integer_size")
+
+
+def _divisible(left: Number, right: Number) -> None:
+    """Check the operands of an integer division."""
+    size = integer(right).bit_length()
+    if not size:
+        integer(left)
+        raise evaluation_error("zero_divisor")
+    if size > 64 and (integer(left).bit_length() - size) * size > SLOW_BIT_PRODUCT:
+        raise resource_error("integer_size")
+
+
+def _to_float(value: Number) -> float:
+    try:
+        return checked(float(value))
+    except OverflowError:
+        raise evaluation_error("float_overflow") from None
+
+
+# The four operations, also called by generated code with terms that may not be numbers yet.
+
+
+def add(left: Term, right: Term) -> Number:
+    """Evaluate both sides and return their sum."""
+    left, right = measure(left), measure(right)
+    value = left + right
+    return value if value - value == 0 else checked(value)
+
+
+def subtract(left: Term, right: Term) -> Number:
+    """Evaluate both sides and return their difference."""
+    left, right = measure(left), measure(right)
+    value = left - right
+    return value if value - value == 0 else checked(value)
+
+
+def multiply(left: Term, right: Term) -> Number:
+    """Evaluate both sides and return their product."""
+    left, right = measure(left), measure(right)
+    value = left * right
+    return value if MIN_INTEGER < value < MAX_INTEGER else checked(value)
+
+
+EVALUABLE[functor("+", 2)] = add
+EVALUABLE[functor("-", 2)] = subtract
+EVALUABLE[functor("*", 2)] = multiply
+
+
+@evaluable("/", 2)
+def divide(left: Number, right: Number) -> Number:
+    """Return the quotient: an integer where both are and it is exact, else a float."""
+    if left.__class__ is int and right.__class__ is int:
+        _divisible(left, right)
+        quotient, rest = divmod(left, right)
+        if rest == 0:
+            return quotient
+        try:
+            return left / right
+        except OverflowError:
+            raise evaluation_error("float_overflow") from None
+    if right == 0:
+        raise evaluation_error("undefined" if left == 0 or left != left else "zero_divisor")
+    return checked(left / right)
+
+
+@evaluable("//", 2)
+def truncated_quotient(left: Number, right: Number) -> int:
+    """Return the integer quotient, truncated towards zero."""
+    integer(left)
+    _divisible(left, right)
+    quotient = abs(left) // abs(right)
+    return quotient if (left >= 0) == (right > 0) else -quotient  # type: ignore[return-value]
+
+
+@evaluable("rem", 2)
+def remainder(left: Number, right: Number) -> int:
+    """Return the rest of truncated division; it has the sign of ``left``."""
+    integer(left)
+    _divisible(left, right)
+    rest = abs(left) % abs(right)
+    return rest if left >= 0 else -rest  # type: ignore[return-value]
+
+
+@evaluable("mod", 2)
+def modulo(left: Number, right: Number) -> int:
+    """Return the rest of floored division; it has the sign of ``right``."""
+    integer(left)
+    _divisible(left, right)
+    return left % right  # type: ignore[return-value]
+
+
+@evaluable("div", 2)
+def floored_quotient(left: Number, right: Number) -> int:
+    """Return the integer quotient, rounded down."""
+    integer(left)
+    _divisible(left, right)
+    return left // right  # type: ignore[return-value]
+
+
+@evaluable("+", 1)
+def _plus(value: Number) -> Number:
+    return value
+
+
+@evaluable("-", 1)
+def negate(value: Number) -> Number:
+    """Return the negative."""
+    return -value
+
+
+@evaluable("abs", 1)
+def _abs(value: Number) -> Number:
+    return abs(value)
+
+
+@evaluable("sign", 1)
+def _sign(value: Number) -> Number:
+    if value.__class__ is int:
+        return (value > 0) - (value < 0)
+    return math.copysign(1.0, value) if value == value and value else abs(value)
+
+
+@evaluable("max", 2)
+def maximum(left: Number, right: Number) -> Number:
+    """Return the greater one; of equal ones the float."""
+    if left == right:
+        return right if right.__class__ is float else left
+    return left if left > right or right != right else right
+
+
+@evaluable("min", 2)
+def minimum(left: Number, right: Number) -> Number:
+    """Return the lesser one; of equal ones the float."""
+    if left == right:
+        return right if right.__class__ is float else left
+    return left if left < right or right != right else right
+
+
+@evaluable("succ", 1)
+def _succ(value: Number) -> int:
+    return integer(value) + 1
+
+
+@evaluable("plus", 2)
+def _plus2(left: Number, right: Number) -> Number:
+    return add(left, right)
+
+
+@evaluable("gcd", 2)
+def _gcd(left: Number, right: Number) -> int:
+    bounded(integer(left), integer(right))
+    return math.gcd(left, right)  # type: ignore[arg-type]
+
+
+@evaluable("lcm", 2)
+def _lcm(left: Number, right: Number) -> int:
+    left, right = integer(left), integer(right)
+    bounded(left, right)
+    return abs(left // math.gcd(left, right) * right) if left and right else 0
+
+
+@evaluable(">>", 2)
+def shift_right(left: Number, right: Number) -> int:
+    """Return ``left`` shifted right."""
+    left, right = integer(left), integer(right)
+    return left >> right if right >= 0 else shift_left(left, -right)
+
+
+@evaluable("<<", 2)
+def shift_left(left: Number, right: Number) -> int:
+    """Return ``left`` shifted left."""
+    left, right = integer(left), integer(right)
+    if right < 0:
+        return left >> -right
+    if left and right + left.bit_length() > MAX_INTEGER_BITS:
+        raise resource_error("memory")
+    return left << right if left else 0
+
+
+@evaluable("/\\", 2)
+def bit_and(left: Number, right: Number) -> int:
+    """Return the bitwise and."""
+    return integer(left) & integer(right)
+
+
+@evaluable("\\/", 2)
+def bit_or(left: Number, right: Number) -> int:
+    """Return the bitwise or."""
+    return integer(left) | integer(right)
+
+
+@evaluable("xor", 2)
+def _xor(left: Number, right: Number) -> int:
+    return integer(left) ^ integer(right)
+
+
+@evaluable("\\", 1)
+def _invert(value: Number) -> int:
+    return ~integer(value)
+
+
+@evaluable("msb", 1)
+def _msb(value: Number) -> int:
+    return not_less(1, value).bit_length() - 1
+
+
+@evaluable("lsb", 1)
+def _lsb(value: Number) -> int:
+    number = not_less(1, value)
+    return (number & -number).bit_length() - 1
+
+
+@evaluable("popcount", 1)
+def _popcount(value: Number) -> int:
+    return bin(not_less(0, value)).count("1")
+
+
+@evaluable("getbit", 2)
+def _getbit(value: Number, bit: Number) -> int:
+    return (not_less(0, value) >> not_less(0, bit)) & 1
+
+
+def _rounded(function: Callable[[float], int]) -> Callable[[Number], int]:
+    def apply(value: Any) -> int:
+        if value.__class__ is int:
+            return value
+        return function(value) if value - value == 0 else value
+
+    return apply
+
+
+def round_half_away(value: float) -> int:
+    """Round to the nearest integer, halves away from zero."""
+    whole = math.floor(abs(value))
+    whole += abs(value) - whole >= 0.5
+    return whole if value >= 0 else -whole
+
+
+EVALUABLE[functor("floor", 1)] = _rounded(math.floor)
+EVALUABLE[functor("ceiling", 1)] = EVALUABLE[functor("ceil", 1)] = _rounded(math.ceil)
+EVALUABLE[functor("truncate", 1)] = _rounded(math.trunc)
+EVALUABLE[functor("integer", 1)] = _rounded(round_half_away)
+EVALUABLE[functor("round", 1)] = _rounded(round_half_away)
+
+
+@evaluable("float", 1)
+def _float(value: Number) -> float:
+    return _to_float(value)
+
+
+@evaluable("float_integer_part", 1)
+def _integer_part(value: Number) -> Number:
+    return value if value.__class__ is int else math.copysign(math.trunc(checked(value)), value)
+
+
+@evaluable("float_fractional_part", 1)
+def _fractional_part(value: Number) -> Number:
+    return 0 if value.__class__ is int else math.fmod(value, 1.0) if value - value == 0 else value
+
+
+def _real(name: str, function: Callable[[float], float]) -> None:
+    """Register a function of one float; a value outside its domain is undefined."""
+
+    def apply(value: Number) -> float:
+        try:
+            return checked(function(_to_float(value)))
+        except OverflowError:
+            raise evaluation_error("float_overflow") from None
+        except ValueError:
+            raise evaluation_error("undefined") from None
+
+    EVALUABLE[functor(name, 1)] = apply
+
+
+for _name in (
+    "sqrt",
+    "sin",
+    "cos",
+    "tan",
+    "asin",
+    "acos",
+    "atan",
+    "exp",
+    "sinh",
+    "cosh",
+    "tanh",
+    "asinh",
+    "acosh",
+    "atanh",
+):
+    _real(_name, getattr(math, _name))
+for _name in ("erf", "erfc", "lgamma"):
+    _real(_name, getattr(math, _name))
+
+
+def _logarithm(name: str, function: Callable[[Number], float]) -> None:
+    def apply(value: Number) -> float:
+        if value <= 0:
+            raise evaluation_error("undefined")
+        return checked(function(value if value.__class__ is int else checked(value)))
+
+    EVALUABLE[functor(name, 1)] = apply
+
+
+_logarithm("log", math.log)
+_logarithm("log2", math.log2)
+_logarithm("log10", math.log10)
+
+
+@evaluable("log", 2)
+def _log(base: Number, value: Number) -> float:
+    if value <= 0 or base <= 0:
+        raise evaluation_error("undefined")
+    if base == 1:
+        raise evaluation_error("zero_divisor")
+    return math.log(value) / math.log(base)
+
+
+@evaluable("atan2", 2)
+@evaluable("atan", 2)
+def _atan2(y: Number, x: Number) -> float:
+    return math.atan2(_to_float(y), _to_float(x))
+
+
+@evaluable("copysign", 2)
+def _copysign(value: Number, sign: Number) -> Number:
+    if value.__class__ is int:
+        return abs(value) * (-1 if math.copysign(1.0, sign) < 0 else 1)
+    return math.copysign(value, sign)
+
+
+@evaluable("nexttoward", 2)
+def _nexttoward(value: Number, target: Number) -> float:
+    value, target = _to_float(value), _to_float(target)
+    if value == target or value != value:
+        return value
+    if value == 0:
+        return math.copysign(sys.float_info.min * sys.float_info.epsilon, target)
+    bits = unpack("<q", pack("<d", value))[0]
+    bits += 1 if (target > value) == (value > 0) else -1
+    return float(unpack("<d", pack("<q", bits))[0])
+
+
+@evaluable("hypot", 2)
+def _hypot(x: Number, y: Number) -> float:
+    return checked(math.hypot(x, y))
+
+
+@evaluable("^", 2)
+def power(base: Number, exponent: Number) -> Number:
+    """Return the power; of integers it is an integer, unless the exponent is negative."""
+    if exponent.__class__ is int:
+        if exponent == 0:
+            return 1
+        if base.__class__ is int and (exponent > 0 or base in (0, 1, -1)):
+            return _integer_power(base, exponent)
+    return _float_power(base, exponent)
+
+
+@evaluable("**", 2)
+def _power2(base: Number, exponent: Number) -> Number:
+    """Return the power."""
+    return power(base, exponent)
+
+
+def _integer_power(base: Any, exponent: Any) -> int:
+    if base in (0, 1, -1):
+        if exponent >= 0:
+            small: int = base**exponent
+            return small
+        if base == 0:
+            raise evaluation_error("zero_divisor")
+        return base if exponent % 2 else 1
+    if base.bit_length() * exponent > MAX_INTEGER_BITS:
+        raise resource_error("memory")
+    power: int = base**exponent
+    return power
+
+
+def _float_power(base: Number, exponent: Number) -> float:
+    base, exponent = _to_float(base), _to_float(exponent)
+    if base == 0 and exponent < 0:
+        raise evaluation_error("zero_divisor")
+    try:
+        return checked(math.pow(base, exponent))
+    except OverflowError:
+        raise evaluation_error("float_overflow") from None
+    except ValueError:
+        raise evaluation_error("undefined") from None
+
+
+@evaluable("powm", 3)
+def _powm(base: Number, exponent: Number, modulus: Number) -> int:
+    size = not_less(1, modulus).bit_length()
+    # A bit of the exponent costs a product of the modulus's size, and as much again as one of 400 bits.
+    if not_less(0, exponent).bit_length() * (size * size + 400 * 400) > SLOW_BIT_PRODUCT:
+        raise resource_error("integer_size")
+    return pow(integer(base), integer(exponent), integer(modulus))
+
+
+@evaluable("cot", 1)
+def _cot(value: Number) -> float:
+    if value == 0:
+        raise evaluation_error("undefined")
+    return 1.0 / math.tan(value)
+
+
+@evaluable("acot", 1)
+def _acot(value: Number) -> float:
+    return math.atan(1.0 / value) if value else math.pi / 2
+
+
+@evaluable("random", 1)
+def _random(limit: Number) -> int:
+    return random.randrange(not_less(1, limit))
+
+
+@evaluable("numerator", 1)
+def _numerator(value: Number) -> int:
+    return integer(value)
+
+
+@evaluable("denominator", 1)
+def _denominator(value: Number) -> int:
+    integer(value)
+    return 1
+
+
+@evaluable("eval", 1)
+def _eval(value: Number) -> Number:
+    return value
+
+
+@evaluable("rational", 1)
+@evaluable("rationalize", 1)
+def _rational(value: Number) -> Number:
+    if value.__class__ is float and value == math.trunc(value):
+        return math.trunc(value)
+    return value
+
+
+def _seconds(key: Functor) -> Callable[..., Number]:
+    def seconds(*fields: Number) -> Number:
+        """Return the seconds since the epoch of a stamp, which is as good a number as the others that stamps are."""
+        try:
+            return of_instant(timestamps.from_term((key, *fields)))
+        except UsageError:
+            raise domain_error("datime", (key, *fields)) from None
+
+    return seconds
+
+
+for _key in (timestamps.DATIME6, timestamps.DATIME7):
+    EVALUABLE[_key] = _seconds(_key)
+
+
+def _constants() -> None:
+    constant: Callable[[Number], Callable[[], Number]] = lambda value: lambda: value  # noqa: E731
+    for name, value in (
+        ("pi", math.pi),
+        ("e", math.e),
+        ("inf", math.inf),
+        ("infinite", math.inf),
+        ("nan", math.nan),
+        ("epsilon", sys.float_info.epsilon),
+        ("max_tagged_integer", (1 << 60) - 1),
+        ("min_tagged_integer", -(1 << 60)),
+        ("max_integer", (1 << 63) - 1),
+        ("min_integer", -(1 << 63)),
+    ):
+        EVALUABLE[functor(name, 0)] = constant(value)
+    EVALUABLE[functor("random", 0)] = random.random
+    EVALUABLE[functor("random_float", 0)] = random.random
+    EVALUABLE[functor("cputime", 0)] = time.process_time
+    EVALUABLE[functor("realtime", 0)] = lambda: int(time.time())
+
+
+_constants()

@@ -1,0 +1,382 @@
+"""The operators of the event language: one entry each, and nowhere else a list of them.
+
+From here the reader knows how they are written, the patterns what they mean, explanations why a pair did not fit,
+and `docs/language.md` its rows. A further operator between two patterns is one more entry.
+"""
+
+from enum import Enum
+from typing import Dict, NamedTuple, Optional, Tuple
+
+from ..terms.types import Functor, functor
+
+
+class OperatorKind(Enum):
+    """What an operator is."""
+
+    RULE = "an arrow or a label"
+    ACTION = "a pattern, and a goal to call"
+    CONDITION = "a pattern, and a goal that has to have a solution"
+    LIMIT = "a pattern, and how long it may take"
+    ALTERNATIVES = "one of two patterns"
+    PAIR = "two patterns, and how their intervals lie"
+    ABSENCE = "a pattern, and another that must not happen"
+    REFUSED = "none, but looks like one"
+    REPETITION = "a pattern, and how often"
+    RUN = "a pattern any number of times"
+    AGGREGATE = "a pattern any number of times, collected into a result"
+    WINDOW = "a pattern, of which those in a window are measured together"
+    SHAPE = "a pattern, and which of its matches go on"
+    DEADLINE = "a pattern that must not happen for some time"
+
+
+class OperatorEntry(NamedTuple):
+    """A row of the table of patterns: how it is written, when it is matched, and over which interval."""
+
+    form: str
+    matched: str
+    interval: str
+
+
+class EventOperator(NamedTuple):
+    """An operator of the event language.
+
+    Attributes:
+        name: how rules spell it; capitalised or in capitals it is the same.
+        kind: what it is.
+        priority: 1 to 1200; 0 for what is written as functor and arguments only.
+        type: as ``op/3`` has it.
+        patterns: which of its arguments are patterns, where it is written as functor and arguments.
+        signs: what stands for it in patterns; elsewhere they are Prolog's.
+        functors: the spellings that are it before a bracket, too; None for all.
+        same_as: the operator that it is another name of.
+        names_events: whether events may have its name, with other numbers of arguments and in heads.
+        names_facts: whether a fact of its name is one; else it was meant as a rule.
+        timed: whether ``t1/1`` and ``t2/1`` hold in its goal.
+        every: whether its goal is called for all of its solutions.
+        comparisons: of two patterns, when the intervals of a pair fit: all of them have to hold. ``s1, e1`` is the
+            interval of the left side, ``s2, e2`` that of the right one. They are put into the code that is compiled
+            for each node, and into that which says where in time partners are to be looked for.
+        start: where the result of a pair starts.
+        end: where it ends.
+        either: whether the sides may arrive in either order; else only the right side completes a pair (a
+            late left side does so under ``out_of_order``).
+        alone: whether one single event could be both sides if nothing forbade it.
+        everything: whether a right side takes all left sides that fit, under every policy.
+        wrong: what explanations say where no pair fits.
+        between: of an absence, whether it may be one between the two sides of a sequence.
+        form: how it is written, where that is as functor and arguments only.
+        taken_for: words that are no operators, and by which this one is often meant.
+        advice: what to write in place of these words.
+        rows: of the table of patterns.
+    """
+
+    name: str
+    kind: OperatorKind
+    priority: int = 0
+    type: str = "yfx"
+    patterns: Tuple[bool, ...] = (True, True)
+    signs: Tuple[str, ...] = ()
+    functors: Optional[Tuple[str, ...]] = None
+    same_as: str = ""
+    names_events: bool = True
+    names_facts: bool = True
+    timed: bool = False
+    every: bool = False
+    comparisons: Tuple[str, ...] = ()
+    start: str = "s1 if s1 <= s2 else s2"
+    end: str = "e1 if e1 >= e2 else e2"
+    either: bool = True
+    alone: bool = True
+    everything: bool = False
+    wrong: str = "no pair fits"
+    between: bool = False
+    form: str = ""
+    taken_for: Tuple[str, ...] = ()
+    advice: str = ""
+    rows: Tuple[OperatorEntry, ...] = ()
+
+    @property
+    def meant(self) -> str:
+        """The name of the operator that it is."""
+        return self.same_as or self.name
+
+    @property
+    def spellings(self) -> Tuple[str, ...]:
+        """How it may be spelled."""
+        if self.functors is not None and self.name not in self.functors and not self.priority:
+            return self.functors
+        return (self.name, self.name.capitalize(), self.name.title(), self.name.upper())
+
+    @property
+    def keys(self) -> Tuple[Functor, ...]:
+        """The functors of the terms that it makes, and of those that are it where they are written out."""
+        names = self.spellings if self.functors is None else self.functors
+        return tuple([functor(name, len(self.patterns)) for name in (*names, *self.signs)])
+
+    @property
+    def fits(self) -> str:
+        """When the intervals of a pair fit, as an expression."""
+        return " and ".join(self.comparisons) or "True"
+
+
+_GOAL = (True, False)
+
+EVENT_OPERATORS: Tuple[EventOperator, ...] = (
+    EventOperator("rule:", OperatorKind.RULE, 1200, "xfy", (False, True), functors=("rule:",)),
+    EventOperator("<-", OperatorKind.RULE, 1200, "xfy", (False, True)),
+    EventOperator(
+        "iff", OperatorKind.RULE, 1200, "xfy", (False, True), functors=("iff", "IFF"), same_as="<-"
+    ),
+    EventOperator(
+        "do",
+        OperatorKind.ACTION,
+        1124,
+        patterns=_GOAL,
+        rows=(OperatorEntry("`P do G`", "P; G is called once and must not fail", "that of P"),),
+    ),
+    EventOperator(
+        "with",
+        OperatorKind.SHAPE,
+        1065,
+        patterns=_GOAL,
+        rows=(
+            OperatorEntry(
+                "`P with throttle(N)`", "P, none of them less than N seconds after the last", "that of P"
+            ),
+            OperatorEntry("`P with burst(N)`", "the first P after N seconds without any", "that of P"),
+            OperatorEntry("`P with debounce(N)`", "P, and no further one for N seconds", "[s,e+N]"),
+            OperatorEntry("`P with change(X)`", "P, where X is another than in the P before it", "that of P"),
+        ),
+    ),
+    EventOperator(
+        "where",
+        OperatorKind.CONDITION,
+        1060,
+        patterns=_GOAL,
+        rows=(OperatorEntry("`P where G`", "P, and goal G has a solution", "that of P"),),
+    ),
+    EventOperator(
+        "within",
+        OperatorKind.LIMIT,
+        1055,
+        "xfy",
+        patterns=_GOAL,
+        functors=("within",),
+        rows=(OperatorEntry("`P within N`", "P took less than N seconds", "that of P"),),
+    ),
+    EventOperator(
+        "or",
+        OperatorKind.ALTERNATIVES,
+        1053,
+        signs=("\\/",),
+        names_events=False,
+        rows=(OperatorEntry("`P or Q`", "one of them happened", "its own"),),
+    ),
+    EventOperator(
+        "check",
+        OperatorKind.CONDITION,
+        1050,
+        patterns=_GOAL,
+        timed=True,
+        rows=(
+            OperatorEntry(
+                "`P check G`, `P timestamp G`", "as `where`, with `t1(S)` and `t2(E)` inside G", "that of P"
+            ),
+        ),
+    ),
+    EventOperator("timestamp", OperatorKind.CONDITION, 1050, patterns=_GOAL, timed=True),
+    EventOperator(
+        "event_multiply",
+        OperatorKind.ACTION,
+        1050,
+        patterns=_GOAL,
+        names_events=False,
+        names_facts=False,
+        every=True,
+        rows=(OperatorEntry("`P event_multiply G`", "P, once for every solution of G", "that of P"),),
+    ),
+    EventOperator(
+        "par",
+        OperatorKind.PAIR,
+        1045,
+        signs=("#",),
+        comparisons=("s1 < e2", "s2 < e1", "s1 < e1", "s2 < e2"),
+        wrong="no two of them overlap",
+        rows=(
+            OperatorEntry(
+                "`P par Q`", "they overlap by more than an instant", "from the first start to the last end"
+            ),
+        ),
+    ),
+    EventOperator(
+        "and",
+        OperatorKind.PAIR,
+        1040,
+        signs=("/\\",),
+        names_events=False,
+        rows=(
+            OperatorEntry("`P and Q`", "both happened, in any order", "from the first start to the last end"),
+        ),
+    ),
+    EventOperator(
+        "cnot",
+        OperatorKind.ABSENCE,
+        1031,
+        names_events=False,
+        names_facts=False,
+        between=True,
+        rows=(
+            OperatorEntry("`(P seq Q) cnot R`", "P, then Q, and no R entirely between them", "[s1,e2]"),
+            OperatorEntry("`P cnot R`, `P fnot R`", "P, and no R ended before P started", "that of P"),
+        ),
+    ),
+    EventOperator("fnot", OperatorKind.ABSENCE, 1031, names_events=False, names_facts=False),
+    EventOperator("not", OperatorKind.REFUSED, 1031),
+    EventOperator(
+        "seq",
+        OperatorKind.PAIR,
+        1025,
+        signs=("*",),
+        names_events=False,
+        names_facts=False,
+        comparisons=("e1 < s2",),
+        start="s1",
+        end="e2",
+        either=False,
+        alone=False,
+        wrong="none of the first ended before one of the second started",
+        taken_for=("before", "after", "then", "followed_by"),
+        advice='to say that one event ends before another starts, write "seq", the earlier one first',
+        rows=(OperatorEntry("`P seq Q`", "P ended before Q started: e1 < s2", "[s1,e2]"),),
+    ),
+    EventOperator(
+        "forall_seq",
+        OperatorKind.PAIR,
+        1025,
+        names_events=False,
+        names_facts=False,
+        comparisons=("e1 < s2",),
+        start="s1",
+        end="e2",
+        either=False,
+        alone=False,
+        everything=True,
+        wrong="none of the first ended before one of the second started",
+        rows=(OperatorEntry("`P forall_seq Q`", "as `seq`, for all waiting P at once", "each [s1,e2]"),),
+    ),
+    EventOperator(
+        "equals",
+        OperatorKind.PAIR,
+        1025,
+        comparisons=("s1 == s2", "e1 == e2"),
+        start="s1",
+        end="e1",
+        wrong="no two of them have the same interval",
+        rows=(OperatorEntry("`P equals Q`", "the same interval", "that"),),
+    ),
+    EventOperator(
+        "meets",
+        OperatorKind.PAIR,
+        1025,
+        comparisons=("e1 == s2",),
+        start="s1",
+        end="e2",
+        wrong="none of the first ended when one of the second started",
+        rows=(OperatorEntry("`P meets Q`", "Q starts when P ends: e1 = s2", "[s1,e2]"),),
+    ),
+    EventOperator(
+        "during",
+        OperatorKind.PAIR,
+        1025,
+        comparisons=("s2 <= s1", "e1 <= e2"),
+        start="s2",
+        end="e2",
+        wrong="none of the first lies within one of the second",
+        rows=(OperatorEntry("`P during Q`", "P lies within Q, ends included", "that of Q"),),
+    ),
+    EventOperator(
+        "starts",
+        OperatorKind.PAIR,
+        1025,
+        comparisons=("s1 == s2", "e1 < e2"),
+        start="s2",
+        end="e2",
+        alone=False,
+        wrong="none of the first starts with one of the second and ends before it",
+        rows=(OperatorEntry("`P starts Q`", "both start together and P ends first", "that of Q"),),
+    ),
+    EventOperator(
+        "finishes",
+        OperatorKind.PAIR,
+        1025,
+        comparisons=("e1 == e2", "s2 < s1"),
+        start="s2",
+        end="e2",
+        alone=False,
+        wrong="none of the first ends with one of the second and starts after it",
+        rows=(OperatorEntry("`P finishes Q`", "both end together and P started later", "that of Q"),),
+    ),
+    EventOperator(
+        "ntimes",
+        OperatorKind.REPETITION,
+        1025,
+        patterns=_GOAL,
+        names_events=False,
+        names_facts=False,
+        rows=(OperatorEntry("`Q ntimes N`", "Q, N times in sequence", "from the first to the last"),),
+    ),
+    EventOperator(
+        "star_times",
+        OperatorKind.RUN,
+        200,
+        "xf",
+        patterns=(True,),
+        functors=("star_times",),
+        names_events=False,
+        rows=(
+            OperatorEntry("`P seq (Q star_times)`", "P, and again every later Q", "[s1, end of the last Q]"),
+        ),
+    ),
+    EventOperator(
+        "aggregate",
+        OperatorKind.AGGREGATE,
+        patterns=(False, True, False),
+        functors=("aggregate",),
+        names_events=False,
+        form="aggregate(Kind, Pattern, Result)",
+        rows=(
+            OperatorEntry(
+                "`P seq aggregate(K,Q,R)`",
+                "P, and again every later Q; R collects",
+                "[s1, end of the last Q]",
+            ),
+        ),
+    ),
+    EventOperator(
+        "aggregate_over",
+        OperatorKind.WINDOW,
+        patterns=(False, True, False, False),
+        functors=("aggregate",),
+        form="aggregate(Kind, Pattern, Result, Window)",
+        rows=(
+            OperatorEntry(
+                "`aggregate(K,Q,R,W)`",
+                "each Q, or the end of window W; R collects those in the window",
+                "of those, or of the window",
+            ),
+        ),
+    ),
+    EventOperator(
+        "absent",
+        OperatorKind.DEADLINE,
+        patterns=(True, False),
+        form="absent(Pattern, Seconds)",
+        rows=(
+            OperatorEntry("`P seq absent(Q,N)`", "N seconds after P ended, with no Q between", "[s1,e1+N]"),
+        ),
+    ),
+)
+"""The loosest first, as ``current_op/3`` lists them."""
+
+EVENT_OPERATOR: Dict[str, EventOperator] = {one.name: one for one in EVENT_OPERATORS}
+"""By their names."""

@@ -1,0 +1,287 @@
+"""Tokens of Prolog text: their patterns, and the value or error message of each token.
+
+The tokens are those of ISO 13211-1, section 6.4, and what SWI-Prolog users write. Which token may follow which
+depends on operators that programs declare, so terms are built by operator precedence (`parser.py`).
+"""
+
+import re
+import unicodedata
+from bisect import bisect_right
+from typing import Any, Callable, Dict, Iterator, List, Match, NamedTuple, Optional, Tuple
+
+from ...foundation.cancellation import BULK, look
+from ...foundation.errors import Place, SyntaxFault, place_on
+from ..terms.list_terms import make_list
+from ..terms.types import String, Term, atom
+from . import literals
+from .quoted_text import closing, unclosed_end, unquote
+
+NAME, QUOTED, NUMBER, VARIABLE, TEXT, END = "name", "quoted", "number", "variable", "text", "end"
+OPEN_CT = "f("
+"""An opening bracket directly after a token: after a name it makes a compound term."""
+
+AnyToken = Tuple[str, Any, int, int]
+"""Kind, value, start, end. The kind of a bracket, comma or bar is the character itself."""
+
+
+class ReadFlags(NamedTuple):
+    """What changes how a text reads.
+
+    Attributes:
+        double_quotes: what ``"text"`` is: ``string`` (as SWI-Prolog 9), ``codes``, ``chars`` or ``atom``.
+        back_quotes: the same for back-quoted text.
+        iso: priorities as ISO 13211-1 has them: arguments at most 999, operators as operands in brackets,
+            no special floats.
+        event_text: text as events are written on the String topics: ``inf``, ``nan`` and ``-inf`` are
+            floats wherever they stand as arguments, ``"text"`` is the atom ``'"text"'``, and ``True`` and
+            ``False`` are ``true`` and ``false``.
+        made: the term is made and matches nothing: slots of messages that are not named are zero or empty.
+        multiline: quoted text may go on in the next line.
+    """
+
+    double_quotes: str = "string"
+    back_quotes: str = "codes"
+    iso: bool = False
+    event_text: bool = False
+    made: bool = False
+    multiline: bool = False
+
+
+class Source:
+    """A text with its name, and the places in it; ``first_line`` where it is a part of a longer one."""
+
+    __slots__ = ("name", "text", "first_line", "_starts")
+
+    def __init__(self, name: str, text: str, first_line: int = 1):
+        self.name = name
+        self.text = text
+        self.first_line = first_line
+        self._starts: Optional[List[int]] = None
+
+    def place(self, offset: int) -> Place:
+        """Return the place of the character at ``offset``."""
+        text = self.text
+        starts = self._starts
+        if starts is None:
+            starts = self._starts = [0]
+            at = text.find("\n") + 1
+            while at:
+                starts.append(at)
+                at = text.find("\n", at) + 1
+        line = bisect_right(starts, offset)
+        return place_on(self.name, line + self.first_line - 1, text, starts[line - 1], offset)
+
+    def fault(self, message: str, offset: int) -> SyntaxFault:
+        """Return the error about the character at ``offset``."""
+        return SyntaxFault(message, self.place(min(offset, len(self.text))))
+
+
+TOKEN_PATTERNS: Dict[str, str] = {
+    "LAYOUT": r"[\s\ufeff]+",
+    "LINE_COMMENT": r"%[^\n]*",
+    "BLOCK_COMMENT": r"/\*[\s\S]*?\*/",
+    # A comment that is never closed reaches to the end of the text.
+    "BAD_COMMENT": r"/\*[\s\S]*",
+    # The full stop: only before layout, a comment or the end.
+    "END": r"\.(?=[\s%]|\Z)",
+    # A word is an atom or, by its first character, a variable.
+    "WORD": r"[^\W\d]\w*",
+    # Groups of digits may be separated by "_". SWI-Prolog's blank between groups is not accepted, because it
+    # would turn a forgotten comma, [1 2], into [12].
+    "NUMBER": "|".join(
+        (
+            # character code, radix, hexadecimal, octal, binary, float, integer
+            r"0'(?:\\x[0-9a-fA-F]+\\?|\\[0-7]+\\?|\\u[0-9a-fA-F]{4}|\\U[0-9a-fA-F]{8}|\\[^\n]|''|[^\\\n])",
+            r"[0-9]+'[0-9a-zA-Z]+",
+            r"0x[0-9a-fA-F]+(?:_[0-9a-fA-F]+)*",
+            r"0o[0-7]+(?:_[0-7]+)*",
+            r"0b[01]+(?:_[01]+)*",
+            r"[0-9]+\.[0-9]+(?:[eE][+-]?[0-9]+|Inf|NaN)?",
+            r"[0-9]+[eE][+-]?[0-9]+",
+            r"[0-9]+(?:_\s*[0-9]+)*",
+        )
+    ),
+    # Atoms, strings and back-quoted text without escapes and doubled quotes. Others begin with QUOTE, and
+    # quoted.py finds their end: a regular expression takes a kilobyte of memory for every escape.
+    "QUOTED": r"""'[^'\\\n]*'(?!')|"[^"\\\n]*"(?!")|`[^`\\\n]*`(?!`)""",
+    "QUOTE": r"""['"`]""",
+    "SYMBOL": r"[-+*/\\^<>=~:.?@#&$]+",
+    "SOLO": r"[!;]",
+    "PUNCTUATION": r"[()\[\]{},|]",
+    "BAD_CHAR": r"[\s\S]",
+}
+"""The first pattern that fits is the token, not the longest; one of them fits everywhere.
+
+The BAD_... patterns take text that is not a token, so that the reader can report it and continue. No pattern can
+match the same characters in two ways, so that text that does not fit costs no more than text that does.
+"""
+
+
+_EVERY = len(BULK) // 16 - 1
+"""A token costs as much as some 16 inferences."""
+
+_match: Optional[Callable[[str, int], Optional[Match[str]]]] = None
+
+
+def _matcher() -> Callable[[str, int], Any]:
+    """Return the function that matches the token at an offset; compile it at first use, which takes 5 ms."""
+    global _match
+    if _match is None:
+        groups = (f"(?P<{name}>{pattern})" for name, pattern in TOKEN_PATTERNS.items())
+        _match = re.compile("|".join(groups)).match
+    return _match
+
+
+_LAYOUT = frozenset(("LAYOUT", "LINE_COMMENT", "BLOCK_COMMENT"))
+
+
+def tokens(source: Source, flags: Callable[[], ReadFlags], start: int = 0) -> Iterator[AnyToken]:
+    """Yield the tokens of a text from ``start`` on; a bad one as ``("bad", message, start, end)``, no exception.
+
+    ``flags`` is asked for each token, as a program may change them between its clauses.
+    """
+    text = source.text
+    match = _matcher()
+    size = len(text)
+    count = 0
+    last = -1
+    while start < size:
+        count += 1
+        if not count & _EVERY:
+            look()
+        match_found = match(text, start)
+        kind = match_found.lastgroup
+        end = match_found.end()
+        if kind in _LAYOUT:
+            start = end
+            continue
+        if kind == "PUNCTUATION":
+            char = text[start]
+            yield (OPEN_CT if char == "(" and start == last else char), None, start, end
+        elif kind == "WORD":
+            name = text[start:end]
+            first = name[0]
+            is_variable = first == "_" or first.isupper() or first.istitle()
+            yield VARIABLE if is_variable else NAME, name, start, end
+        elif kind == "SYMBOL" or kind == "SOLO":
+            yield NAME, text[start:end], start, end
+        elif kind == "END":
+            yield END, None, start, end
+        elif kind == "QUOTE":
+            end = closing(text, start, flags().multiline)
+            if end is None:
+                end = unclosed_end(text, start)
+                yield "bad", unclosed(text[start], start, text), start, end
+            else:
+                yield _quoted(text[start:end], start, end, flags())
+        else:
+            yield _valued(kind, text[start:end], start, end, text, flags())
+        last = start = end
+
+
+def _valued(kind: str, found: str, start: int, end: int, text: str, flags: ReadFlags) -> AnyToken:
+    if kind == "NUMBER":
+        return _number(found, start, end, text, flags)
+    if kind == "QUOTED":
+        return _quoted(found, start, end, flags)
+    if kind == "BAD_COMMENT":
+        return "bad", 'this comment is never closed: expected "*/"', start, end
+    if unicodedata.category(found)[0] == "S":
+        return NAME, found, start, end
+    return "bad", _stray(found), start, end
+
+
+def unclosed(quote: str, start: int, text: str) -> str:
+    """Return what is wrong with a quote that begins at an offset."""
+    message = f"this quote {quote} is not closed on its line"
+    if quote == "'" and text[start - 1 : start].isalnum():
+        message += "; a name with an apostrophe must be quoted, as in 'it''s'"
+    return message
+
+
+_CURLY = {"\u2018": "'", "\u2019": "'", "\u201a": "'", "\u201b": "'", "\u00b4": "'"}
+_CURLY.update({"\u201c": '"', "\u201d": '"', "\u201e": '"', "\u201f": '"', "\u00ab": '"', "\u00bb": '"'})
+
+
+def _stray(char: str) -> str:
+    straight = _CURLY.get(char)
+    if straight is not None:
+        return (
+            f"{char} is a typographic quote, as produced by word processors and web pages: write {straight}"
+        )
+    name = unicodedata.name(char, f"U+{ord(char):04X}")
+    return f"the character {char!r} ({name}) is allowed only in quotes or comments"
+
+
+def _number(found: str, start: int, end: int, text: str, flags: ReadFlags) -> AnyToken:
+    follow = text[end : end + 1]
+    if follow == "_" or follow.isalnum():
+        return "bad", f"{found}{follow}... is not a number, and a name cannot start with a digit", start, end
+    try:
+        return NUMBER, _number_value(found, flags), start, end
+    except ValueError as error:
+        return "bad", str(error), start, end
+
+
+def _number_value(text: str, flags: ReadFlags) -> Term:
+    if text.isdigit():
+        return literals.integer(text)
+    second = text[1]
+    if flags.iso and (text == "0''" or (second == "'" and text[0] != "0")):
+        raise ValueError(f"{text} is not a number in ISO Prolog")
+    if second == "'" and text[0] == "0":
+        char = "'" if text == "0'''" else unquote(text[2:], "", flags.iso)
+        if not char:
+            raise ValueError(f"{text} is not a character")
+        return ord(char[0])
+    if second in "xob" or "'" in text:
+        try:
+            return literals.radix_integer(text)
+        except ValueError:
+            raise ValueError(f"{text} is not a number: expected digits in a radix from 2 to 36") from None
+    if "." in text or "e" in text or "E" in text:
+        if flags.iso and ("." not in text or text[-1] in "fN"):
+            raise ValueError(f"{text} is not a number in ISO Prolog: expected digits, a point and digits")
+        try:
+            return literals.float_value(text)
+        except ValueError:
+            raise ValueError(f"{text} is too large for a float (the largest is 1.8e308)") from None
+    return literals.integer("".join(part.strip() for part in text.split("_")))
+
+
+def _quoted(found: str, start: int, end: int, flags: ReadFlags) -> AnyToken:
+    quote = found[0]
+    body = found[1:-1]
+    if "\\" in body or quote in body:
+        try:
+            body = unquote(body, quote, flags.iso)
+        except ValueError as error:
+            message, at = error.args
+            return "bad", message, start + 1 + at, end
+    if quote == "'":
+        return QUOTED, body, start, end
+    if quote == '"':
+        if flags.event_text:
+            return QUOTED, f'"{body}"', start, end
+        return TEXT, _text_term(body, flags.double_quotes), start, end
+    return TEXT, _text_term(body, flags.back_quotes), start, end
+
+
+def _text_term(body: str, form: str) -> Term:
+    if form == "codes":
+        return make_list([ord(char) for char in body])
+    if form == "chars":
+        return make_list([atom(char) for char in body])
+    return atom(body) if form == "atom" else String(body)
+
+
+_SHOWN: Dict[str, str] = {OPEN_CT: '"("', END: "the end of the clause", "eof": "the end of the text"}
+
+
+def shown(token: AnyToken, text: str) -> str:
+    """Return a token as error messages name it."""
+    name = _SHOWN.get(token[0])
+    if name is None:
+        name = text[token[2] : token[3]]
+        name = f'"{name[:40]}..."' if len(name) > 45 else f'"{name}"'
+    return name

@@ -1,0 +1,1 @@
+"""The assembled Prolog system, and its interface to Python."""

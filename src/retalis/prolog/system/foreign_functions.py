@@ -1,0 +1,345 @@
+"""Foreign predicates: Python functions that a program calls as predicates.
+
+    from retalis import Engine, foreign
+
+    @foreign
+    def distance(x1: float, y1: float, x2: float, y2: float) -> float:
+        return math.hypot(x1 - x2, y1 - y2)      # distance(X1,Y1,X2,Y2,D)
+
+    @foreign
+    def near(name: str) -> Iterator[str]:        # near(Name,Other), a solution for each value
+        yield from NEIGHBOURS[name]
+
+    engine.add_foreign(distance, near)
+
+The parameters are the first arguments of the predicate; the result is unified with the last.
+
+Python modules whose functions a program asks for as predicates: ``use_foreign/1``.
+"""
+
+import importlib
+import importlib.util
+from contextlib import closing
+from pathlib import Path
+from types import ModuleType
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Callable,
+    Generator,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Protocol,
+    Sequence,
+    Tuple,
+    TypeVar,
+    Union,
+    get_type_hints,
+    overload,
+)
+
+from ...foundation.errors import RetalisError, UsageError, counted
+from ..machine.errors import PrologError, instantiation_error, permission_error, type_error
+from ..machine.machine import Machine
+from ..terms.types import SLASH, Atom, Functor, String, Term, Var, atom, deref, functor
+from .prolog_system import PrologSystem
+from .value_conversion import reader_of, to_term
+
+if TYPE_CHECKING:
+    from inspect import Parameter
+
+_ERROR = functor("error", 2)
+_PYTHON_ERROR = functor("python_error", 2)
+_MARK = "__retalis_foreign__"
+
+Function = TypeVar("Function", bound=Callable[..., object])
+
+
+class Caller(Protocol):
+    """What is told which function runs, see `Runner`."""
+
+    callback: Optional[Tuple[str]]
+
+
+class _Spec(NamedTuple):
+    """What the decorator was told; kept with the function."""
+
+    name: str
+    outputs: int
+    readers: List[Callable[[Term], object]]
+    many: bool
+
+    @property
+    def arity(self) -> int:
+        return len(self.readers) + self.outputs
+
+
+@overload
+def foreign(function: Function) -> Function: ...
+
+
+@overload
+def foreign(
+    function: None = None, *, name: Optional[str] = None, outputs: Optional[int] = None
+) -> Callable[[Function], Function]: ...
+
+
+def foreign(
+    function: Optional[Function] = None,
+    *,
+    name: Optional[str] = None,
+    outputs: Optional[int] = None,
+) -> Union[Function, Callable[[Function], Function]]:
+    """Mark a function as a predicate; `Engine.add_foreign` or ``use_foreign/1`` defines it in a program.
+
+    A parameter with the annotation int, float, str, bool or list takes only that (float takes integers too);
+    with `Term` it gets the term itself, even if that is unbound; any other gets the term's Python value (see
+    `to_python`). The result becomes a term (see `to_term`); None means failure, except of a function without
+    outputs. A generator gives one solution with each value that it yields. What it raises is the error
+    ``python_error(Kind, Message)``, unless it is a `PrologError`.
+
+    >>> @foreign
+    ... def near(room: str) -> Iterator[str]:
+    ...     yield from {"kitchen": ["hall", "cellar"]}.get(room, [])
+    >>> engine = Engine()
+    >>> print(*engine.add_foreign(near))
+    near/2
+    >>> [engine.show(found["Room"]) for found in engine.query("near(kitchen, Room)")]
+    ['hall', 'cellar']
+
+    Args:
+        function: the function, where the decorator is used without arguments.
+        name: of the predicate; by default the function's.
+        outputs: how many arguments come after the parameters: 1 by default, with more the function returns
+            a tuple, with 0 whether it succeeds. It is 0 by default where the function is said to return
+            bool or None.
+    """
+
+    def mark(function: Function) -> Function:
+        from inspect import isgeneratorfunction  # noqa: PLC0415 - imports much, and few programs have functions
+
+        hints = get_type_hints(function)
+        count = outputs
+        if count is None:
+            count = 0 if hints.get("return", 1) in (bool, type(None)) else 1
+        readers = [reader_of(hints.get(one.name)) for one in _parameters(function)]
+        spec = _Spec(name or function.__name__, count, readers, isgeneratorfunction(function))
+        setattr(function, _MARK, spec)
+        return function
+
+    return mark if function is None else mark(function)
+
+
+def _parameters(function: Callable[..., object]) -> "List[Parameter]":
+    from inspect import signature  # noqa: PLC0415 - see `foreign`
+
+    found = list(signature(function).parameters.values())
+    for one in found:
+        if one.kind not in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD):
+            raise UsageError(
+                f"{function.__name__} takes *args or **kwargs; a predicate has a fixed number of arguments"
+            )
+    return found
+
+
+def define_foreign(logic: PrologSystem, runner: Caller, *sources: object) -> List[Functor]:
+    """Define marked functions, and those of modules, in a program; return their functors.
+
+    Args:
+        logic: of the program.
+        runner: is told, by ``callback``, what function runs; see `Runner`.
+        sources: functions and modules.
+
+    Raises:
+        UsageError: for a function that is not marked, or a module without any.
+        PrologError: where a predicate of the system has that name.
+    """
+    done = []
+    for source in sources:
+        functions = (
+            [source]
+            if callable(source)
+            else [one for one in getattr(source, "__dict__", {}).values() if _is_marked(one)]
+        )
+        if not functions or not all(_is_marked(one) for one in functions):
+            raise UsageError(f"{getattr(source, '__name__', source)} has no function decorated with @foreign")
+        for function in functions:
+            done.append(_define(logic, runner, function, getattr(function, _MARK)))
+    return done
+
+
+def _is_marked(value: object) -> bool:
+    return isinstance(getattr(value, _MARK, None), _Spec)
+
+
+def _define(logic: PrologSystem, runner: Caller, function: Callable[..., Any], spec: _Spec) -> Functor:
+    key = functor(spec.name, spec.arity)
+    known = logic.database.predicates.get(key)
+    if known is not None and (known.locked or known.library and known.system):
+        raise permission_error("modify", "static_procedure", _indicator(key))
+    if spec.many:
+        logic.define_nondeterministic(spec.name, spec.arity, _generator(runner, function, spec, key))
+    else:
+        logic.define(spec.name, spec.arity, _function(runner, function, spec, key))
+    return key
+
+
+def _function(
+    runner: Caller, function: Callable[..., object], spec: _Spec, key: Functor
+) -> Callable[..., bool]:
+    count = len(spec.readers)
+    what = f"the foreign predicate {key}"
+
+    def run(machine: Machine, *arguments: Term) -> bool:
+        values = [read(term) for read, term in zip(spec.readers, arguments)]
+        outer = runner.callback
+        runner.callback = (what,)
+        try:
+            result = function(*values)
+            if not spec.outputs:
+                return result is not False
+            return result is not None and _unify(machine, arguments[count:], result)
+        except Exception as error:  # whatever it is, it is the goal's error and no reason to end the program
+            raise _raised(error, key) from error
+        finally:
+            runner.callback = outer
+
+    return run
+
+
+def _generator(
+    runner: Caller, function: Callable[..., Generator[object, None, None]], spec: _Spec, key: Functor
+) -> Callable[..., Iterator[None]]:
+    count = len(spec.readers)
+    what = f"the foreign predicate {key}"
+
+    def run(machine: Machine, *arguments: Term) -> Iterator[None]:
+        values = [read(term) for read, term in zip(spec.readers, arguments)]
+        with closing(function(*values)) as solutions:
+            while True:
+                outer = runner.callback
+                runner.callback = (what,)
+                try:
+                    result = next(solutions)
+                    solved = not spec.outputs or _unify(machine, arguments[count:], result)
+                except StopIteration:
+                    return
+                except Exception as error:  # as above
+                    raise _raised(error, key) from error
+                finally:
+                    runner.callback = outer
+                if solved:
+                    yield None
+
+    return run
+
+
+def _unify(machine: Machine, outputs: Sequence[Term], result: Any) -> bool:
+    if len(outputs) == 1:
+        return machine.unify(outputs[0], to_term(result))
+    if len(result) != len(outputs):
+        raise UsageError(
+            f"a foreign predicate returned {counted(len(result), 'value')} for {len(outputs)} outputs"
+        )
+    return machine.unify_all(*[(output, to_term(value)) for output, value in zip(outputs, result)])
+
+
+def _raised(error: Exception, key: Functor) -> RetalisError:
+    if isinstance(error, RetalisError):
+        return error
+    context = (functor("context", 2), _indicator(key), Var())
+    formal = (_PYTHON_ERROR, atom(type(error).__name__), String(str(error)))
+    return PrologError((_ERROR, formal, context))
+
+
+def _indicator(key: Functor) -> Term:
+    return (SLASH, atom(key.name), key.arity)
+
+
+class Opening(Protocol):
+    """What opens files where that is allowed, see `Door`.
+
+    Attributes:
+        is_loading: whether the program's own files are being loaded.
+    """
+
+    is_loading: bool
+
+    @property
+    def output(self) -> str:
+        """The folder of what programs write without saying where."""
+
+    def append(self, path: str, text: str) -> None:
+        """Write a text at the end of a file."""
+
+
+class NamedFiles(Protocol):
+    """The files that a program names, see `Files`."""
+
+    @property
+    def door(self) -> Opening:
+        """What opens them."""
+
+    def resolve(self, name: str) -> Path:
+        """Return the path of a name."""
+
+    def is_file(self, path: Path) -> bool:
+        """Tell whether there is a file that may be read."""
+
+
+def define_use_foreign(logic: PrologSystem, runner: Caller, files: NamedFiles, allowed: bool) -> None:
+    """Define ``use_foreign(Module)``, which loads a Python module and defines its predicates.
+
+    Args:
+        logic: where they are defined.
+        runner: of the engine, which is told what calls back.
+        files: of the program.
+        allowed: whether its own files may do that, while they are loaded; goals that run later never may.
+    """
+
+    def use_foreign(machine: Machine, module: Term) -> bool:
+        module = deref(module)
+        if module.__class__ is Var:
+            raise instantiation_error()
+        if not isinstance(module, (Atom, String)):
+            raise type_error("atom", module)
+        reason = "" if allowed else "the setting allow_foreign is off"
+        if not files.door.is_loading:
+            reason = "Python may be loaded only by the program's own files, while they are being loaded"
+        if reason:
+            raise permission_error("load", "foreign_module", module, reason)
+        name = module.name if isinstance(module, Atom) else module.text
+        define_foreign(logic, runner, load_module(name, files))
+        found = files.resolve(name if name.endswith(".py") else f"{name}.py")
+        logic.foreign_modules[str(found) if files.is_file(found) else name] = None
+        return True
+
+    logic.define("use_foreign", 1, use_foreign).locked = True
+
+
+def load_module(name: str, files: NamedFiles) -> ModuleType:
+    """Return a module by its name, or by the path of its file.
+
+    Args:
+        name: ``package.module``, ``file.py`` or ``folder/file.py``; a name without a dot is first looked for
+            as a file beside the file that names it.
+        files: of the program, which knows where relative paths start.
+
+    Raises:
+        UsageError: where there is no such module, or importing it fails.
+    """
+    path = files.resolve(name if name.endswith(".py") else f"{name}.py")
+    is_file = files.is_file(path)
+    try:
+        if name.endswith(".py") and not is_file:
+            raise UsageError("there is no such file")
+        if is_file and (name.endswith(".py") or "." not in name):
+            spec = importlib.util.spec_from_file_location(f"retalis_foreign_{path.stem}", str(path))
+            module = importlib.util.module_from_spec(spec)  # type: ignore[arg-type]
+            spec.loader.exec_module(module)  # type: ignore[union-attr]
+            return module
+        return importlib.import_module(name)
+    except Exception as error:  # a module may fail in any way while it is imported
+        raise UsageError(f"cannot load {name}: {type(error).__name__}: {error}") from error

@@ -1,0 +1,735 @@
+"""Tracing a goal by its ports: call, exit, redo, fail and exception.
+
+Goals traced by their ports.
+
+Calls of procedures that nobody defined: an error that names the caller and what may have been meant.
+
+Going back to where a machine was before an interrupt, wherever that has come.
+
+The façade of the logic room: a machine, its predicates, flags and operators.
+"""
+
+import sys
+from contextlib import contextmanager
+from difflib import get_close_matches
+from time import time_ns
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Generator,
+    Iterable,
+    Iterator,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+)
+
+from ...foundation.errors import SHOWN, Place, printable
+from ..builtins import all_builtins  # noqa: F401  (registers the built-in predicates)
+from ..builtins.builtin_registry import StreamFiles, control
+from ..builtins.clause_translation import SINGLE_SIDED, is_behind, translate_rule, translate_single_sided
+from ..builtins.text_streams import end_captures
+from ..compiler.clause_nodes import CALL
+from ..database.clause_index import Clause
+from ..database.compiled_goal import CompiledGoal
+from ..database.control_constructs import check_body, functor_of, split_clause
+from ..database.predicate import COMPILE_AFTER, Predicate
+from ..machine.errors import CONTEXT, PrologError, existence_error, indicator, permission_error
+from ..machine.machine import Code, Guard, Machine
+from ..machine.resource_limits import Budget, BudgetState, Limits
+from ..syntax.operators import Operators
+from ..syntax.term_writer import by_name, write_term
+from ..terms.term_traversal import copy
+from ..terms.types import (
+    COLON,
+    COMMA,
+    FALSE,
+    Atom,
+    CompoundTerm,
+    Frame,
+    Functor,
+    Term,
+    Trail,
+    Values,
+    Var,
+    atom,
+    deref,
+    functor,
+)
+from ..terms.unification import undo, unify
+from .predicate_resolution import PredicateTable
+
+_SILENT = frozenset(functor(name, 0) for name in ("true", "!", "fail", "false", "otherwise"))
+_CONTROL = frozenset(
+    (
+        functor(name, arity)
+        for name, arity in ((";", 2), ("|", 2), ("->", 2), ("*->", 2), ("\\+", 1), ("call", 1))
+    )
+)
+
+
+class _TracedCall:
+    """One call: its goal, its depth, and whether it has exited with choices left."""
+
+    __slots__ = ("goal", "depth", "exited")
+
+    def __init__(self, goal: Term, depth: int):
+        self.goal = goal
+        self.depth = depth
+        self.exited = False
+
+
+class Tracer:
+    """Runs goals from their terms and tells of each port that they pass.
+
+    The program's own clauses are interpreted while it is on; predicates of the system are one call each,
+    but the goals that they call are traced.
+
+    Args:
+        logic: whose goals.
+        tell: called with a line for each port.
+    """
+
+    def __init__(self, logic: PredicateTable, tell: Callable[[str], None]):
+        self._logic = logic
+        self._tell = tell
+        self._control = logic.control
+        self._choices = logic.machine.choices
+        self._trail = logic.machine.trail
+        self._depth = 0
+        self._guard = Guard("trace", self._unwound)
+        self._guard.run = self._failed
+        self._exit = Code("trace exit", self._exited)
+        self._again = Code("trace redo", self._redone)
+        self._next = Code("trace clause", self._next_clause)
+
+    @contextmanager
+    def on(self) -> Iterator[None]:
+        """Trace the goals that are run meanwhile."""
+        self.start()
+        try:
+            yield
+        finally:
+            self.stop()
+
+    def start(self) -> None:
+        """Trace what is run from now on."""
+        control = self._control
+        self._plain = control.solve
+        control.solve = self._logic.database.solve = self.solve  # type: ignore[method-assign]
+
+    def stop(self) -> None:
+        """Trace no more."""
+        control = self._control
+        if control.solve == self.solve:
+            del control.solve
+            self._logic.database.solve = control.solve
+
+    def solve(self, goal: Term, height: int, after: Frame) -> Optional[Frame]:
+        """Do what `Control.solve` does, by ports."""
+        goal = deref(goal)
+        while goal.__class__ is tuple and goal[0] is COMMA:
+            after = (self._control.code, goal[2], height, after)
+            goal = deref(goal[1])
+        if goal.__class__ is tuple and goal[0] is COLON:
+            return self.solve(self._logic.database.modules.goal(goal), height, after)
+        key = _key(goal)
+        if key is None or key in _SILENT or key in _CONTROL:
+            return self._plain(goal, height, after)
+        return self._call(goal, key, after)
+
+    def _call(self, goal: Term, key: Functor, after: Frame) -> Optional[Frame]:
+        self._depth += 1
+        call = _TracedCall(goal, self._depth)
+        self._port("Call", call)
+        here = len(self._choices)
+        self._choices.append((self._guard, call, len(self._trail)))
+        leave = (self._exit, call, here, after)
+        predicate = self._logic.lookup(key) or self._logic.database.predicate(key)
+        if predicate.kind == "user" and not predicate.library:
+            arguments = goal[1:] if goal.__class__ is tuple else ()
+            clauses = list(predicate.live())
+            return self._next_clause((self._next, arguments, clauses, 0, leave, call, None))
+        return self._plain(goal, here + 1, leave)
+
+    def _next_clause(self, entry: Frame) -> Optional[Frame]:
+        """Try the clauses of a call from one on."""
+        _, arguments, clauses, at, leave, call, _ = entry
+        self._depth = call.depth
+        trail = self._trail
+        mark = len(trail)
+        height = len(self._choices)
+        for number in range(at, len(clauses)):
+            clause = clauses[number]
+            fresh: Dict[Var, Term] = {}
+            head = copy(clause.head, fresh)
+            others = head[1:] if head.__class__ is tuple else ()
+            if all(unify(one, other, trail) for one, other in zip(arguments, others)):
+                if number + 1 < len(clauses):
+                    rest = (self._next, arguments, clauses, number + 1, leave, call, mark)
+                    self._choices.append(rest)
+                return self._control.solve(copy(clause.body, fresh), height, leave)
+            undo(trail, mark)
+        return None
+
+    def _exited(self, frame: Frame) -> Frame:
+        after: Frame
+        _, call, here, after = frame
+        self._port("Exit", call)
+        self._depth = call.depth - 1
+        if len(self._choices) == here + 1:
+            self._choices.pop()
+        else:
+            call.exited = True
+            self._choices.append((self._again, call, len(self._trail)))
+        return after
+
+    def _redone(self, entry: Frame) -> None:
+        call = entry[1]
+        call.exited = False
+        self._depth = call.depth
+        self._port("Redo", call)
+
+    def _failed(self, entry: Frame) -> None:
+        self._port("Fail", entry[1])
+        self._depth = entry[1].depth - 1
+
+    def _unwound(self, entry: Frame) -> None:
+        call = entry[1]
+        if not call.exited:
+            self._port("Exception", call)
+        self._depth = call.depth - 1
+
+    def _port(self, port: str, call: _TracedCall) -> None:
+        text = write_term(
+            call.goal, self._logic.operators, quoted=True, numbervars=True, spacing=True, priority=999
+        )
+        self._tell(f"{port:>9}: ({call.depth}) {text}")
+
+
+def _key(goal: Term) -> Optional[Functor]:
+    if goal.__class__ is tuple:
+        key: Functor = goal[0]
+        return key
+    return goal.functor if goal.__class__ is Atom else None
+
+
+@control("trace/1")
+def trace(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+    """Call a goal and write a line for each port that it passes to the error output."""
+    logic = machine.logic
+    tracer = Tracer(logic, lambda line: logic.error_output(f"{line}\n"))
+    tracer.start()
+    height = len(machine.choices)
+    machine.choices.append((_TRACED, tracer, len(machine.trail)))
+    return tracer.solve(args[0], height + 1, (_LEFT, machine, tracer, height, after))
+
+
+def _left(frame: Frame) -> Frame:
+    machine: Machine
+    tracer: Tracer
+    after: Frame
+    _, machine, tracer, height, after = frame
+    tracer.stop()
+    if len(machine.choices) == height + 1:
+        machine.choices.pop()
+    else:
+        machine.choices.append((_AGAIN, tracer, len(machine.trail)))
+    return after
+
+
+_TRACED = Guard("trace", lambda entry: entry[1].stop())
+_LEFT = Code("trace", _left)
+_AGAIN = Code("trace", lambda entry: entry[1].start())
+
+
+_COMPARED = 200
+"""Characters of a name that are compared with those of other names."""
+
+
+def undefined(logic: PredicateTable, predicate: Predicate, frame: Frame) -> Optional[Frame]:
+    """Raise the existence error of a procedure, or fail, as the flag ``unknown`` says; with a first warning."""
+    flag = deref(logic.flags["unknown"])
+    if flag is atom("fail") or flag is FALSE:
+        return None
+    key = predicate.functor
+    if flag is atom("warning"):
+        if not predicate.missed:
+            predicate.missed = True
+            logic.message("warning", f"Unknown procedure: {key}")
+        return None
+    notes = []
+    callers = _callers(logic, predicate, frame)
+    if callers:
+        notes.append(f"called from {', '.join(callers)}")
+    meant = similar(logic, logic.database.modules.plain_of(key) or key)
+    if meant:
+        notes.append(f"did you mean {' or '.join(meant)}?")
+    shown = logic.database.modules.shown(key) or indicator(key)
+    context = (CONTEXT, shown, atom("; ".join(notes))) if notes else shown
+    raise existence_error("procedure", shown, context)
+
+
+def _callers(logic: PredicateTable, predicate: Predicate, frame: Frame) -> List[str]:
+    """Return the clauses that may have made a call, at most three.
+
+    A last call leaves no trace of its clause, so these are the clauses with a goal that the call is an instance
+    of; where the frame that the call returns to belongs to one of their predicates, only that one's.
+    """
+    key = predicate.functor
+    call = (key, *frame[1:-1])
+    after = getattr(frame[-1][0], "functor", None)
+    clauses = [
+        clause
+        for other in list(logic.database.predicates.values())
+        if not other.library
+        for clause in other.live()
+        if not clause.fact
+    ]
+    found = [clause for clause in clauses if _may_call(clause, call, len(call))]
+    if not found:  # a goal that others add arguments to, as maplist/3 does
+        found = [clause for clause in clauses if _may_call(clause, call, 1)]
+    returned_to = [clause for clause in found if clause.predicate.functor is after]
+    return [_described(clause) for clause in (returned_to or found)[:3]]
+
+
+def _described(clause: Clause) -> str:
+    where = f" ({clause.place})" if clause.place is not None else ""
+    return f"{clause.predicate.functor}{where}".split("\n")[0]
+
+
+def _may_call(clause: Clause, call: CompoundTerm, least: int) -> bool:
+    """Tell whether a goal that may make a call stands in a clause's body, if only with its first arguments."""
+    stack = [clause.body]
+    while stack:
+        item = deref(stack.pop())
+        if item.__class__ is Atom:
+            item = (item.functor,)
+        if item.__class__ is tuple:
+            if item[0].name == call[0].name and least <= len(item) <= len(call) and _agree(item, call):
+                return True
+            stack.extend(item[1:])
+    return False
+
+
+def _agree(goal: CompoundTerm, call: CompoundTerm) -> bool:
+    """Tell whether a goal, which may lack the last arguments, unifies with a call."""
+    trail: Trail = []
+    pairs = zip(copy(goal)[1:], call[1:])
+    agree = all(unify(one, other, trail) for one, other in pairs)
+    undo(trail, 0)
+    return agree
+
+
+def similar(logic: PredicateTable, key: Functor) -> List[str]:
+    """Return indicators of defined procedures whose name is the same or nearly so."""
+    names: Dict[str, List[Functor]] = {}
+    for other in logic.names():
+        if other is not key and not other.name.startswith("$"):
+            names.setdefault(other.name, []).append(other)
+    close = [key.name] if key.name in names else get_close_matches(key.name[:_COMPARED], names, 1, 0.8)
+    return [str(other) for name in close for other in sorted(names[name], key=lambda found: found.arity)][:3]
+
+
+class MachineState(NamedTuple):
+    """Where a machine is: what a run that begins now leaves as it is."""
+
+    height: int
+    mark: int
+    budget: BudgetState
+
+
+def state_of(machine: Machine) -> MachineState:
+    """Return where a machine is."""
+    return MachineState(len(machine.choices), len(machine.trail), machine.budget.state())
+
+
+def go_back(machine: Machine, state: Optional[MachineState]) -> None:
+    """Go back to a state, or with None to where the machine is while nothing runs; guards are told."""
+    height, mark = machine.idle if state is None else state[:2]
+    budget, choices = machine.budget, machine.choices
+    while len(choices) > height:
+        entry = choices[-1]
+        if entry[0].__class__ is Guard:
+            entry[0].unwind(entry)
+        del choices[-1:]
+    undo(machine.trail, mark)
+    budget.restore(None if state is None else state.budget)
+
+
+def mend(logic: Any) -> None:
+    """Put right what may have been left half done among what outlives a goal; nothing runs."""
+    end_captures(logic)
+    logic.new_goals = None
+    logic.database.modules.mend()
+    vars(logic.control).pop("solve", None)  # a tracer's
+    logic.database.solve = logic.control.solve
+    for predicate in list(logic.database.predicates.values()):
+        predicate.mend()
+    for part in list(logic.state.values()):
+        if hasattr(part, "mend"):
+            part.mend()
+
+
+# noqa: F401  (they register themselves)
+
+
+_DIRECTIVE = functor(":-", 1)
+_QUERY = functor("?-", 1)
+_ARROW = functor("-->", 2)
+_FLAGS_LOCKED = "goals of services and the dashboard may not change flags: set the parameter ~allow_flags"
+
+
+class UserStream:
+    """``user_output`` or ``user_error``: what people and logs get, with escapes for what these would act on.
+
+    Args:
+        budget: limits what an entry may write.
+        write: prints a text.
+    """
+
+    def __init__(self, budget: Budget, write: Callable[[str], None]):
+        self._budget = budget
+        self._write = write
+
+    def __call__(self, text: str) -> None:
+        """Write a text.
+
+        Raises:
+            LimitError: past the limit of output; nothing of the text is written then.
+        """
+        self._budget.count_output(len(text))  # before anything is made of a text that is too long
+        shown = printable(text)
+        more = len(shown.encode()) - len(text)
+        if more:
+            self._budget.count_output(more)
+        self._write(shown)
+
+
+class PrologSystem(PredicateTable):
+    """A Prolog: clauses, predicates in Python, goals.
+
+    Args:
+        operators: the operator table of the program; Prolog's by default.
+        compile_after: calls of an unchanged predicate after which it is compiled.
+
+    Attributes:
+        output: called with text that the program prints.
+        column: where that stands in its line.
+        now: gives the present in nanoseconds.
+        error_output: called with text printed to ``user_error``, and with warnings.
+        swi_files: what the program has had SWI-Prolog load, by their names.
+        foreign_modules: the Python modules that the program has asked for, names or paths.
+        files: opens the files that goals may open; None where there are none.
+        ask: gives the next line that the user types, None at the end; None where nobody is there.
+        environment: the variables of the process's environment; None where the program may not know them.
+        from_outside: whether the work at hand is done for others than the program, see `for_others`.
+        allow_flags: whether such work, and goals that it has added to the program, may change flags.
+        new_goals: what has been compiled since `preparing` began; None outside of that.
+    """
+
+    def __init__(self, operators: Optional[Operators] = None, compile_after: int = COMPILE_AFTER):
+        super().__init__(operators, compile_after)
+        self.database.undefined = self._undefined
+        self.globals: Dict[str, Term] = {}
+        self.column = 0
+        self.output: Callable[[str], None]
+        self.error_output: Callable[[str], None]
+        self.print_to(_print, _print_error)
+        self.message = self._to_error_output
+        self.database.modules.on_clash = lambda text: self.message("warning", text)
+        self.files: Optional[StreamFiles] = None
+        self.ask: Optional[Callable[[], Optional[str]]] = None
+        self.state: Dict[str, Any] = {}
+        self.now: Callable[[], int] = time_ns
+        self.new_goals: Optional[List[CompiledGoal]] = None
+        self.from_outside = False
+        self.allow_flags = False
+        self.foreign_modules: Dict[str, None] = {}
+        self.environment: Optional[Mapping[str, str]] = None
+        self.swi_files: Dict[str, Tuple[Any, ...]] = {}
+
+    # Limits
+
+    @property
+    def limits(self) -> Limits:
+        """What a goal may use."""
+        return self.machine.budget.limits
+
+    @limits.setter
+    def limits(self, limits: Limits) -> None:
+        self.machine.budget.allow(limits)
+
+    # Others than the program
+
+    @contextmanager
+    def for_others(self) -> Iterator[None]:
+        """Work meanwhile for others than the program: services and the dashboard."""
+        before, self.from_outside = self.from_outside, True
+        try:
+            yield
+        finally:
+            self.from_outside = before
+
+    def require_flags(self, flag: Term) -> None:
+        """Require that the goal at work may change a flag.
+
+        Raises:
+            PrologError: a permission error where others than the program have given the goal.
+        """
+        if self.allow_flags:
+            return
+        goal = self.machine.budget.goal
+        if goal.from_outside if isinstance(goal, CompiledGoal) else self.from_outside:
+            raise permission_error("modify", "flag", flag, _FLAGS_LOCKED)
+
+    # Clauses
+
+    def add_clause(
+        self, term: Term, place: Optional[Place] = None, first: bool = False, asserted: bool = False
+    ) -> Clause:
+        """Add a clause (its variables are copied); DCG rules and single-sided rules are translated.
+
+        Args:
+            term: the clause.
+            place: where it was read.
+            first: whether it comes before the others.
+            asserted: whether a goal adds it, not a file.
+
+        Raises:
+            PrologError: where the term is not a clause, or belongs to a predicate of the system.
+        """
+        term = self._of_module(deref(term), asserted)
+        if term.__class__ is tuple and term[0] is SINGLE_SIDED:
+            return self._add_single_sided(term, place, first, asserted)
+        return self._add(term, place, first, asserted)
+
+    def _add_single_sided(
+        self, rule: CompoundTerm, place: Optional[Place], first: bool, asserted: bool
+    ) -> Clause:
+        """Add a rule; the clause behind all rules of its predicate stays the last one."""
+        term, behind = translate_single_sided(rule)
+        clause = self._add(term, place, first, asserted)
+        predicate = self.database.writable(clause.predicate.functor, "modify")
+        last = predicate.clauses[-1]
+        if not is_behind(last.body):
+            for other in list(predicate.live())[-2:]:
+                if is_behind(other.body):
+                    predicate.remove(other)
+            self._add(behind, None, False, asserted)
+        return clause
+
+    def _add(self, term: Term, place: Optional[Place], first: bool, asserted: bool) -> Clause:
+        head, body = split_clause(copy(term))
+        predicate = self.database.writable(functor_of(head), "modify", asserted)
+        clause = Clause(predicate, head, body, place)
+        predicate.add(clause, first)
+        return clause
+
+    def _of_module(self, term: Term, asserted: bool) -> Term:
+        """Return a clause as it is added: of the module that it names, or whose file is being loaded."""
+        modules = self.database.modules
+        module = None if asserted else modules.loading
+        while term.__class__ is tuple and term[0] is COLON:
+            named = modules.named(term[1])
+            module, term = (module if named is None else named), deref(term[2])
+        if term.__class__ is tuple and term[0] is _ARROW:
+            term = translate_rule(term)
+        if module is not None and term.__class__ is not Var:
+            return modules.clause(module, term, name=modules.stored if asserted else None)
+        if modules.table and term.__class__ is tuple and term[0].arity == 2 and term[0].name == ":-":
+            return modules.of_another(term)
+        return term
+
+    def of_file(self, goal: Term) -> Term:
+        """Return a goal of the file that is being loaded as it means the same everywhere; see `Modules.body`."""
+        modules = self.database.modules
+        return goal if modules.loading is None else modules.body(modules.loading, goal)
+
+    def load(
+        self, terms: Sequence[Tuple[Term, Optional[Place]]], problem: Callable[[str, Optional[Place]], None]
+    ) -> None:
+        """Add clauses and run directives in order; ``initialization/1`` goals run at the end.
+
+        Args:
+            terms: clauses and directives with their places.
+            problem: called for directives that fail or raise, and clauses that cannot be added.
+        """
+        late: List[Tuple[Term, Optional[Place]]] = []
+        for term, place in terms:
+            term = deref(term)
+            if term.__class__ is tuple and (term[0] is _DIRECTIVE or term[0] is _QUERY):
+                goal = deref(term[1])
+                if goal.__class__ is tuple and goal[0].name == "initialization":
+                    late.append((goal[1], place))
+                else:
+                    self.run_directive(goal, place, problem)
+                continue
+            try:
+                self.add_clause(term, place)
+            except PrologError as error:
+                problem(error.message, place)
+        for goal, place in late:
+            self.run_directive(goal, place, problem)
+
+    def run_directive(
+        self, goal: Term, place: Optional[Place], problem: Callable[[str, Optional[Place]], None]
+    ) -> bool:
+        """Run a directive; tell ``problem`` where it fails or raises. Return whether it succeeded."""
+        try:
+            if self.once(self.of_file(goal)):
+                return True
+            problem(f"Goal (directive) failed: {self.show(goal)}", place)
+        except PrologError as error:
+            problem(error.message, place)
+        return False
+
+    # Goals
+
+    def compile_goal(
+        self,
+        goal: Term,
+        inputs: Sequence[Var] = (),
+        outputs: Sequence[Term] = (),
+        place: Optional[Place] = None,
+        name: str = "goal",
+        from_outside: Optional[bool] = None,
+    ) -> CompiledGoal:
+        """Compile a goal for Python code.
+
+        Args:
+            goal: its term.
+            inputs: variables that get values, by position.
+            outputs: variables (or terms) whose values are wanted.
+            place: where it was read, for tracebacks.
+            name: who asks, for tracebacks.
+            from_outside: whether others than the program have given it; by default, whether it is compiled for them.
+
+        Raises:
+            PrologError: where the term can be no goal.
+        """
+        goal = deref(goal)
+        if goal.__class__ is not Var:
+            goal = check_body(goal)
+        if from_outside is None:
+            from_outside = self.from_outside
+        compiled = CompiledGoal(self.database, goal, inputs, outputs, place, name, from_outside)
+        if self.new_goals is not None:
+            self.new_goals.append(compiled)
+        return compiled
+
+    @contextmanager
+    def preparing(self, terms: Callable[[], Iterable[Term]]) -> Iterator[None]:
+        """Have what is compiled meanwhile be ready at the end, so that the first events need not wait for it.
+
+        Args:
+            terms: returns, at the end, the terms whose predicates will be called.
+        """
+        outer = self.new_goals
+        new = self.new_goals = []
+        try:
+            yield
+        finally:
+            self.new_goals = outer
+        self.database.compile_named(terms())
+        for goal in new:
+            goal.prepare()
+
+    def once(self, goal: Term, asked_for: Optional[Term] = None) -> bool:
+        """Run a goal for its first solution, whose bindings stay. Return whether there is one.
+
+        Args:
+            goal: the goal.
+            asked_for: what reports show in its place.
+
+        Raises:
+            PrologError: what the goal threw.
+        """
+        budget = self.machine.budget
+        budget.ended(1)  # many short ones may lie in each other, and none of them comes to look at the limits
+        if budget.closed:
+            budget.admit()
+        asked = budget.goal
+        if asked is None:
+            budget.goal = goal if asked_for is None else asked_for
+        try:
+            return self.machine.run((self.control.code, (CALL, goal), 0, self.machine.done))
+        finally:
+            budget.goal = asked
+
+    def solutions(self, goal: Term) -> Generator[None, None, None]:
+        """Run a goal; yield at each solution, with its bindings in place. Closing drops what is left."""
+        return self.machine.solutions((self.control.code, (CALL, goal), 0, self.machine.done), goal)
+
+    def print_to(self, write: Callable[[str], None], write_error: Callable[[str], None]) -> None:
+        """Set what prints the texts of ``user_output`` and ``user_error``; no goal runs."""
+        budget = self.machine.budget
+        self.output, self.error_output = UserStream(budget, write), UserStream(budget, write_error)
+
+    def write(self, text: str) -> None:
+        """Write to the current output."""
+        newline = text.rfind("\n")
+        self.column = self.column + len(text) if newline < 0 else len(text) - newline - 1
+        self.output(text)
+
+    def _to_error_output(self, kind: str, text: str) -> None:
+        self.error_output(text)
+
+    def show(
+        self,
+        term: Term,
+        quoted: bool = True,
+        names: Optional[Mapping[Var, str]] = None,
+        made: bool = False,
+        longest: Optional[int] = None,
+    ) -> str:
+        """Return a term as text that reads back with the program's operators.
+
+        Args:
+            term: any term.
+            quoted: whether atoms and strings are quoted where they have to be.
+            names: of variables.
+            made: whether the term is made and not matched, see `ReadFlags`.
+            longest: characters after which the text ends with ``...``.
+        """
+        options = {"quoted": quoted, "numbervars": True, "variable_names": names, "longest": longest}
+        named = [var for var, name in (names or {}).items() if name != "_"]
+        portray = by_name(term, self.operators, named, made, **options) if quoted else None
+        return write_term(term, self.operators, portray=portray, **options)
+
+    def brief(self, term: Term, names: Optional[Mapping[Var, str]] = None, made: bool = False) -> str:
+        """Return the beginning of a term's text, as reports show it."""
+        return self.show(term, names=names, made=made, longest=SHOWN)
+
+    # Internals
+
+    def _undefined(self, predicate: Predicate, frame: Frame) -> Optional[Frame]:
+        """Load the part of the library that defines a predicate, or raise its existence error."""
+        key = predicate.functor
+        if predicate.dynamic:
+            return None
+        plain = self.database.modules.plain_of(key)
+        found = None if plain is None else self.lookup(plain)
+        if found is not None:
+            return found.run((found, *frame[1:]))
+        part = self._library.get((key.name, key.arity))
+        if part is not None:
+            self._load_library(part)
+            return self.database.predicate(key).run(frame)
+        return undefined(self, predicate, frame)
+
+    def similar(self, key: Functor) -> List[str]:
+        """Return the predicates that may have been meant by the name of one that is not there."""
+        return similar(self, key)
+
+
+def _print(text: str) -> None:
+    sys.stdout.write(text)
+
+
+def _print_error(text: str) -> None:
+    sys.stderr.write(text)

@@ -1,0 +1,295 @@
+"""Terms as Python values, and Python values as terms.
+
+Terms as JSON, for those who ask from outside.
+"""
+
+import json
+import math
+import numbers
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple, Union
+
+from ...foundation.cancellation import BULK, look
+from ...foundation.errors import TermTooLarge, UsageError
+from ..machine.errors import instantiation_error, type_error
+from ..syntax.term_writer import writeq
+from ..terms.list_terms import list_items, make_list
+from ..terms.term_traversal import MAX_STEPS
+from ..terms.types import (
+    CONS,
+    FALSE,
+    MINUS,
+    NIL,
+    TRUE,
+    Atom,
+    CompoundTerm,
+    Functor,
+    Lazy,
+    String,
+    Term,
+    Var,
+    atom,
+    deref,
+    functor,
+)
+
+_MASK = len(BULK) - 1
+
+
+class Compound(NamedTuple):
+    """A compound term for Python code: a name and arguments, which are Python values.
+
+    >>> @foreign
+    ... def corner(width: float, height: float) -> Compound:
+    ...     return Compound("point", [width / 2, height / 2])
+    >>> engine = Engine()
+    >>> corners = engine.add_foreign(corner)
+    >>> engine.show(engine.query("corner(4, 2, P)")[0]["P"])
+    'point(2.0,1.0)'
+    """
+
+    name: str
+    args: Sequence[Any]
+
+
+def to_python(term: Term) -> Any:
+    """Return a term as a Python value.
+
+    ========================  =============================
+    term                      value
+    ========================  =============================
+    integer, float            int, float
+    ``true``, ``false``       True, False
+    atom, string              str
+    list                      list
+    compound term             `Compound`
+    ========================  =============================
+
+    >>> (solution,) = Engine().query("X = [a, 1, true, point(2, 3.5)]")
+    >>> to_python(solution["X"])
+    ['a', 1, True, Compound(name='point', args=[2, 3.5])]
+
+    Raises:
+        PrologError: an instantiation error for an unbound variable in it.
+    """
+    values: List[object] = []
+    stack: List[Union[Term, _PendingParts]] = [term]
+    steps = 0
+    while stack:
+        steps += 1
+        if not steps & _MASK:
+            look()
+            if steps > MAX_STEPS:
+                raise TermTooLarge
+        top = stack.pop()
+        if isinstance(top, _PendingParts):
+            values[len(values) - top.count :] = [top.join(values[len(values) - top.count :])]
+            continue
+        item = deref(top)
+        if item.__class__ is tuple:
+            items = list_items(item) if item[0] is CONS else None
+            parts = list(item[1:]) if items is None else items
+            stack.append(_PendingParts(len(parts), None if items is not None else item[0].name))
+            stack.extend(reversed(parts))
+        else:
+            values.append(_constant(item))
+    return values[0]
+
+
+class _PendingParts:
+    """On the stack of `to_python` after the parts of a list (without a name) or compound term."""
+
+    __slots__ = ("count", "name")
+
+    def __init__(self, count: int, name: Optional[str]):
+        self.count = count
+        self.name = name
+
+    def join(self, values: List[object]) -> object:
+        """Return the value of the whole."""
+        return values if self.name is None else Compound(self.name, values)
+
+
+def _constant(item: Term) -> object:
+    if item.__class__ is Var:
+        raise instantiation_error()
+    if item is TRUE or item is FALSE:
+        return item is TRUE
+    if item.__class__ is Atom:
+        return [] if item is NIL else item.name
+    if item.__class__ is String:
+        return item.text
+    return int(item) if isinstance(item, int) else item
+
+
+def to_term(value: object) -> Term:
+    """Return a Python value as a term.
+
+    The other way of `to_python`; str becomes an atom (a `retalis.String` stays a string), tuple and any
+    other iterable but str become a list, dict a list of ``Key-Value``. Terms stay what they are.
+
+    >>> Engine().show(to_term({"kitchen": [21.5, True]}))
+    '[kitchen-[21.5,true]]'
+
+    Raises:
+        UsageError: for a value that is none of these.
+    """
+    if value is None:
+        raise UsageError("None is not a term")
+    if isinstance(value, bool):
+        return TRUE if value else FALSE
+    if isinstance(value, (Atom, String, Var, Lazy)):
+        return value
+    if isinstance(value, str):
+        return atom(value)
+    if isinstance(value, numbers.Integral):
+        return int(value)
+    if isinstance(value, numbers.Real):
+        return float(value)
+    return _to_compound(value)
+
+
+def _to_compound(value: Any) -> Term:
+    """Return what is neither a constant nor a variable as a term."""
+    if isinstance(value, Compound):
+        if not value.args:
+            return atom(value.name)
+        return (functor(value.name, len(value.args)), *[to_term(item) for item in value.args])
+    if isinstance(value, tuple) and value and isinstance(value[0], Functor):
+        return value
+    if isinstance(value, dict):
+        return make_list([(MINUS, to_term(key), to_term(item)) for key, item in value.items()])
+    try:
+        items = iter(value)
+    except TypeError:
+        raise UsageError(f"a {type(value).__name__} is not a term: {value!r}") from None
+    found = []
+    for count, item in enumerate(items, 1):
+        found.append(to_term(item))
+        if not count & _MASK:
+            look()
+            if count > MAX_STEPS:
+                raise TermTooLarge
+    return make_list(found)
+
+
+def reader_of(hint: object) -> Callable[[Term], object]:
+    """Return what makes the argument for a parameter with an annotation."""
+    if hint in (Any, Term, Var):
+        return deref
+    return _READERS.get(hint, to_python)
+
+
+def _typed(
+    accepts: Tuple[type, ...], name: str, convert: Callable[[Any], object]
+) -> Callable[[Term], object]:
+    def read(term: Term) -> object:
+        value = to_python(term)
+        if isinstance(value, bool) and bool not in accepts:
+            value = "true" if value else "false"
+        if not isinstance(value, accepts) or isinstance(value, Compound):
+            raise type_error(name, deref(term))
+        return convert(value)
+
+    return read
+
+
+_READERS: Dict[object, Callable[[Term], object]] = {
+    int: _typed((int,), "integer", int),
+    float: _typed((int, float), "number", float),
+    str: _typed((str,), "atom", str),
+    bool: _typed((bool,), "bool", bool),
+    list: _typed((list,), "list", list),
+}
+
+
+class _ReadyText(str):
+    """On the stack of `to_json`: text that is written as it is."""
+
+    __slots__ = ()
+
+
+def to_json(term: Term, names: Dict[Var, str], most: int) -> str:
+    """Return a term as JSON.
+
+    ========================  ==========================================
+    term                      JSON
+    ========================  ==========================================
+    integer, float            number; ``"nan"``, ``"inf"``, ``"-inf"``
+    ``true``, ``false``       true, false
+    atom, string              string
+    list                      array
+    compound term             ``{"functor": "f", "args": [...]}``
+    variable                  ``{"variable": "_1"}``
+    ========================  ==========================================
+
+    Args:
+        term: the term.
+        names: of variables; those that it lacks are added.
+        most: characters that it may have.
+
+    Raises:
+        UsageError: where it is longer.
+    """
+    written: List[str] = []
+    stack: List[Union[Term, _ReadyText]] = [term]
+    length = steps = 0
+    while stack:
+        steps += 1
+        if not steps & _MASK:
+            look()
+        top = stack.pop()
+        if isinstance(top, _ReadyText):
+            text: str = top
+        else:
+            item = deref(top)
+            if item.__class__ is tuple:
+                if length + len(stack) > most:
+                    raise _too_long(most)
+                stack.extend(_parts(item, most))
+                continue
+            text = _json_constant(item, names, most)
+        length += len(text)
+        if length > most:
+            raise _too_long(most)
+        written.append(text)
+    return "".join(written)
+
+
+def _too_long(most: int) -> UsageError:
+    """Return the error of a solution that is too long to be answered."""
+    return UsageError(f"a solution has more than {most} characters")
+
+
+def _parts(item: CompoundTerm, most: int) -> List[Union[Term, _ReadyText]]:
+    """Return what is to be written of a list or compound term, the last first."""
+    items = list_items(item) if item[0] is CONS else None
+    parts = list(item[1:]) if items is None else items
+    if len(parts) > most:
+        raise _too_long(most)
+    found: List[Union[Term, _ReadyText]] = [_ReadyText("]" if items is not None else "]}")]
+    for at, part in enumerate(reversed(parts)):
+        if at:
+            found.append(_ReadyText(", "))
+        found.append(part)
+    functor = "" if items is not None else f'{{"functor": {json.dumps(item[0].name)}, "args": '
+    found.append(_ReadyText(f"{functor}["))
+    return found
+
+
+def _json_constant(item: Term, names: Dict[Var, str], most: int) -> str:
+    if isinstance(item, Var):
+        return json.dumps({"variable": names.setdefault(item, f"_{len(names) + 1}")})
+    if item is TRUE or item is FALSE:
+        return "true" if item is TRUE else "false"
+    if item is NIL:
+        return "[]"
+    if isinstance(item, (Atom, String)):
+        text = item.name if isinstance(item, Atom) else item.text
+        if len(text) > most:
+            raise _too_long(most)
+        return json.dumps(text, ensure_ascii=False)
+    if isinstance(item, float) and not math.isfinite(item):
+        return f'"{item}"'
+    if isinstance(item, int) and item.bit_length() > 4 * most:
+        raise _too_long(most)
+    return writeq(item)

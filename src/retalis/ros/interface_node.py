@@ -1,0 +1,154 @@
+"""Node ``retalis_ros_interface``: between ROS topics and events as text."""
+
+from typing import Iterable, List
+
+import rospy
+
+from ..engine.runtime.clock_skew import ClockSkewMonitor
+from ..engine.runtime.problem_reports import Reports
+from ..events.dispatch.listeners import NOT_READ
+from ..events.program.program_folder import TOPICS, Topics, direct_topics, read_topics
+from ..foundation.errors import RetalisError, UsageError, beginning
+from ..messages.decoder import Decoder
+from ..messages.message_to_text import text_without, text_writer
+from ..messages.type_registry import Definitions
+from ..prolog.syntax.event_text import EventReader, event_text, to_text
+from ..prolog.terms.types import deref
+from .diagnostics import Diagnostics, InputRole, NodeHealth, program_health
+from .dynamic_subscriptions import ToldTopics
+from .internal_topics import INPUT, OUTPUT
+from .latched_inputs import LatchedConnection
+from .node_lifecycle import run_node
+from .parameters import Parameters
+from .projection_sync import ProjectionReceiver
+from .ros_interface import OUTPUT_EVENT, Publisher, RosInterface, Take, connect, exhaust
+from .ros_log import log_error
+from .ros_time import Receipts, SimulatedTime
+from .services import InterfaceServices, ListService
+from .text_topics import TextPublisher
+from .topic_statistics import OutputStatus, StartupWarnings
+
+HOLD = 0.0018
+"""Seconds for which a message may wait for the next ones, to be read and sent on together.
+
+Below two intervals of a topic of 1,000 Hz, so that its messages are read one by one; see `MIN_FURTHER`.
+"""
+
+
+LONG = 1024
+"""Bytes of a message from which on it is looked whether some of it is read by nobody."""
+
+
+class InterfaceNode:
+    """The node: messages go out as text to node retalis, texts that come back go out as messages."""
+
+    def __init__(self, parameters: Parameters):
+        self._reports = reports = Reports()
+        self._time = SimulatedTime(reports)
+        skew = ClockSkewMonitor(
+            reports, self._time.now, most=parameters.max_skew, may_wait=self._time.may_wait
+        )
+        rospy.on_shutdown(skew.sum_up)
+        rospy.on_shutdown(reports.sum_up)
+        self._receipts = Receipts(self._time.now)
+        self._texts = TextPublisher(INPUT, parameters.queue, reports, self._receipts.runs, self._time.runs)
+        self._unread = ProjectionReceiver(self._texts.links, reports)
+        self._reader = EventReader()
+        self._interface = RosInterface(
+            self._sender,
+            parameters.queue,
+            reports,
+            Definitions(bare=parameters.bare),
+            self._flush_after,
+            hold=HOLD,
+            skew=skew,
+            latched=self._latched_sender,
+            runs=self._time.runs,
+        )
+        self._texts.begin(self._interface.turn, self._interface.publishers)
+        self._time.begin([self._interface.turn], skew.begin_run, self._texts.begin_run)
+        errors: List[str] = []
+        try:
+            topics = read_topics(parameters.program / TOPICS)
+        except RetalisError as error:
+            errors = log_error(error)
+            topics = Topics()
+        direct = direct_topics(parameters.direct, topics, rospy.resolve_name)
+        self._interface.leave(direct)
+        connect(self._interface, topics, direct)
+        for topic, kind in direct:
+            self._interface.learn(topic, kind)
+        self._told = ToldTopics(self._interface, reports)
+        InterfaceServices(self._interface)
+        ListService(self._interface.inputs, reports=reports)
+        self._interface.subscribe_texts(OUTPUT, self._receive)
+        loaded = program_health(errors, [])
+        StartupWarnings(self._interface.inputs, [topic for topic, _ in topics.subscribed])
+        self._diagnostics = Diagnostics(
+            parameters.diagnostics,
+            NodeHealth(self._interface.inputs, self._outputs, lambda: [loaded], _input_role),
+            parameters.hardware_id,
+        )
+
+    def _outputs(self) -> List[OutputStatus]:
+        return [self._texts.status(), *self._interface.outputs.status()]
+
+    def _sender(self, decoder: Decoder) -> Take:
+        """Return what sends the messages of a type as text."""
+        write, stamp, add = text_writer(decoder), decoder.stamp, self._texts.add
+        received = self._receipts.stamp
+
+        def take(data: bytes) -> None:
+            instant = stamp(data)
+            unread = self._unread.of(decoder.functor) if len(data) > LONG else None
+            text = text_without(decoder, data, unread, NOT_READ) if unread else write(data)
+            add(event_text(text, received() if instant is None else instant))
+
+        return take
+
+    def _flush_after(self, sent: Iterable[None]) -> None:
+        """Have messages that were received together sent together."""
+        exhaust(sent)
+        self._texts.flush()
+
+    def _latched_sender(self, decoder: Decoder, publisher: Publisher, connection: LatchedConnection) -> Take:
+        """Return what sends the messages of a latched connection as text, and keeps the last one."""
+        write, stamp, receipts = text_writer(decoder), decoder.stamp, self._receipts
+        write_again = text_writer(decoder.plain or decoder)  # which has been looked at
+
+        def take(data: bytes) -> None:
+            text = write(data)
+            stamped = stamp(data)
+            instant = receipts.stamp() if stamped is None else stamped
+            run = receipts.runs()
+
+            def again() -> str:
+                """Return the text for a node that comes later, by the time of this run."""
+                same = stamped is not None or run == receipts.runs()
+                return event_text(write_again(data), instant if same else receipts.stamp())
+
+            message = connection.message(data)
+            self._texts.add_latched(event_text(text, instant), message, publisher, again, len(data))
+
+        return take
+
+    def _receive(self, text: str) -> None:
+        try:
+            event = self._reader.read(text)
+            if event.__class__ is not tuple or event[0] is not OUTPUT_EVENT:
+                raise UsageError(f"expected event(Term,Topic,Id), found {beginning(text)}")
+        except RetalisError as error:
+            self._reports.error(RetalisError(f"an output is not published: {error}"), OUTPUT)
+            return
+        topic = deref(event[2])
+        self._interface.outputs.publish(deref(event[1]), getattr(topic, "name", None) or to_text(topic))
+
+
+def _input_role(topic: str) -> InputRole:
+    """Return the use that the program has for a topic."""
+    return InputRole.LINK if topic == rospy.resolve_name(OUTPUT) else InputRole.NEEDED
+
+
+def main() -> int:
+    """Run the node until it is shut down; return its exit status."""
+    return run_node("retalis_ros_converter", InterfaceNode)

@@ -1,0 +1,96 @@
+"""The top level of a node that runs: goals are read here and asked there."""
+
+import argparse
+import sys
+from io import StringIO
+from typing import Union
+
+from .. import srv
+from ..cli import prompt
+from ..foundation.errors import SyntaxFault, UsageError, printable
+from ..prolog.syntax.term_reader import ReadTerm
+from ..prolog.syntax.term_writer import write_term
+from ..prolog.system.prolog_system import PrologSystem
+from ..prolog.terms.types import Atom, deref
+from .live_commands import LiveNode, checked, lines_of
+
+_MAX_TERMINAL_SOLUTIONS = 100
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run ``console --node``; from a pipe or with goals the status is 1 if there was an error."""
+    if options.files:
+        raise UsageError("files are loaded where the console is: leave them out with --node")
+    console = LiveConsole(LiveNode(options.node), options.most)
+    if options.goal:
+        for goal in options.goal:
+            console.goals(prompt.Lines(StringIO(goal if goal.rstrip().endswith(".") else f"{goal} .\n")))
+    elif sys.stdin.isatty():
+        print(f"% {console.node.name}: goals end with a full stop; quit. or ctrl-D ends the console")
+        console.goals(prompt.Terminal(list))
+        return 0
+    else:
+        console.goals(prompt.Lines(sys.stdin))
+    return 1 if console.errors else 0
+
+
+class LiveConsole:
+    """Asks the goals of a user or a pipe.
+
+    Args:
+        node: answers.
+        most: solutions shown of a goal where nobody is there to ask for more.
+
+    Attributes:
+        errors: how many there were.
+    """
+
+    def __init__(self, node: LiveNode, most: int):
+        self.node = node
+        self.errors = 0
+        self._most = most
+        self._logic = PrologSystem()
+
+    def goals(self, lines: Union[prompt.Lines, prompt.Terminal]) -> None:
+        """Read goals and answer them until the end of the input or ``halt``."""
+        while True:
+            try:
+                read = prompt.read_clause(lines, self._logic, "?- ")
+                if read is None:
+                    return
+                if isinstance(read, SyntaxFault):
+                    self._say(str(read))
+                    continue
+                goal = deref(read.term)
+                if isinstance(goal, Atom) and goal.name in prompt.LEAVE:
+                    return
+                self._ask(read, lines)
+            except UsageError as error:
+                self._say(str(error))
+            except KeyboardInterrupt:
+                lines.rest = ""
+                print("\n% interrupted", flush=True)
+
+    def _say(self, text: str) -> None:
+        self.errors += 1
+        print(text, file=sys.stderr, flush=True)
+
+    def _ask(self, read: ReadTerm, lines: Union[prompt.Lines, prompt.Terminal]) -> None:
+        names = {var: name for name, var in read.names.items()}
+        goal = write_term(read.term, self._logic.operators, quoted=True, variable_names=names)
+        most = _MAX_TERMINAL_SOLUTIONS if lines.is_terminal else self._most
+        found = checked(self.node.call("query", srv.Query, goal=goal, max_solutions=most))
+        shown = list(lines_of(found))
+        for number, line in enumerate(shown, 1):
+            print(printable(line), end="", flush=True)
+            if number == len(shown) and found.complete:
+                print(".")
+            elif number == len(shown) or not lines.wants_more():
+                print(" .")
+                break
+            else:
+                print(" ;", flush=True)
+        if not shown:
+            print("false.")
+        elif not found.complete and number == len(shown):
+            print("% there may be more")

@@ -1,0 +1,365 @@
+"""Node ``retalis``: the engine behind its services and topics."""
+
+import threading
+import time
+from functools import partial
+from typing import Any, Callable, Iterable, List, Mapping, Optional, Tuple
+
+import rospy
+
+from ..engine.engine import Engine
+from ..engine.engine_parts import parts_of
+from ..engine.program_check import never_comes, never_sent
+from ..engine.runtime.clock import Alarm, Clock
+from ..engine.runtime.clock_epochs import ClockEpochs
+from ..engine.runtime.clock_skew import ClockSkewMonitor
+from ..engine.runtime.problem_reports import Reports
+from ..events.program.program_folder import TOPICS, Topics, TopicType, direct_topics, read_topics
+from ..explanation.explain import record_origins
+from ..foundation.errors import RetalisError, UsageError
+from ..messages.decoder import Decoder
+from ..messages.type_definition import functor_name
+from ..messages.type_registry import Definitions, Installed
+from ..prolog.syntax.event_text import to_text
+from ..prolog.terms.types import CompoundTerm, Term, atom
+from .checkpoint_file import StateFile
+from .diagnostics import LATE, Diagnostics, EngineHealth, Health, InputRole, NodeHealth, program_health
+from .dynamic_subscriptions import DynamicSubscriptions, plain
+from .internal_topics import INPUT, OUTPUT, TextOnly, resolve
+from .latched_inputs import LatchedConnection, LatchedInputs
+from .node_dashboard import NodeDashboard
+from .node_lifecycle import run_node
+from .parameters import WATCHDOG, Parameters
+from .projection_sync import ProjectionPublisher
+from .ros_interface import OUTPUT_EVENT, Publisher, RosInterface, Take, connect
+from .ros_log import log_counts, log_error, print_lines_of
+from .ros_time import SimulatedTime, ros_now
+from .services import (
+    EngineServices,
+    InterfaceServices,
+    ListService,
+    QueryServices,
+    ReloadService,
+    RuleServices,
+)
+from .text_topics import OutputTexts
+from .topic_statistics import OutputStatus, StartupWarnings
+
+MAX_EPOCH_WAIT_SECONDS = 10.0
+"""Seconds after which an engine is in a run at the latest: a full queue may have dropped what would have told it."""
+
+
+HEARD = 5.0
+"""Seconds for which alarms that came due while the node was away wait for the interface to be connected."""
+
+
+class RosClock(Clock):
+    """ROS time, simulated or not; wakes the engine when an alarm is due.
+
+    Attributes:
+        engine: is woken.
+        resumed: whether the engine goes on from a file, and simulated time has not been heard of since.
+    """
+
+    def __init__(self, runs: Optional[ClockEpochs] = None) -> None:
+        super().__init__(ros_now if runs is None else lambda: self._time_of_run(runs))
+        self._run = 0
+        self.resumed = False
+        self.engine: Optional[Engine] = None
+        self._timer: Optional[rospy.Timer] = None
+        self._timer_for: Optional[int] = None
+
+    def _time_of_run(self, runs: ClockEpochs) -> int:
+        """Return the time of the run that the engine is in: it may still have messages of the one before."""
+        if self._run != runs.run and time.monotonic() - runs.since > MAX_EPOCH_WAIT_SECONDS:
+            self._run = runs.run
+        now = runs.now(self._run)
+        if self.resumed and not now:
+            return self._newest  # /clock has said nothing yet: no time that went back
+        self.resumed = False
+        return now
+
+    def begin_run(self, run: int) -> None:
+        """Have the engine go on to another run."""
+        self._run = run
+
+    def call_at(self, instant: int, alarm: Alarm) -> None:
+        """Have ``alarm`` called when ROS time reaches an instant."""
+        super().call_at(instant, alarm)
+        self._set_timer()
+
+    def put_back(self, instant: int, order: int, alarm: Alarm) -> None:
+        """Have ``alarm`` called as another clock had it; see `call_at`."""
+        super().put_back(instant, order, alarm)
+        self._set_timer()
+
+    def due(self, until: Optional[int] = None) -> Optional[Tuple[int, Alarm]]:
+        """Take and return the next alarm that is due; where there is none, a timer waits for the next one.
+
+        The timer is set here, where the engine works, and not when it rings: an engine that is busy then would
+        be woken again and again for the same alarm.
+        """
+        found = super().due(until)
+        if found is None:
+            self._set_timer()
+        return found
+
+    def _set_timer(self) -> None:
+        """Have one timer, for the earliest alarm.
+
+        Not before there is an engine to wake: one that goes on from a file sets its alarms before that, when ROS time
+        may not be known either.
+        """
+        if self.engine is None:
+            return
+        instant = self.next_alarm()
+        timer, timer_for = self._timer, self._timer_for  # another thread may be just in `_wake`
+        if instant is None or (timer_for is not None and timer_for <= instant):
+            return
+        if timer is not None:
+            timer.shutdown()
+        self._timer_for = instant
+        wait = max(1_000_000, instant - self.now())
+        self._timer = rospy.Timer(rospy.Duration.from_sec(wait / 1e9), self._wake, oneshot=True, reset=True)
+
+    def _wake(self, event: object) -> None:
+        self._timer = self._timer_for = None
+        if self.engine is not None:
+            self.engine.advance()
+
+
+class RetalisNode:
+    """Node ``retalis``, set up from its parameters."""
+
+    def __init__(self, parameters: Parameters):
+        self._parameters = parameters
+        self._errors: List[str] = []
+        self._doubts: List[str] = []
+        self._reports = Reports()
+        self._time = SimulatedTime(self._reports)
+        definitions = Definitions(bare=parameters.bare)
+        state = StateFile(parameters, self._reports)
+        self.engine = state.engine(lambda: RosClock(self._time.runs), definitions)
+        print_lines_of(parts_of(self.engine).logic)
+        clock: Any = self.engine.clock
+        clock.engine, clock.resumed = self.engine, state.resumed
+        skew = ClockSkewMonitor(
+            self._reports, self._time.now, most=parameters.max_skew, may_wait=self._time.may_wait
+        )
+        rospy.on_shutdown(skew.sum_up)
+        rospy.on_shutdown(self._reports.sum_up)
+        if parameters.explain:
+            record_origins(self.engine)
+        topics = self._topics()
+        direct = direct_topics(parameters.direct, topics, rospy.resolve_name)
+        asked = DynamicSubscriptions()
+        input_topics = parts_of(self.engine).input_topics
+        input_topics.begin(asked.ask, topics, direct, plain)
+        if not state.resumed:
+            self._load()
+        runs = self._time.runs
+        self._latched = LatchedInputs(int if runs is None else lambda: runs.run)
+        self._texts = self._output_texts(topics)
+        self._interface = RosInterface(
+            self._reader,
+            parameters.queue,
+            self._reports,
+            definitions,
+            self.engine.post_each,
+            skew=skew,
+            latched=self._latched_reader,
+            runs=runs,
+        )
+        self._text_only = TextOnly((topic for topic, _ in topics.published), self._reports)
+        self._look_through(topics)
+        self.engine.on_output(self._send_text)
+        if parameters.embedded:
+            connect(self._interface, topics, direct)
+            self.engine.on_output(lambda term, topic, name: self._interface.outputs.publish(term, topic))
+            InterfaceServices(self._interface)
+        else:
+            ProjectionPublisher(self.engine)
+        for topic, kind in direct:
+            self._subscribe(topic, kind, topics.event_of(topic, rospy.resolve_name))
+        asked.begin(self._interface if parameters.embedded else None)
+        types = {rospy.resolve_name(topic): kind for topic, kind in topics.published}
+        EngineServices(
+            self.engine,
+            self._text_only,
+            lambda pattern: self._doubt(pattern, topics, direct),
+            lambda goal, topic: self._misfit(goal, topic, types, definitions),
+        )
+        QueryServices(self.engine)
+        RuleServices(self.engine)
+        ReloadService(
+            self.engine, parameters.program, parameters.settings.write_folders, topics, self._reloaded
+        )
+        ListService(self._interface.inputs, self.engine.status)
+        texts = self._interface.subscribe_texts(INPUT, self.engine.post_text, runs, self._latched)
+        self._time.begin([self._interface.turn, texts], skew.begin_run, lambda end: self._begin_run(clock))
+        rospy.loginfo("%s: %s", parameters.program, self.engine.summary())
+        StartupWarnings(self._interface.inputs, self._named(input_topics.joined(topics)), clock=True)
+        self._diagnostics = Diagnostics(
+            parameters.diagnostics,
+            NodeHealth(
+                self._interface.inputs,
+                self._outputs,
+                self._engine_health(),
+                self._input_roles(topics, direct),
+            ),
+            parameters.hardware_id,
+        )
+        self._dashboard = NodeDashboard(
+            parameters.dashboard,
+            parameters.dashboard_queries,
+            self.engine,
+            self._interface.inputs,
+            [*topics.subscribed, *direct],
+            lambda: input_topics.joined(topics).events,
+        )
+        state.begin(self.engine)
+        if state.resumed:
+            threading.Thread(target=self._ring, daemon=True).start()
+
+    def _ring(self) -> None:
+        """Let alarms ring that came due while the node was away, when there is somebody to hear them."""
+        end = time.monotonic() + HEARD
+        while not self._parameters.embedded and not self._texts.links() and time.monotonic() < end:
+            time.sleep(0.05)
+        self.engine.advance()
+
+    def _begin_run(self, clock: RosClock) -> None:
+        """Have the engine start anew when it has taken what was posted so far."""
+        if self._time.runs is not None:
+            self.engine.advance(partial(clock.begin_run, self._time.runs.run))
+
+    def _engine_health(self) -> Callable[[], List[Health]]:
+        settings = self._parameters.settings
+        engine = EngineHealth(settings.watchdog or WATCHDOG, settings.limits.seconds or LATE)
+
+        def health() -> List[Health]:
+            status = self.engine.status()
+            status = status._replace(
+                errors=status.errors + log_counts.errors, warnings=status.warnings + log_counts.warnings
+            )
+            return [
+                *engine.of(time.monotonic(), status),
+                program_health(list(self._errors), list(self._doubts)),
+            ]
+
+        return health
+
+    def _input_roles(self, topics: Topics, direct: Iterable[TopicType]) -> Callable[[str], InputRole]:
+        """Return what gives the use that the program has for a topic, as its rules are when it is called."""
+        embedded, takes = self._parameters.embedded, parts_of(self.engine).dispatcher.takes_name
+        resolve_name = rospy.resolve_name
+        named = set(map(resolve_name, self._named(topics)))
+        # Topics that the node subscribes by default, with the names of their events.
+        default = {
+            resolve_name(topic): topics.event_of(topic, resolve_name) or functor_name(kind)
+            for topic, kind in direct
+            if resolve_name(topic) not in named
+        }
+        texts = resolve_name(INPUT)
+
+        def role(topic: str) -> InputRole:
+            if topic == texts:
+                return InputRole.OPTIONAL if embedded else InputRole.LINK
+            event = default.get(topic)
+            return InputRole.NEEDED if event is None or takes(event) else InputRole.UNREAD
+
+        return role
+
+    def _outputs(self) -> List[OutputStatus]:
+        return [self._texts.status(), *self._interface.outputs.status()]
+
+    def _reloaded(self, topics: Topics) -> None:
+        self._errors.clear()
+        self._doubts.clear()
+        self._look_through(topics)
+
+    def _look_through(self, topics: Topics) -> None:
+        """Say what is probably not meant in the program that has been loaded."""
+        self._text_only.told(self.engine.output_topics())
+        definitions = Definitions(Installed(rosbags=False))  # which the node has no other need of
+        direct = direct_topics(self._parameters.direct, topics, rospy.resolve_name)
+        for warning in self.engine.warnings(self._parameters.program, definitions, topics, direct):
+            self._doubts.append(warning.brief())
+            rospy.logwarn("%s", warning)
+
+    def _named(self, topics: Topics) -> List[str]:
+        """Return the topics of this node that somebody has named; not those that it subscribes by default."""
+        direct = self._parameters.direct
+        own = [*(topics.subscribed if self._parameters.embedded else ())]
+        own += direct if isinstance(direct, tuple) else ()
+        return [topic for topic, _ in own]
+
+    def _doubt(self, pattern: Term, topics: Topics, direct: Iterable[TopicType]) -> str:
+        """Return why events of a pattern will hardly come, "" where they may."""
+        definitions = Definitions(Installed(rosbags=False))
+        return never_comes(self.engine, pattern, definitions, topics, direct)
+
+    def _misfit(
+        self, goal: CompoundTerm, topic: str, types: Mapping[str, str], definitions: Definitions
+    ) -> str:
+        """Return why no output of a subscription can be a message of its topic's type, "" if some may be."""
+        try:
+            kind = types.get(resolve(topic))
+        except UsageError:  # a name for other nodes only
+            kind = None
+        if kind is None:
+            return ""
+        # Types that messages have brought are in the node's own definitions; `find` there would load rosbags' types.
+        known = definitions if definitions.known(kind) else Definitions(Installed(rosbags=False))
+        return never_sent(goal, topic, kind, known)
+
+    def _load(self) -> None:
+        try:
+            self.engine.load_program(self._parameters.program)
+        except RetalisError as error:
+            self._errors += log_error(error)
+
+    def _topics(self) -> Topics:
+        try:
+            return read_topics(self._parameters.program / TOPICS)
+        except RetalisError as error:
+            if self._parameters.embedded:  # otherwise the other node, whose file it is, says it
+                rospy.logerr("%s", error)
+            return Topics()
+
+    def _subscribe(self, topic: str, kind: str, event: str) -> None:
+        try:
+            self._interface.subscribe(topic, kind, event)
+        except RetalisError as error:
+            rospy.logerr("parameter ~direct: %s", error)
+
+    def _reader(self, decoder: Decoder) -> Take:
+        """Return what makes an event of a message, and its instant."""
+        decode, stamp = decoder.decode, decoder.stamp
+        return lambda data: (decode(data), stamp(data))
+
+    def _latched_reader(self, decoder: Decoder, publisher: Publisher, connection: LatchedConnection) -> Take:
+        """Return what makes an event of a latched message, unless the engine has it already."""
+        read, latched = self._reader(decoder), self._latched
+
+        def take(data: bytes) -> Any:
+            found = read(data)  # first: a message that comes too early, or is broken, is not taken
+            return None if latched.repeats(connection.message(data)) else found
+
+        return take
+
+    def _output_texts(self, topics: Topics) -> OutputTexts:
+        """Return what sends outputs as text; with the interface embedded, nobody else has to get them."""
+        if self._parameters.embedded:
+            topics = Topics()
+        published = [topic for topic, _ in topics.published]
+        return OutputTexts(OUTPUT, self._parameters.queue, self._reports, published, topics.latched)
+
+    def _send_text(self, term: Term, topic: str, name: Term) -> None:
+        self._text_only.look(topic)  # of a subscription that a rule has made
+        self._texts.send(topic, lambda: to_text((OUTPUT_EVENT, term, atom(topic), name)))
+
+
+def main() -> int:
+    """Run the node until it is shut down; return its exit status."""
+    return run_node("retalis", RetalisNode)

@@ -1,0 +1,1 @@
+"""Snapshots as plain data: codec, schemas and the sections of a state."""

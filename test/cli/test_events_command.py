@@ -1,0 +1,526 @@
+"""``python3 -m retalis events``: a program over a stream."""
+
+import io
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from retalis.cli.command_line import main
+from retalis.cli.events_command import is_left_unread
+
+ROOT = Path(__file__).resolve().parents[2]
+RULES = "alarm(X) <- smoke(X) seq heat(X) where X \\= lab.\n"
+
+
+@pytest.fixture
+def run(tmp_path, capsys):
+    """Run the command over texts; give its status, output lines and standard error."""
+
+    def call(*options, **files):
+        arguments = ["events"]
+        for name, text in files.items():
+            option = name.replace("_", "-")
+            if text is None:
+                arguments += [f"--{option}", str(tmp_path / f"{name}.out")]
+            else:
+                path = tmp_path / f"{name}.txt"
+                path.write_text(text, encoding="utf-8")
+                arguments += [f"--{option}", str(path)]
+        status = main([*arguments, *options])
+        shown = capsys.readouterr()
+        return status, shown.out.splitlines(), shown.err
+
+    return call
+
+
+def test_prints_events_in_the_order_of_dispatch(run):
+    stream = "event(smoke(a),[1,2]).\nevent(heat(a),[3,4.5]).\n"
+    assert run(rules=RULES, stream=stream) == (
+        0,
+        ["event(smoke(a),[1,2]).", "event(heat(a),[3,4.5]).", "event(alarm(a),[1,4.5])."],
+        "",
+    )
+
+
+def test_what_is_printed_reads_back(run):
+    stream = "event('A b'(\"s\",[x|T],'it''s',-1,- 1,a+b*c,{q},T,U),[1,1]).\n"
+    status, lines, _ = run(stream=stream)
+    assert (status, len(lines)) == (0, 1)
+    assert run(stream="\n".join(lines)) == (0, lines, "")
+
+
+def test_an_event_is_read_like_a_program_whatever_its_line_looks_like(run):
+    rules = 'yes(1) <- a("text",inf) . yes(2) <- a("text",X) where var(X).\n'
+    for stream in ('event(a("text",inf),[1,1]).\n', 'event(a("text",inf),[1,1]). true.\n'):
+        assert run(rules=rules, stream=stream)[1] == ['event(a("text",inf),[1,1]).', "event(yes(1),[1,1])."]
+    assert run(rules=rules, stream='event(a("text",True),[1,1]).')[1][0] == 'event(a("text",A),[1,1]).'
+
+
+def test_stamps_are_printed_in_the_form_in_which_they_came(run):
+    stream = "event(a,[datime(2001,1,1,0,0,0,5),datime(2001,1,1,0,0,1.0,0)]).\nevent(b,[datime(2001,1,1,0,0,2),3e9])."
+    assert run(stream=stream)[1] == [
+        "event(a,[datime(2001,1,1,0,0,0,5),datime(2001,1,1,0,0,1.0,0)]).",
+        "event(b,[datime(2001,1,1,0,0,2),3000000000.0]).",
+    ]
+
+
+def test_goals_are_called_before_the_rules_and_stream(run):
+    goals = "set_etalis_flag(event_consumption_policy,unrestricted)\nassert(hot(a))\n"
+    rules = "alarm(X) <- smoke(X) seq heat(X) where hot(X).\n"
+    stream = "event(smoke(a),[1,1]). event(heat(a),[2,2]). event(heat(a),[3,3]).\n"
+    assert run(goals=goals, rules=rules, stream=stream)[1][-1] == "event(alarm(a),[1,3])."
+
+
+def test_other_terms_of_a_stream_are_goals(run):
+    stream = "assert(hot(a)).\nevent(go,[1,1]).\nwrite(hello), nl.\n"
+    assert run(rules=":- dynamic(hot/1).\nyes <- go where hot(a).\n", stream=stream) == (
+        0,
+        ["event(go,[1,1]).", "event(yes,[1,1]).", "hello"],
+        "",
+    )
+
+
+def test_goals_may_be_written_as_directives(run):
+    stream = ":- assertz(f(1)).\n?- assertz(f(2)).\n"
+    assert run(goals=":- assertz(f(0)).", stream=stream, queries=":- f(X).\n?- f(2).") == (
+        0,
+        ["f(0).", "f(1).", "f(2).", "f(2)."],
+        "",
+    )
+
+
+@pytest.mark.parametrize("time", ["-1", "x", "_", "inf"])
+def test_nobody_sleeps_back_in_time(run, time):
+    status, _, error = run(stream=f"sleep({time}).\n")
+    assert status == 1
+    assert "stream.txt:1:1: sleep/1 needs a number of seconds" in error
+
+
+def test_outputs_go_to_their_file(run, tmp_path):
+    goals = "subscribe(alarm(X),[],at(X),topic,'my id')"
+    stream = "event(smoke(a),[1,1]). event(heat(a),[2,2])."
+    status, lines, _ = run(goals=goals, rules=RULES, stream=stream, outputs=None)
+    assert (status, len(lines)) == (0, 3)
+    assert (tmp_path / "outputs.out").read_text() == "output(at(a),topic,'my id').\n"
+
+
+def test_outputs_can_be_printed(run):
+    goals = "subscribe(alarm(X),[],at(X),topic,i)"
+    stream = "event(smoke(a),[1,1]). event(heat(a),[2,2])."
+    assert "output(at(a),topic,i)." in run("--outputs", "-", goals=goals, rules=RULES, stream=stream)[1]
+
+
+MEMORY = "memorize(a(X),[],X,m,2)"
+
+
+def test_memory_events_are_printed_only_when_asked_for(run):
+    assert run(goals=MEMORY, stream="event(a(1),[1,1]).")[1] == ["event(a(1),[1,1])."]
+    lines = run("--memory-events", goals=MEMORY, stream="event(a(1),[1,1]).")[1]
+    assert [line.partition("(")[0] for line in lines] == ["memory_event", "event", "memory_event"]
+    assert lines[2].startswith("memory_event(memory_updated(m,1),[")
+
+
+def test_queries_print_their_solutions(run):
+    queries = "member(X,[1,2])\naccess_mem(m,X,[T1,T2]).\nfail\n"
+    status, lines, _ = run(goals=MEMORY, stream="event(a(q),[1,2]).", queries=queries)
+    assert status == 0
+    assert lines == ["event(a(q),[1,2]).", "member(1,[1,2]).", "member(2,[1,2]).", "access_mem(m,q,[1,2])."]
+
+
+def test_an_error_in_a_query_is_an_error(run):
+    status, lines, error = run(queries="member(X,[1])\nunknown_one(1)\nmember(X,[2])\n")
+    assert status == 1
+    assert lines == ["member(1,[1]).", "member(2,[2])."]
+    assert "queries.txt:2:1" in error
+
+
+# ---- time -----------------------------------------------------------------------------------------------
+
+
+def test_the_clock_is_the_streams(run):
+    stream = "event(a,[10,10]).\nevent(b).\nsleep(2.5).\nevent(c).\n"
+    lines = run(stream=stream)[1]
+    assert lines[1] == "event(b,[datime(1970,1,1,0,0,10,0),datime(1970,1,1,0,0,10,0)])."
+    assert lines[2] == "event(c,[datime(1970,1,1,0,0,12,500000000),datime(1970,1,1,0,0,12,500000000)])."
+
+
+def test_sleep_lets_alarms_fire(run):
+    rules = "exceptionAlarm(late,5) <- start.\n"
+    assert run(rules=rules, stream="event(start,[1,1]).\nsleep(4).\n")[1] == ["event(start,[1,1])."]
+    lines = run(rules=rules, stream="event(start,[1,1]).\nsleep(4).\nsleep(1).\n")[1]
+    assert lines[1].startswith("event(late,[1,")
+
+
+def test_a_stamp_lets_alarms_fire_before_its_event(run):
+    lines = run(
+        rules="exceptionAlarm(late,5) <- start.\n", stream="event(start,[1,1]).\nevent(x,[20,20]).\n"
+    )[1]
+    assert [line[6:10] for line in lines] == ["star", "late", "x,[2"]
+
+
+def test_a_pinned_clock_stands_still(run):
+    stream = "event(a).\nevent(x,[datime(2005,1,1,0,0,0,0),datime(2005,1,1,0,0,0,0)]).\nevent(b).\n"
+    lines = run("--clock", "datime(2001,1,1,0,0,0,0)", stream=stream)[1]
+    assert lines[0] == "event(a,[datime(2001,1,1,0,0,0,1),datime(2001,1,1,0,0,0,1)])."
+    assert lines[2] == "event(b,[datime(2001,1,1,0,0,0,2),datime(2001,1,1,0,0,0,2)])."
+
+
+def test_a_clock_that_is_none_is_refused(run):
+    status, _, error = run("--clock", "monday", stream="event(a).")
+    assert status == 1
+    assert "--clock monday: expected datime" in error
+
+
+# ---- errors ---------------------------------------------------------------------------------------------
+
+
+def test_all_errors_of_a_rule_file_are_told_and_nothing_of_it_is_active(run):
+    rules = "a <- b ntimes zero.\nc <- (d.\ne <- f.\ng <- h cnott i.\n"
+    status, lines, error = run(rules=rules, stream="event(f,[1,1]).")
+    assert (status, lines) == (1, ["event(f,[1,1])."])
+    assert error.count("error: ") == 3
+    for line in (1, 2, 4):
+        assert f"rules.txt:{line}:" in error
+    assert "^" in error
+
+
+@pytest.mark.parametrize(
+    "wrong, column",
+    [
+        ("event(a,[2,1]).", 1),
+        ("event(X).", 1),
+        ("event(3).", 1),
+        ("event(a,[x,y]).", 1),
+        ("event(a, .", 10),
+        ("no_such_goal.", 1),
+        ("fail.", 1),
+        ("event(a,[1,1])", 15),
+    ],
+)
+def test_an_error_in_the_stream_stops_nothing_else(run, wrong, column):
+    status, lines, error = run(stream=f"event(before,[1,1]).\n{wrong}\n\nevent(after,[1,1]).\n")
+    if wrong.endswith("."):
+        assert lines == ["event(before,[1,1]).", "event(after,[1,1])."]
+    assert status == 1
+    assert f"stream.txt:2:{column}" in error or not wrong.endswith(".")
+
+
+def test_an_event_that_is_not_as_it_is_declared_is_an_error_with_its_place(run):
+    rules = ":- event smoke(room:atom).\n" + RULES.replace("seq heat(X) ", "")
+    status, lines, said = run(
+        rules=rules, stream="event(smoke(a),[1,1]).\nevent(smoke(7),[2,2]).\nevent(smoke,[3,3]).\n"
+    )
+    assert (status, lines) == (1, ["event(smoke(a),[1,1]).", "event(alarm(a),[1,1])."])
+    assert (
+        "stream.txt:2:1: event refused: room of smoke/1 is an atom, found 7; declared as smoke(room:atom)"
+        in said
+    )
+    assert (
+        "stream.txt:3:1: event refused: smoke/0 is not as it is declared: smoke(room:atom) has 1 argument"
+        in said
+    )
+
+
+def test_an_error_of_a_rule_at_run_time_is_an_error(run):
+    rules = "x <- a where 1 < foo.\ny <- a.\n"
+    status, lines, error = run(rules=rules, stream="event(a,[1,1]).")
+    assert (status, lines) == (1, ["event(a,[1,1]).", "event(y,[1,1])."])
+    assert "rules.txt:1" in error
+
+
+def test_a_goal_that_fails_is_an_error_with_its_place(run):
+    status, lines, error = run(goals="true\nfail\n", stream="event(a,[1,1]).")
+    assert (status, lines) == (1, ["event(a,[1,1])."])
+    assert "goals.txt:2:1" in error
+
+
+def test_files_that_are_not_there(run, tmp_path, capsys):
+    assert main(["events", "--rules", str(tmp_path / "no.txt")]) == 1
+    assert main(["events", "--stream", str(tmp_path / "no.txt")]) == 1
+    assert main(["events", "--stream", os.devnull, "--outputs", str(tmp_path / "no" / "no.txt")]) == 1
+    assert capsys.readouterr().err.count("no.txt") == 3
+
+
+def test_a_stream_that_is_no_text(tmp_path, capsys):
+    stream = tmp_path / "stream.txt"
+    stream.write_bytes(b"event(a,[1,1]).\n\xff\xfe\n")
+    assert main(["events", "--stream", str(stream)]) == 1
+    assert "UTF-8" in capsys.readouterr().err
+
+
+# ---- JSON -----------------------------------------------------------------------------------------------
+
+
+def test_json_has_one_object_a_line(run, tmp_path):
+    goals = MEMORY + "\nsubscribe(a(X),[],X,t,i)\n"
+    status, lines, _ = run(
+        "--json",
+        "--memory-events",
+        "--explain",
+        "a(_)",
+        goals=goals,
+        stream="event(a('X y'),[1,2]). event(b,[datime(1970,1,1,0,0,2,5),2.5]).",
+        queries="access_mem(m,X,_)\n",
+        outputs=None,
+    )
+    assert status == 0
+    objects = [json.loads(line) for line in lines]
+    assert objects[1] == {"event": "a('X y')", "start": 1_000_000_000, "end": 2_000_000_000}
+    assert objects[2]["memory_event"] == "memory_updated(m,2)"
+    assert objects[3] == {"event": "b", "start": 2_000_000_005, "end": 2_500_000_000}
+    assert objects[4] == {"query": "access_mem(m,A,B)", "solutions": ["access_mem(m,'X y',[1,2])"]}
+    assert objects[5] == {
+        "explain": "a(A)",
+        "happened": True,
+        "because": [{"text": "a('X y') [1,2] came from outside", "below": []}],
+    }
+    told = {"output": "'X y'", "topic": "t", "id": "i", "time": 2_000_000_000}
+    assert json.loads((tmp_path / "outputs.out").read_text()) == told
+
+
+# ---- explanations ---------------------------------------------------------------------------------------
+
+
+def explained(run, asked, rules, stream):
+    """Return the status and the lines of the explanation."""
+    status, lines, error = run("--explain", asked, rules=rules, stream=stream)
+    assert error == ""
+    assert status == 0
+    return [line[2:] for line in lines if line.startswith("% ")]
+
+
+STREAM = (
+    "event(smoke(hall),[1,1]).\nevent(heat(hall),[2,2]).\nevent(smoke(lab),[3,3]).\nevent(heat(lab),[4,4]).\n"
+)
+TWO = RULES + "evacuate(X) do true <- alarm(X) fnot drill.\n"
+
+
+def test_explains_what_happened_down_to_the_events_from_outside(run):
+    lines = explained(run, "evacuate(hall)", TWO, STREAM)
+    assert lines[0] == "evacuate(hall) happened"
+    assert [line.split(" by ")[0].rstrip() for line in lines[1:]] == [
+        "  evacuate(hall) [1,2]",
+        "    alarm(hall) [1,2]",
+        "      smoke(hall) at 1 came from outside",
+        "      heat(hall) at 2 came from outside",
+    ]
+    assert lines[1].endswith("rules.txt:2)")
+
+
+def test_explains_patterns_and_intervals(run):
+    assert explained(run, "alarm(X)", RULES, STREAM)[1].startswith("  alarm(hall) [1,2] by rule")
+    assert explained(run, "event(alarm(X),[1,2])", RULES, STREAM)[0].endswith(" happened")
+    lines = explained(run, "event(alarm(X),[1,3])", RULES, STREAM)
+    assert lines[0].endswith("did not happen")
+    assert "    - but nowhere with that interval" in lines
+
+
+@pytest.mark.parametrize(
+    "rule, missing",
+    [
+        ("x <- smoke(hall) seq gas.", "- gas: did not happen"),
+        (
+            "x <- heat(hall) seq smoke(hall).",
+            "- seq: none of the first ended before one of the second started",
+        ),
+        ("x <- smoke(A) during heat(A).", "- during: none of the first lies within one of the second"),
+        ("x <- smoke(hall) and heat(lab) where fail.", "- where fail: false "),
+        ("x <- (smoke(hall) seq heat(lab)) within 2.", "- within 2: all took longer"),
+        ("x <- (smoke(hall) seq heat(lab)) cnot smoke(lab).", "- cnot: ruled out by what must not happen"),
+        ("x <- heat(hall) fnot smoke(_).", "- cnot or fnot: ruled out by what must not happen"),
+        ("x <- smoke(A) equals heat(A).", "- equals: no two of them have the same interval"),
+        ("x <- gas or oil.", "- or: no branch matched"),
+        ("x <- smoke(garage) seq heat(hall) star_times.", "- star_times: it did not start"),
+        ("x <- heat(lab) seq aggregate(max(X),smoke(X),_).", "- max: nothing was collected"),
+        ("x <- heat(lab) check (t1(S), S = 9).", "- check t1(S),S = 9: false at 4"),
+        ("x <- smoke(hall) do fail.", "- but other matches consumed all of it"),
+        (
+            "l([property(window, 2)]) : x <- smoke(hall) and heat(lab).",
+            "- but all took longer than the window of the rule's label, 2 seconds",
+        ),
+        (
+            "x <- y(9). y(N) <- smoke(hall) seq aggregate(count,heat(_),N).",
+            "- count: other results: 0 at 1; 1 [1,2]; 2 [1,4]",
+        ),
+        ("x <- y. y <- smoke(hall) where fail.", "- where fail: false "),
+    ],
+)
+def test_explains_what_was_missing(run, rule, missing):
+    lines = explained(run, "x", rule + "\n", STREAM)
+    assert lines[0] == "x did not happen"
+    assert any(line.lstrip().startswith(missing) for line in lines), lines
+
+
+def test_explains_a_name_that_nobody_knows(run):
+    lines = explained(run, "flood(hall)", RULES, STREAM)
+    assert lines[1].strip() == "no rule has such a head, and no such event came from outside"
+
+
+def test_explains_a_recursive_rule_once(run):
+    lines = explained(run, "x", "x <- x seq y.\n", STREAM)
+    assert sum("rule x" in line for line in lines) == 1
+
+
+def test_an_explanation_changes_no_event(run):
+    plain = run(rules=TWO, stream=STREAM)[1]
+    told = run("--explain", "alarm(_)", rules=TWO, stream=STREAM)[1]
+    assert [line for line in told if not line.startswith("%")] == plain
+
+
+@pytest.mark.parametrize("asked", ["X", "3", "event(a,[1])", "event(a,[1,b])", "a(b"])
+def test_what_is_no_event_cannot_be_explained(run, asked):
+    status, lines, error = run("--explain", asked, stream=STREAM)
+    assert (status, len(lines)) == (1, 4)
+    assert error.startswith("error: ")
+
+
+def test_explains_what_was_taken_back(run):
+    rules = ":- set_etalis_flag(revision_flag, on).\n" + RULES
+    stream = STREAM + "event(rev(smoke(hall)),[9,9]).\n"
+    lines = explained(run, "alarm(hall)", rules, stream)
+    assert lines[0].endswith("did not happen")
+    assert "  alarm(hall) [1,2] was retracted" in lines
+    assert explained(run, "rev(alarm(_))", rules, stream)[1:] == [
+        "  rev(alarm(hall)) at 9 retracts",
+        "    alarm(hall) [1,2]",
+    ]
+
+
+def test_explains_what_a_query_and_a_goal_have_made(run):
+    rules = "synchronized(pose(X), true, []) <- b(X).\nnull do new_event(made(X), [1,1]) <- pose(X).\n"
+    lines = explained(run, "made(3)", rules, "event(b(3),[2,2]).\n")
+    texts = [line.split(" by")[0].strip() for line in lines[1:]]
+    assert texts[:2] == ["made(3) at 1", "pose(3) at 2 was released"]
+    assert texts[-1] == "b(3) at 2 came from outside"
+
+
+def test_names_of_variables_are_those_of_the_rule(run):
+    lines = explained(run, "x(_)", "x(Y) <- z(X) seq smoke(Y) where Y = X.\n", STREAM)
+    assert lines[1].startswith("  rule x(Y) <- z(X) seq smoke(Y) where Y = X (")
+    assert [line.strip().split(":")[0] for line in lines[2:]] == [
+        "? where Y = X",
+        "- seq",
+        "- z(X)",
+        "+ smoke(Y)",
+    ]
+
+
+# ---- standard input -------------------------------------------------------------------------------------
+
+
+def test_reads_terms_over_several_lines(run, monkeypatch):
+    text = "/* dots. in\n a comment. */ event(a,\n [1,\n  1]). event(b,[2,2]). event('c.\\\nd'\n,[3,3]).\n"
+    monkeypatch.setattr("sys.stdin", io.StringIO(text))
+    assert run("--stream", "-") == (0, ["event(a,[1,1]).", "event(b,[2,2]).", "event('c.d',[3,3])."], "")
+
+
+def test_prints_each_event_as_soon_as_its_line_has_come(tmp_path):
+    rules = tmp_path / "rules.txt"
+    rules.write_text("pong(X) <- ping(X).\n")
+    child = subprocess.Popen(
+        [sys.executable, "-m", "retalis", "events", "--rules", str(rules), "--stream", "-"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env={"PYTHONPATH": str(ROOT / "src"), "PATH": "/usr/bin:/bin"},
+        bufsize=0,
+    )
+    try:
+        for number in (1, 2):
+            child.stdin.write(f"event(ping({number}),[{number},{number}]).\n".encode())
+            assert child.stdout.readline().startswith(b"event(ping")
+            assert child.stdout.readline() == f"event(pong({number}),[{number},{number}]).\n".encode()
+        child.stdin.close()
+        assert child.wait(30) == 0
+    finally:
+        child.kill()
+        child.wait()
+        child.stdout.close()
+
+
+def test_ends_without_a_word_when_nobody_reads_on(tmp_path):
+    stream = tmp_path / "stream.txt"
+    stream.write_text("".join(f"event(a({number}),[{number},{number}]).\n" for number in range(20000)))
+    child = subprocess.Popen(
+        [sys.executable, "-m", "retalis", "events", "--stream", str(stream)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={"PYTHONPATH": str(ROOT / "src"), "PATH": "/usr/bin:/bin"},
+    )
+    try:
+        assert child.stdout.readline() == b"event(a(0),[0,0]).\n"
+        child.stdout.close()
+        assert child.stderr.read() == b""
+        assert child.wait(30) == 1
+    finally:
+        child.kill()
+        child.wait()
+        child.stderr.close()
+
+
+def test_with_nothing_to_do_it_says_what_is_missing(capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["events", "--json"])
+    assert caught.value.code == 2
+    assert "nothing to do: give --rules, --goals, --stream, --queries or --explain" in capsys.readouterr().err
+
+
+def test_goals_of_a_stream_open_files_of_the_program_and_of_folders_that_are_named(
+    run, tmp_path, monkeypatch
+):
+    for name in ("here", "data", "out", "program"):
+        (tmp_path / name).mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    (tmp_path / "program" / "rules.txt").write_text("persistent_event(a).")
+    (tmp_path / "program" / "more.pl").write_text("p(1).")
+    (tmp_path / "data" / "more.pl").write_text("p(2).")
+    stream = "consult(more).\nconsult('../data/more').\nevent(a,[1,1]).\n"
+    rules = ("--rules", str(tmp_path / "program" / "rules.txt"))
+    status, lines, errors = run(*rules, stream=stream, queries="p(X)\n")
+    assert (status, lines) == (1, ["event(a,[1,1]).", "p(1)."])
+    assert "stream.txt:2:1: No permission to open source_sink" in errors
+    assert "persistent events could not be written" in errors
+    folders = ("--folder", str(tmp_path / "data"), "--write-folder", str(tmp_path / "out"))
+    status, lines, errors = run(*rules, *folders, stream=stream, queries="p(X)\n")
+    assert (status, lines, errors) == (0, ["event(a,[1,1]).", "p(1).", "p(2)."], "")
+    assert (tmp_path / "out" / "persistent.txt").read_text() == "event(a,[1,1]).\n"
+    assert list((tmp_path / "here").iterdir()) == []
+
+
+def test_tells_what_waits_unread_and_never_waits_itself(tmp_path):
+    reading, writing = os.pipe()
+    assert not is_left_unread(reading)
+    os.write(writing, b"event(a).\n")
+    assert is_left_unread(reading)
+    os.read(reading, 100)
+    os.close(writing)
+    assert not is_left_unread(reading)
+    os.close(reading)
+    assert not is_left_unread(reading)
+    with open(os.devnull, "rb") as nothing:
+        assert not is_left_unread(nothing.fileno())
+    path = tmp_path / "events.txt"
+    path.write_text("event(a).\n")
+    with open(path, "rb") as file:
+        assert is_left_unread(file.fileno())
+        os.lseek(file.fileno(), 0, os.SEEK_END)
+        assert not is_left_unread(file.fileno())
+
+
+@pytest.mark.parametrize("stream, warned", [((), True), (("--stream", "-"), False)])
+def test_warns_of_events_on_standard_input_that_are_not_read(tmp_path, stream, warned):
+    rules = tmp_path / "rules.txt"
+    rules.write_text(RULES)
+    done = subprocess.run(
+        [sys.executable, "-m", "retalis", "events", "--rules", str(rules), *stream],
+        input="event(smoke(a),[1,2]).\n",
+        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert ("standard input was not read; --stream -" in done.stderr) is warned
+    assert done.stdout == ("" if warned else "event(smoke(a),[1,2]).\n")

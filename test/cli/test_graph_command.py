@@ -1,0 +1,51 @@
+"""``python3 -m retalis graph``: a program as a picture, or as text."""
+
+from pathlib import Path
+
+import pytest
+
+from retalis.cli.command_line import main
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_the_text_is_printed_or_written(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(ROOT / "application_source")
+    assert main(["graph"]) == 0
+    shown = capsys.readouterr()
+    assert shown.err == ""
+    assert 'label="application_source"' in shown.out
+    assert "_G" not in shown.out  # numbers of variables differ from one drawing to the next
+    for name in ("tf", "ar_marker/5", "odom_base", "transform_marker", "marker8", "eventRules.txt:74"):
+        assert f'label="{name}' in shown.out
+    assert main(["graph", ".", "-o", str(tmp_path / "nao.dot")]) == 0
+    assert (tmp_path / "nao.dot").read_text() == shown.out
+
+
+def test_a_topic_with_events_of_its_own_leads_to_these(tmp_path, capsys):
+    (tmp_path / "pub_sub.xml").write_text(
+        '<publish_subscribe><subscribe_to name="left" msg_type="std_msgs/Bool" event="bump"/></publish_subscribe>'
+    )
+    (tmp_path / "goalPredicates.txt").write_text("subscribe(bump(_), [], _, hit, h)\n")
+    assert main(["graph", str(tmp_path)]) == 0
+    shown = capsys.readouterr().out
+    assert shown.count(" -> ") == 2 and 'label="bump/1"' in shown
+
+
+@pytest.mark.parametrize("name", ["x.jpeg", "x", "x.svgz"])
+def test_endings_that_say_nothing_are_refused(name, capsys):
+    assert main(["graph", str(ROOT / "application_source"), "-o", name]) == 1
+    assert "expected a name that ends in one of .svg, .png, .pdf, .dot, .gv" in capsys.readouterr().err
+
+
+def test_a_folder_without_a_program_is_an_error(tmp_path, capsys):
+    assert main(["graph", str(tmp_path)]) == 1
+    assert "has no file goalPredicates.txt" in capsys.readouterr().err
+
+
+def test_errors_of_the_program_are_told_and_the_rest_is_drawn(tmp_path, capsys):
+    (tmp_path / "goalPredicates.txt").write_text("memorize(a, [], _, m, 5)\nno_such_goal\n")
+    assert main(["graph", str(tmp_path)]) == 1
+    shown = capsys.readouterr()
+    assert "goalPredicates.txt:2:1" in shown.err
+    assert 'label="m"' in shown.out

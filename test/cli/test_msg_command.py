@@ -1,0 +1,60 @@
+"""``msg`` prints types of the installation and of bags."""
+
+import pytest
+from rosbags import rosbag2
+
+from retalis.cli.command_line import main
+from retalis.messages.type_registry import Definitions
+from retalis.playback.rosbag1 import BagWriter
+
+
+@pytest.fixture
+def bag(tmp_path):
+    definitions = Definitions()
+    name, path = "only_in_bags/Point", tmp_path / "some.bag"
+    with BagWriter(path) as writer:
+        connection = writer.add("/points", definitions.add(name, "float64 x\nfloat64 y\n"))
+        writer.write(connection, 1, bytes(16))
+    return path
+
+
+PRINTED = {
+    "term": "only_in_bags__0__Point(\n    X,  % x: float64\n    Y   % y: float64\n)\n",
+    "names": "only_in_bags__0__Point{\n    x: X,  % float64\n    y: Y   % float64\n}\n",
+    "zero": "only_in_bags__0__Point(0.0,0.0)\n",
+}
+
+
+def test_a_type_of_a_bag_is_printed_in_each_format(bag, capsys):
+    for name, text in PRINTED.items():
+        assert main(["msg", "only_in_bags/Point", "--bag", str(bag), "--format", name]) == 0
+        assert capsys.readouterr().out == text
+    for name in ("std_msgs__0__String", "std_msgs/msg/String"):
+        assert main(["msg", name]) == 0
+        assert capsys.readouterr().out == "std_msgs__0__String(\n    Data  % data: string\n)\n"
+
+
+def test_a_type_of_a_bag_of_ros_2_is_printed(tmp_path, capsys):
+    options = {"version": 8} if hasattr(rosbag2, "StoragePlugin") else {}
+    with rosbag2.Writer(tmp_path / "two", **options) as writer:
+        connection = writer.add_connection(
+            "/solid", "my_msgs/msg/Solid", msgdef="float64[<=3] sizes [1, 2]\n", rihs01="RIHS01_0"
+        )
+        writer.write(connection, 1, bytes([0, 1, 0, 0, 0, 0, 0, 0]))
+    assert main(["msg", "my_msgs/msg/Solid", "--bag", str(tmp_path / "two")]) == 0
+    assert capsys.readouterr().out == "my_msgs__0__Solid(\n    Sizes  % sizes: float64[]\n)\n"
+
+
+def test_a_type_that_there_is_not_is_an_error_in_one_line(bag, capsys):
+    assert main(["msg", "only_in_bags/Point"]) == 1
+    assert "retalis: no definition of the message type only_in_bags/Point" in capsys.readouterr().err
+    assert main(["msg", "only_in_bags/Other", "--bag", str(bag)]) == 1
+    assert capsys.readouterr().err.endswith("is installed or has been received\n")
+    assert main(["msg", "Point"]) == 1
+    assert 'expected a message type "package/Type"' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("wrong", ["std_msgs/string", "std_msgs/Strng", "String", "string", "std_mgs/String"])
+def test_the_type_that_was_probably_meant_is_named(wrong, capsys):
+    assert main(["msg", wrong]) == 1
+    assert capsys.readouterr().err.endswith("; did you mean std_msgs/String?\n")

@@ -1,0 +1,160 @@
+"""Records in columns."""
+
+import pytest
+
+from retalis.cli.text_tables import report, status_page
+
+
+def test_plain_values_and_tables():
+    found = report(
+        {"node": "/a", "memories": [{"id": "m", "size": 10}, {"id": "long", "size": 2}], "none": []}
+    )
+    assert found == ["node  /a", "none  -", "", "memories", "  id    size", "  m     10", "  long  2"]
+
+
+def test_what_is_long_or_has_lines_is_shown_in_one_short_line():
+    assert report({"text": "a\nb" + "c" * 100}) == ["text  a b" + "c" * 54 + "..."]
+
+
+def test_records_in_records():
+    assert report({"work": {"what": "a", "seconds": 1.5}, "x": [1, 2]}) == [
+        "work  what a, seconds 1.5",
+        "x     1; 2",
+    ]
+
+
+def test_instants_are_shown_to_the_microsecond_and_none_as_a_dash():
+    assert report({"now": 1795367020.25, "lag": 0.000012, "at": 7.0, "oldest": None}) == [
+        "now     1795367020.25",
+        "lag     0.000012",
+        "at      7",
+        "oldest  -",
+    ]
+
+
+def test_nothing():
+    assert report({}) == []
+
+
+def test_of_a_path_the_end_is_shown():
+    assert report({"a": "/x" * 100 + "/rules.txt:12:1"}) == [
+        "a  ..." + ("/x" * 100 + "/rules.txt:12:1")[-57:]
+    ]
+
+
+NODE = {"node": "/a", "now": 100.0, "work": "", "taken": 0, "fired": 0, "queued": 0, "errors": 0}
+RULE = {"label": "", "text": "a <- b", "place": "/x/rules.txt:1:1", "fired": 2, "last_fired": 75.0}
+RULE = {**RULE, "errors": 0, "waiting": 0, "dropped": 0}
+
+
+def test_a_status_has_rates_and_ages():
+    after = {**NODE, "now": 110.0, "taken": 30, "fired": 5, "rules": [{**RULE, "fired": 7}]}
+    assert status_page({**NODE, "rules": [RULE]}, after, 10.0, 80) == [
+        "/a  idle  3.0 events/s  0.5 firings/s",
+        "",
+        "rules",
+        "  rule    firings/s  last",
+        "  a <- b  0.5        35s",
+    ]
+
+
+def test_a_status_has_no_value_that_says_nothing_and_names_what_somebody_has_to_look_at():
+    (head,) = status_page(NODE, {**NODE, "inputs": [], "more_rules": 0, "waiting": []}, 1.0, 80)
+    assert head == "/a  idle  0.0 events/s  0.0 firings/s"
+    busy = {
+        "work": "event a",
+        "work_time": 75.0,
+        "work_goal": "goal g",
+        "work_place": "",
+        "errors": 2,
+        "more_rules": 3,
+    }
+    rows = [RULE, {**RULE, "label": "second", "errors": 2}]
+    lines = status_page(NODE, {**NODE, **busy, "rules": rows}, 1.0, 100)
+    assert lines[0] == (
+        "/a  busy for 1m15s with event a: goal g  0.0 events/s  0.0 firings/s  errors 2  3 more rules"
+    )
+    assert [line.split() for line in lines[3:]] == [
+        ["rule", "firings/s", "last", "errors"],
+        ["a", "<-", "b", "-", "25s", "0"],
+        ["second", "-", "25s", "2"],
+    ]
+
+
+def test_a_status_before_the_clock_has_begun_has_no_ages():
+    lines = status_page(NODE, {**NODE, "now": None, "rules": [RULE]}, 1.0, 80)
+    assert lines[-1].split()[-1] == "-"
+
+
+def test_a_counter_of_a_node_that_was_started_anew_has_no_negative_rate():
+    assert "0.0 events/s" in status_page({**NODE, "taken": 100}, {**NODE, "taken": 5}, 1.0, 80)[0]
+
+
+def test_a_status_of_an_interface_says_nothing_of_an_engine():
+    row = {"topic": "/tf", "type": "tf/tfMessage", "publishers": 0, "messages": 9, "age": 7200.0, "lag": 0.25}
+    row = {**row, "dropped": 1, "refused": 2}
+    found = {**NODE, "inputs": [row]}
+    assert [line.split() for line in status_page(found, found, 1.0, 80, has_engine=False)] == [
+        ["/a"],
+        [],
+        ["inputs"],
+        ["topic", "type", "messages/s", "last", "lag", "publishers", "lost"],
+        ["/tf", "tf/tfMessage", "0.0", "2h00m", "250ms", "0", "3"],
+    ]
+
+
+def test_a_status_fits_its_terminal():
+    long = "long" * 20
+    memory = {
+        "id": long,
+        "event": long,
+        "records": 10**6,
+        "size": 10**6,
+        "added": 5,
+        "newest": 1.0,
+        "oldest": 1.0,
+    }
+    waits = {"id": "odom", "behind": 0.5}
+    topic = {"topic": f"/robot/{long}", "type": long, "publishers": 3, "messages": 5, "age": 1e6, "lag": 1e6}
+    found = {
+        **NODE,
+        **{f"more_{name}": 1 for name in ("rules", "memories", "subscriptions", "waiting", "inputs")},
+        "rules": [{**RULE, "text": long, "errors": 10**9, "waiting": 10**6, "dropped": 10**6}],
+        "memories": [memory],
+        "subscriptions": [
+            {"topic": long, "id": long, "event": long, "sent": 5, "late": 10**6, "dropped": 10**6}
+        ],
+        "waiting": [{"event": long, "since": 5.0, "memories": [waits] * 5, "left_out": 3}],
+        "inputs": [{**topic, "dropped": 10**6, "refused": 0}],
+    }
+    lines = status_page(found, found, 1.0, 80)
+    assert max(map(len, lines)) <= 80
+    text = "\n".join(lines)
+    for head in (
+        "dropped",
+        "added/s",
+        "oldest",
+        "sent/s",
+        "waits for",
+        "publishers",
+        "lost",
+    ):  # nothing is cut off
+        assert head in text
+    assert "..." + long[-5:] in text  # of a topic, the end is shown
+
+
+@pytest.mark.parametrize(
+    ("seconds", "shown"),
+    [
+        (0.04, "0.0s"),
+        (9.94, "9.9s"),
+        (59.4, "59s"),
+        (59.6, "1m00s"),
+        (3599.4, "59m59s"),
+        (3600, "1h00m"),
+        (90_000, "1d01h"),
+    ],
+)
+def test_ages_are_short(seconds, shown):
+    lines = status_page(NODE, {**NODE, "rules": [{**RULE, "last_fired": 100.0 - seconds}]}, 1.0, 80)
+    assert lines[-1].split()[-1] == shown

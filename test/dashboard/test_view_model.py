@@ -1,0 +1,109 @@
+"""The last events: bounded in number, size and work."""
+
+import pytest
+
+from retalis.dashboard.view_model import (
+    AT_A_LOOK,
+    MAX_EVENT_CHARACTERS,
+    MAX_FUNCTORS,
+    MAX_SHOWN_EVENTS,
+    RecentEvents,
+    event_beginning,
+)
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.events.dispatch.listeners import NOT_READ
+from retalis.explanation.explain import explain, record_origins
+from retalis.prolog.terms.list_terms import make_list
+from retalis.prolog.terms.types import CONS, Lazy, atom, functor
+
+
+@pytest.fixture
+def engine():
+    it = Engine()
+    record_origins(it)
+    it.load(rules="alarm(X) <- smoke(X) seq heat(X).")
+    return it
+
+
+@pytest.fixture
+def recent(engine):
+    it = RecentEvents(engine)
+    it.watch(True)
+    return it
+
+
+def test_events_are_kept_while_that_is_wanted(engine, recent):
+    engine.event("smoke(hall)", 1, 2)
+    recent.watch(False)
+    engine.event("heat(hall)", 3)
+    (found,) = recent.look()
+    assert (found.text, found.whole, found.start, found.end) == ("smoke(hall)", True, 10**9, 2 * 10**9)
+    assert recent.counts() == {"smoke/1": (1, 2 * 10**9)}
+
+
+def test_rare_events_stay_beside_many(engine, recent):
+    engine.event("smoke(hall)", 1)
+    for second in range(2, 1000):
+        engine.event("tick", second)
+    found = recent.look()
+    assert len(found) == 1 + AT_A_LOOK
+    assert found[-1].text == "smoke(hall)"
+    assert recent.counts()["tick/0"].number == 998
+
+
+def test_all_is_bounded(engine, recent):
+    for number in range(3 * MAX_FUNCTORS):
+        engine.event(f"e{number}(1)", number + 1)
+    assert len(recent.look()) == MAX_SHOWN_EVENTS
+    assert len(recent.counts()) == MAX_FUNCTORS + 1
+    assert recent.counts()["others"].number == 2 * MAX_FUNCTORS
+
+
+@pytest.mark.parametrize(
+    "term",
+    [
+        functor("f", 1)(make_list(range(100_000))),
+        functor("f", 1)(atom("x" * 100_000)),
+        functor("f", 1)(1 << 1_000_000),
+        functor("f", 1_000)(*range(1_000)),
+        functor("f", 1)(NOT_READ),
+        functor("f", 1)(Lazy(CONS, lambda source: pytest.fail("it is made"), b"")),
+    ],
+)
+def test_large_events_are_cut_and_not_even_made(engine, term):
+    text, whole = event_beginning(engine.show, term)
+    assert "..." in text
+    assert len(text) <= MAX_EVENT_CHARACTERS + 3
+    assert not whole
+
+
+def test_deep_events_are_cut(engine):
+    term = atom("deep")
+    for _ in range(100_000):
+        term = functor("f", 1)(term)
+    text, whole = event_beginning(engine.show, term)
+    assert text.endswith("..." + ")" * text.count("f("))
+    assert not whole
+
+
+@pytest.mark.parametrize("text", ["f(A,_,A)", "f([],[a|B])", "f('A b',\"text\",-1.5)", "atom", "1 + 2"])
+def test_short_events_are_whole(engine, recent, text):
+    engine.event(text, 1)
+    (found,) = recent.look()
+    assert found.whole
+    assert parts_of(engine).logic.once(
+        (functor("=@=", 2), engine.query(f"X = ({text})")[0]["X"], recent_term(recent))
+    )
+
+
+def recent_term(recent):
+    return recent.find(recent.look()[0].serial)[1]
+
+
+def test_an_event_that_is_kept_can_be_explained(engine, recent):
+    engine.event("smoke(hall)", 1.000000001)
+    engine.event("heat(hall)", 2)
+    alarm = recent.look()[0]
+    assert explain(engine, recent.find(alarm.serial)).happened
+    assert recent.find(alarm.serial + 1) is None

@@ -1,0 +1,109 @@
+import logging
+
+import pytest
+from reachability import reachable
+
+from retalis.engine.runtime.problem_reports import Reports
+from retalis.foundation.errors import Place, RetalisError, RuleError, place_at
+
+
+@pytest.fixture
+def logged(caplog):
+    caplog.set_level(logging.WARNING, "retalis")
+    return caplog
+
+
+def test_what_comes_again_is_logged_ever_more_seldom_and_counted(logged):
+    reports = Reports()
+    place = place_at("rules", "a\nb", 2)
+    for number in range(100):
+        reports.error(RuleError(f"event {number}", place))
+    assert len(logged.records) == 7
+    assert "64 times so far" in logged.records[-1].message
+    assert reports.errors == 100
+
+
+def test_different_places_are_told_apart(logged):
+    reports = Reports()
+    for offset in (0, 2):
+        reports.warning(RuleError("wrong", place_at("rules", "a\nb", offset)))
+    reports.warning("text")
+    assert len(logged.records) == 3
+    assert reports.warnings == 3
+
+
+def test_an_internal_error_is_shown_with_its_traceback_and_is_no_flood(logged):
+    reports = Reports()
+    for _ in range(10):
+        try:
+            {}["key"]
+        except KeyError as error:
+            reports.error(error)
+    assert len(logged.records) == 4
+    assert "Traceback" in logged.records[0].message
+
+
+def test_what_was_not_logged_is_said_at_the_end(logged):
+    reports = Reports()
+    for number in range(7):
+        reports.warning(f"number {number}\nand its line", "refused")
+    reports.warning("once")
+    reports.sum_up()
+    assert [record.message for record in logged.records][-2:] == ["once", "7 times in all: number 0"]
+    reports.sum_up()
+    assert len(logged.records) == 5
+
+
+def test_of_more_kinds_than_are_remembered_the_number_is_said_at_the_end(logged):
+    reports = Reports()
+    for number in range(1001):
+        for _ in range(3):
+            reports.warning(f"kind {number}")
+    reports.sum_up()
+    assert [record.message for record in logged.records][-2:] == [
+        "3 times in all: kind 1000",
+        "1000 more problems were not shown",
+    ]
+
+
+def test_some_texts_of_a_kind_are_logged_in_any_case(logged):
+    reports = Reports()
+    for number in (1, 2, 3, 3, 3, 4, 5):
+        reports.warning(f"number {number}", "refused", 4)
+    reports.sum_up()
+    assert [record.message for record in logged.records] == [
+        "number 1",
+        "number 2",
+        "number 3",
+        "number 3\n(4 times so far)",
+        "number 4",
+        "7 times in all: number 1",
+    ]
+
+
+def test_what_is_reported_is_bounded_in_length_and_kinds_keep_nothing_of_it(logged):
+    reports = Reports()
+    for number in range(100):
+        text = f"{number} {'x' * 100_000}"
+        reports.error(RuleError(text))
+        reports.warning(text, ("kind", text))
+        reports.warning(text, "texts", texts=20)
+    assert max(len(record.getMessage()) for record in logged.records) < 5000
+    kept = reachable(reports, str)
+    assert 201 <= len(kept) < 250
+    assert max(map(len, kept)) <= 200
+
+
+HOSTILE = "\x1b]0;title\x07\x1b[2J \u202e\ud800 \x9b31m ok é\n"
+
+
+def test_what_is_logged_does_nothing_to_a_terminal(caplog):
+    reports = Reports()
+    reports.warning(f"event refused: {HOSTILE}")
+    reports.error(RetalisError(HOSTILE, Place("x\x1b", 1, 1, HOSTILE)))
+    for record in caplog.records:
+        text = record.getMessage()
+        assert all(one.isprintable() or one == "\n" for one in text)
+        assert "\\x1b]0;title\\x07" in text and "\\u202e\\ud800" in text and "ok é" in text
+        text.encode("utf-8")
+    assert len(caplog.records) == 2

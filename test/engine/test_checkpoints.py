@@ -1,0 +1,447 @@
+"""The state of a running engine in a file."""
+
+import os
+import random
+import sqlite3
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from zlib import crc32
+
+import pytest
+
+from retalis.engine.checkpoints import Checkpointer, CheckpointStorage, put_aside, read_checkpoint, resume
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+from retalis.engine.runtime.clock import StreamClock
+from retalis.engine.runtime.problem_reports import Reports
+from retalis.foundation.errors import UsageError
+from retalis.serialization.codec import from_bytes, to_bytes
+
+from .checkpoint_victim import GOALS, RULES
+
+VICTIM = Path(__file__).with_name("checkpoint_victim.py")
+KILLS = 6
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "goalPredicates.txt").write_text(GOALS)
+    (tmp_path / "r.txt").write_text(RULES)
+    return tmp_path
+
+
+def begun(folder):
+    engine = Engine(StreamClock())
+    engine.load_program(folder)
+    engine.event("begin", 0.5)
+    return engine
+
+
+def checkpoints(engine, folder, name="state.db"):
+    return Checkpointer(engine, CheckpointStorage(folder / name), folder, Reports())
+
+
+def listened(engine):
+    said = []
+    engine.on_event(lambda term, start, end: said.append(engine.show(term)))
+    return said
+
+
+def resumed(folder, name="state.db"):
+    found = resume(folder / name, folder, StreamClock(), Settings(), Reports())
+    return None if found is None else found[0]
+
+
+def records(engine):
+    return [
+        engine.show(found["R"]) + engine.show(found["I"]) for found in engine.query("access_mem(m, R, I)")
+    ]
+
+
+def test_goes_on_from_what_was_written_last(folder):
+    engine = begun(folder)
+    kept = checkpoints(engine, folder)
+    for number in range(1, 1200):
+        engine.event(f"in({number})", number)
+        if number % 130 == 0:
+            kept.write()
+            other = resumed(folder)
+            assert records(other) == records(engine)
+            assert other.query("counter(c, X), memory_counter(m, Y)") == engine.query(
+                "counter(c, X), memory_counter(m, Y)"
+            )
+    other = resumed(folder)
+    seen = []
+    other.on_event(lambda term, start, end: seen.append(other.show(term)))
+    other.event("in(x)", 5000)
+    assert "pair(1170,x)" in seen
+    assert "n(1171)" in seen
+
+
+def test_writes_only_what_is_new(folder):
+    engine = begun(folder)
+    kept = checkpoints(engine, folder)
+    kept.write()
+    base = sqlite3.connect(str(folder / "state.db"))
+    program = base.execute("SELECT rowid, data FROM sections WHERE name = 'program'").fetchone()
+    clauses = base.execute("SELECT data FROM sections WHERE name = 'clauses'").fetchone()
+    for number in range(1, 400):
+        engine.event(f"in({number})", number)
+        if number % 20 == 0:
+            kept.write()
+    assert base.execute("SELECT rowid, data FROM sections WHERE name = 'program'").fetchone() == program
+    rows = base.execute("SELECT first, number FROM records ORDER BY first").fetchall()
+    assert rows[:3] == [(0, 20), (20, 20), (40, 20)]
+    engine.call("assertz(new(1))")
+    kept.write()
+    assert base.execute("SELECT data FROM sections WHERE name = 'clauses'").fetchone() != clauses
+    for number in range(400, 3000):
+        engine.event(f"in({number})", number)
+        if number % 200 == 0:
+            kept.write()
+    assert base.execute("SELECT count(*) FROM records").fetchone()[0] <= 12
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 6))])
+def test_late_records_deleted_memories_and_time_that_goes_back(folder, seed):
+    chance = random.Random(seed)
+    engine = begun(folder)
+    kept = checkpoints(engine, folder)
+    extra = 0
+    for number in range(1, 300):
+        engine.event(f"in({number})", max(0.6, number - chance.choice((0, 0, 0, 1, 5, 40))))
+        what = chance.randrange(40)
+        if what == 0:
+            extra += 1
+            engine.call(f"memorize(in(_), [], _, e{extra}, {chance.randrange(30)})")
+        elif what == 1 and extra:
+            engine.call(f"delete_memory(e{extra})")
+            extra -= 1
+        elif what == 2:
+            parts_of(engine).knowledge.clear()
+        elif what < 10:
+            kept.write()
+            other = resumed(folder)
+            for name in ("m", *(f"e{at}" for at in range(1, extra + 1))):
+                query = f"access_mem({name}, R, I)"
+                assert [other.show(one["R"]) for one in other.query(query)] == [
+                    engine.show(one["R"]) for one in engine.query(query)
+                ]
+
+
+def test_writes_in_the_background_and_at_the_end(folder):
+    engine = begun(folder)
+    kept = Checkpointer(engine, CheckpointStorage(folder / "state.db"), folder, Reports(), 0.001)
+    kept.begin()
+    for number in range(1, 2000):
+        engine.event(f"in({number})", number)
+    kept.end()
+    assert kept.written > 1
+    assert records(resumed(folder)) == records(engine)
+
+
+def test_a_file_that_goes_on_is_whole_until_it_is_written(folder):
+    engine = begun(folder)
+    engine.event("in(1)", 2)
+    checkpoints(engine, folder).write()
+    other = resumed(folder)
+    kept = checkpoints(other, folder)
+    assert records(resumed(folder)) == records(engine)
+    other.event("in(2)", 3)
+    kept.write()
+    assert len(records(resumed(folder))) == 2
+
+
+def test_nothing_was_written(folder):
+    assert resumed(folder) is None
+    (folder / "state.db").touch()
+    assert resumed(folder) is None
+    CheckpointStorage(folder / "state.db")
+    assert resumed(folder) is None
+
+
+@pytest.mark.parametrize("name", ["r.txt", "goalPredicates.txt", "pub_sub.xml"])
+def test_another_program_is_refused(folder, name):
+    engine = begun(folder)
+    checkpoints(engine, folder).write()
+    (folder / name).write_text("% changed")
+    with pytest.raises(UsageError, match=f"{name} has changed since"):
+        resumed(folder)
+
+
+def test_a_program_elsewhere_is_refused(folder):
+    checkpoints(begun(folder), folder).write()
+    (folder / "other").mkdir()
+    with pytest.raises(UsageError, match="it is of another program"):
+        resume(folder / "state.db", folder / "other", StreamClock(), Settings(), Reports())
+
+
+def test_another_version_is_refused(folder, monkeypatch):
+    monkeypatch.setattr("retalis.engine.checkpoints.LAYOUT", 7)
+    checkpoints(begun(folder), folder).write()
+    with pytest.raises(UsageError, match="another version of the package"):
+        resumed(folder)
+
+
+def test_a_file_that_is_just_being_made_holds_nothing(folder, monkeypatch):
+    path = folder / "state.db"
+    found = []
+    connect = sqlite3.connect
+
+    def look(statement):
+        try:
+            found.append((statement, read_checkpoint(path)))
+        except UsageError as error:
+            found.append((statement, error))
+
+    def watched(name, **options):
+        base = connect(name, **options)
+        if name == str(path):
+            base.set_trace_callback(look)
+        return base
+
+    monkeypatch.setattr(sqlite3, "connect", watched)
+    CheckpointStorage(path).close()
+    statements = [statement for statement, _ in found]
+    assert any("application_id" in one for one in statements)
+    assert any("CREATE TABLE" in one for one in statements)
+    assert [result for _, result in found] == [None] * len(found)
+
+
+@pytest.mark.parametrize(
+    ("statements", "message"),
+    [
+        ("CREATE TABLE more (x)", "its tables are not those of a checkpoint"),
+        ("CREATE INDEX more ON records (number)", "its tables are not those of a checkpoint"),
+        (
+            "CREATE TRIGGER t AFTER INSERT ON sections "
+            "BEGIN INSERT INTO records VALUES (1, 1, 1, zeroblob(9), 1); END",
+            "its tables are not those of a checkpoint",
+        ),
+        (
+            "DROP TABLE records; CREATE VIEW records AS WITH RECURSIVE x(memory, first, number, data, checked) AS "
+            "(SELECT 1, 1, 1, x'00', 1 UNION ALL SELECT memory, first + 1, 1, data, 1 FROM x) SELECT * FROM x",
+            "its tables are not those of a checkpoint",
+        ),
+        ("PRAGMA application_id = 5", "a database of something else"),
+        ("UPDATE sections SET data = 'text'", "data of another type"),
+        ("DELETE FROM sections WHERE name = 'program'", "no section program"),
+        ("UPDATE sections SET data = x'800495' WHERE name = 'about'", "not what was written"),
+    ],
+)
+def test_a_database_that_is_another_one_is_refused(folder, statements, message):
+    kept = checkpoints(begun(folder), folder)
+    kept.end()
+    base = sqlite3.connect(str(folder / "state.db"), isolation_level=None)
+    base.executescript(statements)
+    base.close()
+    with pytest.raises(UsageError, match=message):
+        resumed(folder)
+
+
+@pytest.mark.parametrize(
+    ("about", "message"),
+    [
+        (lambda old: b"\x80\x04}\x94.", "format 5 or older, a pickle, which is never read"),
+        (lambda old: to_bytes({**old, "made": "abc"}), "made: 'abc': expected a number of seconds"),
+        (lambda old: to_bytes({**old, "files": [["x"]]}), "files: .*expected 2 items"),
+        (lambda old: to_bytes({**old, "format": 7}), "format 7: this version reads format 6"),
+        (lambda old: to_bytes({**old, "memories": old["memories"] * 2}), "two memories"),
+    ],
+)
+def test_what_it_says_of_itself_is_checked(folder, about, message):
+    kept = checkpoints(begun(folder), folder)
+    kept.end()
+    base = sqlite3.connect(str(folder / "state.db"), isolation_level=None)
+    ((old,),) = base.execute("SELECT data FROM sections WHERE name = 'about'").fetchall()
+    data = about(dict(from_bytes(old)))
+    base.execute("UPDATE sections SET data = ?, checked = ? WHERE name = 'about'", (data, crc32(data)))
+    base.close()
+    with pytest.raises(UsageError, match=message):
+        resumed(folder)
+
+
+def test_what_is_no_checkpoint_is_refused(folder):
+    (folder / "state.db").write_bytes(b"no database at all" * 100)
+    with pytest.raises(UsageError, match="no checkpoint, or damaged"):
+        resumed(folder)
+    (folder / "state.db").unlink()
+    other = sqlite3.connect(str(folder / "state.db"))
+    other.execute("CREATE TABLE x (y)")
+    other.commit()
+    other.close()
+    with pytest.raises(UsageError, match="a database of something else"):
+        resumed(folder)
+
+
+@pytest.mark.parametrize("times", [15, pytest.param(100, marks=pytest.mark.slow)])
+def test_what_is_damaged_is_refused(folder, times):
+    engine = begun(folder)
+    for number in range(1, 300):
+        engine.event(f"in({number})", number)
+    kept = checkpoints(engine, folder)
+    kept.end()
+    data = (folder / "state.db").read_bytes()
+    chance = random.Random(1)
+    refused = 0
+    for _ in range(times):
+        broken = bytearray(data)
+        at = chance.randrange(len(data))
+        broken[at : at + 40] = bytes(chance.randrange(256) for _ in range(len(broken[at : at + 40])))
+        (folder / "broken.db").write_bytes(bytes(broken))
+        try:
+            found = resumed(folder, "broken.db")
+        except UsageError:
+            refused += 1
+        else:
+            assert records(found) == records(engine)  # it was in a page that is not used
+    assert refused > times // 6
+
+
+def test_is_put_aside_with_what_belongs_to_it(folder):
+    kept = checkpoints(begun(folder), folder)
+    kept.write()
+    (folder / "state.db.aside").write_text("older")
+    aside = put_aside(folder / "state.db")
+    assert aside.name == "state.db.aside2"
+    assert not any(name.startswith("state.db") and "aside" not in name for name in os.listdir(folder))
+    assert len(records(resumed(folder, "state.db.aside2"))) == 0
+    with pytest.raises(UsageError, match="is no file"):
+        put_aside(folder)
+
+
+def test_what_cannot_be_written_is_said(folder):
+    with pytest.raises(UsageError, match="cannot write a checkpoint to"):
+        CheckpointStorage(folder / "not_there" / "state.db")
+
+
+@pytest.mark.slow
+def test_killed_at_random(folder):
+    """The file has a state that was, at most a moment old, each time; nothing in it is of another moment."""
+    chance = random.Random(3)
+    known = before = 0
+    for at in range(KILLS + 1):
+        process = subprocess.Popen(
+            [sys.executable, str(VICTIM), str(folder)],
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONPATH": str(VICTIM.parents[2] / "src")},
+        )
+        try:
+            if at:
+                counter, kept, added, last = map(int, process.stdout.readline().split())
+                assert counter == added == last
+                assert kept == min(500, last)
+                assert before <= last <= known + 5000
+                before = last
+                assert process.stdout.readline() == "True True\n"
+            assert process.stdout.readline() == "ready\n"
+            first = int(process.stdout.readline().split()[0])
+            wanted = first + chance.randrange(200, 3000)
+            for line in process.stdout:
+                known = int(line.split()[0])
+                if known >= wanted and (at or read_checkpoint(folder / "state.db") is not None):
+                    break
+        finally:
+            process.kill()
+            process.wait()
+            process.stdout.close()
+
+
+def test_another_process_with_the_file_ends_the_first(folder, caplog):
+    one, two = begun(folder), begun(folder)
+    first = checkpoints(one, folder)
+    first.write()
+    second = checkpoints(two, folder)
+    two.event("in(2)", 2)
+    second.write()
+    one.event("in(1)", 1)
+    with pytest.raises(UsageError, match="another process keeps its state in"):
+        first.write()
+    first.end()
+    assert "this one does no more" in caplog.text
+    assert records(resumed(folder)) == records(two)
+
+
+def test_records_that_are_missing_are_noticed(folder):
+    engine = begun(folder)
+    kept = checkpoints(engine, folder)
+    for number in range(1, 4):
+        engine.event(f"in({number})", number)
+        kept.write()
+    base = sqlite3.connect(str(folder / "state.db"))
+    base.execute("DELETE FROM records WHERE first = 0")
+    base.commit()
+    with pytest.raises(UsageError, match="records of a memory are missing"):
+        resumed(folder)
+
+
+def test_a_program_that_was_edited_and_not_read_is_another_one(folder):
+    engine = begun(folder)
+    kept = checkpoints(engine, folder)
+    (folder / "r.txt").write_text(RULES + "% more\n")
+    engine.call("assertz(new(1))")
+    kept.write()
+    with pytest.raises(UsageError, match=r"r\.txt has changed since it was read"):
+        resumed(folder)
+    engine.reload(folder)
+    kept.write()
+    assert resumed(folder).query("new(X)") == [{"X": 1}]
+
+
+def test_an_error_of_any_kind_is_reported_and_the_next_time_comes(folder, monkeypatch, caplog):
+    engine = begun(folder)
+    kept = checkpoints(engine, folder)
+    with monkeypatch.context() as patched:
+        patched.setattr(kept, "write", lambda: 1 // 0)
+        kept.end()
+    assert "division" in caplog.text
+
+
+def test_the_end_does_not_wait_for_an_engine_without_end(folder, monkeypatch):
+    monkeypatch.setattr("retalis.engine.checkpoints.FINAL_WRITE_SECONDS", 0.1)
+    engine = begun(folder)
+    kept = checkpoints(engine, folder)
+    going, stopped = threading.Event(), threading.Event()
+
+    def hold(term, start, end):
+        going.set()
+        stopped.wait(60)
+
+    engine.on_event(hold)
+    thread = threading.Thread(target=engine.event, args=("x", 9))
+    thread.start()
+    going.wait(60)
+    kept.begin()
+    kept.end()
+    stopped.set()
+    thread.join()
+
+
+def test_what_is_asked_meanwhile_binds_nothing_that_is_kept(folder):
+    """Asking why unifies with the terms of rules for a while."""
+    engine = begun(folder)
+    engine.call("set_etalis_flag(etalis_justification, on)")
+    kept = checkpoints(engine, folder)
+    asked = threading.Event()
+
+    def ask():
+        for number in range(60):
+            engine.query(f"justify_event(out(x{number}), _, _)")
+        asked.set()
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    while True:
+        engine.call("assertz(new(1))")
+        kept.write()
+        if asked.is_set():
+            break
+    thread.join()
+    other = resumed(folder)
+    said = listened(other)
+    other.event("in(7)", 50)
+    assert "out(7)" in said

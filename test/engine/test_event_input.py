@@ -1,0 +1,122 @@
+"""Goals that subscribe topics: what they ask for, what is refused, and engines without topics."""
+
+import logging
+
+import pytest
+
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.program_check import check_program
+from retalis.events.program.program_folder import TopicEvent, Topics, topic_type
+from retalis.foundation.errors import RetalisError
+from retalis.messages.type_registry import Definitions
+
+TOPICS = Topics(
+    (topic_type("/left", "std_msgs/Bool"), topic_type("said", "std_msgs/String")),
+    events=(TopicEvent("/left", "bump"),),
+)
+
+
+@pytest.fixture
+def asked():
+    """Return an engine with topics, and what its goals ask for."""
+    engine, found = Engine(), []
+    parts_of(engine).input_topics.begin(lambda one: found.append(tuple(one)), TOPICS)
+    return engine, found
+
+
+def test_a_goal_subscribes_a_topic_once(asked):
+    engine, found = asked
+    engine.load(goals="subscribe_to(right, 'std_msgs/Bool', bumper_right)\nsubscribe_to(scan, 'a/msg/B')")
+    assert engine.call("""subscribe_to("/right", "std_msgs/Bool", bumper_right)""")
+    assert engine.call("subscribe_to(right, 'std_msgs/msg/Bool', bumper_right)")
+    assert engine.call("subscribe_to(said, 'std_msgs/String'), subscribe_to(left, 'std_msgs/Bool', bump)")
+    assert found == [("right", "std_msgs/Bool", "bumper_right"), ("scan", "a/B", "")]
+    joined = parts_of(engine).input_topics.joined(TOPICS)
+    assert joined.subscribed == (
+        *TOPICS.subscribed,
+        topic_type("right", "std_msgs/Bool"),
+        topic_type("scan", "a/B"),
+    )
+    assert joined.event_of("right") == "bumper_right"
+
+
+@pytest.mark.parametrize(
+    ("goal", "said"),
+    [
+        ("subscribe_to(said, 'std_msgs/Int32')", "it is subscribed already as std_msgs/String"),
+        ("subscribe_to(said, 'std_msgs/String', x)", "it is subscribed already as std_msgs/String"),
+        ("subscribe_to(left, 'std_msgs/Bool')", "as std_msgs/Bool, with events called bump"),
+        ("subscribe_to('a b', 'std_msgs/Int32')", "a b"),
+        ("subscribe_to(a, 'Int32')", "package/Type"),
+        ("subscribe_to(a, std_msgs/int32)", "names with a slash stand in quotes"),
+        ("subscribe_to(a, std_msgs/Int32)", "names with a slash stand in quotes"),
+        ("subscribe_to(_, 'std_msgs/Int32')", "not sufficiently instantiated"),
+        ("subscribe_to(a, 'std_msgs/Int32', 'A')", "begins with a small letter"),
+        ("subscribe_to(a, 'std_msgs/Int32', seq)", "seq means something else in rules"),
+        ("subscribe_to(a, 'std_msgs/Int32', '')", "event_name"),
+        ("subscribe_to(a, 'std_msgs/Int32', 3)", "names with a slash stand in quotes"),
+    ],
+)
+def test_what_cannot_be_subscribed_is_an_error_of_the_goal(asked, goal, said):
+    engine, found = asked
+    with pytest.raises(RetalisError) as error:
+        engine.call(goal)
+    assert said in str(error.value)
+    assert engine.call(f"catch({goal}, _, true)")
+    assert found == []
+
+
+def test_goals_subscribe_no_more_than_so_many(asked):
+    engine, found = asked
+    with pytest.raises(RetalisError, match="goals subscribe 1000 topics at most"):
+        engine.call("between(0, 2000, N), atom_concat(t, N, T), subscribe_to(T, 'std_msgs/Bool'), fail")
+    assert len(found) == 1000
+
+
+def test_an_engine_without_topics_says_so(caplog):
+    engine = Engine()
+    with caplog.at_level(logging.WARNING, "retalis"):
+        engine.load(goals="subscribe_to(left, 'std_msgs/Bool', bump)", rules="hit <- bump(true).")
+    (record,) = caplog.records
+    assert "topic left is not subscribed: there are no topics here" in record.getMessage()
+
+
+def test_slots_by_name_of_events_that_a_goal_names(asked):
+    engine, _ = asked
+    engine.load(goals="subscribe_to(right, 'std_msgs/Bool', right)", rules="hit(X) <- right{data: X}.")
+    happened = []
+    engine.on_event(lambda term, start, end: happened.append(str(term[1])))
+    engine.event("right(true)", 1)
+    assert len(happened) == 2
+
+
+def test_reloading_subscribes_what_is_new_and_refuses_another_type(tmp_path, asked):
+    engine, found = asked
+    goals = tmp_path / "goalPredicates.txt"
+    goals.write_text("subscribe_to(a, 'std_msgs/Bool', x)\n")
+    engine.load_program(tmp_path)
+    goals.write_text("subscribe_to(a, 'std_msgs/Bool', x)\nsubscribe_to(b, 'std_msgs/Bool')\n")
+    engine.reload(tmp_path)
+    goals.write_text("subscribe_to(a, 'std_msgs/Int8', x)\nsubscribe_to(c, 'std_msgs/Bool')\n")
+    with pytest.raises(RetalisError, match="it is subscribed already as std_msgs/Bool, with events called x"):
+        engine.reload(tmp_path)
+    assert found == [("a", "std_msgs/Bool", "x"), ("b", "std_msgs/Bool", "")]
+
+
+def test_events_of_such_topics_are_made(tmp_path):
+    (tmp_path / "pub_sub.xml").write_text("<publish_subscribe/>")
+    (tmp_path / "goalPredicates.txt").write_text(
+        "compile_event_file('rules.txt')\nsubscribe_to(left, 'std_msgs/Bool', bump)\n"
+        "subscribe_to(c, 'std_msgs/Strng')\nmemorize(hit(_), [], _, hits, 5)\n"
+    )
+    (tmp_path / "rules.txt").write_text(
+        "hit(1) <- bump(true).\nhit(2) <- later(_).\nhit(3) <- std_msgs__0__Int8(_).\nhit(4) <- bumb(true).\n"
+        "more <- bump(false) do subscribe_to(right, 'std_msgs/Bool', later).\n"
+        "hit(5) <- more do subscribe_to(n, 'std_msgs/Int8').\n"
+    )
+    found = [str(one.problem).split("\n")[0] for one in check_program(tmp_path, Definitions())]
+    assert [one.partition(f"{tmp_path}/")[2] for one in found] == [
+        "goalPredicates.txt:3:1: there is no message type std_msgs/Strng; did you mean std_msgs/String?",
+        "rules.txt:4:11: nothing makes bumb/1: no topic, rule or goal; did you mean bump/1?",
+    ]

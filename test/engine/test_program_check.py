@@ -1,0 +1,79 @@
+"""Patterns whose events hardly come, told of while the program runs."""
+
+import pytest
+
+from retalis.engine.engine import Engine
+from retalis.engine.program_check import check_program, never_comes, never_sent
+from retalis.events.program.program_folder import Topics, topic_type
+from retalis.foundation.errors import RetalisError
+from retalis.messages.type_registry import Definitions
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_term
+
+TOPICS = Topics((topic_type("said", "std_msgs/String"),))
+
+
+@pytest.mark.parametrize(
+    ("pattern", "said"),
+    [
+        ("alram(_)", "nothing makes alram/1: no topic, rule or goal; did you mean alarm/1?"),
+        (
+            "crash",
+            "nothing makes crash/0: no topic, rule or goal; if other programs send it, say so with the fact "
+            "input_event(crash/0).",
+        ),
+        ("alarm(_)", ""),
+        ("button(_)", ""),
+        ("_", ""),
+        ("sensor_msgs__0__Range(_, _, _, _, _, _)", ""),
+    ],
+)
+def test_a_pattern_of_what_nothing_makes(definitions, pattern, said):
+    engine = Engine()
+    engine.load(rules="alarm(T) <- std_msgs__0__String(T). input_event(button/1).")
+    term = engine.query(f"X = ({pattern})")[0]["X"]
+    assert never_comes(engine, term, definitions, TOPICS, ()) == said
+
+
+def test_findings_are_in_the_order_of_the_files(tmp_path, definitions):
+    (tmp_path / "pub_sub.xml").write_text(
+        '<publish_subscribe><subscribe_to name="s" msg_type="a/B" x="1"/></publish_subscribe>'
+    )
+    (tmp_path / "goalPredicates.txt").write_text(
+        "compile_event_file('rules.txt')\nmemorize(d, [], _, m, 5)\nfial\n"
+    )
+    (tmp_path / "rules.txt").write_text("a <- b within 1000000.\na <- a.\n")
+    found = [
+        (one.problem.place.source.rpartition("/")[2], one.problem.place.line)
+        for one in check_program(tmp_path, definitions)
+    ]
+    assert found == [("goalPredicates.txt", 3), ("pub_sub.xml", 1), ("rules.txt", 1), ("rules.txt", 2)]
+
+
+def test_a_program_that_is_not_there_is_one_error_with_its_name(tmp_path, definitions):
+    for missing in (tmp_path / "none.pl", tmp_path / "none"):
+        (found,) = check_program(missing, definitions)
+        assert found.problem.message == f"cannot read {missing}: there is no such file or folder"
+        with pytest.raises(RetalisError, match="there is no such file or folder"):
+            Engine().load_program(missing)
+
+
+@pytest.mark.parametrize(
+    ("subscription", "fault"),
+    [
+        ("subscribe(a(X), [], std_msgs__0__Int32(X), out, 1)", ""),
+        ("subscribe(a(X), [], X, out, 1)", ""),
+        (
+            "subscribe(a(X), [], _, out, 1)",
+            "topic out, std_msgs/Int32: expected std_msgs__0__Int32/1, got a/1",
+        ),
+        (
+            "subscribe(a, [], std_msgs__0__Int32(big), out, 1)",
+            "topic out, std_msgs/Int32, slot data: expected int32, got the atom big",
+        ),
+    ],
+)
+def test_outputs_that_can_never_be_messages_of_their_topic_are_told(subscription, fault):
+    goal = read_term(subscription, Operators.prolog()).term
+    assert never_sent(goal, "out", "std_msgs/Int32", Definitions()) == fault
+    assert never_sent(goal, "out", "far_msgs/Unknown", Definitions()) == ""

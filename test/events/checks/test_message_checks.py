@@ -1,0 +1,180 @@
+"""Messages in rules, memories and subscriptions that are none of their types."""
+
+import pytest
+
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.program_check import check_program
+from retalis.events.checks.message_checks import wrong_messages
+from retalis.events.checks.program_model import ProgramModel
+from retalis.events.program.program_folder import TopicEvent, Topics, topic_type
+from retalis.messages.type_registry import Definitions
+
+HEADER = "uint32 seq\ntime stamp\nstring frame_id\n"
+WARM = f"Header header\nfloat64 warmth\n{'=' * 80}\nMSG: std_msgs/Header\n{HEADER}"
+
+
+@pytest.fixture
+def definitions():
+    known = Definitions()
+    known.add("my_msgs/Warm", WARM)
+    known.add("my_msgs/Empty", "")
+    return known
+
+
+def warnings(definitions, folder, rules="", goals="", types=("my_msgs/Warm", "my_msgs/Empty")):
+    """Return what is said of messages in a program."""
+    engine = Engine()
+    engine.on_event(lambda term, start, end: None)
+    engine.load(rules=rules, goals=goals)
+    topics = Topics(tuple([topic_type(f"t{at}", kind) for at, kind in enumerate(types)]))
+    found = [str(one) for one in engine.warnings(folder, definitions, topics)]
+    return [
+        one
+        for one in found
+        if "__0__" in one and "nothing makes" not in one and "stands here only" not in one
+    ]
+
+
+@pytest.mark.parametrize(
+    ("rules", "warning"),
+    [
+        (
+            "a <- b where X = my_msgs__0__Warm(std_msgs__0__Header(_, _), 1), X == X.",
+            "std_msgs__0__Header/2 does not match its type: std_msgs/Header has 3 slots: seq, stamp, frame_id; "
+            "write all of them, or some by name: std_msgs__0__Header{seq: ...}",
+        ),
+        (
+            "a <- my_msgs__0__Empty(_).",
+            "my_msgs__0__Empty/1 does not match its type: my_msgs/Empty has 0 slots",
+        ),
+        (
+            "a <- my_msgs__0__Warn(_, _).",
+            "there is no message type my_msgs/Warn here; did you mean my_msgs/Warm?",
+        ),
+    ],
+)
+def test_rules_with_wrong_messages(definitions, tmp_path, rules, warning):
+    (found,) = warnings(definitions, tmp_path, rules)
+    assert found.startswith(f"text:1:1: {warning}\n")
+
+
+def test_memories_and_subscriptions_that_stand_in_no_file_are_named(definitions, tmp_path):
+    goals = "memorize(my_msgs__0__Warm(_), [], _, m, 5)\nsubscribe(my_msgs__0__Warm(_, _, _), [], _, out, s)"
+    assert warnings(definitions, tmp_path, goals=goals)[:2] == [
+        "memory m: my_msgs__0__Warm/1 does not match its type: my_msgs/Warm has 2 slots: header, warmth; "
+        "write all of them, or some by name: my_msgs__0__Warm{header: ...}",
+    ] + [
+        one
+        for one in warnings(definitions, tmp_path, goals=goals)
+        if one.startswith("a subscription of topic out: my_msgs__0__Warm/3")
+    ]
+
+
+def test_right_and_foreign_terms_are_left_alone(definitions, tmp_path):
+    rules = "a(X) <- my_msgs__0__Warm(std_msgs__0__Header(_, _, _), X). b <- other__0__Thing(_)."
+    assert warnings(definitions, tmp_path, rules) == []
+
+
+def test_texts_with_their_quotes_and_in_heads_and_goals_are_left_alone(definitions, tmp_path):
+    header = "std_msgs__0__Header(0, [0,0], {})".format
+    right = header("""'"ann"'""")
+    rules = f"my_msgs__0__Warm({header('ann')}, 1) <- my_msgs__0__Warm({right}, X) where X = {header('b')}."
+    assert warnings(definitions, tmp_path, rules) == []
+
+
+def test_types_that_are_learned_later_are_left_alone(definitions, tmp_path):
+    rules = "a(X) <- far_msgs__0__WarmFeedback(far_msgs__0__Warm(X), my_msgs__0__Warm(_, _))."
+    assert warnings(definitions, tmp_path, rules, types=["my_msgs/Warm", "far_msgs/WarmFeedback"]) == []
+
+
+def test_a_misspelt_type_silences_nothing_about_the_others_of_its_package(tmp_path):
+    rules = "a <- std_msgs__0__Strin(_). b <- std_msgs__0__Bool(_, _)."
+    found = warnings(Definitions(), tmp_path, rules, types=["std_msgs/Strng", "std_msgs/Bool"])
+    assert [one.split("\n")[0].partition(": ")[2] for one in found] == [
+        "there is no message type std_msgs/Strin here; did you mean std_msgs/String?",
+        "std_msgs__0__Bool/2 does not match its type: std_msgs/Bool has 1 slot: data; "
+        "write all of them, or some by name: std_msgs__0__Bool{data: ...}",
+    ]
+
+
+FAN = Topics((topic_type("fan/state", "std_msgs/Bool"),), events=(TopicEvent("fan/state", "fan"),))
+
+
+def said_of_fans(rules, goals=""):
+    engine = Engine()
+    engine.load(rules=rules, goals=goals)
+    parts = parts_of(engine)
+    program = ProgramModel(parts.rules, parts.knowledge, Definitions(), FAN)
+    return [(error.message, error.place and error.place.column) for error in wrong_messages(program)]
+
+
+def test_a_name_of_a_topics_events_that_is_no_event_is_left_alone():
+    rules = (
+        "a <- says(fan, true) where (access_mem(fan, false, _), device(fan), F = fan(1, 2), F \\== fan(1)).\n"
+        "device(fan). says(fan, true) do note(fan) <- fan(_)."
+    )
+    assert said_of_fans(rules, "memorize(fan(On), [], fan, fan, 1)") == []
+
+
+BARE = "fan/0 does not match its type: std_msgs/Bool has 1 slot: data; write fan{data: ...}"
+
+
+@pytest.mark.parametrize(
+    ("rules", "goals"),
+    [
+        ("a <- (b where x(fan)) seq fan.", ""),
+        ("a <- fan.", ""),
+        ("fan <- b.", ""),
+        ("fan do note(fan) <- b.", ""),
+        ("null_event do event(fan) <- b.", ""),
+        ("a(b).", "memorize(fan, [], x, m, 5)"),
+        ("a(b).", "subscribe(fan, [], std_msgs__0__Bool(true), out, s)"),
+    ],
+)
+def test_an_event_of_a_topic_without_its_slots_is_told_how_to_be_written(rules, goals):
+    ((said, _),) = said_of_fans(rules, goals)
+    assert said.endswith(BARE)
+
+
+def test_a_slot_that_is_named_in_parentheses_is_told_where_to_be_named(tmp_path):
+    (tmp_path / "eventRules.txt").write_text("a <- (b where x(fan)) seq fan.\nc <- fan(data: true).\n")
+    (tmp_path / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')")
+    (tmp_path / "pub_sub.xml").write_text(
+        '<publish_subscribe><subscribe_to name="f" msg_type="std_msgs/Bool" event="fan"/></publish_subscribe>'
+    )
+    said = [str(one.problem) for one in check_program(tmp_path, Definitions())]
+    (bare,) = [one for one in said if BARE in one]
+    (named,) = [one for one in said if "in parentheses" in one]
+    assert bare.startswith(f"{tmp_path}/eventRules.txt:1:27: ")
+    assert named.startswith(
+        f"{tmp_path}/eventRules.txt:2:10: data of std_msgs/Bool is not named in parentheses"
+    )
+    assert "write fan{data: ...}" in named
+
+
+def output_warnings(definitions, folder, goal, rules=""):
+    """Return what is said of a subscription of topic ``out``, whose type is ``my_msgs/Warm``."""
+    engine = Engine()
+    engine.load(rules=rules, goals=goal)
+    topics = Topics(published=(topic_type("out", "my_msgs/Warm"),))
+    found = [str(one) for one in engine.warnings(folder, definitions, topics)]
+    return [one for one in found if "topic out, my_msgs/Warm" in one]
+
+
+@pytest.mark.parametrize(
+    "goal",
+    [
+        "subscribe(seen(H), [], H, out, s1)",
+        "subscribe(seen(H), [H = wrapped(Message)], Message, out, s1)",
+        "subscribe(seen(_, H) with throttle(1), [], H, out, s1)",
+    ],
+)
+def test_a_format_that_is_a_variable_of_the_event_may_hold_a_message(definitions, tmp_path, goal):
+    assert output_warnings(definitions, tmp_path, goal) == []
+
+
+@pytest.mark.parametrize("form", ["_", "Event", "seen(H)"])
+def test_an_event_that_is_no_message_is_said(definitions, tmp_path, form):
+    (found,) = output_warnings(definitions, tmp_path, f"subscribe(seen(H), [], {form}, out, s1)")
+    assert "expected my_msgs__0__Warm/2, got seen/1" in found

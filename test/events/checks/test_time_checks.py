@@ -1,0 +1,134 @@
+"""Programs with very many rules, looked through for what is wrong with their times."""
+
+import pytest
+
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.events.checks.program_model import ProgramModel
+from retalis.events.checks.time_checks import cycles, missed_pairs, never_meet, unbounded_keys
+from retalis.events.program.program_folder import Topics, TopicType
+from retalis.messages.type_registry import Definitions
+
+TOPICS = Topics((TopicType("said", "std_msgs/String"),))
+FIRST = "e0 <- std_msgs__0__String(_) where true."
+LONG = 400
+
+CHAIN = [f"e{at + 1} <- e{at} where true." for at in range(LONG)]
+TWICE = [f"e{at + 1} <- e{at} check true." for at in range(40)]
+PLAIN = [f"f{at + 1} <- f{at}." for at in range(LONG)]
+
+
+def said_of(*rules):
+    engine = Engine()
+    engine.load(rules="\n".join(rules))
+    parts = parts_of(engine)
+    program = ProgramModel(parts.rules, parts.knowledge, Definitions(), TOPICS)
+    return [error.message for error in (*never_meet(program), *cycles(program))]
+
+
+@pytest.mark.slow
+def test_an_instant_is_known_behind_a_long_chain_of_rules():
+    (said,) = said_of(FIRST, *CHAIN, *TWICE, f"x <- e{LONG} par e{LONG}.")
+    assert said.startswith("par never matches here: both sides are instants")
+
+
+def test_an_event_of_two_rules_is_an_instant_where_both_say_so():
+    assert said_of(FIRST, "e1 <- e0. e1 <- e0 seq e0. x <- e1 par e1.") == []
+
+
+def test_events_that_wait_for_each_other_are_no_instants():
+    assert said_of(FIRST, "a <- b where true. b <- a where true. x <- a par b.") == []
+
+
+@pytest.mark.slow
+def test_a_cycle_at_the_end_of_a_long_chain_is_said_once():
+    (said,) = said_of(*PLAIN, f"g <- f{LONG}. g <- h. h <- g.")
+    assert said.startswith("these events fire each other (g/0 <- h/0 <- g/0)")
+
+
+def test_a_cycle_is_said_once():
+    (said,) = said_of(*PLAIN[:9], "f0 <- f9.")
+    assert said.startswith("these events fire each other (f1/0 <- f0/0 <- f9/0 <- ")
+
+
+PAIR = "near <- (std_msgs__0__String(_) and std_msgs__0__Bool(_)) within 0.1."
+TWO_TOPICS = Topics((TopicType("said", "std_msgs/String"), TopicType("on", "std_msgs/Bool")))
+
+
+def missed(rules, topics=TWO_TOPICS):
+    engine = Engine()
+    engine.load(rules=rules)
+    parts = parts_of(engine)
+    return [
+        error.message
+        for error in missed_pairs(ProgramModel(parts.rules, parts.knowledge, Definitions(), topics))
+    ]
+
+
+def test_pairs_of_messages_under_the_default_policy_are_named():
+    (message,) = missed(PAIR)
+    assert message.startswith("under the policy recent a message is used for one pair only")
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [
+        f"{PAIR} :- set_etalis_flag(event_consumption_policy, unrestricted).",
+        f"l([property(policy, recent)]) : {PAIR}",
+        "near <- std_msgs__0__String(_) and std_msgs__0__Bool(_).",
+        "near <- (std_msgs__0__String(_) seq std_msgs__0__Bool(_)) within 0.1.",
+        "near <- (std_msgs__0__String(_) and spoken) within 0.1.",
+    ],
+    ids=["other policy", "intended", "no window", "seq", "no message"],
+)
+def test_other_pairs_are_not_named(rules):
+    assert missed(rules) == []
+
+
+def unbounded(rules, flags=()):
+    engine = Engine()
+    for flag, value in flags:
+        assert engine.call(f"set_etalis_flag({flag}, {value})")
+    engine.load(rules=rules)
+    parts = parts_of(engine)
+    program = ProgramModel(parts.rules, parts.knowledge, Definitions(), Topics())
+    return [error.message for error in unbounded_keys(program)]
+
+
+KEYED = [
+    "p(K) <- aggregate(count, q(K, V), _, steps([up where V == 1, down where V == 0])).",
+    "p(K, A) <- aggregate(avg(V), q(K, V), A, last(3, events)).",
+    "p(K, A) <- aggregate(avg(V), q(K, V), A, running(every(3, events))).",
+    "p(K) <- q(K, V) with change(V, f(K)).",
+    "p(K) <- aggregate(count, (q(K, V) with change(V, K)), _, last(3)) within 5.",
+    "p <- s cnot (q(K, V) with change(V, K)) within 5.",
+]
+
+
+@pytest.mark.parametrize("rule", KEYED)
+def test_state_of_keys_that_no_time_ends_is_named(rule):
+    (message,) = unbounded(rule)
+    assert "no time ends the state" in message
+    assert "property(ttl, SECONDS), or property(ttl, 0)" in message
+    assert unbounded(f"l([property(ttl, 5)]) : {rule}") == []
+    assert unbounded(f"l([property(ttl, 0)]) : {rule}") == []
+    assert unbounded(f"l([property(window, 5)]) : {rule}") == []
+    assert unbounded(rule, [("state_ttl", 5)]) == []
+    assert unbounded(rule, [("garbage_control", "general")]) == []
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        "p(A) <- aggregate(avg(V), q(_, V), A, last(3, events)).",
+        "p(A) <- aggregate(avg(V), q(left, V), A, last(3, events)).",
+        "p(K, A) <- aggregate(avg(V), q(K, V), A, last(3)).",
+        "p(K, A) <- aggregate(avg(V), q(K, V), A, every(3)).",
+        "p(K) <- q(K, V) with throttle(3, K).",
+        "p(V) <- q(_, V) with change(V).",
+        "p(K) <- (q(K, V) with change(V, K)) within 5.",
+        "p(K) <- (s(K) seq aggregate(count, q(K, V), _, last(3, events))) within 5.",
+    ],
+)
+def test_state_that_is_bounded_or_not_by_keys_is_not_named(rule):
+    assert unbounded(rule) == []

@@ -1,0 +1,66 @@
+"""Integers where floats come, and floats where integers come."""
+
+import pytest
+
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.events.checks.program_model import ProgramModel
+from retalis.events.checks.value_type_checks import numerals
+from retalis.events.program.program_folder import Topics, topic_type
+
+TOPICS = Topics((topic_type("at", "geometry_msgs/Point"), topic_type("n", "std_msgs/Int32")))
+
+
+def said(definitions, rules="", goals=""):
+    engine = Engine()
+    engine.load(rules=rules, goals=goals)
+    parts = parts_of(engine)
+    return [one.message for one in numerals(ProgramModel(parts.rules, parts.knowledge, definitions, TOPICS))]
+
+
+@pytest.mark.parametrize(
+    ("rules", "goals", "told"),
+    [
+        ("a <- std_msgs__0__Int32(2.0).", "", "data of std_msgs/Int32 is an integer in events: write 2"),
+        (
+            "a <- std_msgs__0__Int32(2.5).",
+            "",
+            "data of std_msgs/Int32 is an integer in events: write one",
+        ),
+        (
+            "a <- std_msgs__0__Int32(N) where 3.0 == N.",
+            "",
+            "N is an integer (data of std_msgs/Int32), never a float: write =:=",
+        ),
+        (
+            "",
+            "memorize(geometry_msgs__0__Point(X, _, 0), [], X, m, 5)",
+            "memory m: z of geometry_msgs/Point is a float in events: write 0.0",
+        ),
+        (
+            "",
+            "subscribe(geometry_msgs__0__Point(X, _, _), [X = 0], X, t, s)",
+            "a subscription of topic t: this variable is a float (x of geometry_msgs/Point), "
+            "never an integer: write =:=",
+        ),
+    ],
+)
+def test_numbers_of_the_other_kind(definitions, rules, goals, told):
+    assert said(definitions, rules, goals) == [told]
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [
+        "a <- geometry_msgs__0__Point(0.0, X, Y) where (X =:= 0, Y == 0.0, X > 3).",
+        "a <- std_msgs__0__Int32(N) where (N == 3, N =\\= 3.0).",
+        "geometry_msgs__0__Point(0, 1, 2) <- b. a <- geometry_msgs__0__Point(0, X, _) where X == 1.",
+        "null do new_event(geometry_msgs__0__Point(0, 1, 2), 1, 2) <- b. a <- geometry_msgs__0__Point(0, _, _).",
+        "null do (thing(T), new_event(T, 1, 2)) <- b. a <- geometry_msgs__0__Point(0, _, _). thing(x).",
+        "a <- b(geometry_msgs__0__Point(0, _, _)).",
+        "a <- (geometry_msgs__0__Point(X, _, _) or b(X)) where X == 0.",
+        "a <- geometry_msgs__0__Point(X, _, _) where (Y = 0 ; Y = 1), X > Y.",
+    ],
+)
+def test_what_may_be_is_left_alone(definitions, rules):
+    assert said(definitions, rules) == []

@@ -1,0 +1,307 @@
+"""Dispatch: order, constants, depth, errors that stop one firing only."""
+
+import pytest
+from events.running import Program, fired, text_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from reachability import count_entries, reachable
+
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+from retalis.events.dispatch.dispatcher import Dispatcher
+from retalis.events.dispatch.listeners import TERM, Listener, ListenerPhase
+from retalis.foundation.errors import UsageError
+from retalis.prolog.terms.list_terms import make_list
+from retalis.prolog.terms.term_traversal import copy, variables
+from retalis.prolog.terms.types import NIL, Lazy, String, Var, atom, functor
+from retalis.prolog.terms.unification import undo, unify
+
+A, B, F = functor("a", 1), functor("b", 2), functor("f", 1)
+
+
+class Done:
+    @staticmethod
+    def run(frame):
+        raise AssertionError
+
+
+DONE = (Done(),)
+
+
+class Recorder:
+    def __init__(self):
+        self.dispatcher = Dispatcher()
+        self.got = []
+
+    def listen(self, name, pattern, stage=ListenerPhase.RULES):
+        def action(term, values, start, end, after):
+            self.got.append((name, values))
+            return after
+
+        return self.dispatcher.listen(stage, pattern, action)
+
+    def send(self, term):
+        self.got = []
+        frame = self.dispatcher.dispatch(term, 1, 1, DONE)
+        while frame is not DONE:
+            frame = frame[0].run(frame)
+        return self.got
+
+
+def test_stages_come_in_order_and_the_oldest_first():
+    recorder = Recorder()
+    recorder.listen("rule", (A, Var()))
+    recorder.listen("memory", (A, Var()), ListenerPhase.MEMORIES)
+    recorder.listen("subscription 1", (A, Var()), ListenerPhase.SUBSCRIPTIONS)
+    recorder.listen("any", Var(), ListenerPhase.SUBSCRIPTIONS)
+    assert [name for name, _ in recorder.send((A, 1))] == ["subscription 1", "any", "memory", "rule"]
+
+
+def test_constants_choose_the_listeners():
+    recorder = Recorder()
+    x, y = atom("x"), atom("y")
+    patterns = {
+        "x": (B, x, Var()),
+        "y": (B, y, Var()),
+        "x1": (B, x, 1),
+        "nested": (B, (F, x), Var()),
+        "open": (B, Var(), Var()),
+        "float": (B, 1.0, Var()),
+    }
+    for name, pattern in patterns.items():
+        recorder.listen(name, pattern)
+
+    def names(term):
+        return [name for name, _ in recorder.send(term)]
+
+    assert names((B, x, 1)) == ["x", "x1", "open"]
+    assert names((B, x, 1.0)) == ["x", "open"]
+    assert names((B, 1, 1)) == ["open"]
+    assert names((B, 1.0, 1)) == ["open", "float"]
+    assert names((B, (F, x), 1)) == ["nested", "open"]
+    assert names((B, (F, y), 1)) == ["open"]
+    assert names((B, Lazy(F, lambda source: (F, x), None), 1)) == ["nested", "open"]
+    assert set(names((B, Var(), 1))) == set(patterns)
+
+
+def test_what_is_lazy_and_not_looked_at_is_not_made():
+    recorder = Recorder()
+    recorder.listen("all", (B, Var(), 1))
+    lazy = Lazy(F, lambda source: pytest.fail("made"), None)
+    assert recorder.send((B, lazy, 1)) == [("all", (lazy,))]
+
+
+def test_lists_take_apart():
+    recorder = Recorder()
+    first, rest = Var(), Var()
+    recorder.listen("list", (A, make_list([first], rest)))
+    assert recorder.send((A, make_list([1]))) == [("list", (1, NIL))]
+    assert recorder.send((A, NIL)) == []
+
+
+def test_removed_listeners_are_not_served():
+    recorder = Recorder()
+    listener = recorder.listen("a", (A, Var()))
+    other = recorder.listen("other", (A, Var()))
+    recorder.dispatcher.remove(listener)
+    recorder.dispatcher.remove(listener)
+    assert [name for name, _ in recorder.send((A, 1))] == ["other"]
+    recorder.dispatcher.remove(other)
+    assert reachable(recorder.dispatcher, Listener) == []
+    assert recorder.send((A, 1)) == []
+
+
+@pytest.mark.parametrize("term", [1, 2.5, Var()])
+def test_what_is_no_event(term):
+    with pytest.raises(UsageError):
+        Dispatcher().dispatch(term, 1, 1, DONE)
+
+
+def test_an_event_does_not_end_before_it_starts():
+    with pytest.raises(UsageError, match="end before"):
+        Dispatcher().dispatch(atom("a"), 2, 1, DONE)
+
+
+def test_depth_first():
+    rules = "b <- a. c <- b. d <- a."
+    assert fired(rules, "a@1") == "b@1-1 c@1-1 d@1-1"
+
+
+def test_a_goal_that_raises_stops_one_firing():
+    program = Program("b <- a where no_such_goal. c do no_such_goal <- a. d <- a.")
+    assert program.feed("a@1") == "d@1-1"
+    assert len(program.errors) == 2
+    assert "no_such_goal" in str(program.errors[0])
+    assert "at event a" in str(program.errors[0])
+    assert program.errors[0].place is not None
+
+
+@pytest.mark.parametrize(
+    "rule", ["a <- a.", "null do new_event(a,[1,1]) <- a.", "n <- a where new_event(a,[1,1])."]
+)
+def test_a_chain_without_end_is_an_error_of_its_rule(rule):
+    program = Program(f"{rule} b <- c.")
+    program.feed("a@1")
+    assert program.errors
+    assert program.feed("c@1") == "b@1-1"
+
+
+def test_an_alarm_in_the_past_is_an_event_like_others_in_a_chain_without_end():
+    head = "exceptionAlarmAbsoluteDatime(b,datime(1970,1,1,0,0,0,0))"
+    program = Program(f"{head} <- {head}. c <- {head}.")
+    assert program.feed(f"{head}@1").endswith("c@1-1")
+    assert "1000 events" in str(program.errors[0])
+
+
+def test_events_of_ever_new_kinds_leave_nothing_behind():
+    recorder = Recorder()
+    recorder.listen("any", Var())
+    for number in range(20_005):
+        assert recorder.send(atom(f"kind{number}"))
+    assert count_entries(recorder.dispatcher) <= 11_000
+
+
+def test_events_with_variables_match_what_they_unify_with():
+    assert fired("c(X,Y) <- a(f(X), Y).", "a(Z,Z)@1") == "c(A,f(A))@1-1"
+    assert fired("c(X) <- a(X) where X = 3.", "a(Z)@1 a(4)@2") == "c(3)@1-1"
+    assert fired("c(X) do X = 3 <- a(X).", "a(Z)@1 a(4)@2") == "c(3)@1-1"
+
+
+def test_a_rule_that_is_deleted_meanwhile_gets_the_event_that_is_served_and_no_more():
+    program = Program("one do del_event_rule(two) <- a. two : b <- a.")
+    assert program.feed("a@1 a@2") == "one@1-1 b@1-1 one@2-2"
+    program = Program("one do (ins_event_rule(c <- a), del_event_rule(c <- a)) <- a.")
+    assert program.feed("a@1") == "one@1-1"
+
+
+def test_a_subscription_that_is_deleted_meanwhile_gets_the_event_that_is_served_and_no_more():
+    program = Program()
+    got = []
+    program.engine.on_output(lambda term, topic, name: got.append(name))
+    program.engine.call("subscribe(a, [delete_subscription(t, 2)], _, t, 1)")
+    program.engine.call("subscribe(a, [], _, t, 2)")
+    program.feed("a@1 a@2")
+    assert got == [1, 2, 1]
+
+
+def test_a_memory_that_is_deleted_meanwhile_is_gone_for_good():
+    program = Program()
+    program.engine.call("memorize(a, [delete_memory(2)], _, 1, 5)")
+    program.engine.call("memorize(a, [], _, 2, 5)")
+    assert "memory_updated(2" not in program.feed("a@1 a@2")
+    assert not program.engine.call("access_mem(2, _, _)")
+    assert program.engine.call("memory_size(1, 5)")
+
+
+def test_a_memory_that_is_added_meanwhile_gets_later_events_only():
+    program = Program()
+    program.engine.call("subscribe(a(1), [memorize(a(X), [], _, m, 5)], _, t, 1)")
+    program.feed("a(1)@1")
+    assert not program.engine.call("access_mem(m, _, _)")
+    program.feed("a(2)@2")
+    assert program.engine.query("access_mem(m, a(X), _)") == [{"X": 2}]
+
+
+@pytest.mark.parametrize("depth", [3, 5, 6, 9])
+def test_listeners_are_served_at_each_depth_up_to_the_limit(depth):
+    dispatcher = Dispatcher(max_depth=depth)
+    seen = []
+
+    def note(term, values, start, end, after):
+        seen.append((term, values, start, end))
+        return after
+
+    def derive(functor, more):
+        return lambda term, values, start, end, after: dispatcher.dispatch(
+            (functor, values[0] + more), start, end, after
+        )
+
+    dispatcher.listen(ListenerPhase.RULES, (A, Var()), derive(F, 0))
+    dispatcher.listen(ListenerPhase.RULES, (A, Var()), derive(A, 1))
+    dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, (F, Var()), note)
+    dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, (F, 1), note)
+    with pytest.raises(UsageError, match=f"more than {depth} events"):
+        frame = dispatcher.dispatch((A, 1), 5, 6, DONE)
+        while frame is not DONE:
+            frame = frame[0].run(frame)
+    assert seen[:2] == [((F, 1), (1,), 5, 6), ((F, 1), (), 5, 6)]
+    assert seen[2:] == [((F, at), (at,), 5, 6) for at in range(2, depth + 1)]
+
+
+@pytest.mark.parametrize("depth", [1, 3, 4, 5, 6, 1000])
+def test_as_many_events_as_allowed_are_derived_one_from_the_other(depth):
+    engine = Engine(settings=Settings(max_depth=depth))
+    errors, seen = [], []
+    parts_of(engine).rules.on_error = errors.append
+    engine.on_event(lambda term, start, end: seen.append(term))
+    engine.load(rules=f"n(Y) <- n(X) where (X < {depth + 1}, Y is X + 1).")
+    engine.event(f"n({1})", 1)
+    assert (len(seen), errors) == (depth + 1, [])
+    engine.event(f"n({0})", 2)
+    assert len(seen) == 2 * (depth + 1)
+    (error,) = errors
+    assert f"more than {depth} events were derived" in str(error)
+
+
+LEAVES = st.sampled_from([atom("x"), atom("y"), 1, 1, 2, 1.0, String("x"), "X", "X", "Y", "Z"])
+TERMS = st.recursive(
+    LEAVES, lambda inner: st.tuples(st.just(F), inner) | st.tuples(st.just(B), inner, inner), max_leaves=6
+)
+EVENTS = st.tuples(st.just(B), TERMS, TERMS) | st.tuples(st.just(A), TERMS) | st.just(atom("x"))
+LISTENERS = st.tuples(EVENTS | st.just("X"), st.sampled_from(ListenerPhase))
+
+
+def with_variables(term, known):
+    """Return a term with variables in place of their names."""
+    if isinstance(term, str):
+        return known.setdefault(term, Var())
+    return (term[0], *[with_variables(one, known) for one in term[1:]]) if term.__class__ is tuple else term
+
+
+def matched(pattern, term):
+    """Return the text of the values of a pattern's variables, None where the event does not match."""
+    fresh, trail = {}, []
+    order = variables(pattern)
+    if not unify(copy(pattern, fresh), term, trail):
+        undo(trail, 0)
+        return None
+    text = text_of((functor("values", len(order)), *[fresh[var] for var in order])) if order else "values"
+    undo(trail, 0)
+    return text
+
+
+@settings(deadline=None, derandomize=True, max_examples=150)
+@given(st.lists(LISTENERS, max_size=8), st.lists(EVENTS, min_size=1, max_size=6), st.data())
+def test_an_event_is_served_to_all_that_unify_with_it_in_order(listeners, events, data):
+    dispatcher, got, waiting = Dispatcher(), [], []
+
+    def listen(number, pattern, stage):
+        def action(term, values, start, end, after):
+            text = text_of((functor("values", len(values)), *values)) if values else "values"
+            got.append((number, text, start, end))
+            assert dispatcher.current[TERM] is term
+            return after
+
+        listener = dispatcher.listen(stage, pattern, action)
+        waiting.append((stage, number, pattern, listener))
+
+    for number, (pattern, *rest) in enumerate(listeners):
+        listen(number, with_variables(pattern, {}), *rest)
+    for at, event in enumerate(events):
+        if waiting and data.draw(st.booleans()):
+            dispatcher.remove(waiting.pop(data.draw(st.integers(0, len(waiting) - 1)))[-1])
+        term = with_variables(event, {})
+        del got[:]
+        frame = dispatcher.dispatch(term, at, at + 1, DONE)
+        while frame is not DONE:
+            frame = frame[0].run(frame)
+        wanted = [
+            (number, matched(pattern, term), at, at + 1)
+            for _, number, pattern, _ in sorted(waiting, key=lambda one: one[:2])
+        ]
+        assert got == [one for one in wanted if one[1] is not None]
+        assert dispatcher.current is None
+    for *_, listener in waiting:
+        dispatcher.remove(listener)
+    assert reachable(dispatcher, Listener) == []

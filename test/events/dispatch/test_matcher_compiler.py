@@ -1,0 +1,43 @@
+"""Terms made from values: equal to copies with the values in place of variables; large ones are not compiled."""
+
+import pytest
+from events.running import text_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from retalis.events.dispatch import matcher_compiler
+from retalis.events.dispatch.matcher_compiler import compile_builder
+from retalis.foundation.codegen import MAX_TERM_ARGUMENTS
+from retalis.prolog.terms.list_terms import make_list
+from retalis.prolog.terms.term_traversal import copy, variables
+from retalis.prolog.terms.types import String, Var, atom, functor
+
+F, G = functor("f", 1), functor("g", 2)
+VARS = [Var() for _ in range(4)]
+TERMS = st.recursive(
+    st.sampled_from([*VARS, *VARS, atom("x"), 1, 1.5, String("x")]),
+    lambda inner: st.tuples(st.just(F), inner) | st.tuples(st.just(G), inner, inner),
+    max_leaves=8,
+)
+
+
+@settings(deadline=None, derandomize=True, max_examples=200)
+@given(TERMS, st.lists(TERMS, max_size=4))
+def test_a_term_is_made_as_by_copying(term, values):
+    order = VARS[: len(values)]
+    values = tuple(copy(value) for value in values)
+    make = compile_builder(term, order, "term")
+    first, second = make(values), make(values)
+    assert text_of((G, first, make_list(values))) == text_of(
+        (G, copy(term, dict(zip(order, values))), make_list(values))
+    )
+    new = set(variables(first)) - set(variables(make_list(values)))
+    assert not new & set(variables(second))
+
+
+@pytest.mark.parametrize("number", [0, 1, 3])
+def test_large_terms_are_not_compiled(monkeypatch, number):
+    term = make_list([*VARS, *[(F, 1)] * MAX_TERM_ARGUMENTS])
+    monkeypatch.setattr(matcher_compiler, "shared_function", lambda *_: pytest.fail("compiled"))
+    made = compile_builder(term, VARS[:number], "term")((1,) * number)
+    assert text_of(made) == text_of(copy(term, dict(zip(VARS, (1,) * number))))

@@ -1,0 +1,443 @@
+"""States: what holds from one event until another."""
+
+import logging
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.runtime.clock import StreamClock
+from retalis.explanation.explain import explain, record_origins
+from retalis.foundation.errors import ProgramErrors
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.terms.timestamps import SECOND
+
+DOCKED = ":- state(docked(R), from(dock(R)), until(undock(R))).\n"
+ALARM = "alarm(R) <- bump(R) where holds(docked(R)).\n"
+
+
+class Watching(Engine):
+    def __init__(self, *arguments):
+        super().__init__(*arguments)
+        self.seen = []
+        self.on_event(
+            lambda term, start, end: self.seen.append((self.show(term), start / SECOND, end / SECOND))
+        )
+
+    def take(self, *events):
+        """Have events happen, ``(text, end)`` or ``(text, start, end)``; return what others did."""
+        self.seen.clear()
+        for text, *interval in events:
+            self.event(text, interval[0], interval[-1])
+        given = [(text, interval[0], interval[-1]) for text, *interval in events]
+        return [one for one in self.seen if one not in given]
+
+    def all(self, goal):
+        return [self.show(found["X"]) for found in self.query(goal)]
+
+
+def run(rules=DOCKED + ALARM, clock=None):
+    engine = Watching(clock)
+    engine.load(rules=rules)
+    return engine
+
+
+# ---- what a state is ---------------------------------------------------------------------------------
+
+
+def test_a_state_is_an_event_when_it_is_over():
+    engine = run(DOCKED + "hit(R) <- bump(R) during docked(R).")
+    assert engine.take(("dock(a)", 1, 2), ("bump(a)", 3), ("bump(b)", 3), ("undock(a)", 5, 6)) == [
+        ("docked(a)", 2, 5),
+        ("hit(a)", 2, 5),
+    ]
+
+
+def test_what_is_open_can_be_asked_for_at_once():
+    engine = run()
+    assert engine.take(("bump(a)", 1), ("dock(a)", 2), ("bump(b)", 3), ("bump(a)", 3)) == [("alarm(a)", 3, 3)]
+    assert engine.take(("undock(a)", 4), ("bump(a)", 5)) == [("docked(a)", 2, 4)]
+
+
+@pytest.mark.parametrize(
+    "events, wanted",
+    [
+        ([("undock(a)", 1)], []),
+        ([("dock(a)", 1), ("dock(a)", 2), ("undock(a)", 3), ("undock(a)", 4)], [("docked(a)", 1, 3)]),
+        ([("dock(a)", 3), ("undock(a)", 2), ("undock(a)", 4)], [("docked(a)", 3, 4)]),
+        ([("dock(a)", 1, 3), ("undock(a)", 2, 4), ("undock(a)", 3, 3)], [("docked(a)", 3, 3)]),
+        ([("dock(a)", 1), ("dock(b)", 2), ("undock(a)", 3)], [("docked(a)", 1, 3)]),
+    ],
+)
+def test_what_begins_and_ends_one(events, wanted):
+    assert run().take(*events) == wanted
+
+
+def test_one_event_ends_all_that_agree_with_it_and_may_begin_the_next():
+    engine = run(
+        ":- state(at(P), from(arrive(P)), until(arrive(_))).\n:- state(up(X, Y), from(up(X, Y, _)), until(down(X)))."
+    )
+    assert engine.take(("arrive(hall)", 1), ("arrive(attic)", 4), ("arrive(attic)", 6)) == [
+        ("at(hall)", 1, 4),
+        ("at(attic)", 4, 6),
+    ]
+    engine.take(("up(a, 1, 0)", 1), ("up(b, 1, 0)", 1), ("up(a, 2, 0)", 2), ("up(a, 1, 7)", 3))
+    assert engine.take(("down(a)", 5)) == [("up(a,1)", 1, 5), ("up(a,2)", 2, 5)]
+    assert engine.all("holds(X)") == ["at(attic)", "up(b,1)"]
+
+
+def test_a_state_that_ends_by_itself_needs_no_event():
+    clock = StreamClock()
+    engine = run(":- state(docked(R), from(dock(R)), until(undock(R)), [within(5)]).\n" + ALARM, clock)
+    engine.take(("dock(a)", 1), ("dock(b)", 2), ("dock(a)", 3))
+    engine.seen.clear()
+    clock.move_to(20 * SECOND)
+    engine.advance()
+    assert engine.seen == [("docked(a)", 1, 6), ("docked(b)", 2, 7)]
+    assert engine.take(("bump(a)", 20), ("dock(a)", 21), ("undock(a)", 22), ("e", 40)) == [
+        ("docked(a)", 21, 22)
+    ]
+
+
+# ---- asking ------------------------------------------------------------------------------------------
+
+
+def test_questions_about_now_and_the_past():
+    engine = run(":- state(docked(R), from(dock(R)), until(undock(R)), [past(2)]).")
+    engine.take(
+        *(
+            (f"{event}({robot})", at)
+            for at, (event, robot) in enumerate(
+                [
+                    ("dock", "a"),
+                    ("undock", "a"),
+                    ("dock", "a"),
+                    ("dock", "b"),
+                    ("undock", "a"),
+                    ("dock", "c"),
+                    ("undock", "c"),
+                ]
+            )
+        )
+    )
+    assert engine.all("holds(docked(X))") == ["b"]
+    assert engine.all("holds(docked(b), X)") == ["3"]
+    assert engine.query("holds(docked(a))") == [] and engine.query("holds(docked(a), _)") == []
+    assert [engine.query(f"holds_at(docked(a), {at})") != [] for at in (0.5, 1.5, 2, 3, 4, 4.5)] == [
+        False,
+        False,
+        True,
+        True,
+        True,
+        False,
+    ], "the first interval is forgotten"
+    assert sorted(engine.all("holds_at(docked(X), 5.5)")) == ["b", "c"]
+    assert engine.all("holds_at(X, 100)") == ["docked(b)"]
+
+
+@pytest.mark.parametrize(
+    "goal", ["holds(dokced(a))", "holds(dokced)", "holds(3)", "holds_at(docked(a), noon)"]
+)
+def test_questions_that_have_no_answer_are_errors(goal):
+    with pytest.raises(PrologError):
+        run().call(goal)
+
+
+# ---- declaring ---------------------------------------------------------------------------------------
+
+
+def test_goals_declare_states_once():
+    engine = run()
+    engine.take(("dock(a)", 1))
+    assert engine.call("state(docked(X), from(dock(X)), until(undock(X)))")
+    assert engine.all("holds(docked(X))") == ["a"]
+    with pytest.raises(PrologError, match="declared otherwise"):
+        engine.call("state(docked(X), from(dock(X)), until(out))")
+    assert engine.call("delete_state(docked(_))") and not engine.call("delete_state(docked(_))")
+    assert engine.take(("undock(a)", 2)) == []
+    assert engine.call("state(docked(X), from(dock(X)), until(out))")
+    assert engine.take(("dock(a)", 3), ("undock(a)", 4), ("out", 5)) == [("docked(a)", 3, 5)]
+
+
+def test_a_wrong_declaration_is_an_error_of_its_file():
+    with pytest.raises(ProgramErrors, match="each variable of the state"):
+        run(":- state(s(X), from(a), until(b(X))).")
+
+
+@pytest.mark.parametrize("wrong", ["docked(R, 1)", "dock(R, 1)", "undock(1)"])
+def test_its_events_are_as_they_are_declared(wrong):
+    declared = ":- event docked(r:atom).\n:- event dock(r:atom).\n:- event undock(r:atom).\n"
+    right = "state(docked(R), from(dock(R)), until(undock(R)))"
+    state = right.replace("undock(R)" if "undock" in wrong else wrong.replace(", 1", ""), wrong, 1)
+    engine = run(f"{declared}:- {right}.")
+    with pytest.raises(ProgramErrors, match="dock"):
+        run(f"{declared}:- {state}.")
+    engine.call("delete_state(docked(_))")
+    with pytest.raises(PrologError, match="declared"):
+        engine.call(state)
+
+
+def test_programs_may_have_facts_of_these_names():
+    engine = run(
+        "state(robot, idle, 3).\nholds(hand, cup).\nout(X) <- e where (state(X, _, 3), holds(hand, _))."
+    )
+    assert engine.take(("e", 1)) == [("out(robot)", 1, 1)]
+    with pytest.raises(ProgramErrors, match="write :- before a goal"):
+        run("state(s, from(a), until(b)).")
+
+
+# ---- bounds ------------------------------------------------------------------------------------------
+
+
+def test_of_too_many_that_are_open_the_oldest_go(caplog):
+    engine = run(":- state(docked(R), from(dock(R)), until(undock(R)), [open(3)]).")
+    engine.take(*((f"dock({at})", at) for at in range(10)))
+    assert engine.all("holds(docked(X))") == ["7", "8", "9"]
+    assert engine.take(("undock(2)", 11), ("undock(8)", 11)) == [("docked(8)", 8, 11)]
+    assert (
+        len(caplog.records) == 3 and "7 of the oldest" not in caplog.text and "4 of the oldest" in caplog.text
+    )
+
+
+def test_events_with_variables_begin_and_end_nothing(caplog):
+    engine = run()
+    seen = engine.take(("dock(_)", 1), ("dock(a)", 2), ("undock(_)", 3))
+    assert not any(event.startswith("docked") for event, _, _ in seen)
+    assert engine.all("holds(docked(X))") == ["a"]
+    assert "state docked(_): dock(_" in caplog.text and "has variables: it begins no state" in caplog.text
+
+
+# ---- over a time that goes back, states of engines, interrupts ------------------------------------
+
+
+def test_time_that_goes_back_ends_all_and_tells_of_none():
+    clock = StreamClock()
+    engine = run(":- state(docked(R), from(dock(R)), until(undock(R)), [within(50)]).", clock)
+    clock.move_to(10 * SECOND)
+    engine.take(("dock(a)", 9), ("dock(b)", 9.5), ("undock(b)", 10))
+    clock.move_to(SECOND, back=True)
+    engine.advance()
+    assert engine.all("holds(X)") == [] == engine.all("holds_at(X, 9.7)")
+    assert engine.take(("dock(a)", 1)) == []
+    clock.move_to(60 * SECOND)
+    engine.seen.clear()
+    engine.advance()
+    assert engine.seen == [("docked(a)", 1, 51)]
+
+
+@pytest.mark.parametrize("tracked", [False, True])
+def test_another_engine_goes_on(tracked):
+    rules = ":- state(docked(R), from(dock(R, _)), until(undock(R)), [within(50)]).\n" + ALARM
+    engine = run((":- set_etalis_flag(revision_flag, on).\n" if tracked else "") + rules)
+    engine.take(("dock(a, 0.5)", 1), ("dock('B', x)", 2), ("undock(a)", 3), ("dock(f(1.5), c)", 4))
+    other = Watching.restore(engine.snapshot())
+    assert other.all("holds(X)") == ["docked('B')", "docked(f(1.5))"] == engine.all("holds(X)")
+    events = [("bump(f(1.5))", 5), ("undock('B')", 6), ("rev(dock('B', x))", 7), ("e", 100)]
+    assert engine.take(*events) == other.take(*events) != []
+    assert engine.all("holds_at(X, 2)") == other.all("holds_at(X, 2)")
+
+
+def test_an_interrupt_leaves_all_in_order():
+    engine = run()
+    engine.take(("dock(a)", 1))
+    (state,) = parts_of(engine).knowledge.states
+    state._by_shared.clear()  # noqa: SLF001  (as if it had come in the midst)
+    parts_of(engine).knowledge.mend()
+    assert engine.take(("undock(a)", 2)) == [("docked(a)", 1, 2)]
+
+
+# ---- taking back -------------------------------------------------------------------------------------
+
+REVISION = ":- set_etalis_flag(revision_flag, on).\n" + DOCKED + ALARM
+
+
+def test_the_event_of_a_state_goes_with_what_began_or_ended_it():
+    for one in ("dock(a)", "undock(a)"):
+        engine = run(REVISION + "was(R) <- docked(R).")
+        engine.take(("dock(a)", 1), ("undock(a)", 3))
+        assert [event for event, _, _ in engine.take((f"rev({one})", 4))] == ["rev(docked(a))", "rev(was(a))"]
+        assert engine.all("holds_at(X, 2)") == [] == engine.all("holds(X)")
+
+
+def test_what_never_began_does_not_hold():
+    engine = run(REVISION)
+    engine.take(("dock(a)", 1), ("rev(dock(a))", 2))
+    assert engine.take(("bump(a)", 3), ("undock(a)", 4)) == []
+    engine.take(("dock(a)", 5), ("dock(a, again)", 5))
+    assert engine.take(("bump(a)", 6), ("undock(a)", 7)) == [("alarm(a)", 6, 6), ("docked(a)", 5, 7)]
+
+
+def test_the_next_that_might_have_begun_it_does_so_in_place_of_one_that_was_taken_back():
+    engine = run(REVISION.replace("dock(R)", "dock(R, _)", 1))
+    engine.take(("dock(a, 1)", 1), ("dock(a, 2)", 2), ("rev(dock(a, 1))", 3))
+    assert engine.take(("bump(a)", 4), ("undock(a)", 5)) == [("alarm(a)", 4, 4), ("docked(a)", 2, 5)]
+
+
+def test_an_explanation_says_what_it_held_from_and_until():
+    engine = run()
+    record_origins(engine)
+    engine.take(("dock(a)", 1), ("undock(a)", 3))
+    lines = [line for one in explain(engine, "docked(a)").lines for line in one.indented()]
+    assert lines == [
+        "docked(a) [1,3] is over: it held from",
+        "  dock(a) at 1 came from outside",
+        "  undock(a) at 3 came from outside",
+    ]
+
+
+# ---- beside a definition that looks through all events again and again --------------------------------
+
+
+class Definition:
+    """What a list of events means, each ``(kind, key, start, end)``, in the order in which they came."""
+
+    def __init__(self, events, within):
+        self.events = events
+        self.within = within
+
+    def over(self, at):
+        """Return when an opening is over: the place of the event before or at which that is seen, and its end."""
+        _, key, _, begin = self.events[at]
+        for place in range(at + 1, len(self.events)):
+            kind, other, start, _ = self.events[place]
+            if self.within is not None and self.reached(place) >= begin + self.within:
+                return place, begin + self.within, True
+            if kind == "undock" and other == key and start >= begin:
+                return place, start, False
+        return len(self.events), None, False
+
+    def reached(self, place):
+        return max(end for _, _, _, end in self.events[: place + 1])
+
+    def openings(self):
+        """Return the events that begin a state: those while none of their key is open."""
+        found = []
+        for at, (kind, key, _, _) in enumerate(self.events):
+            if kind == "dock" and not any(
+                self.events[one][1] == key and (self.over(one)[0] > at) for one in found
+            ):
+                found.append(at)
+        return found
+
+    def happens(self):
+        openings = self.openings()
+        found = []
+        for place, (kind, key, start, end) in enumerate(self.events):
+            over = [(at, *self.over(at)[1:]) for at in openings if self.over(at)[0] == place]
+            by_itself = sorted((until, at) for at, until, alone in over if alone)
+            found += [(f"docked({self.events[at][1]})", self.events[at][3], until) for until, at in by_itself]
+            found.append((f"{kind}({key})", start, end))
+            found += [(f"docked({key})", self.events[at][3], until) for at, until, alone in over if not alone]
+            if kind == "bump" and any(
+                at < place < self.over(at)[0] and self.events[at][1] == key for at in openings
+            ):
+                found.append((f"alarm({key})", start, end))
+        return found
+
+    def held_at(self, key, instant):
+        intervals = [
+            (self.events[at][3], self.over(at)[1]) for at in self.openings() if self.events[at][1] == key
+        ]
+        return any(begin <= instant and (end is None or instant <= end) for begin, end in intervals)
+
+
+@st.composite
+def streams(draw):
+    events, now = [], 1
+    for _ in range(draw(st.integers(1, 25))):
+        now += draw(st.integers(0, 3))
+        end = max(1, now - draw(st.sampled_from([0, 0, 0, 2, 6])))
+        start = max(1, end - draw(st.integers(0, 2)))
+        events.append(
+            (draw(st.sampled_from(["dock", "undock", "bump"])), draw(st.sampled_from("abc")), start, end)
+        )
+    return events
+
+
+def compare(events, within):
+    options = "" if within is None else f", [within({within})]"
+    engine = run(f":- state(docked(R), from(dock(R)), until(undock(R)){options}).\n" + ALARM)
+    for kind, key, start, end in events:
+        engine.event(f"{kind}({key})", start, end)
+    wanted = Definition(events, within)
+    assert engine.seen == wanted.happens()
+    for instant in range(1, 30, 5):
+        held = engine.all(f"holds_at(docked(X), {instant})")
+        assert sorted(held) == [key for key in "abc" if wanted.held_at(key, instant)]
+
+
+@settings(max_examples=10, deadline=None)
+@given(streams(), st.sampled_from([None, 1, 4]))
+def test_states_are_what_the_definition_says(events, within):
+    compare(events, within)
+
+
+@pytest.mark.slow
+@settings(max_examples=60, deadline=None)
+@given(streams(), st.sampled_from([None, 1, 4]))
+def test_many_states_are_what_the_definition_says(events, within):
+    compare(events, within)
+
+
+def test_nothing_is_said_of_a_program_that_is_right(caplog):
+    with caplog.at_level(logging.WARNING):
+        run()
+    assert caplog.records == []
+
+
+@pytest.mark.parametrize(
+    ("goal", "known"),
+    [("reset_db", True), ("call_gc", True), ("reset_etalis_state", False), ("reset_etalis", False)],
+)
+def test_a_program_that_resets_has_nothing_hold(goal, known):
+    engine = Engine()
+    engine.load(rules=":- state(on(X), from(a(X)), until(b(X)), [within(5)]).")
+    seen = []
+    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    for text, at in (("a(1)", 1), ("b(1)", 2), ("a(2)", 3)):
+        engine.event(text, at)
+    assert engine.call("holds(on(2)), holds_at(on(1), datime(1970,1,1,0,0,2,0))")
+    assert engine.call(goal)
+    assert not engine.call("holds(_)")
+    assert engine.call("holds_at(on(1), datime(1970,1,1,0,0,2,0))") is known
+    for text, at in (("b(2)", 4), ("a(3)", 5), ("tick", 20)):
+        engine.event(text, at)
+    assert seen == ["a(1)", "b(1)", "on(1)", "a(2)", "b(2)", "a(3)", "on(3)", "tick"]
+
+
+def test_a_state_whose_deletion_is_interrupted_is_deleted():
+    engine = run()
+    dispatcher = parts_of(engine).dispatcher
+    on_change = dispatcher.on_change
+
+    def interrupt():
+        dispatcher.on_change = on_change
+        raise KeyboardInterrupt
+
+    engine.take(("dock(1)", 1))
+    dispatcher.on_change = interrupt
+    with pytest.raises(KeyboardInterrupt):
+        engine.call("delete_state(docked(_))")
+    with pytest.raises(PrologError, match="docked/1"):
+        engine.query("holds(docked(X))")
+    assert engine.call("state(docked(R), from(dock(R)), until(undock(R)))")
+    engine.take(("dock(2)", 2))
+    assert engine.all("holds(docked(X))") == ["2"]
+
+
+def test_a_state_that_is_deleted_or_set_aside_is_not_known():
+    for declared_again in (False, True):
+        engine = run(DOCKED)
+        states = parts_of(engine).knowledge.states
+        engine.take(("dock(1)", 1))
+        standing = states.standing()
+        if declared_again:
+            states.set_aside(list(standing))
+        else:
+            assert engine.call("delete_state(docked(_))") and not engine.call("delete_state(docked(_))")
+        with pytest.raises(PrologError, match="docked/1"):
+            engine.query("holds(docked(X))")
+        states.restore_standing(standing)
+        assert engine.all("holds(docked(X))") == (["1"] if declared_again else [])

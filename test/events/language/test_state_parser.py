@@ -1,0 +1,67 @@
+"""Declarations of states."""
+
+import pytest
+from parsing import parse_term
+
+from retalis.events.language.state_parser import asked_state, declares_state, state_form
+from retalis.foundation.errors import UsageError
+from retalis.prolog.terms.timestamps import SECOND
+
+
+def test_a_declaration_says_what_begins_and_ends_a_state():
+    form = state_form(parse_term("state(at(R, P), from(arrive(R, P)), until(leave(R)))"))
+    assert (form.within, form.past, form.open) == (None, 1000, 10_000)
+    assert str(form.functor) == "at/2"
+    same = state_form(parse_term("state(at(X, Y), from(come(X, Y, _)), until(all_out))"))
+    assert same.key == form.key
+    form = state_form(parse_term("state(on, from(go), until(stop), [open(1), within(2.5), past(0)])"))
+    assert (form.within, form.past, form.open) == (int(2.5 * SECOND), 0, 1)
+
+
+@pytest.mark.parametrize(
+    "text, said",
+    [
+        ("state(s, b, c)", "expected state(S, from(Event), until(Event))"),
+        ("state(s, from(b), till(c))", "expected state(S, from(Event), until(Event))"),
+        ("state(s, from(b, c), until(d))", "expected state(S, from(Event), until(Event))"),
+        ("state(S, from(b), until(c))", "a state is an event: an atom or a compound term"),
+        ("state(3, from(b), until(c))", "a state is an event"),
+        ("state(s, from(X), until(c))", "what stands in from(...) is an event"),
+        ("state(s, from(b), until((c, d)))", "what stands in until(...) is a single event"),
+        ("state(s, from(seq(a, b)), until(c))", "what stands in from(...) is a single event"),
+        ("state(s(X), from(b(_)), until(c(X)))", "each variable of the state has to stand in from(...)"),
+        ("state(s(X), from(s(X)), until(c))", "cannot begin or end with events of its own name"),
+        ("state(s, from(b), until(c), all)", "expected a list of options"),
+        ("state(s, from(b), until(c), [wihin(3)])", "the options are within(Seconds), past(Number)"),
+        ("state(s, from(b), until(c), [within(0)])", "within(Seconds) needs a number of seconds above 0"),
+        ("state(s, from(b), until(c), [within(X)])", "within(Seconds) needs a number"),
+        ("state(s, from(b), until(c), [past(-1)])", "past(Number) needs an integer from 0 to"),
+        ("state(s, from(b), until(c), [open(1.0)])", "open(Number) needs an integer from 1 to"),
+    ],
+)
+def test_what_is_no_declaration_is_told_what_was_expected(text, said):
+    with pytest.raises(UsageError) as raised:
+        state_form(parse_term(text))
+    assert said in raised.value.message
+
+
+@pytest.mark.parametrize(
+    "text, declares",
+    [
+        ("state(a, from(b), c)", True),
+        ("state(a, b, c)", False),
+        ("state(a, X, Y, Z)", False),
+        ("state", False),
+    ],
+)
+def test_declarations_are_told_from_facts(text, declares):
+    assert declares_state(parse_term(text)) is declares
+
+
+@pytest.mark.parametrize(
+    "text, asked",
+    [("holds(a)", "a/0"), ("holds_at(a(X), 1)", "a/1"), ("holds(X, T)", None), ("held(a)", None)],
+)
+def test_questions_name_a_state(text, asked):
+    found = asked_state(parse_term(text))
+    assert (found and str(found)) == asked

@@ -1,0 +1,61 @@
+"""Identities of matches, equal for the same event terms only, and their arrival numbers."""
+
+import sys
+
+import pytest
+
+from retalis.events.matches.partial_matches import EventMatch, Identity, PartialMatch, arrival, identity
+from retalis.prolog.terms.types import atom
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        Identity((1, Identity((2, "b")))),
+        Identity((1, Identity((2, "a", 3)))),
+        Identity((1, 2)),
+        Identity((1,)),
+        1,
+    ],
+)
+def test_identities_of_other_parts_differ(other):
+    nested = Identity((1, Identity((2, "a"))))
+    assert nested != other
+    assert Identity((other, 1)) != Identity((nested, 1))
+
+
+def test_identities_of_the_same_parts_are_equal():
+    first, second = (Identity((1, Identity((2, "a")))) for _ in range(2))
+    assert first == second
+    assert hash(first) == hash(second)
+
+
+def nested(depth, name):
+    """Return a match whose first part has a first part, and so on, ``depth`` levels deep."""
+    match = PartialMatch((), 0, 0, 1, atom(name), None)
+    for at in range(1, depth):
+        match = PartialMatch((), 0, at, None, None, (match, PartialMatch((), at, at, 1, atom("b"), None)))
+    return match
+
+
+def test_the_identity_of_a_deeply_nested_match_is_computed_without_recursion():
+    depth = 2 * sys.getrecursionlimit()
+    assert identity(nested(depth, "a")) == identity(nested(depth, "a"))
+    assert identity(nested(depth, "a")) != identity(nested(depth, "c"))
+
+
+def test_a_match_without_parts_has_an_identity():
+    assert identity(PartialMatch((), 0, 0, None, None, ())) == Identity(())
+
+
+def test_a_match_of_events_that_are_not_tracked_has_the_arrival_number_0():
+    assert arrival(nested(3, "a")) == 0
+
+
+def test_a_match_of_an_event_is_a_match_that_takes_less_memory():
+    event, full = EventMatch(), PartialMatch((1,), 5, 5, None, ("a", 1), None)
+    event.start = event.end = 5
+    event.term = ("a", 1)
+    assert (event.values, event.event, event.parts, event.used) == (full.values, None, None, None)
+    assert identity(event) == identity(full)
+    assert sys.getsizeof(full) - sys.getsizeof(event) == 24

@@ -1,0 +1,74 @@
+"""Facts that were meant as goals."""
+
+import pytest
+from events.refusals import warnings_of
+
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.foundation.errors import ProgramErrors
+
+
+@pytest.mark.parametrize(
+    ("goal", "key"),
+    [
+        ("set_etalis_flag(out_of_order,on)", "set_etalis_flag/2"),
+        ("memorize(a(X),[],a(X),m,10)", "memorize/5"),
+        ("prev(a,b,c,d,e)", "prev/5"),
+        ("append(a,b,c)", "append/3"),
+        ("t1(5)", "t1/1"),
+        ("reset_db", "reset_db/0"),
+    ],
+)
+def test_they_are_errors_that_name_the_arrow(goal, key):
+    engine = Engine()
+    with pytest.raises(ProgramErrors) as caught:
+        engine.load(rules=f"c <- a.\nfact(1).\n  {goal}.\n")
+    (error,) = caught.value.errors
+    assert error.message.startswith(f"a fact of {key} would replace the built-in predicate")
+    assert "write :- before a goal" in error.message
+    assert (error.place.line, error.place.column) == (3, 3)
+    assert not engine.call("catch(fact(1), _, fail)")
+    assert parts_of(engine).logic.is_of_system(
+        next(k for k in parts_of(engine).logic.names() if str(k) == key)
+    )
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        "append([], L, L).\nappend([H|T], L, [H|R]) :- append(T, L, R).",
+        ":- dynamic append/3.\nappend([], x, x).",
+        ":- dynamic((other/1, append/3)).\nappend([], x, x).",
+        ":- discontiguous([append/3]).\nappend([], x, x).",
+        "append(X, Y, Z) :- fail.\nappend([], x, x).",
+    ],
+)
+def test_a_program_may_define_predicates_of_the_library(program):
+    engine = Engine()
+    engine.load(rules=program)
+    assert engine.query("append([], x, X)")[0]["X"].name == "x"
+    engine.load(rules="append(more, x, y).")  # the program's own by now
+    assert engine.call("append(more, x, y)")
+
+
+def test_facts_that_look_like_forms_of_the_loader_stay():
+    engine = Engine()
+    engine.load(rules="db(x). static(wall). prolog(p(1)). module(m, [x]). print_trigger(a/1).")
+    for goal in (
+        "db(x)",
+        "x",
+        "static(wall)",
+        "wall",
+        "prolog(p(1))",
+        "p(1)",
+        "module(m, [x])",
+        "etalis_module(m, _)",
+    ):
+        assert engine.call(goal), goal
+
+
+@pytest.mark.parametrize("text, warned", [("hot(X) - t(X).", True), ("a - b.", True), ("a - 1.", False)])
+def test_a_dash_where_an_arrow_was_meant_is_warned_of(text, warned):
+    found = warnings_of(f"b <- a.\n{text}")
+    assert [(line, column) for line, column, _ in found] == [(2, text.index("-") + 1)] * warned
+    assert all("<-" in message and ":-" in message for _, _, message in found)

@@ -1,0 +1,244 @@
+from pathlib import Path
+
+import pytest
+
+from retalis.engine.engine import Engine
+from retalis.engine.engine_settings import Settings
+from retalis.events.program.program_folder import (
+    DIRECT,
+    Topics,
+    TopicType,
+    direct_topics,
+    read_direct,
+    read_text,
+    read_topics,
+)
+from retalis.foundation.errors import ProgramErrors, UsageError
+from retalis.prolog.machine.errors import PrologError
+
+APPLICATION = Path(__file__).parents[3] / "application_source"
+
+
+def read(tmp_path, text):
+    path = tmp_path / "pub_sub.xml"
+    path.write_text(text, encoding="utf-8")
+    return read_topics(path)
+
+
+def test_reads_the_nao_application():
+    topics = read_topics(APPLICATION / "pub_sub.xml")
+    assert topics.subscribed[0] == TopicType("tf", "tf/tfMessage")
+    assert TopicType("marker8", "geometry_msgs/PoseStamped") in topics.published
+
+
+def test_elements_stand_at_any_depth_and_comments_count_for_nothing(tmp_path):
+    topics = read(
+        tmp_path,
+        '<publish_subscribe><group><!-- <subscribe_to name="no" msg_type="a/B"/> -->'
+        '<subscribe_to name="/a/b" msg_type="std_msgs/String"/></group></publish_subscribe>',
+    )
+    assert topics.subscribed == (TopicType("/a/b", "std_msgs/String"),)
+    assert topics.published == ()
+
+
+def test_types_may_be_named_as_in_ros_2(tmp_path):
+    topics = read(
+        tmp_path,
+        '<publish_subscribe><subscribe_to name="a" msg_type="geometry_msgs/msg/Point"/>'
+        '<publish_to name="b" msg_type=" geometry_msgs/msg/Pose "/></publish_subscribe>',
+    )
+    assert topics.subscribed == (TopicType("a", "geometry_msgs/Point"),)
+    assert topics.published == (TopicType("b", "geometry_msgs/Pose"),)
+
+
+def test_topics_are_latched_where_that_is_said(tmp_path):
+    line = '<publish_to name="{}" msg_type="std_msgs/String" latch="{}"/>'
+    lines = [line.format("plain", "false"), line.format("kept", "true"), line.format("also", " true ")]
+    topics = read(tmp_path, f"<publish_subscribe>{''.join(lines)}</publish_subscribe>")
+    assert [topic.topic for topic in topics.published] == ["plain", "kept", "also"]
+    assert topics.latched == {"kept", "also"}
+
+
+def test_events_of_a_topic_have_the_name_that_is_said(tmp_path):
+    line = '<subscribe_to name="{}" msg_type="std_msgs/Bool" {}/>'
+    lines = [
+        line.format("left", 'event="bumper_left"'),
+        line.format("/right", 'event=" bumper_right "'),
+        line.format("other", ""),
+        line.format("other", 'event="second"'),  # refused where it is subscribed: the topic is already
+    ]
+    topics = read(tmp_path, f"<publish_subscribe>{''.join(lines)}</publish_subscribe>")
+    assert [topics.event_of(topic) for topic in ("left", "/right", "right", "other", "nowhere")] == [
+        "bumper_left",
+        "bumper_right",
+        "",
+        "",
+        "",
+    ]
+    assert topics.event_of("right", lambda topic: topic.lstrip("/")) == "bumper_right"
+
+
+@pytest.mark.parametrize(
+    ("event", "message"),
+    [
+        ("", "expected a name of ASCII letters"),
+        ("Bumper", "the name of an event begins with a small letter, found Bumper"),
+        ("bumper left", "expected a name of ASCII letters"),
+        ("std_msgs__0__Bool", "choose a name without __0__"),
+        ("seq", "seq means something else in rules"),
+        ("rev", "rev means something else in rules"),
+    ],
+)
+def test_what_events_of_a_topic_cannot_be_called(tmp_path, event, message):
+    line = f'<subscribe_to name="left" msg_type="std_msgs/Bool" event="{event}"/>'
+    with pytest.raises(ProgramErrors) as caught:
+        read(tmp_path, f"<publish_subscribe>{line}</publish_subscribe>")
+    (error,) = caught.value.errors
+    assert message in error.message
+    assert error.place.line == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "message", "line", "column"),
+    [
+        (
+            '<publish_subscribe><publish_to name="x" msg_type="a/B" latch="on"/></publish_subscribe>',
+            '<publish_to>: latch is "true" or "false", found "on"',
+            1,
+            20,
+        ),
+        (
+            "<publish_subscribe>\n  <group>\n",
+            "not XML: no element found; <group> of line 2 is not closed",
+            3,
+            1,
+        ),
+        ("<publish_subscribe>\n  <group>\n</publish_subscribe>", "<group> of line 2 is not closed", 3, 3),
+        ("<root/>", "the root must be <publish_subscribe>, found <root>", 1, 1),
+        ('<publish_subscribe>\n <publish_to name="x"/>\n</publish_subscribe>', 'needs msg_type="..."', 2, 2),
+        (
+            '<publish_subscribe><publish_to name="x" msg_type="String"/></publish_subscribe>',
+            'expected a message type "package/Type"',
+            1,
+            20,
+        ),
+        (
+            '<publish_subscribe><subscibe_to name="x" msg_type="a/B"/></publish_subscribe>',
+            "expected <subscribe_to> or <publish_to>, found <subscibe_to>",
+            1,
+            20,
+        ),
+    ],
+)
+def test_errors_say_where(tmp_path, text, message, line, column):
+    with pytest.raises(ProgramErrors) as caught:
+        read(tmp_path, text)
+    (error,) = caught.value.errors
+    assert message in error.message
+    assert (error.place.line, error.place.column) == (line, column)
+
+
+def test_all_errors_come_at_once(tmp_path):
+    with pytest.raises(ProgramErrors) as caught:
+        read(tmp_path, "<publish_subscribe><publish_to/><subscribe_to/></publish_subscribe>")
+    assert len(caught.value.errors) == 2
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(UsageError, match="nothing.xml"):
+        read_topics(tmp_path / "nothing.xml")
+
+
+def test_where_a_text_is_no_utf_8_is_said(tmp_path):
+    path = tmp_path / "latin.txt"
+    path.write_bytes("a.\nb. % gr\u00fcn\n".encode("latin-1"))
+    with pytest.raises(UsageError, match=r"latin.txt: not UTF-8 text \(line 2: invalid start byte 0xfc\)"):
+        read_text(path)
+    engine = Engine(settings=Settings(folders=[tmp_path]))
+    with pytest.raises(PrologError, match=r"not UTF-8 text \(line 2: invalid start byte 0xfc\)"):
+        engine.call(f"compile_event_file('{path}')")
+
+
+@pytest.mark.parametrize("name", ["a\0b", f"{chr(0xD800)}.txt", "x" * 10_000])
+def test_what_no_file_is_called_is_a_clear_error(tmp_path, name):
+    with pytest.raises(UsageError, match="cannot read "):
+        read_text(tmp_path / name)
+    with pytest.raises(UsageError, match="cannot read "):
+        Engine().load_program(tmp_path / name)
+
+
+def xml_errors(tmp_path, text):
+    file = tmp_path / "pub_sub.xml"
+    file.write_text(text)
+    with pytest.raises(ProgramErrors) as caught:
+        read_topics(file)
+    return caught.value.errors
+
+
+def test_of_many_errors_the_first_are_shown_and_the_others_counted(tmp_path):
+    text = "<publish_subscribe>" + "<publish_to/>\n" * 30_000 + "</publish_subscribe>"
+    errors = xml_errors(tmp_path, text)
+    assert [error.place.line for error in errors[:-1]] == list(range(1, 101))
+    assert str(errors[-1]) == "there are 29900 more"
+
+
+@pytest.mark.parametrize(
+    "text,message,line",
+    [
+        ('<!DOCTYPE a [<!ENTITY b "bb"><!ENTITY c "&b;&b;">]>\n<a>&c;</a>', "a document type", 1),
+        ('\n<!DOCTYPE a SYSTEM "file:///etc/passwd"><publish_subscribe/>', "a document type", 2),
+        ("<publish_subscribe>\n" + "<a>" * 100_000, "more than 100 deep", 2),
+        ("<publish_subscribe>\n<" + "a" * 100_000 + " msg_type='a/B'/></publish_subscribe>", "found <aaa", 2),
+        ("<publish_subscribe>\n<publish_to name='" + "a" * 100_000 + "' msg_type='a/B'/></publish_subscribe>",
+         "longer than 255 characters", 2),
+        ("<publish_subscribe>\n<" + "a" * 100_000 + ">", "is not closed", 2),
+    ],
+)  # fmt: skip
+def test_what_would_be_large_is_refused_with_a_short_error(tmp_path, text, message, line):
+    (error,) = xml_errors(tmp_path, text)
+    assert message in error.message and error.place.line == line
+    assert len(str(error)) < 1000
+
+
+def test_a_file_that_is_too_large_is_refused(tmp_path):
+    (error,) = xml_errors(tmp_path, "<publish_subscribe>" + " " * (4 << 20) + "</publish_subscribe>")
+    assert "has 4194343 characters: at most 4000000 are allowed" in error.message
+
+
+def test_auto_subscribes_what_the_file_does_not_name():
+    markers = DIRECT[1]
+    named = Topics(subscribed=(TopicType("/tf", "tf/tfMessage"),))
+    assert direct_topics("auto", Topics()) == DIRECT
+    assert direct_topics("auto", named, lambda topic: topic.lstrip("/")) == (markers,)
+    assert direct_topics(True, named) == DIRECT
+    assert direct_topics(False, Topics()) == ()
+    assert direct_topics((markers,), named) == (markers,)
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ("auto", "auto"),
+        (True, True),
+        ("true", True),
+        ("False", False),
+        (["scan", "my_msgs/Scan"], (TopicType("scan", "my_msgs/Scan"),)),
+        ([["scan", "my_msgs/Scan"]], (TopicType("scan", "my_msgs/Scan"),)),
+        (
+            "[scan, my_msgs/Scan, '/tf', tf/tfMessage]",
+            (TopicType("scan", "my_msgs/Scan"), TopicType("/tf", "tf/tfMessage")),
+        ),
+        ("[[scan, my_msgs/Scan], [tf, tf/tfMessage]]", (TopicType("scan", "my_msgs/Scan"), DIRECT[0])),
+        ("[]", ()),
+    ],
+)
+def test_direct_topics_are_a_word_or_a_list(value, expected):
+    assert read_direct(value) == expected
+
+
+@pytest.mark.parametrize(
+    "value", ["some", 1, None, ["scan"], "[scan]", "[scan, my_msgs/Scan", ["a b", "my_msgs/Scan"], [1, 2]]
+)
+def test_other_direct_topics_are_refused(value):
+    with pytest.raises(UsageError):
+        read_direct(value)

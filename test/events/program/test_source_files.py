@@ -1,0 +1,405 @@
+"""Files that a program names: modules, files loaded once, included files, libraries, which may be opened."""
+
+import os
+
+import pytest
+from events.running import Program, show
+
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+from retalis.engine.runtime.clock import StreamClock
+from retalis.events.program.source_files import SourceFiles
+from retalis.foundation.errors import ProgramErrors
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.terms.types import atom
+
+
+def write(folder, **texts):
+    for name, text in texts.items():
+        path = folder / name.replace("__", "/")
+        path.parent.mkdir(exist_ok=True)
+        path.with_suffix(".pl").write_text(text, encoding="utf-8")
+
+
+def errors_of(work):
+    with pytest.raises(ProgramErrors) as caught:
+        work()
+    return [
+        f"{error.place.source}:{error.place.line}:{error.place.column}: {error.message}"
+        for error in caught.value.errors
+    ]
+
+
+@pytest.mark.parametrize("form", [":- use_module({})", "use_module({})", ":- ensure_loaded({})"])
+@pytest.mark.parametrize("name", ["'sub/one.pl'", '"sub/one.pl"', "sub/one", "'sub/one'"])
+def test_a_file_is_loaded_before_the_rules(program, tmp_path, form, name):
+    write(tmp_path, main=f"d <- c.\n{form.format(name)}.", sub__one=":- use_module(two).", sub__two="c <- a.")
+    parts_of(program.engine).rules.load_file(tmp_path / "main.pl")
+    assert program.feed("a@1") == "c@1-1 d@1-1"
+
+
+def test_a_file_is_ensured_once_and_used_each_time(program, tmp_path):
+    write(
+        tmp_path,
+        one="c <- a.",
+        main=":- ensure_loaded(one). :- ensure_loaded('./one.pl').",
+        more="use_module(one).",
+    )
+    parts_of(program.engine).rules.load_file("main.pl")
+    assert program.engine.call("ensure_loaded(one)")
+    assert program.feed("a@1") == "c@1-1"
+    parts_of(program.engine).rules.load_file("more.pl")
+    assert program.feed("a@2") == "c@2-2 c@2-2"
+
+
+@pytest.mark.parametrize(
+    "goal", ["consult('sub/one')", "consult(sub/one)", "[sub/one]", "consult([sub/one])"]
+)
+def test_a_directive_consults_files_relative_to_its_own(program, tmp_path, goal):
+    write(tmp_path, inner__main=f":- {goal}. d <- c.")
+    (tmp_path / "inner" / "sub").mkdir()
+    write(tmp_path / "inner", sub__one="c <- a.")
+    parts_of(program.engine).rules.load_file("inner/main.pl")
+    assert program.feed("a@1") == "c@1-1 d@1-1"
+
+
+def test_a_directive_of_a_file_that_is_used_names_files_beside_it(program, tmp_path):
+    write(
+        tmp_path,
+        main=":- use_module('sub/one.pl').",
+        sub__one=":- compile_event_file('two.pl').",
+        sub__two="c <- a.",
+    )
+    parts_of(program.engine).rules.load_file("main.pl")
+    assert program.feed("a@1") == "c@1-1"
+
+
+def test_files_that_ensure_each_other_are_loaded_once(program, tmp_path):
+    write(tmp_path, one=":- ensure_loaded(two). c <- a.", two=":- ensure_loaded(one). d <- a.")
+    parts_of(program.engine).rules.load_file("one.pl")
+    assert program.feed("a@1") == "d@1-1 c@1-1"
+
+
+def test_a_refused_file_may_be_ensured_again(program, tmp_path):
+    write(tmp_path, one="c <- a. :- no_such_goal.")
+    errors_of(lambda: program.engine.load(rules=":- ensure_loaded(one)."))
+    write(tmp_path, one="c <- a.")
+    program.engine.load(rules=":- ensure_loaded(one).")
+    assert program.feed("a@1") == "c@1-1"
+
+
+def test_after_a_reset_a_file_may_be_ensured_again(program, tmp_path):
+    write(tmp_path, one="c <- a.")
+    assert program.engine.call("ensure_loaded(one), reset_etalis, ensure_loaded(one)")
+    assert program.feed("a@1") == "c@1-1"
+
+
+def test_an_included_file_stands_in_its_place(program, tmp_path):
+    write(tmp_path, sub__more=":- op(700, xfx, ===>). :- include(yet). f(a ===> b).", sub__yet="d <- a.")
+    program.engine.load(rules="c <- a. :- include(sub/more). e <- a. g(x ===> y).")
+    assert program.feed("a@1") == "c@1-1 d@1-1 e@1-1"
+    assert program.engine.call("f(===>(a,b)), g(===>(x,y))")
+
+
+def test_terms_that_are_loaded_may_include_files(program, tmp_path):
+    write(tmp_path, one="c <- a.")
+    assert program.engine.call("compile_event_rules([(:- include(one)), (d <- a)])")
+    assert program.feed("a@1") == "c@1-1 d@1-1"
+
+
+def test_errors_have_their_own_files_place_and_come_in_order(program, tmp_path):
+    write(tmp_path, one="x <- (.\ny <- a ntimes z.", two="ok <- a.\nz <- a not b.")
+    rules = "v <- b ntimes q.\n:- include(one).\n:- use_module(two).\n:- include(none).\nw <- .\n"
+    found = errors_of(lambda: program.engine.load(rules=rules, source="r"))
+    assert [text.split(": ")[0] for text in found] == [
+        "one.pl:1:7",
+        "one.pl:2:15",
+        "r:1:15",
+        "r:4:4",
+        "r:5:6",
+        "two.pl:2:8",
+    ]
+    assert found[3] == "r:4:4: cannot read none: No such file or directory"
+    assert parts_of(program.engine).rules.rules == []
+
+
+@pytest.mark.parametrize("form", ["include", "use_module"])
+def test_a_cycle_is_one_error(program, tmp_path, form):
+    write(tmp_path, one=f"c <- a.\n:- {form}(two).", two=f":- {form}(one).\nd <- a.")
+    found = errors_of(lambda: parts_of(program.engine).rules.load_file("one.pl"))
+    assert found == ["two.pl:1:4: one.pl loads itself"]
+    text = (tmp_path / "one.pl").read_text()
+    assert errors_of(lambda: program.engine.load_rules(text, "one.pl", tmp_path)) == [
+        f"{tmp_path}/two.pl:1:4: one.pl loads itself"
+    ]
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["lists", "apply", "assoc", "pairs", "ordsets", "aggregate", "random", "yall", "dcg/basics", "plunit"],
+)
+def test_libraries_are_there(program, name):
+    program.engine.load(rules=f":- use_module(library({name})). use_module(library({name})). c <- a.")
+    program.engine.load(
+        goals=f"use_module(library({name}))\nuse_module(library({name}), [])\nensure_loaded(library({name}))"
+    )
+    assert program.warnings == []
+    assert program.feed("a@1") == "c@1-1"
+
+
+@pytest.mark.parametrize(
+    ("form", "column"),
+    [(":- use_module", 4), ("use_module", 1), (":- ensure_loaded", 4), (":- true, use_module", 10)],
+)
+def test_an_unknown_library_is_an_error(program, form, column):
+    (found,) = errors_of(lambda: program.engine.load(rules=f"c <- a.\n{form}(library(clpfd)).", source="r"))
+    assert found.startswith(f"r:2:{column}: ")
+    assert "Unknown library: clpfd" in found
+
+
+@pytest.mark.parametrize("name", ["X", "17", "f(x)", "library(X)", "''", "'a\\\\0\\\\b'"])
+@pytest.mark.parametrize("form", ["include", "use_module", "ensure_loaded"])
+def test_what_names_no_file_is_one_error(program, form, name):
+    (found,) = errors_of(lambda: program.engine.load(rules=f":- {form}({name}).", source="r"))
+    assert found.startswith("r:1:4: ")
+
+
+# ---- goal files ------------------------------------------------------------------------------------------
+
+
+def test_goal_files_include_and_load_relative_to_themselves(program, tmp_path):
+    write(
+        tmp_path,
+        sub__rules="c <- a.",
+        sub__goals="ensure_loaded(rules)\n:- ensure_loaded(rules).\nassert(f(1))\n",
+    )
+    program.engine.call_goals("include(sub/goals)\n:- include('sub/goals.pl').\n", "goals.txt", tmp_path)
+    assert program.feed("a@1") == "c@1-1"
+    assert len(program.engine.query("f(1)")) == 2
+
+
+def test_errors_of_goal_files_have_their_places(program, tmp_path):
+    write(
+        tmp_path,
+        sub__more="true\nfail\ninclude('../goals.pl')\ncompile_event_file(none)\n",
+        sub__bad="x <- (.",
+    )
+    write(tmp_path, goals="include(sub/more)")
+    goals = "include(nothing)\ninclude(sub/more)\nensure_loaded(sub/bad)"
+    found = errors_of(lambda: program.engine.call_goals(goals, str(tmp_path / "goals.pl"), tmp_path))
+    assert [text.replace(f"{tmp_path}/", "") for text in found] == [
+        "goals.pl:1:1: cannot read nothing: No such file or directory",
+        "sub/more.pl:2:1: this goal fails",
+        "sub/more.pl:3:1: goals.pl loads itself",
+        "sub/more.pl:4:1: cannot read sub/none: No such file or directory (in compile_event_file/1)",
+        "sub/bad.pl:1:7: expected a term before the end of the clause",
+    ]
+
+
+# ---- which files ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "goal", ["ensure_loaded({})", "use_module({})", "compile_event_rules([(:- include({}))])"]
+)
+def test_a_goal_opens_files_in_allowed_folders_only(tmp_path, goal):
+    write(tmp_path, inside__one="c <- a.", outside__one="c <- a.")
+    engine = Engine(settings=Settings(folders=(str(tmp_path / "inside"),)))
+    with pytest.raises(Exception, match="No permission to open source_sink"):
+        engine.call(goal.format(f"'{tmp_path}/outside/one.pl'"))
+    assert parts_of(engine).rules.rules == []
+    assert engine.call(goal.format(f"'{tmp_path}/inside/one.pl'"))
+    assert len(parts_of(engine).rules.rules) == 1
+
+
+@pytest.mark.parametrize("mode", ["write", "append"])
+def test_a_name_that_no_file_can_have_is_not_written_to(tmp_path, mode):
+    engine = Engine(settings=Settings(write_folders=(str(tmp_path),)))
+    for name, error in (("'a\\0\\b'", "Domain error: `source_sink'"), ("x" * 256, "max_path_length")):
+        with pytest.raises(PrologError, match=error):
+            engine.query(f"open({name}, {mode}, _)")
+    assert list(tmp_path.iterdir()) == []
+
+
+def _persistent(write_folders=(), **settings):
+    engine = Engine(clock=StreamClock(), settings=Settings(write_folders=write_folders, **settings))
+    warnings = []
+    parts_of(engine).rules.on_warning = lambda warning: warnings.append(str(warning))
+    engine.load(rules="persistent_event(b(_)). b(X) <- a(X).")
+    for number in range(4):
+        engine.event(f"a({number})", number, number)
+    return warnings
+
+
+WRITTEN = "".join(f"event(b({number}),[{number},{number}]).\n" for number in range(4))
+
+
+def test_persistent_events_are_written_to_the_working_directory_where_goals_may_write_anywhere(
+    tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    assert _persistent(None) == []
+    assert (tmp_path / "persistent.txt").read_text() == WRITTEN
+
+
+def test_persistent_events_are_written_to_allowed_folders_only(tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    (tmp_path / "program").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    assert _persistent((str(tmp_path / "program"),)) == []
+    assert (tmp_path / "program" / "persistent.txt").read_text() == WRITTEN
+    for settings in ({}, {"folders": (str(tmp_path),)}, {"folders": None}):
+        reported = _persistent(**settings)
+        assert [text.partition(" ")[0] for text in reported] == ["1", "2", "4"]
+        assert "no folder" in reported[0]
+    assert list((tmp_path / "here").iterdir()) == []
+
+
+@pytest.mark.parametrize("fact", ["print_trigger", "external_trigger", "spy_event", "persistent_event"])
+def test_events_that_facts_name_are_logged_or_written(tmp_path, caplog, fact):
+    caplog.set_level("INFO", "retalis")
+    program = Program()
+    parts_of(program.engine).rules.files.door.allow([tmp_path], [tmp_path])
+    program.engine.load(rules=f"{fact}(b(1)). b(X) <- a(X).")
+    assert program.engine.call(f"assertz({fact}(c/0))")
+    program.feed("a(1)@1 a(2)@2 c@3")
+    written = tmp_path / "persistent.txt"
+    found = written.read_text() if written.exists() else caplog.text
+    assert "event(b(1),[1,1])" in found
+    assert "event(c,[3,3])" in found
+    assert "b(2)" not in found
+    assert program.engine.call(f"exists_file('{written}')") == (fact == "persistent_event")
+
+
+def test_persistent_events_that_cannot_be_written_stop_nothing(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "persistent.txt").mkdir()
+    assert "Is a directory" in _persistent(None)[0]
+    assert "Is a directory" in _persistent([tmp_path])[0]
+
+
+def test_a_refused_file_leaves_the_librarys_predicates(program):
+    for rules in (
+        "memberchk(zz, _) :- true. c <- a ntimes z.",
+        "memberchk(zz, _) :- true. min(1, 2, 3) :- true. d <- a. :- no_such_goal.",
+    ):
+        errors_of(lambda rules=rules: program.engine.load(rules=rules))
+        assert program.engine.call("memberchk(1, [1]), min(1, 2, 1)")
+    program.engine.load(rules="memberchk(zz, _) :- true.")
+    assert not program.engine.call("memberchk(1, [1])")
+    assert show(program.seen) == ""
+
+
+@pytest.mark.parametrize(
+    "goal",
+    ["consult({})", "[{}]", "use_module({})", "compile_event_file({})", "execute_event_stream_file({})"],
+)
+def test_a_file_that_is_not_there_is_an_existence_error_with_its_name(goal, tmp_path):
+    engine = Engine(settings=Settings(folders=(str(tmp_path),)))
+    name = f"'{tmp_path}/no.txt'"
+    caught = f"catch({goal.format(name)}, error(existence_error(source_sink, Name), _), true)"
+    (found,) = engine.query(caught)
+    assert engine.show(found["Name"]) == name
+    with pytest.raises(PrologError, match=f"cannot read {tmp_path}/no.txt: No such file or directory"):
+        engine.call(goal.format(name))
+
+
+def test_only_what_is_loaded_again_may_not_leave_out_more():
+    files = SourceFiles()
+    with files.loading_again({"one.pl": 2}):
+        assert (files.may_omit("one.pl"), files.may_omit("two.pl")) == (2, 0)
+    assert (files.may_omit("one.pl"), files.may_omit("two.pl")) == (None, None)
+
+
+def test_a_file_that_is_loaded_without_any_terms_left_out_is_not_noted():
+    files = SourceFiles()
+    for number in (2, 0):
+        files.note_omitted("one.pl", number)
+        assert files.omitted == ({"one.pl": 2} if number else {})
+
+
+def test_names_are_relative_to_the_file_that_is_loaded_else_to_the_programs_folder(tmp_path, monkeypatch):
+    for folder in ("sub", "own", "here"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / f"{folder}.pl").write_text("")
+    monkeypatch.chdir(tmp_path / "here")
+    files = SourceFiles()
+    files.door.add_own(tmp_path / "own")
+
+    def starts_in(folder):
+        assert files.absolute("../x") == str(tmp_path / "x")
+        assert files.absolute("x") == str(tmp_path / folder / "x")
+        assert files.is_folder(f"../{folder}") and not files.is_folder("x")
+        assert files.is_readable(f"{folder}.pl") and not files.is_readable("x.pl")
+        assert files.to_read(atom(f"{folder}.pl")) == (str(files.find(atom(folder))), "")
+        for work in (files.absolute, files.is_readable, files.is_folder, files.resolve):
+            with pytest.raises(PrologError, match="source_sink"):
+                work("\0")
+        return True
+
+    files.door.allow([tmp_path], [tmp_path / "own"])
+    assert starts_in("own")
+    files.door.allow(None, [])
+    assert starts_in("here")
+    with files.relative_to(tmp_path / "sub"):
+        assert starts_in("sub")
+        with files.relative_to(None):
+            assert starts_in("sub")
+    assert starts_in("here")
+    with files.loading(tmp_path / "sub"):
+        assert starts_in("sub")
+    assert starts_in("here")
+
+
+def test_an_interrupted_load_is_restored(tmp_path):
+    """What runs is left by an interrupt wherever that came; the state before says what is to be undone."""
+    files = SourceFiles()
+    for folder in ("one", "two"):
+        (tmp_path / folder).mkdir()
+    with files.loading(tmp_path / "one"), files.inside(tmp_path / "one" / "one.pl"):
+        state = files.state()
+        inner = files.relative_to(tmp_path / "two"), files.inside(tmp_path / "two" / "two.pl")
+        for context in inner:
+            context.__enter__()
+        files.door.is_loading = False
+        assert files.absolute("x") == str(tmp_path / "two" / "x")
+        assert files.innermost == tmp_path / "two" / "two.pl"
+        files.restore(state)
+        assert files.absolute("x") == str(tmp_path / "one" / "x")
+        assert files.innermost == tmp_path / "one" / "one.pl"
+        assert files.door.is_loading
+        files.restore(None)
+        assert files.absolute("x") == os.path.abspath("x")
+        assert files.innermost is None
+        assert not files.door.is_loading
+
+
+def test_a_file_that_goals_write_is_emptied_or_added_to(tmp_path):
+    files = SourceFiles()
+    files.door.allow([], [tmp_path])
+    with files.relative_to(tmp_path):
+        for more, text in ((False, "one"), (True, "one"), (True, "oneone"), (False, "")):
+            path = files.to_write(atom("new.txt"), more)
+            assert path == str(tmp_path / "new.txt")
+            assert files.to_read(atom("new.txt")) == (path, "" if not more else text)
+            files.add(path, "one")
+
+
+def test_a_second_file_of_a_module_is_said_while_the_first_is_loaded(tmp_path):
+    files, said = SourceFiles(), []
+    files.on_same_module = said.append
+    files.note_module("nothing_is_loaded")
+    one, two, other = (tmp_path / name for name in ("one.pl", "two.pl", "other.pl"))
+    for path, name in ((one, "m"), (other, "n"), (one, "m"), (two, "m")):
+        with files.inside(path):
+            files.note_module(name)
+            assert files.module(path) == name
+    assert said == [f"Warning: {one} is module m as well; what {two} has of it is added to that\n"]
+    assert files.module(tmp_path / "none.pl") == ""
+    assert files.has_loaded(one) and not files.has_loaded(tmp_path / "none.pl")
+    files.loaded.clear()
+    assert files.module(one) == ""
+    with files.inside(two):
+        files.note_module("m")
+    assert len(said) == 1

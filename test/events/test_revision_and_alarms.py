@@ -1,0 +1,305 @@
+"""Revision, justification, alarms."""
+
+import pytest
+from events.running import Program, fired, show
+
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.runtime.clock import StreamClock
+from retalis.events.matches import revision
+from retalis.events.matches.partial_matches import TrackedMatch
+from retalis.events.provenance import lineage
+from retalis.prolog.terms.timestamps import SECOND
+
+
+def revised(rules, stream, policy=None):
+    return fired(rules, stream, policy, ["revision_flag"])
+
+
+@pytest.mark.parametrize(
+    ("rules", "stream", "wanted"),
+    [
+        ("c <- a.", "a@1 rev(a)@2 rev(a)@3", "c@1-1 rev(c)@2-2"),
+        ("c <- a. d <- c.", "a@1 rev(a)@2", "c@1-1 d@1-1 rev(c)@2-2 rev(d)@2-2"),
+        ("c <- a and b.", "a@1 b@2 rev(b)@3 b@4", "c@1-2 rev(c)@3-3"),
+        ("c <- a seq b.", "a@1 rev(a)@2 b@3", ""),
+        ("c(X) <- a(X) seq b.", "a(1)@1 a(2)@2 rev(a(2))@3 b@4", "c(1)@1-4"),
+        ("c <- (a seq b) cnot d.", "a@1 d@2 b@3 rev(d)@4 b@5", "c@1-3"),
+        ("c <- a fnot d.", "d@1 a@2 rev(d)@3", "c@2-2"),
+        (
+            "c(N) <- s seq aggregate(count, a(_), N).",
+            "s@1 a(1)@2 a(2)@3 rev(a(1))@4",
+            "c(0)@1-1 c(1)@1-2 c(2)@1-3 rev(c(1))@4-4 rev(c(2))@4-4 c(1)@1-3",
+        ),
+        (
+            "c(L) <- s seq aggregate(list(X), a(X), L).",
+            "s@1 a(1)@2 a(2)@3 a(3)@4 a(4)@5 rev(a(2))@6 a(5)@7",
+            "c([])@1-1 c([1])@1-2 c([1,2])@1-3 c([1,2,3])@1-4 c([1,2,3,4])@1-5 rev(c([1,2]))@6-6 "
+            "rev(c([1,2,3]))@6-6 rev(c([1,2,3,4]))@6-6 c([1,3])@1-4 c([1,3,4])@1-5 c([1,3,4,5])@1-7",
+        ),
+        (
+            "c(L) <- s seq aggregate(list(X), a(X,_), L) seq d.",
+            "s@1 a(1,x)@2 a(2,x)@3 a(2,y)@4 rev(a(2,x))@6 d@7",
+            "c([1,2])@1-7",
+        ),
+        ("c <- a seq b star_times.", "a@1 b@2 rev(a)@3 b@4", "c@1-1 c@1-2 rev(c)@3-3 rev(c)@3-3"),
+        (
+            "c(X) <- a seq b(X) star_times.",
+            "a@1 b(1)@2 b(1)@3 b(1)@4 rev(b(1))@5 b(2)@6",
+            "c(A)@1-1 c(1)@1-2 c(1)@1-3 c(1)@1-4 rev(c(1))@5-5 rev(c(1))@5-5 rev(c(1))@5-5 c(2)@1-6",
+        ),
+        ("c <- (a(X) fnot d) and a(Y).", "a(1)@1 d@2 a(2)@3 rev(d)@4", "c@1-3"),
+        (
+            "m <- d. c <- m and (b fnot m).",
+            "d@11 b@18 d@10-28 rev(d)@30",
+            "m@11-11 m@10-28 rev(m)@30-30 rev(m)@30-30",
+        ),
+        ("c do new_event(m,[5,5]) <- a.", "a@1 rev(a)@2", "m@5-5 c@1-1 rev(m)@2-2 rev(c)@2-2"),
+        ("c(X) <- a(X) or b(X).", "a(1)@1 b(1)@2 rev(b(1))@3", "c(1)@1-1 c(1)@2-2 rev(c(1))@3-3"),
+        ("c(X) <- (a(X) seq d) cnot b.", "a(0)@15-20 a(1)@13-23 b@23 b@24 d@25 rev(b)@30", "c(1)@13-25"),
+        ("c <- a(X) fnot b(Y).", "b(1)@1 a(0)@9 b(2)@5 rev(b(1))@20", ""),
+    ],
+)
+def test_revision(rules, stream, wanted):
+    assert revised(rules, stream) == wanted
+
+
+@pytest.mark.parametrize("goal", ["memorize(c, [{}], _, m, 5)", "subscribe(c, [{}], _, out, s)"])
+def test_what_a_memory_or_subscription_makes_of_an_event_of_a_rule_with_a_goal_stays(goal):
+    """The rule's goal is over by then."""
+    program = Program("c do new_event(m,[5,5]) <- a.", ["revision_flag"])
+    program.engine.load(goals=goal.format("new_event(x,[6,6])"))
+    program.feed("a@1")
+    assert program.feed("rev(a)@2") == "rev(m)@2-2 rev(c)@2-2"
+
+
+@pytest.mark.parametrize("last", ["fail", "X is foo"])
+def test_an_event_after_a_goal_without_a_solution_does_not_follow_from_its_match(last):
+    program = Program(f"c do (new_event(m,[5,5]), {last}) <- a. d <- b.", ["revision_flag"])
+    assert program.feed("a@1 b@2") == "m@5-5 d@2-2"
+    assert program.feed("rev(a)@3") == "rev(m)@3-3"
+
+
+@pytest.mark.parametrize("flags", [(), ("revision_flag",)])
+def test_what_a_first_side_leads_to_before_it_waits_is_no_partner_of_it(flags):
+    rules = "null_event do new_event(y,[9,9]) <- x. c <- (x cnot z) seq y."
+    assert fired(rules, "x@2 y@12", flags=flags) == "y@9-9 null_event@2-2 c@2-12"
+
+
+def test_rev_is_an_event_like_others_without_the_flag():
+    assert fired("c <- a. d <- rev(a).", "a@1 rev(a)@2") == "c@1-1 d@2-2"
+
+
+def test_justification_alone_takes_nothing_back():
+    assert fired("c <- a.", "a@1 rev(a)@2", flags=["etalis_justification"]) == "c@1-1"
+
+
+@pytest.mark.parametrize("policy", ["recent", "chronological", "unrestricted"])
+@pytest.mark.parametrize("flag", ["revision_flag", "etalis_justification"])
+def test_keeping_where_events_came_from_changes_nothing(policy, flag):
+    rules = (
+        "c(X) <- (a(X) and b) seq d. n(N) <- c(_) seq aggregate(count, a(_), N). x <- (a(1) seq d) cnot b."
+    )
+    stream = "a(1)@1 b@2 a(2)@3 d@4 b@5 a(1)@6 d@7 d@8"
+    assert fired(rules, stream, policy, [flag]) == fired(rules, stream, policy)
+
+
+def explained(program, event):
+    found = program.engine.query(f"justify_event({event},_,J)")
+    return [program.engine.show(one["J"]) for one in found]
+
+
+def test_why():
+    program = Program("m <- a seq b. r : c <- m.", ["etalis_justification"])
+    program.feed("a@1 b@2")
+    (why,) = explained(program, "c")
+    assert why == (
+        "justification(r,head(c,[1,2]),justification(unlabeled,head(m,[1,2]),seqf("
+        "justification(unlabeled,head(a,[1,1]),default),justification(unlabeled,head(b,[2,2]),default))))"
+    )
+
+
+def test_why_not():
+    program = Program("c <- a seq b where (1 < 2).", ["etalis_justification"])
+    program.feed("a@1")
+    (why,) = explained(program, "c")
+    assert "wheref" in why
+    assert "head(a,[1,1]),default" in why
+    assert "head(b," in why
+    assert why.count("),failed)") == 1
+
+
+def test_why_of_what_no_rule_fires():
+    program = Program("c <- c seq c.", ["etalis_justification"])
+    (why,) = explained(program, "zzz")
+    assert why.startswith("[justification(unlabeled,head(zzz,")
+    assert why.endswith("),failed)]")
+    assert len(explained(program, "c")) == 1
+
+
+def test_justification_can_be_switched_on_later():
+    program = Program("c <- a seq b.")
+    program.feed("a@1")
+    program.set("etalis_justification", "on")
+    assert program.feed("b@2 a@3 b@4") == "c@1-2 c@3-4"
+    assert len(program.engine.query("justification_edge(_,_)")) == 2
+
+
+IN_ORDER = ["recent", "recent_2", "chronological", "unrestricted"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("policy", IN_ORDER)
+@pytest.mark.parametrize(
+    ("rules", "stream", "expected"),
+    [
+        ("o <- ((a seq b) cnot c) seq d.", "a@1 c@2 b@3 d@4 rev(c)@5", "o@1-4"),
+        ("o <- (a fnot c) seq d.", "c@1 a@3 d@4 rev(c)@5", "o@3-4"),
+        ("o <- (a fnot c) forall_seq d.", "c@1 a@3 d@4 d@5 rev(c)@6", "o@3-4"),
+        ("o <- ((a fnot c) seq d) seq b.", "c@1 a@3 d@4 b@5 rev(c)@6", "o@3-5"),
+        ("o <- (a fnot c) seq (d fnot c).", "c@1 a@3 d@4 rev(c)@5", "o@3-4"),
+        ("o(X) <- (a fnot c) seq (d(X) where X > 1).", "c@1 a@3 d(1)@4 d(2)@5 rev(c)@6", "o(2)@3-5"),
+        ("o <- (a fnot c) seq (d star_times).", "c@1 a@3 d@4 d@5 rev(c)@6", "o@3-3 o@3-4 o@3-5"),
+        (
+            "o(N) <- (a fnot c) seq aggregate(sum(X), d(X), N).",
+            "c@1 a@3 d(4)@4 rev(c)@6",
+            "o(0)@3-3 o(4)@3-4",
+        ),
+        (
+            "o(Y) <- s(Y) seq ((b fnot c(Y)) star_times).",
+            "c(1)@1 s(1)@2 b@3 rev(c(1))@4",
+            "o(1)@2-2 o(1)@2-3",
+        ),
+        # What came before a side that is there after all was late for it, and is.
+        ("o <- (a fnot c) seq d.", "c@1 d@4 a@3 rev(c)@5", ""),
+        ("o <- b seq (a fnot c).", "c@1 a@3 b@2 rev(c)@5", ""),
+        ("o <- a seq ((d fnot c) star_times).", "c@1 d@3 a@2 rev(c)@5", "o@2-2"),
+        # What has completed something that stands is used up; what was kept from that is tried first.
+        ("o <- (a fnot c) seq (d seq e).", "c@1 a@2 d@3 rev(c)@4 e@5", "o@2-5"),
+    ],
+)
+def test_a_side_of_a_sequence_that_is_there_after_all_meets_what_it_could_have_met(
+    rules, stream, expected, policy
+):
+    assert revised(rules, stream, policy) == expected
+
+
+def test_a_second_side_that_is_used_up_is_not_there_for_a_first_side_set_free():
+    rules = "o(X) <- (a(X) fnot c(X)) seq d."
+    assert revised(rules, "c(1)@1 a(1)@2 a(2)@3 d@4 rev(c(1))@5", "recent") == "o(2)@3-4"
+    stream = "c(1)@1 a(1)@2 a(2)@3 d@4 d@5 rev(c(1))@6"
+    assert revised(rules, stream, "recent") == "o(2)@3-4 o(1)@2-5"
+    assert revised(rules, stream + " d@7", "recent") == "o(2)@3-4 o(1)@2-5"
+
+
+def test_what_a_run_results_in_again_takes_the_place_of_its_old_results():
+    rules = "o(S) <- (s seq aggregate(max(V), a(V), S)) seq e."
+    stream = "s@1 a(5)@2 a(2)@3 e@4 rev(a(5))@5"
+    assert revised(rules, stream, "recent") == "o(5)@1-4 rev(o(5))@5-5 o(2)@1-4"
+    assert (
+        revised(rules, stream + " rev(a(2))@6", "recent") == "o(5)@1-4 rev(o(5))@5-5 o(2)@1-4 rev(o(2))@6-6"
+    )
+
+
+def test_second_sides_are_kept_for_revision_only_where_one_may_need_them(monkeypatch):
+    monkeypatch.setattr(revision, "KEPT", 20)
+    for rules, most in [
+        ("o <- a seq d.", 0),
+        ("o <- a seq (d fnot c).", 0),
+        ("o <- (a fnot c) seq d.", 20),
+        ("o <- (a fnot c) seq (d star_times).", 20),
+        ("o <- ((a fnot c) seq d) within 5.", 6),
+    ]:
+        program = Program(rules, ["revision_flag"])
+        program.feed(" ".join(f"d@{number}" for number in range(100)))
+        assert parts_of(program.engine).rules.waiting <= most
+        assert Program(rules, ["etalis_justification"]).feed("d@1 d@2") == ""
+
+
+def alarming(rules, stream, until):
+    clock = StreamClock(0)
+    program = Program(rules, clock=clock)
+    program.feed(stream)
+    del program.seen[:]
+    clock.move_to(until * SECOND)
+    program.engine.advance()
+    return show(program.seen), program
+
+
+def test_alarm():
+    rules = "exceptionAlarm(ding(X),5) <- a(X). c(X) <- ding(X)."
+    assert alarming(rules, "a(1)@1-2", 6)[0] == ""
+    assert alarming(rules, "a(1)@1-2", 7)[0] == "ding(1)@1-7 c(1)@1-7"
+
+
+def test_alarm_at_an_instant():
+    assert alarming("exceptionAlarmAbsoluteDatime(ding,7) <- a.", "a@1", 8)[0] == "ding@1-7"
+
+
+def test_an_alarm_that_is_set_rings_after_its_rule_was_deleted():
+    rules = "l : exceptionAlarm(ding, 5) <- a. gone do del_event_rule(l) <- b."
+    assert alarming(rules, "a@1 b@2 a@3", 10)[0] == "ding@1-6"
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [
+        "exceptionAlarm(ding, 5) <- a.",
+        "exceptionAlarmAbsoluteDatime(ding, 7) <- a. c <- ding.",
+        "exceptionAlarm(ding, 5) <- a seq b. c <- ding.",
+        "exceptionAlarm(ding, N) <- a seq b where N = 0.",
+    ],
+)
+def test_what_has_not_happened_yet_is_cancelled_without_a_word(rules):
+    clock = StreamClock(0)
+    program = Program(rules, ["revision_flag"], clock=clock)
+    assert program.feed("a@1 b@2 rev(a)@3") == ""
+    del program.seen[:]
+    clock.move_to(20 * SECOND)
+    program.engine.advance()
+    assert show(program.seen) == ""
+
+
+def test_an_alarm_that_has_rung_is_taken_back():
+    clock = StreamClock(0)
+    program = Program("exceptionAlarm(ding, 5) <- a. c <- ding.", ["revision_flag"], clock=clock)
+    program.feed("a@1")
+    clock.move_to(6 * SECOND)
+    assert program.feed("rev(a)@7").endswith("rev(ding)@7-7 rev(c)@7-7")
+
+
+def test_an_alarm_due_exactly_at_the_stamp_of_an_event_rings_before_it():
+    clock = StreamClock(0)
+    program = Program("exceptionAlarm(ding, 5) <- a. c <- b fnot ding.", clock=clock)
+    program.feed("a@1")
+    clock.move_to(6 * SECOND)
+    del program.seen[:]
+    program.engine.event("b", 6, 6)
+    assert show(program.seen) == "ding@1-6 b@6-6 c@6-6"
+
+
+def test_alarm_in_no_time_is_reported():
+    program = Program("exceptionAlarm(ding,N) <- a(N).")
+    assert program.feed("a(0)@1") == ""
+    assert "positive number" in str(program.errors[0])
+
+
+def test_what_is_too_old_to_be_taken_back_does_not_gather_what_follows_from_it(monkeypatch):
+    monkeypatch.setattr(lineage, "KEPT", 20)
+    program = Program("c <- a seq b.", ["revision_flag"], "unrestricted")
+    program.feed("a@1")
+    (oldest,) = parts_of(program.engine).rules.tracker.all()
+    program.feed("b@2")
+    assert len(oldest.derived) == 1
+    assert program.feed(" ".join(f"b@{instant}" for instant in range(3, 40))).count("c@") == 37
+    assert oldest.derived == []
+    assert program.feed("rev(a)@50") == ""
+
+
+@pytest.mark.parametrize("pattern", ["s seq aggregate(count, a(_), N)", "(s seq a(_) star_times) and b(N)"])
+def test_what_many_repetitions_have_made_is_kept_once_for_each(pattern):
+    program = Program(f"c(N) <- {pattern}.", ["etalis_justification"], "unrestricted")
+    program.feed("s@0 b(7)@0 " + " ".join(f"a({at})@{at}" for at in range(1, 301)))
+    kept = parts_of(program.engine).rules.tracker.all()
+    links = [*kept, *(one for event in kept for one in event.derived if isinstance(one, TrackedMatch))]
+    assert len(kept) > 600
+    assert sum(len(one.derived) + len(one.held) for one in links) < 4000

@@ -1,0 +1,180 @@
+"""Caches hold no more than they may, and all caches of the package are known here, with what bounds them."""
+
+import ast
+
+import pytest
+from source import NODES, TREES
+
+from retalis.foundation.bounded_caches import ENTRY, Cache, Texts
+
+DECORATED = {
+    ("messages/field_values.py", "array_maker"): "one entry for each of the 13 number types",
+    ("explanation/why_not.py", "_spans"): "one entry for each operator",
+    ("events/matches/interval_index.py", "reach_of"): "1000 entries of an operator's name and two numbers",
+    ("prolog/builtins/message_printing.py", "_laid_out_operators"): "one entry",
+    ("prolog/system/predicate_resolution.py", "library_index"): "one entry",
+    ("prolog/swi/libswipl.py", "find_library"): "one entry",
+    ("prolog/swi/swi_startup.py", "_started"): "one entry",
+    ("prolog/syntax/event_text.py", "_second_text"): "64 seconds, of the years 1 to 9999",
+    ("prolog/syntax/operators.py", "_standard"): "one entry",
+    ("prolog/terms/timestamps.py", "first_reaching"): "64 floats",
+    ("prolog/terms/timestamps.py", "_day_fields"): "64 numbers",
+    ("prolog/terms/timestamps.py", "_day_number"): "64 dates",
+}
+"""Functions with a cache of their own, which counts entries and not bytes: why that is a bound of bytes."""
+
+HELD = {
+    ("ros/ros_interface.py", "self._links"): (1000, 16 << 20),
+    ("engine/runtime/clock_skew.py", "times"): (5000, 4 << 20),  # for each topic
+    ("ros/internal_topics.py", "self._seen"): (1000, 1 << 20),
+    ("ros/text_topics.py", "self._names"): (1000, 1 << 20),
+    ("events/rules/event_predicates.py", "self._seconds"): (64, 64 << 10),
+    ("events/dispatch/listener_index.py", "self._plans"): (10_000, 16 << 20),
+    ("prolog/syntax/event_text.py", "self._builders"): (512, 8_192_000),
+    ("prolog/syntax/event_text.py", "self._wholes"): (512, 8 << 20),
+    ("prolog/syntax/event_text.py", "self._whole"): (256, 1 << 18),
+    ("prolog/syntax/event_text.py", "self._last"): (256, 1 << 20),
+    ("prolog/syntax/event_text.py", "self._spans"): (2048, 1 << 20),
+    ("prolog/syntax/literals.py", "atom_text"): (8192, 4 << 20),
+    ("foundation/codegen.py", "_makers"): (1000, 16 << 20),
+    ("prolog/swi/swi_terms.py", "self._handles"): (4096, 1 << 20),
+    ("prolog/swi/swi_terms.py", "self._functors"): (4096, 1 << 20),
+    ("prolog/swi/swi_terms.py", "self._atoms"): (4096, 1 << 20),
+    ("prolog/swi/swi_terms.py", "self._names"): (4096, 1 << 20),
+    ("messages/type_registry.py", "self._by_text"): (1000, 32 << 20),
+    ("messages/type_registry.py", "self._decoders"): (1000, 32 << 20),
+    ("messages/type_registry.py", "self._encoders"): (1000, 32 << 20),
+    ("messages/field_names.py", "self.forms"): (1000, 1 << 20),
+    ("messages/encoder.py", "_packed"): (2048, 1 << 20),
+    ("messages/decoder.py", "cache"): (
+        2048,
+        2 << 20,
+    ),  # in its place where what the texts go with is kept too
+    ("messages/field_values.py", "text_cache"): (2048, 1 << 20),  # one for all texts, and one for each type
+}
+"""The caches by file and name, with their bounds: entries and bytes. ``docs/security.md`` has them for users."""
+
+
+def caches():
+    """Yield file, name and bounds of each cache that is made in the package."""
+    for path, tree in TREES.items():
+        values = constants(tree)
+        for node in NODES[path]:
+            for part in ast.iter_child_nodes(node):
+                made = [one for one in ast.walk(part) if is_cache(one)]
+                if made and isinstance(part, (ast.Assign, ast.AnnAssign, ast.Return)):
+                    bounds = KINDS[made[0].func.id] or [bound(one, values) for one in made[0].args]
+                    yield path, name_of(part, node), bounds
+
+
+def constants(tree):
+    """Return the numbers that have a name in a module."""
+    values = {}
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant):
+            values.update((target.id, node.value.value) for target in node.targets)
+    return values
+
+
+def own_bounds(kind, tree):
+    """Return the bounds that a kind of cache has for all of its kind; None where they are given with each."""
+    for node in ast.walk(kind):
+        if isinstance(node, ast.Call) and ast.dump(node.func).startswith(
+            "Attribute(value=Call(func=Name(id='super'"
+        ):
+            bounds = [bound(one, constants(tree)) for one in node.args]
+            return bounds if bounds and None not in bounds else None
+    return None
+
+
+def is_cache(node):
+    return isinstance(node, ast.Call) and getattr(node.func, "id", None) in KINDS
+
+
+def name_of(statement, around):
+    """Return what a cache is assigned to, or the function that returns it."""
+    if isinstance(statement, ast.Return):
+        return around.name
+    target = statement.target if isinstance(statement, ast.AnnAssign) else statement.targets[0]
+    return target.id if isinstance(target, ast.Name) else f"self.{target.attr}"
+
+
+def bound(argument, values):
+    """Return the number that an argument is, by the constants of its module; None where it is none."""
+    if isinstance(argument, ast.BinOp):
+        left, right = bound(argument.left, values), bound(argument.right, values)
+        if left is None or right is None:
+            return None
+        return left << right if isinstance(argument.op, ast.LShift) else left * right
+    return argument.value if isinstance(argument, ast.Constant) else values.get(argument.id)
+
+
+KINDS = {
+    "Cache": None,
+    **{
+        node.name: own_bounds(node, tree)
+        for path, tree in TREES.items()
+        for node in NODES[path]
+        if isinstance(node, ast.ClassDef) and any("Cache" in ast.dump(base) for base in node.bases)
+    },
+}
+"""The classes of caches, with the bounds of those that have their own."""
+
+
+def test_entries_are_bounded():
+    cache = Cache(10, 1 << 20)
+    for number in range(100):
+        assert cache.keep(number, -number, 8) == -number
+        assert cache[number] == -number
+        assert len(cache) <= 10
+
+
+def test_bytes_are_bounded():
+    cache = Cache(1000, 100_000, 50_000)
+    for number in range(1000):
+        cache.keep(number, "", 9000)
+        assert cache.held <= 100_000
+        assert cache.held == len(cache) * (9000 + ENTRY)
+    cache.clear()
+    assert (len(cache), cache.held) == (0, 0)
+
+
+def test_what_is_too_large_is_not_kept_and_takes_nobodys_place():
+    cache = Cache(10, 10_000, 1000)
+    cache.keep("small", 1, 10)
+    assert cache.keep("large", 2, 1000) == 2
+    assert list(cache) == ["small"]
+
+
+def test_texts_are_made_once_where_they_are_short():
+    made = []
+
+    def make(text):
+        made.append(text)
+        return text * 2
+
+    texts = Texts(make, 10, 1 << 20, 1000)
+    for text in ("a", "a", "b" * 1000, "b" * 1000):
+        assert texts[text] == text * 2
+    assert made == ["a", "b" * 1000, "b" * 1000]
+
+
+@pytest.mark.slow
+def test_each_cache_of_a_function_is_known_and_bounded():
+    found = {
+        (path, node.name)
+        for path, nodes in NODES.items()
+        for node in nodes
+        if isinstance(node, ast.FunctionDef) and any("cache" in ast.dump(one) for one in node.decorator_list)
+    }
+    assert found == set(DECORATED)
+
+
+@pytest.mark.slow
+def test_each_cache_is_known_with_its_bounds_of_entries_and_bytes():
+    found = {
+        (path, name): tuple(one for one in bounds if one is not None)[:2] for path, name, bounds in caches()
+    }
+    assert found == HELD
+    made = sum(is_cache(node) for nodes in NODES.values() for node in nodes)
+    assert made == len(HELD)

@@ -1,0 +1,59 @@
+"""Names as ROS allows them."""
+
+import pytest
+
+from retalis.foundation.ros_names import plain_fault, plain_type, topic_fault, type_fault
+
+STRANGE = ["x²", "ﬁle", "x\0", "\ud800", "x y", "x\n", "1x", "", "a:b", "\u212a", "x" * 256, "x;y", "é"]
+
+
+@pytest.mark.parametrize("name", STRANGE)
+def test_strange_names_are_refused(name):
+    for fault in (
+        plain_fault(name),
+        topic_fault(name),
+        type_fault(f"pkg/{name}"),
+        type_fault(f"{name}/Type"),
+    ):
+        assert fault is not None
+        assert fault.isascii()
+        assert fault.startswith("expected a")
+        assert len(fault) < 400
+
+
+@pytest.mark.parametrize("name", ["a/b/c", "/a", "a/", "//", "ab", "a//b"])
+def test_types_are_a_package_and_a_name(name):
+    assert type_fault(name) is not None
+
+
+@pytest.mark.parametrize("name", ["tf/tfMessage", "a/B", "std_msgs/UInt8MultiArray", "a1_/B2_"])
+def test_types(name):
+    assert type_fault(name) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "plain"),
+    [
+        ("geometry_msgs/msg/Point", "geometry_msgs/Point"),
+        ("my_msgs/action/Go_FeedbackMessage", "my_msgs/Go_FeedbackMessage"),
+        ("geometry_msgs/Point", "geometry_msgs/Point"),
+        ("msg/Point", "msg/Point"),
+        ("a/msg/", "a/msg/"),
+        ("a/b/C", "a/b/C"),
+        ("a/msg/b/C", "a/msg/b/C"),
+    ],
+)
+def test_types_as_ros_2_names_them(name, plain):
+    assert plain_type(name) == plain
+
+
+@pytest.mark.parametrize("name", ["/tf", "tf", "~private", "~", "/a/b_1/C", "a/b", "a/"])
+def test_topics(name):
+    assert topic_fault(name) is None
+
+
+def test_an_error_names_what_is_wrong():
+    assert topic_fault("a//b") == "expected a topic name, found 'a//b', which has \"//\" in it"
+    assert type_fault('a/b:=__import__("os")').endswith(
+        """found 'a/b:=__import__("os")': ':' is not allowed in it"""
+    )

@@ -1,0 +1,227 @@
+import struct
+
+import pytest
+
+from retalis.foundation.errors import MessageError
+from retalis.messages import field_values
+from retalis.messages.type_registry import Definitions, Installed
+from retalis.prolog.terms.list_terms import list_items, make_list
+from retalis.prolog.terms.types import Lazy, atom, deref, functor
+
+HEADER = "\n".join(["=" * 80, "MSG: std_msgs/Header", "uint32 seq", "time stamp", "string frame_id", ""])
+
+
+def decoder(text, name="pkg/Type"):
+    registry = Definitions(Installed([], [], rosbags=False))
+    return registry.decoder(registry.add(name, text))
+
+
+def args(term):
+    return [deref(part) for part in deref(term)[1:]]
+
+
+def header(sequence, seconds, nanoseconds, frame):
+    return struct.pack("<IIII", sequence, seconds, nanoseconds, len(frame)) + frame
+
+
+def test_a_stamped_message():
+    found = decoder("Header header\nfloat64 x\n" + HEADER)
+    term = found.decode(header(7, 1413748205, 981209993, b"/odom") + struct.pack("<d", 0.5))
+    stamp = make_list([1413748205, 981209993])
+    assert term == (
+        functor("pkg__0__Type", 2),
+        (functor("std_msgs__0__Header", 3), 7, stamp, atom('"/odom"')),
+        0.5,
+    )
+    assert found.functor is functor("pkg__0__Type", 2)
+
+
+def test_a_type_without_slots_is_an_atom():
+    found = decoder("uint8 X=1\n", "std_msgs/Empty")
+    assert found.decode(b"") is atom("std_msgs__0__Empty")
+    assert found.lazy(b"") is atom("std_msgs__0__Empty")
+    assert found.functor is functor("std_msgs__0__Empty", 0)
+    with pytest.raises(MessageError, match="1 byte is not a std_msgs/Empty: 1 left over"):
+        found.decode(b"x")
+
+
+def test_numbers_at_their_limits():
+    text = "int8 a\nuint8 b\nint64 c\nuint64 d\nbyte e\nchar f\nbool g\nbool h\ntime t\nduration u\n"
+    data = struct.pack(
+        "<bBqQbB??IIii", -128, 255, -(2**63), 2**64 - 1, -1, 255, True, False, 2**32 - 1, 5, -1, -2
+    )
+    assert args(decoder(text).decode(data)) == [
+        -128,
+        255,
+        -(2**63),
+        2**64 - 1,
+        -1,
+        255,
+        atom("true"),
+        atom("false"),
+        make_list([2**32 - 1, 5]),
+        make_list([-1, -2]),
+    ]
+
+
+def test_floats_that_are_no_numbers():
+    one, two, three = args(
+        decoder("float32 a\nfloat64 b\nfloat64 c\n").decode(
+            struct.pack("<fdd", float("nan"), float("inf"), -0.0)
+        )
+    )
+    assert one != one
+    assert two == float("inf")
+    assert str(three) == "-0.0"
+
+
+def test_byte_arrays_are_texts():
+    term = decoder("uint8[] a\nuint8[3] b\nchar[] c\nbyte[] d\n").decode(
+        struct.pack("<I3s3sI2sI2b", 3, b"abc", b"\0\1\2", 2, b"hi", 2, 1, -1)
+    )
+    assert args(term) == [atom('"abc"'), atom('"FFFFFFFFFFAAEC////"'), atom('"hi"'), make_list([1, -1])]
+
+
+def test_short_arrays_are_there_and_long_ones_are_lazy():
+    found = decoder("float64[] short\nfloat64[] long\nfloat64[3] three\nfloat64[36] matrix\n")
+    values = [float(value) for value in range(36)]
+    data = struct.pack("<I2dI9d3d36d", 2, 1.0, 2.0, 9, *values[:9], *values[:3], *values)
+    term = found.decode(data)
+    assert [part.__class__ is Lazy for part in term[1:]] == [False, True, False, True]
+    assert [list_items(part) for part in term[1:]] == [[1.0, 2.0], values[:9], values[:3], values]
+
+
+def test_what_is_not_looked_at_is_not_decoded():
+    found = decoder("uint8[] image\nfloat32[] ranges\n")
+    size = 1 << 20
+    term = found.decode(struct.pack("<I", size) + bytes(size) + struct.pack("<I", 5) + bytes(20))
+    image, ranges = term[1:]
+    assert image.__class__ is Lazy and image.made is None
+    assert ranges.__class__ is Lazy and ranges.made is None
+    assert deref(image).name.startswith('"FFFFFFFFFFAAAA')
+
+
+def test_a_lazy_message_is_decoded_when_it_is_looked_at():
+    found = decoder("int8 x\n")
+    term = found.lazy(b"\5")
+    assert term.functor is functor("pkg__0__Type", 1)
+    assert term.made is None
+    assert deref(term) == (functor("pkg__0__Type", 1), 5)
+    with pytest.raises(MessageError):
+        deref(found.lazy(b""))
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "0 bytes are not a pkg/Type: they end inside slot all"),
+        (struct.pack("<I", 1), "4 bytes are not a pkg/Type: they end inside slot all"),
+        (
+            struct.pack("<I", 2) + header(1, 2, 3, b"ab") + bytes(8) + header(1, 2, 3, b"abc")[:-1],
+            "end inside slot all[1].header.frame_id",
+        ),
+        (struct.pack("<I", 1) + header(1, 2, 3, b"ab"), "end inside slot all[0].x"),
+        (
+            struct.pack("<I", 1) + header(1, 2, 3, b"ab") + b"123456789",
+            "31 bytes are not a pkg/Type: 1 left over",
+        ),
+        (struct.pack("<I", 2**32 - 1) + header(1, 2, 3, b"ab") + b"12345678", "end inside slot all"),
+        (
+            struct.pack("<IIIII", 1, 1, 2, 3, 2**32 - 1) + b"12345678",
+            "end inside slot all[0].header.frame_id",
+        ),
+    ],
+)
+def test_broken_messages(data, message):
+    text = "Inner[] all\n" + "=" * 80 + "\nMSG: pkg/Inner\nHeader header\nfloat64 x\n" + HEADER
+    with pytest.raises(MessageError) as caught:
+        decoder(text).decode(data)
+    assert message in caught.value.message
+
+
+def test_every_cut_of_a_message_is_an_error():
+    text = "string[] names\nInner[] all\nuint8[] raw\nfloat32[9] m\nfloat64[] many\n"
+    found = decoder(text + "=" * 80 + "\nMSG: pkg/Inner\nbool x\nstring[2] y\n")
+    data = struct.pack("<II2sI3s", 2, 2, b"ab", 3, b"abc")
+    data += struct.pack("<I?I1sI0s", 1, True, 1, b"x", 0, b"")
+    data += struct.pack("<I3s9fI6d", 3, b"abc", *range(9), 6, *range(6))
+    found.decode(data)
+    for size in range(len(data)):
+        with pytest.raises(MessageError, match="they end inside slot|left over"):
+            found.decode(data[:size])
+    with pytest.raises(MessageError, match="1 left over"):
+        found.decode(data + b"\0")
+
+
+def test_an_array_of_nothing_cannot_be_endless():
+    found = decoder("Nothing[] all\n" + "=" * 80 + "\nMSG: pkg/Nothing\n")
+    assert list_items(args(found.decode(struct.pack("<I", 3)))[0]) == [atom("pkg__0__Nothing")] * 3
+    with pytest.raises(MessageError):
+        found.decode(struct.pack("<I", 2**32 - 1))
+
+
+def test_stamps():
+    found = decoder("Header header\nint8 x\n" + HEADER)
+    assert found.stamp(header(1, 3, 4, b"frame") + b"\0") == 3_000_000_004
+    assert found.stamp(header(1, 0, 0, b"frame") + b"\0") is None
+    with pytest.raises(MessageError):
+        found.stamp(b"123")
+    assert decoder("int8 x\nHeader header\n" + HEADER).stamp(b"") is None
+    assert decoder("Header other\n" + HEADER).stamp(header(1, 3, 4, b"")) is None
+    assert decoder("int8 x\n").stamp(b"\0") is None
+
+
+def test_texts_seen_before_are_the_same_atoms_and_do_not_pile_up(monkeypatch):
+    monkeypatch.setattr(field_values.texts, "entries", 10)
+    field_values.texts.clear()  # what other tests have left there
+    found = decoder("Header header\nstring child\nfloat64 x\n" + HEADER)
+    tail = struct.pack("<d", 1.0)
+    for number in range(50):
+        child = b"child%d" % number
+        data = header(1, 2, 3, b"base") + struct.pack("<I", len(child)) + child + tail
+        first, again = found.decode(data), found.decode(data)
+        assert args(args(first)[0])[2] is args(args(again)[0])[2] is atom('"base"')
+        assert args(first)[1] is atom(f'"child{number}"')
+    assert len(field_values.texts) <= 10
+
+
+def section(name, text):
+    return "=" * 80 + f"\nMSG: {name}\n{text}"
+
+
+EMPTY = section("pkg/Empty", "")
+
+
+@pytest.mark.parametrize(
+    "text,data",
+    [
+        ("pkg/Empty[] x\n" + EMPTY, struct.pack("<I", 1 << 20)),
+        ("pkg/Empty[4000000000] x\n" + EMPTY, b""),
+        ("pkg/Empty[4000] x\npkg/Empty[] y\n" + EMPTY, struct.pack("<I", 6001)),
+        ("".join(f"pkg/Empty[] x{n}\n" for n in range(17)) + EMPTY, struct.pack("<I", 1000) * 17),
+        ("pkg/Outer[] x\n" + section("pkg/Outer", "pkg/Empty[1000] e\n") + EMPTY, struct.pack("<I", 11)),
+        ("pkg/Outer[11] x\n" + section("pkg/Outer", "pkg/Empty[1000] e\n") + EMPTY, b""),
+        ("pkg/Outer[] x\n" + section("pkg/Outer", "int8 y\npkg/Empty[6000] e\n") + EMPTY,
+         struct.pack("<I", 2) + bytes(2)),
+        ("pkg/Outer[] x\n" + section("pkg/Outer", "pkg/Empty[] e\n") + EMPTY, struct.pack("<III", 2, 6000, 6000)),
+    ],
+)  # fmt: skip
+def test_elements_without_bytes_are_bounded_in_number(text, data):
+    with pytest.raises(MessageError, match="zero-byte elements in its arrays: at most 10000 are allowed"):
+        decoder(text).decode(data)
+
+
+def test_how_many_elements_without_bytes_is_a_setting():
+    definitions = Definitions(Installed([], [], rosbags=False), bare=3)
+    found = definitions.decoder(definitions.add("pkg/Type", "pkg/Empty[] x\n" + EMPTY))
+    assert len(list_items(args(found.decode(struct.pack("<I", 3)))[0])) == 3
+    with pytest.raises(MessageError, match="a pkg/Type has 4 zero-byte elements in its arrays: at most 3"):
+        found.decode(struct.pack("<I", 4))
+    with pytest.raises(MessageError, match="they end inside slot x"):
+        found.decode(b"12")
+
+
+def test_a_long_array_is_refused_before_it_is_made():
+    text = "pkg/Text[] x\n" + section("pkg/Text", "string s\n")
+    with pytest.raises(MessageError, match="they end inside slot"):
+        decoder(text).decode(struct.pack("<I", 0xFFFFFFFF) + bytes(64))

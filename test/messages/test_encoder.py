@@ -1,0 +1,406 @@
+import struct
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from messages.wire import messages, serialize
+from retalis.foundation.errors import MessageError
+from retalis.messages.decoder import Decoder
+from retalis.messages.encoder import Encoder
+from retalis.messages.term_validation import CheckingEncoder
+from retalis.messages.type_registry import Definitions, Installed
+from retalis.prolog.terms import timestamps
+from retalis.prolog.terms.list_terms import make_list
+from retalis.prolog.terms.term_traversal import copy
+from retalis.prolog.terms.types import CONS, NIL, Lazy, String, Var, atom, functor
+
+STAMPED = """\
+Header header
+Pose pose
+================================================================================
+MSG: std_msgs/Header
+uint32 seq
+time stamp
+string frame_id
+================================================================================
+MSG: geometry_msgs/Pose
+Point position
+float64[4] orientation
+================================================================================
+MSG: geometry_msgs/Point
+float64 x
+float64 y
+float64 z
+"""
+ONE = functor("pkg__0__Type", 1)
+
+
+def encoder(text, name="pkg/Type"):
+    registry = Definitions(Installed([], [], rosbags=False))
+    return registry.encoder(registry.add(name, text)).encode
+
+
+def one(kind, value, topic=""):
+    return encoder(f"{kind} x\n")((ONE, value), topic)
+
+
+def fault(kind, value):
+    with pytest.raises(MessageError) as caught:
+        one(kind, value)
+    return caught.value.message
+
+
+def pose(**parts):
+    given = {
+        "seq": 1,
+        "stamp": make_list([2, 3]),
+        "frame": atom('"odom"'),
+        "x": 1.0,
+        "y": 2,
+        "q": [0.0, 0.0, 0.0, 1.0],
+    }
+    given.update(parts)
+    header = functor("std_msgs__0__Header", 3)(given["seq"], given["stamp"], given["frame"])
+    point = functor("geometry_msgs__0__Point", 3)(given["x"], given["y"], 3.0)
+    pose = functor("geometry_msgs__0__Pose", 2)(point, make_list(given["q"]))
+    return functor("geometry_msgs__0__PoseStamped", 2)(header, pose)
+
+
+POSE = struct.pack("<IIII4s3d4d", 1, 2, 3, 4, b"odom", 1, 2, 3, 0, 0, 0, 1)
+
+
+def test_a_nested_message():
+    assert encoder(STAMPED, "geometry_msgs/PoseStamped")(pose()) == POSE
+
+
+def test_bound_variables_and_lazy_terms_are_followed():
+    encode = encoder(STAMPED, "geometry_msgs/PoseStamped")
+    var, frame = Var(), Var()
+    var.ref = 1.0
+    frame.ref = atom('"odom"')
+    assert encode(pose(x=var, frame=frame)) == POSE
+    whole = Lazy(functor("geometry_msgs__0__PoseStamped", 2), lambda source: pose(), None)
+    assert encode(whole) == POSE
+    assert encode(pose(stamp=Lazy(CONS, make_list, [2, 3]))) == POSE
+
+
+@pytest.mark.parametrize("frame", [atom("odom"), String("odom"), atom('"odom"')])
+def test_texts_with_and_without_quotes(frame):
+    assert encoder(STAMPED, "geometry_msgs/PoseStamped")(pose(frame=frame)) == POSE
+
+
+@pytest.mark.parametrize(
+    ("value", "flag"), [("true", 1), ("false", 0), ("True", 1), ("False", 0), (1, 1), (0, 0)]
+)
+def test_booleans(value, flag):
+    assert one("bool", atom(value) if isinstance(value, str) else value) == bytes([flag])
+
+
+def test_floats():
+    assert one("float64", 3) == struct.pack("<d", 3.0)
+    assert one("float32", 0.1) == struct.pack("<f", 0.1)
+    assert one("float64", float("inf")) == struct.pack("<d", float("inf"))
+    assert one("float64", atom("inf")) == struct.pack("<d", float("inf"))
+    assert one("float64", (functor("-", 1), atom("inf"))) == struct.pack("<d", float("-inf"))
+    assert one("float32", atom("nan")) == one("float32", float("nan")) == struct.pack("<f", float("nan"))
+
+
+def test_times():
+    assert one("time", make_list([2**32 - 1, 0])) == struct.pack("<II", 2**32 - 1, 0)
+    assert one("duration", make_list([-1, 500])) == struct.pack("<ii", -1, 500)
+    assert one("time", timestamps.datime(10**18 + 5)) == struct.pack("<II", 10**9, 5)
+    assert one("time", timestamps.datime6(10**18)) == struct.pack("<II", 10**9, 0)
+    assert one("time[]", make_list([timestamps.shown(7)])) == struct.pack("<III", 1, 0, 7)
+
+
+def test_arrays():
+    numbers = make_list([1.0, 2.0])
+    assert one("float64[]", numbers) == struct.pack("<I2d", 2, 1, 2)
+    assert one("float64[2]", numbers) == struct.pack("<2d", 1, 2)
+    assert one("float64[6]", make_list(range(6))) == struct.pack("<6d", *range(6))
+    assert one("int8[]", NIL) == struct.pack("<I", 0)
+    assert one("bool[]", make_list([atom("true"), 1, atom("false")])) == struct.pack("<I3?", 3, 1, 1, 0)
+    assert one("string[]", make_list([atom('"a"'), String("bc")])) == struct.pack(
+        "<II1sI2s", 2, 1, b"a", 2, b"bc"
+    )
+    assert one("time[1]", make_list([make_list([1, 2])])) == struct.pack("<II", 1, 2)
+
+
+def test_byte_arrays_as_texts_and_as_lists():
+    assert one("uint8[]", atom('"abc"')) == struct.pack("<I3s", 3, b"abc")
+    assert one("uint8[]", atom('"FFFFFFFFFFAAEC////"')) == struct.pack("<I3s", 3, b"\0\1\2")
+    assert one("uint8[]", make_list([0, 255])) == struct.pack("<I2B", 2, 0, 255)
+    assert one("uint8[]", NIL) == struct.pack("<I", 0)
+    assert one("uint8[3]", atom('"abc"')) == b"abc"
+    assert one("uint8[2]", make_list([1, 2])) == b"\1\2"
+
+
+def test_a_type_without_slots():
+    encode = encoder("", "std_msgs/Empty")
+    assert encode(atom("std_msgs__0__Empty")) == b""
+    with pytest.raises(MessageError, match="expected the atom std_msgs__0__Empty, got the atom other"):
+        encode(atom("other"))
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "message"),
+    [
+        ("uint8", 256, "slot x: expected uint8 from 0 to 255, got 256"),
+        ("int8", -129, "slot x: expected int8 from -128 to 127, got -129"),
+        ("char", -1, "slot x: expected char from 0 to 255, got -1"),
+        ("int32", 1.5, "slot x: expected int32, got 1.5"),
+        ("int64", 2**63, "slot x: expected int64 from"),
+        ("int32", atom("a"), "slot x: expected int32, got the atom a"),
+        ("float64", atom("a"), "slot x: expected float64, got the atom a"),
+        ("float64", String("1"), 'slot x: expected float64, got the string "1"'),
+        ("float32", 1e39, "slot x: 1e+39 is too large for float32"),
+        ("float64", 10**400, "is too large for float64"),
+        ("bool", 2, "slot x: expected bool (true or false), got 2"),
+        ("bool", 1.0, "slot x: expected bool (true or false), got 1.0"),
+        ("bool", atom("yes"), "slot x: expected bool (true or false), got the atom yes"),
+        ("string", 3, "slot x: expected a string, got 3"),
+        ("string", NIL, "slot x: expected a string, got an empty list"),
+        ("string", atom('"FFFFFFFFFFabc"'), "slot x: expected base64 in lines"),
+        ("time", make_list([1]), "slot x: expected time as [Sec,NSec], got a list of 1"),
+        ("time", make_list([-1, 0]), "slot x: expected time as [Sec,NSec], Sec from 0 to 4294967295, got -1"),
+        ("duration", make_list([1, 2.5]), "slot x: expected duration as [Sec,NSec], got a list of 2"),
+        (
+            "time",
+            timestamps.datime(-1),
+            "slot x: expected time as [Sec,NSec], Sec from 0 to 4294967295, got -1",
+        ),
+        ("duration", timestamps.datime(5), "slot x: expected duration as [Sec,NSec], got datime/7"),
+        ("time", 5, "slot x: expected time as [Sec,NSec], got 5"),
+        ("float64[3]", make_list([1.0]), "slot x: expected 3 elements (float64[3]), got 1"),
+        ("float64[9]", make_list([1.0]), "slot x: expected 9 elements (float64[9]), got 1"),
+        ("float64[]", make_list([1.0, atom("b")]), "slot x[1]: expected float64, got the atom b"),
+        ("float64[]", 3, "slot x: expected a list (float64[]), got 3"),
+        ("string[]", make_list([atom("a"), 3]), "slot x[1]: expected a string, got 3"),
+        ("uint8[2]", atom('"abc"'), "slot x: expected 2 elements (uint8[2]), got 3"),
+        ("uint8[]", make_list([300]), "slot x[0]: expected uint8 from 0 to 255, got 300"),
+        ("uint8[]", 3, "slot x: expected a string or a list (uint8[]), got 3"),
+        ("int8", Var(), "slot x: expected int8, got an unbound variable"),
+        ("int8", (functor("f", 2), 1, 2), "slot x: expected int8, got f/2"),
+        ("string", String("x" * 100), None),
+    ],
+)
+def test_what_does_not_fit(kind, value, message):
+    if message is None:
+        assert one(kind, value)
+    else:
+        assert message in fault(kind, value)
+
+
+def test_errors_name_topic_type_and_slot():
+    encode = encoder(STAMPED, "geometry_msgs/PoseStamped")
+    with pytest.raises(MessageError) as caught:
+        encode(pose(x=atom("here")), "marker1")
+    assert caught.value.message == (
+        "topic marker1, geometry_msgs/PoseStamped, slot pose.position.x: expected float64, got the atom here"
+    )
+    with pytest.raises(MessageError) as caught:
+        encode(pose(q=[0.0, 0.0, Var(), 1.0]))
+    assert caught.value.message == (
+        "geometry_msgs/PoseStamped, slot pose.orientation[2]: expected float64, got an unbound variable"
+    )
+
+
+@pytest.mark.parametrize(
+    "term",
+    [
+        atom("a"),
+        3,
+        Var(),
+        functor("geometry_msgs__0__PoseStamped", 1)(1),
+        functor("geometry_msgs__0__Pose", 2)(1, 2),
+        make_list([1, 2]),
+    ],
+)
+def test_terms_of_another_type(term):
+    with pytest.raises(MessageError, match="expected geometry_msgs__0__PoseStamped/2, got"):
+        encoder(STAMPED, "geometry_msgs/PoseStamped")(term)
+
+
+def test_partial_lists():
+    assert "expected a list (int8[])" in fault("int8[]", (CONS, 1, Var()))
+    assert "expected a list (int8[])" in fault("int8[]", (CONS, 1, 2))
+    tail = Var()
+    tail.ref = make_list([2])
+    assert one("int8[]", (CONS, 1, tail)) == struct.pack("<I2b", 2, 1, 2)
+
+
+PAIR = functor("f", 2)
+
+
+def conses(end, *items, cons=CONS):
+    """Return a list of items with any end, of cells with any functor."""
+    for item in reversed(items):
+        end = (cons, item, end)
+    return end
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "expected"),
+    [
+        ("float64[2]", (1.0, 2.0), "slot x: expected a list (float64[2])"),
+        ("int8[1]", (1,), "slot x: expected a list (int8[1])"),
+        ("bool[2]", (atom("true"), atom("false")), "slot x: expected a list (bool[2])"),
+        ("float64[6]", (1, 2, 3, 4, 5, 6), "slot x: expected a list (float64[6])"),
+        ("float64[]", (1.0, 2.0), "slot x: expected a list (float64[])"),
+        ("string[]", (atom("a"),), "slot x: expected a list (string[])"),
+        ("string[2]", (atom("a"), atom("b")), "slot x: expected a list (string[2])"),
+        ("time", (1, 2), "slot x: expected time as [Sec,NSec]"),
+        ("duration", (1, 2), "slot x: expected duration as [Sec,NSec]"),
+        ("time[1]", (conses(NIL, 1, 2),), "slot x: expected a list (time[1])"),
+        ("time[]", (conses(NIL, 1, 2),), "slot x: expected a list (time[])"),
+    ],
+)
+def test_lists_end_and_are_made_of_cells_of_lists(kind, values, expected):
+    assert one(kind, conses(NIL, *values))
+    for end in (atom("end"), 0, Var(), (PAIR, values[0], NIL), String("")):
+        assert expected in fault(kind, conses(end, *values))
+    assert expected in fault(kind, conses(NIL, *values, cons=PAIR))
+    assert expected in fault(kind, (CONS, values[0], conses(NIL, *values[1:], values[-1], cons=PAIR)))
+    longer, shorter = conses(NIL, *values, values[-1]), conses(NIL, *values[:-1])
+    if kind.endswith("[]"):
+        assert one(kind, longer)
+        assert one(kind, shorter)
+    else:
+        wanted = expected if "[Sec" in expected else f"slot x: expected {len(values)} element"
+        assert wanted in fault(kind, longer)
+        assert wanted in fault(kind, shorter)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "size"),
+    [
+        ("uint8[3]", '"abc"', 3),
+        ("uint8[2000]", '"' + "a" * 2000 + '"', 2000),
+        ("char[1]", '"a"', 1),
+        ("uint8[0]", '""', 0),
+    ],
+)
+def test_texts_of_byte_arrays_are_as_long_as_these(kind, value, size):
+    assert one(kind, atom(value)) == value[1:-1].encode()
+    assert f"({kind}), got {size + 1}" in fault(kind, atom(value[:-1] + 'a"'))
+    if size:
+        assert f"({kind}), got {size - 1}" in fault(kind, atom(value[1:-2]))
+
+
+def test_lazy_arrays_of_another_length_or_type_are_not_copied():
+    registry = Definitions(Installed([], [], rosbags=False))
+    names = ("float64[6]", "float64[7]", "float32[6]", "float64[]", "int64[6]")
+    types = [registry.add(f"pkg/Type{at}", f"{kind} x\n") for at, kind in enumerate(names)]
+    six = registry.decoder(types[0]).decode(struct.pack("<6d", *range(6)))[1]
+    made = [(functor(f"pkg__0__Type{at}", 1), six) for at in range(5)]
+    assert isinstance(six, Lazy)
+    encode = [registry.encoder(kind).encode for kind in types]
+    with pytest.raises(MessageError, match="expected 7 elements"):
+        encode[1](made[1])
+    assert encode[2](made[2]) == struct.pack("<6f", *range(6))
+    assert encode[3](made[3]) == struct.pack("<I6d", 6, *range(6))
+    with pytest.raises(MessageError, match=r"slot x\[0\]: expected int64, got 0.0"):
+        encode[4](made[4])
+    assert encode[0](made[0]) == struct.pack("<6d", *range(6))
+
+
+MIXED = """\
+bool flag
+int8 small
+uint64 large
+float32 real
+string text
+time stamp
+duration span
+float64[3] three
+time[2] two_times
+bool[] flags
+int16[6] six
+string[] names
+uint8[] raw
+uint8[3] code
+Inner inner
+Inner[] inners
+Nothing nothing
+Nothing[2] nothings
+================================================================================
+MSG: pkg/Inner
+int32 x
+string[1] name
+================================================================================
+MSG: pkg/Nothing
+"""
+MIXED_TYPE = Definitions(Installed([], [], rosbags=False)).add("pkg/Mixed", MIXED)
+DECODE = Decoder(MIXED_TYPE).decode
+ENCODE, CHECK = Encoder(MIXED_TYPE).encode, CheckingEncoder(MIXED_TYPE).encode
+
+odd_terms = st.one_of(
+    st.sampled_from(
+        [NIL, atom("end"), atom("true"), atom("nan"), atom('"FFFFFFFFFF?"'), atom("pkg__0__Nothing")]
+    ),
+    st.sampled_from([0, 1, -1, 255, 256, -129, 2**31, 2**64, 2**1100, 1.0, 1e39, float("inf")]),
+    st.builds(Var),
+    st.builds(String, st.text(max_size=4)),
+    st.just(conses(NIL, 1, 2)),
+    st.just((functor("pkg__0__Inner", 2), 1, conses(NIL, atom("a")))),
+    st.just((functor("pkg__0__Nothing", 1), 1)),
+)
+
+
+def places(term, path=()):
+    """Yield the place of each part of a term."""
+    yield path
+    if term.__class__ is tuple:
+        for at, part in enumerate(term[1:], 1):
+            yield from places(part, (*path, at))
+
+
+def replaced(term, path, part):
+    if not path:
+        return part
+    return (*term[: path[0]], replaced(term[path[0]], path[1:], part), *term[path[0] + 1 :])
+
+
+def with_functor(term, path, other):
+    if not path:
+        return (other, *term[1:]) if term.__class__ is tuple else term
+    return (*term[: path[0]], with_functor(term[path[0]], path[1:], other), *term[path[0] + 1 :])
+
+
+def outcome(encode, term):
+    try:
+        return encode(term, "out")
+    except MessageError as error:
+        return error.message
+
+
+@settings(deadline=None, max_examples=400, suppress_health_check=[HealthCheck.too_slow])
+@given(st.data())
+def test_the_fast_encoder_takes_and_refuses_what_the_checking_one_does(data):
+    values = data.draw(messages(MIXED_TYPE, st.text("abü", max_size=3).map(str.encode)))
+    raw = serialize(MIXED_TYPE, values)
+    term = copy(DECODE(raw))
+    assert ENCODE(term, "out") == CHECK(term, "out") == raw
+    for _ in range(data.draw(st.integers(1, 2))):
+        path = data.draw(st.sampled_from(list(places(term))))
+        if data.draw(st.booleans()):
+            term = replaced(term, path, data.draw(odd_terms))
+        else:
+            term = with_functor(
+                term, path, data.draw(st.sampled_from([CONS, PAIR, functor("pkg__0__Inner", 2)]))
+            )
+    assert outcome(ENCODE, term) == outcome(CHECK, term)
+
+
+def test_undecoded_parts_go_out_as_they_came_in():
+    text = "float32[9] a\nfloat64[] b\nuint8[] c\nstring d\n"
+    registry = Definitions(Installed([], [], rosbags=False))
+    definition = registry.add("pkg/Type", text)
+    signalling = b"\1\0\xa0\x7f"  # a nan that comes through no float
+    data = signalling * 9 + struct.pack(
+        "<I6dI2000sI2000s", 6, *range(6), 2000, b"c" * 2000, 2000, b"d" * 2000
+    )
+    term = registry.decoder(definition).decode(data)
+    assert registry.encoder(definition).encode(term) == data
+    assert all(part.made is None for part in term[1:])

@@ -1,0 +1,124 @@
+import base64
+import unicodedata
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from retalis.foundation.errors import MessageError
+from retalis.messages.field_values import blob_atom, text_atom, text_bytes
+from retalis.prolog.terms.types import NIL, String, atom
+
+
+@pytest.mark.parametrize(
+    ("data", "name"),
+    [
+        (b"", '""'),
+        (b"base_link", '"base_link"'),
+        (b"/odom", '"/odom"'),
+        (b'say "hi"', '"say "hi""'),
+        (b"it's\\", '"it\'s\\"'),
+        (b"two\nlines\t", '"two\nlines\t"'),
+        (b"FFFFFFFFF", '"FFFFFFFFF"'),
+        (b"\0", '"FFFFFFFFFFAA==////"'),
+        (b"two\r\nlines", '"two\r\nlines"'),
+        ("Jürgen".encode(), '"Jürgen"'),
+        ("日本 🤖".encode(), '"日本 🤖"'),
+        ("\u2028 \u200b \ufeff \ufffd \uffff \xa0".encode(), '"\u2028 \u200b \ufeff \ufffd \uffff \xa0"'),
+        (b"J\xfcrgen", '"FFFFFFFFFFSvxyZ2Vu////"'),  # Latin-1
+        (b"\xed\xa0\x80", '"FFFFFFFFFF7aCA////"'),  # half a surrogate pair
+        (b"\xc3", '"FFFFFFFFFFww==////"'),
+        (b"\x0b", '"FFFFFFFFFFCw==////"'),
+        (b"\x0c", '"FFFFFFFFFFDA==////"'),
+        (b"\x1f", '"FFFFFFFFFFHw==////"'),
+        (b"\x7f", '"FFFFFFFFFFfw==////"'),
+        ("ü\x1b".encode(), '"FFFFFFFFFFw7wb////"'),
+        ("\x80".encode(), '"FFFFFFFFFFwoA=////"'),
+        ("\x9f".encode(), '"FFFFFFFFFFwp8=////"'),
+        (b"FFFFFFFFFF", '"FFFFFFFFFFRkZGRkZGRkZGRg==////"'),
+        ("FFFFFFFFFFü".encode(), '"FFFFFFFFFFRkZGRkZGRkZGRsO8////"'),
+    ],
+)
+def test_strings_as_atoms(data, name):
+    assert text_atom(data) is atom(name)
+    assert text_bytes(atom(name)) == data
+
+
+@pytest.mark.parametrize(
+    ("data", "name"),
+    [
+        (b"", '""'),
+        (b"base_link", '"base_link"'),
+        (b"\t\n\r\v\f", '"\t\n\r\v\f"'),
+        (b"FFFFFFFFF", '"FFFFFFFFF"'),
+        (b"\0", '"FFFFFFFFFFAA==////"'),
+        (b"\x7f", '"FFFFFFFFFFfw==////"'),
+        ("é".encode(), '"FFFFFFFFFFw6k=////"'),
+        (b"FFFFFFFFFF", '"FFFFFFFFFFRkZGRkZGRkZGRg==////"'),
+    ],
+)
+def test_byte_arrays_as_atoms(data, name):
+    assert blob_atom(data) is atom(name)
+    assert text_bytes(atom(name)) == data
+
+
+@given(st.text(max_size=20))
+def test_only_control_characters_keep_a_text_from_being_one(text):
+    is_text = not text.startswith("FFFFFFFFFF") and all(
+        char in "\t\n\r" or unicodedata.category(char) != "Cc" for char in text
+    )
+    assert (text_atom(text.encode()) is atom(f'"{text}"')) == is_text
+
+
+def test_base64_comes_in_lines_of_76():
+    data = bytes(range(256))
+    name = text_atom(data).name
+    assert name.startswith('"FFFFFFFFFF')
+    lines = name[11:-1]
+    expected = base64.encodebytes(data).decode().replace("\n", "////")
+    assert lines == expected
+    assert len(lines.split("////")[0]) == 76
+
+
+def test_slashes_of_base64_are_no_line_breaks():
+    data = b"\xff" * 60  # all of it "/" in base64
+    assert text_atom(data).name == '"FFFFFFFFFF' + "/" * 76 + "////" + "/" * 4 + "////" + '"'
+    assert text_bytes(text_atom(data)) == data
+
+
+@given(st.binary(max_size=300) | st.text(max_size=100).map(str.encode))
+def test_every_text_comes_back(data):
+    assert text_bytes(text_atom(data)) == data
+    assert text_bytes(blob_atom(data)) == data
+
+
+@pytest.mark.parametrize(
+    ("term", "data"),
+    [
+        (atom("base_link"), b"base_link"),
+        (String("base_link"), b"base_link"),
+        (String('"quoted"'), b'"quoted"'),
+        (atom('"'), b'"'),
+        (atom(""), b""),
+        (atom("é"), "é".encode()),
+        (String("FFFFFFFFFFAA==////"), b"\0"),
+        (NIL, None),
+        (3, None),
+        (2.5, None),
+    ],
+)
+def test_other_terms_for_texts(term, data):
+    assert text_bytes(term) == data
+
+
+@pytest.mark.parametrize(
+    "broken", ["FFFFFFFFFFAA==", "FFFFFFFFFFA////", "FFFFFFFFFF?!==////", "FFFFFFFFFFé////"]
+)
+def test_broken_base64(broken):
+    with pytest.raises(MessageError, match="base64"):
+        text_bytes(atom(f'"{broken}"'))
+
+
+def test_half_a_surrogate_pair_is_no_text():
+    with pytest.raises(MessageError, match="code point 0xd800"):
+        text_bytes(atom("a\ud800"))

@@ -1,0 +1,182 @@
+"""The stamps in the bytes of messages, with their frames."""
+
+import struct
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from retalis.foundation.errors import MessageError
+from retalis.messages.header_stamps import frame_text, stamp_reader, watched
+from retalis.messages.message_to_text import text_writer
+from retalis.messages.type_registry import Definitions, Installed
+from retalis.prolog.syntax.event_text import to_text
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_term
+
+SECOND = 10**9
+BAR = "\n" + "=" * 80 + "\n"
+HEADER = BAR + "MSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
+TRANSFORM = BAR + "MSG: t/T\nHeader header\nstring child_frame_id\nfloat64[7] values\n" + HEADER
+TYPES = {
+    "t/Plain": "float64 x",
+    "t/Own": "Header header\nfloat64 x" + HEADER,
+    "t/Odometry": "Header header\nstring child_frame_id\nfloat64 x" + HEADER,
+    "t/Named": "Header header\nstring name\nfloat64 x" + HEADER,
+    "t/Frames": "t/T[] transforms" + TRANSFORM,
+    "t/Two": "string name\nt/T[2] transforms\nint8 rest" + TRANSFORM,
+    "t/Markers": "Header header\nstring[] names\nt/M[] markers"
+    + BAR
+    + "MSG: t/M\nHeader header\nstring name\n"
+    + HEADER,
+}
+
+
+@pytest.fixture(scope="module")
+def known():
+    definitions = Definitions()
+    for name, text in TYPES.items():
+        definitions.add(name, text)
+    return definitions
+
+
+def encode(known, kind, text):
+    return known.encoder(known.find(kind)).encode(read_term(text, Operators.prolog()).term)
+
+
+def header(second, nanosecond, frame):
+    return f"std_msgs__0__Header(0,[{second},{nanosecond}],'\"{frame}\"')"
+
+
+def transform(second, nanosecond, frame, child):
+    return f"t__0__T({header(second, nanosecond, frame)},'\"{child}\"',[0,0,0,0,0,0,1])"
+
+
+def read(known, kind, text):
+    found = stamp_reader(known.find(kind))(encode(known, kind, text))
+    return [(frame_text(key), instant / SECOND) for key, instant in found]
+
+
+def test_none(known):
+    assert stamp_reader(known.find("t/Plain")) is None
+
+
+@pytest.mark.parametrize(
+    "kind, text, expected",
+    [
+        ("t/Own", f"t__0__Own({header(5, 500000000, 'map')},1.0)", [("map", 5.5)]),
+        ("t/Own", f"t__0__Own({header(0, 0, 'map')},1.0)", []),
+        ("t/Odometry", f"t__0__Odometry({header(5, 0, 'map')},'\"base\"',1.0)", [("map > base", 5)]),
+        ("t/Frames", "t__0__Frames([])", []),
+        (
+            "t/Frames",
+            f"t__0__Frames([{transform(1, 0, 'a', 'b')},{transform(2, 0, 'b', 'c')}])",
+            [("a > b", 1), ("b > c", 2)],
+        ),
+        (
+            "t/Two",
+            f"t__0__Two('\"x\"',[{transform(1, 0, 'a', 'b')},{transform(2, 0, '', 'c')}],1)",
+            [("a > b", 1), (" > c", 2)],
+        ),
+        (
+            "t/Markers",
+            f"t__0__Markers({header(1, 0, 'a')},['\"x\"','\"yy\"'],"
+            f"[t__0__M({header(2, 0, 'a')},'\"n\"'),t__0__M({header(3, 0, 'b')},'\"nn\"')])",
+            [("a", 1), ("a", 2), ("b", 3)],
+        ),
+    ],
+)
+def test_frames_and_stamps(known, kind, text, expected):
+    assert read(known, kind, text) == expected
+
+
+def test_slots_have_frames_of_their_own(known):
+    text = f"t__0__Markers({header(1, 0, 'a')},[],[t__0__M({header(2, 0, 'a')},'\"n\"')])"
+    keys = [key for key, _ in stamp_reader(known.find("t/Markers"))(encode(known, "t/Markers", text))]
+    assert len(set(keys)) == 2
+
+
+@given(st.sampled_from(sorted(TYPES)), st.binary(max_size=200))
+def test_any_bytes(kind, data):
+    read = stamp_reader(KNOWN.find(kind))
+    if read is not None:
+        assert len(read(data)) <= len(data) // 16
+
+
+class Seen:
+    def __init__(self, second):
+        self.second = second
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    st.sampled_from(["t/Own", "t/Odometry", "t/Named", "t/Frames", "t/Markers"]),
+    st.lists(
+        st.tuples(st.integers(0, 5), st.integers(0, 3), st.sampled_from(["", "map", "odom"])), max_size=20
+    ),
+)
+def test_the_short_ways_see_what_the_reader_reads(kind, messages):
+    """Each new second of a frame is handed on, and nothing else."""
+    decoder, reader = KNOWN.decoder(KNOWN.find(kind)), stamp_reader(KNOWN.find(kind))
+    looked, known, expected, seconds = [], {}, [], {}
+
+    def look(found):
+        looked.append(found)
+        for key, _ in found:  # which is replaced, and may be held elsewhere
+            known.get(key, Seen(0)).second = -1
+        known.update((key, Seen(instant // SECOND)) for key, instant in found)
+
+    watching = watched(decoder, known, look)
+    reads = [lambda data: to_text(watching.decode(data)), text_writer(watching)]
+    for second, nanosecond, frame in messages:
+        text = {
+            "t/Own": f"t__0__Own({header(second, nanosecond, frame)},1.0)",
+            "t/Odometry": f"t__0__Odometry({header(second, nanosecond, frame)},'\"b\"',1.0)",
+            "t/Named": f"t__0__Named({header(second, nanosecond, frame)},'\"b\"',1.0)",
+            "t/Frames": f"t__0__Frames([{transform(second, nanosecond, frame, 'b')}])",
+            "t/Markers": f"t__0__Markers({header(second, nanosecond, frame)},[],[])",
+        }[kind]
+        data = encode(KNOWN, kind, text)
+        assert reads[nanosecond % 2](data) == text_writer(decoder)(data)
+        assert watching.stamp(data) == decoder.stamp(data)
+        found = reader(data)
+        if any(seconds.get(key) != instant // SECOND for key, instant in found):
+            expected.append(found)
+        seconds.update((key, instant // SECOND) for key, instant in found)
+    assert looked == expected
+
+
+def test_what_is_written_again_is_not_looked_at_again(known):
+    looked = []
+    watching = watched(known.decoder(known.find("t/Frames")), {}, looked.append)
+    data = encode(known, "t/Frames", f"t__0__Frames([{transform(5, 0, 'a', 'b')}])")
+    assert text_writer(watching)(data) == text_writer(watching.plain)(data)
+    assert len(looked) == 1
+
+
+@pytest.mark.parametrize("child", ["", "b"])
+@pytest.mark.parametrize("frame", ["", "a"])
+def test_frames_without_a_name_are_shown(known, frame, child):
+    assert read(known, "t/Frames", f"t__0__Frames([{transform(5, 0, frame, child)}])") == [
+        (f"{frame} > {child}", 5)
+    ]
+
+
+KNOWN = Definitions()
+for _name, _text in TYPES.items():
+    KNOWN.add(_name, _text)
+
+
+def test_elements_without_bytes_are_counted_where_stamps_are_looked_at():
+    parts = BAR + "MSG: t/Nothing" + HEADER
+    definitions = Definitions(Installed([], [], rosbags=False), bare=3)
+    for number in (3, 4):
+        found = definitions.add(f"t/Type{number}", f"Header header\nNothing[{number}] x{parts}")
+        watching = watched(definitions.decoder(found), {}, lambda found: None)
+        for read in (watching.decode, text_writer(watching)):
+            data = struct.pack("<IIII", 1, 2, 3, 0)
+            if number == 3:
+                assert read(data)
+            else:
+                with pytest.raises(MessageError, match="4 zero-byte elements in its arrays: at most 3"):
+                    read(data)

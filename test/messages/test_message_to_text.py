@@ -1,0 +1,160 @@
+import struct
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from retalis.foundation.errors import MessageError
+from retalis.messages.message_to_text import text_without, text_writer
+from retalis.messages.type_registry import Definitions, Installed
+from retalis.prolog.syntax.event_text import EventReader, event_text, to_text
+from retalis.prolog.terms.term_traversal import freeze
+from retalis.prolog.terms.timestamps import datime
+from retalis.prolog.terms.types import atom
+
+HEADER = "\n".join(["=" * 80, "MSG: std_msgs/Header", "uint32 seq", "time stamp", "string frame_id", ""])
+POSE = "Header header\nstring name\nfloat64 x\nfloat32 y\nint64 n\n" + HEADER
+ODD = [
+    b"",
+    b"/odom",
+    b"it's",
+    b'say "x"',
+    b"a\\b",
+    b"{x}",
+    b"100%d",
+    b"\xff",
+    b"FFFFFFFFFF",
+    b"a\nb",
+    b"[1,2]",
+]
+
+
+def decoder(text, name="pkg/Type"):
+    registry = Definitions(Installed([], [], rosbags=False))
+    return registry.decoder(registry.add(name, text))
+
+
+def packed(text):
+    return struct.pack("<I", len(text)) + text
+
+
+def pose(frame, name, x=0.5, y=0.25, number=7):
+    return struct.pack("<III", 1, 2, 3) + packed(frame) + packed(name) + struct.pack("<dfq", x, y, number)
+
+
+@pytest.mark.parametrize("frame", ODD)
+def test_texts_are_written_as_those_of_terms(frame):
+    found = decoder(POSE)
+    data = pose(frame, frame[::-1])
+    for _ in range(2):  # texts that are seen for the first time, and again
+        assert text_writer(found)(data) == to_text(found.decode(data))
+
+
+@settings(deadline=None)
+@given(st.floats(), st.floats(width=32), st.integers(-(2**63), 2**63 - 1))
+def test_numbers_are_written_as_those_of_terms(x, y, number):
+    data = pose(b"f", b"n", x, y, number)
+    text = _writer(data)
+    assert text == to_text(_decoder.decode(data))
+    assert freeze(EventReader().read(text)) == freeze(_decoder.decode(data))
+
+
+TWISTED = (
+    "Header header\nstring name\nfloat64 x\nfloat64 y\nfloat32 z\nint8 n\nfloat64[3] t\nfloat64 w\n" + HEADER
+)
+FLOATS = [0.0, -0.0, 1.0, 1e-7, -1e22, 1.5e-9, 123456.789, float("inf"), float("-inf"), float("nan")]
+
+
+def twisted(x, y, z, t, w):
+    texts = packed(b"map") + packed(b"one")
+    return struct.pack("<III", 1, 2, 3) + texts + struct.pack("<ddfb3dd", x, y, z, 7, *t, w)
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.lists(st.lists(st.sampled_from(FLOATS), min_size=7, max_size=7), min_size=2, max_size=4))
+def test_floats_that_stay_and_that_change_are_written_as_those_of_terms(rows):
+    found = decoder(TWISTED)
+    write = text_writer(found)
+    for row in rows:
+        for _ in range(2):
+            data = twisted(*row[:3], row[3:6], row[6])
+            assert write(data) == to_text(found.decode(data))
+
+
+def test_floats_before_texts_and_without_are_written_as_those_of_terms():
+    for text, data in (
+        (
+            "float64 x\nfloat64 y\nstring name\n",
+            [struct.pack("<dd", at, 1e-9) + packed(b"n") for at in (1.5, 1e30)],
+        ),
+        ("string name\nfloat64[0] x\nint8 n\n", [packed(b"n") + b"\x05"]),
+    ):
+        found = decoder(text)
+        write = text_writer(found)
+        for one in data * 2:
+            assert write(one) == to_text(found.decode(one))
+
+
+_decoder = decoder(POSE)
+_writer = text_writer(_decoder)
+
+
+@pytest.mark.parametrize(
+    ("text", "data"),
+    [
+        ("bool on\nstring name\n", b"\1" + packed(b"x")),
+        ("string name\nuint8[3] code\n", packed(b"x") + b"abc"),
+        ("string name\nint16[3] counts\n", packed(b"x") + struct.pack("<3h", -1, 0, 300)),
+        ("string name\nfloat64[6] values\n", packed(b"x") + struct.pack("<6d", *range(6))),
+        ("string[] names\n", struct.pack("<I", 2) + packed(b"x") + packed(b"y")),
+        ("Part[] parts\n" + "=" * 80 + "\nMSG: pkg/Part\nstring name\nfloat64 x\n", struct.pack("<I", 0)),
+        ("float64 x\nfloat64 y\n", struct.pack("<2d", 1e-5, float("inf"))),
+        ("", b""),
+    ],
+)
+def test_every_form_of_message_is_written(text, data):
+    found = decoder(text)
+    assert text_writer(found)(data) == to_text(found.decode(data))
+
+
+def test_messages_with_any_number_of_elements():
+    found = decoder("Part[] parts\n" + "=" * 80 + "\nMSG: pkg/Part\nstring name\nfloat64 x\n")
+    part = packed(b"x") + struct.pack("<d", 2.0)
+    for number in range(3):
+        data = struct.pack("<I", number) + part * number
+        assert text_writer(found)(data) == to_text(found.decode(data))
+
+
+def test_broken_bytes_are_no_message():
+    with pytest.raises(MessageError, match="pkg/Type"):
+        _writer(pose(b"f", b"n")[:-1])
+
+
+def test_an_event_has_its_instant_twice():
+    instant = 1413748205_000000007
+    stamp = to_text(datime(instant))
+    assert event_text("e(1)", instant) == f"event(e(1),[{stamp},{stamp}])"
+
+
+def test_long_arrays_and_texts_that_nobody_reads_are_left_out():
+    one = decoder(
+        "Header header\nuint8[] data\nfloat64[] numbers\nstring[] names\nstring text\nint32 size\n" + HEADER
+    )
+    data = struct.pack("<III", 1, 2, 3) + packed(b"cam") + packed(b"x" * 5000)
+    data += struct.pack("<I100d", 100, *range(100)) + struct.pack("<I", 1) + packed(b"joint")
+    data += packed(b"y" * 5000) + struct.pack("<i", 7)
+    mark = atom("gone")
+    whole = text_writer(one)(data)
+    assert text_without(one, data, set(), mark) == whole
+    short = text_without(one, data, {1, 2, 3, 4, 5, 6}, mark)
+    assert short == "pkg__0__Type(std_msgs__0__Header(1,[2,3],'\"cam\"'),gone,gone,gone,gone,7)"
+    some = text_without(one, data, {2, 5}, mark)
+    assert "xxx" not in some and "yyy" not in some and "99.0" in some and "joint" in some
+
+
+def test_short_slots_stay_where_they_are_and_broken_messages_are_errors():
+    one = decoder("string a\nuint8[] b\nint32[] c\n")
+    data = packed(b"short") + packed(b"data") + struct.pack("<I", 0)
+    assert text_without(one, data, {1, 2, 3}, atom("gone")) == text_writer(one)(data)
+    with pytest.raises(MessageError):
+        text_without(one, data[:-1], {1, 2, 3}, atom("gone"))

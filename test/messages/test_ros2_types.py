@@ -1,0 +1,343 @@
+"""Definitions of ROS 2, and messages in CDR: ``rosbags`` converts them as well, for the types that it can read."""
+
+import struct
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from messages.wire import messages, serialize
+from retalis.foundation.errors import MessageError
+from retalis.messages.ros2_types import ros2_type
+from retalis.messages.type_registry import Definitions
+from retalis.prolog.syntax.event_text import to_text
+
+STORE = get_typestore(Stores.LATEST)
+
+
+def find(kind):
+    name = kind.replace("/", "/msg/")
+    return STORE.generate_msgdef(name, ros_version=2)[0] if name in STORE.types else None
+
+
+def read(text, name="my_msgs/msg/Kind", find=find):
+    return ros2_type(name, text, find)
+
+
+def slots(found):
+    return [f"{slot.describe()} {slot.name}" for slot in found.definition.fields]
+
+
+def shown(found, raw):
+    definitions = Definitions()
+    return to_text(definitions.decoder(found.definition).decode(found.to_ros1(raw)))
+
+
+def cdr(layout, *values, order="<"):
+    return (b"\0\1\0\0" if order == "<" else b"\0\0\0\0") + struct.pack(order + layout, *values)
+
+
+@pytest.mark.parametrize(
+    ("line", "slot"),
+    [
+        ("float64[<=3] dimensions", "float64[] dimensions"),
+        ("string<=10 name", "string name"),
+        ("string<=10[<=5] names", "string[] names"),
+        ("string<=10[5] names", "string[5] names"),
+        ("string<=10[] names", "string[] names"),
+        ("wstring text", "string text"),
+        ("wstring<=4[<=2] texts", "string[] texts"),
+        ("byte b", "uint8 b"),
+        ("byte[<=9] b", "uint8[] b"),
+        ("char c", "char c"),
+        ("int32 x 5", "int32 x"),
+        ("  int32\tx\t-5  # of them", "int32 x"),
+        ("int32 x 5# of them", "int32 x"),
+        ('string s "abc"', "string s"),
+        ("string s 'it''s # = not'", "string s"),
+        ('string s "a=b"', "string s"),
+        ("string s abc # def", "string s"),
+        ("int32[] x [1, 2, 3]", "int32[] x"),
+        ("int32[] x []", "int32[] x"),
+        ("float32[<=3] x [1.0, 2]", "float32[] x"),
+        ("bool x true", "bool x"),
+        ("builtin_interfaces/Time t", "time t"),
+        ("builtin_interfaces/msg/Duration[<=2] t", "duration[] t"),
+        ("geometry_msgs/msg/Point p", "geometry_msgs/Point p"),
+        ("geometry_msgs/Point[<=7] p", "geometry_msgs/Point[] p"),
+        ("Header header", "std_msgs/Header header"),
+        ("std_msgs/msg/Header header", "std_msgs/Header header"),
+    ],
+)
+def test_slots(line, slot):
+    assert slots(read(f"# a comment\n\n{line}\n")) == [slot]
+
+
+@pytest.mark.parametrize(
+    ("line", "constant"),
+    [
+        ("int32 X=5", ("int32", "X", 5)),
+        ("int32 X = -0x5  # of them", ("int32", "X", -5)),
+        ("byte B=200", ("uint8", "B", 200)),
+        ("char C = 65", ("char", "C", 65)),
+        ("float64 F=1e-3", ("float64", "F", 0.001)),
+        ("bool T=true", ("bool", "T", True)),
+        ('string S="a # \\"b\\"" # a comment', ("string", "S", 'a # "b"')),
+        ("string S='it\\'s'", ("string", "S", "it's")),
+        ("string S=plain # a comment", ("string", "S", "plain")),
+        ('wstring S="ü"', ("string", "S", "ü")),
+    ],
+)
+def test_constants(line, constant):
+    (found,) = read(line).definition.constants
+    assert (found.type, found.name, found.value) == constant
+
+
+def test_a_constant_that_ros_1_cannot_express_is_left_out():
+    found = read("int32 X=5 + 5\nint8 Y=128\nint32 x\n")
+    assert (found.definition.constants, slots(found)) == ((), ["int32 x"])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "float64<=3 x",
+        "int32",
+        "int32 x)",
+        "int32 5",
+        "string<10 x",
+        "float64[<3] x",
+        "int32[<=] x; y",
+        "-",
+        "time T=5",
+    ],
+)
+def test_what_is_no_definition_is_an_error_with_its_place(text):
+    with pytest.raises(MessageError) as caught:
+        read(f"int32 good\n{text}\n")
+    assert caught.value.place.line == 2
+
+
+def test_types_that_cannot_be():
+    with pytest.raises(
+        MessageError, match="the type my_msgs/Gone is not defined in the bag or on this system"
+    ):
+        read("Gone gone")
+    with pytest.raises(MessageError, match="my_msgs/Kind contains itself"):
+        read("Kind[<=3] kinds")
+    with pytest.raises(MessageError, match="x is defined twice"):
+        read("int32 x\nint32 x")
+    with pytest.raises(MessageError, match="at most 1000000 are allowed"):
+        read("#" * (1 << 20) + "\n")
+
+
+def test_nested_types_come_with_the_text_or_are_found():
+    line = "=" * 80
+    text = f"Own[<=2] own\nother_msgs/msg/Own far\n{line}\nMSG: my_msgs/msg/Own\nLone lone\n{line}\n"
+    text += f"MSG: other_msgs/Own\nint8 x 1\n{line}\nMSG: third_msgs/Lone\nwstring<=3 w\n"
+    found = read(text, find=lambda kind: None)
+    assert slots(found) == ["my_msgs/Own[] own", "other_msgs/Own far"]
+    assert shown(found, cdr("IIIIbxxx", 1, 2, ord("ü"), ord("2"), 7)) == (
+        "my_msgs__0__Kind([my_msgs__0__Own(third_msgs__0__Lone('\"ü2\"'))],other_msgs__0__Own(7))"
+    )
+
+
+def test_numbers_are_aligned_from_each_place():
+    found = read(
+        "string s\nint8 a\nfloat64 b\nint8 c\nint16 d\nint8 e\nint32 f\nint64[] g\nint16[<=3] h\nint8 i\n"
+    )
+    for text in ("", "a", "ab", "abc", "abcd", "abcde", "abcdef", "abcdefg"):
+        raw = bytearray(struct.pack("<I", len(text) + 1) + text.encode() + b"\0")
+        for code, value in (*zip("bdbhbi", (1, 2.5, -3, -4, 5, -6)), ("I", 2), ("q", -7), ("q", 8)):
+            size = struct.calcsize(code)
+            raw += bytes(-len(raw) % size) + struct.pack(f"<{code}", value)
+        raw += struct.pack("<Ib", 0, 9)
+        assert (
+            shown(found, b"\0\1\0\0" + raw) == f"my_msgs__0__Kind('\"{text}\"',1,2.5,-3,-4,5,-6,[-7,8],[],9)"
+        )
+
+
+def test_an_empty_array_is_not_aligned_to_its_elements():
+    found = read("int32 a\nfloat64[] b\nint32 c\n")
+    assert shown(found, cdr("iIi", 1, 0, 2)) == "my_msgs__0__Kind(1,[],2)"
+
+
+def test_a_byte_is_an_octet():
+    found = read("byte a\nchar b\nbyte[3] c\n")
+    assert shown(found, cdr("BB3s", 200, 201, b"abc")) == "my_msgs__0__Kind(200,201,'\"abc\"')"
+
+
+def test_a_type_without_slots_has_a_byte():
+    found = read("int8 X=1\n", "my_msgs/msg/Nothing")
+    assert found.to_ros1(cdr("B", 0)) == b""
+    text = f"Nothing one\nNothing[] more\nint8 x\n{'=' * 80}\nMSG: my_msgs/Nothing\n"
+    assert shown(read(text), cdr("BxxxIBBb", 0, 2, 0, 0, 7)) == (
+        "my_msgs__0__Kind(my_msgs__0__Nothing,[my_msgs__0__Nothing,my_msgs__0__Nothing],7)"
+    )
+
+
+@pytest.mark.parametrize("text", ["", "Jürgen", "日本", "🤖 two units", "a" * 30])
+@pytest.mark.parametrize("width", [2, 4])
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_wide_strings(text, width, order):
+    found = read("int8 a\nwstring<=30 b\nint8 c\n")
+    coded = text.encode("utf-16-le")
+    units = struct.unpack(f"<{len(coded) // 2}H", coded)
+    raw = cdr(f"bxxxI{len(units)}{'H' if width == 2 else 'I'}b", 1, len(units), *units, 2, order=order)
+    assert shown(found, raw) == f"my_msgs__0__Kind(1,'\"{text}\"',2)"
+
+
+def test_half_a_surrogate_pair_in_a_wide_string_is_no_text():
+    found = read("wstring a\n")
+    assert shown(found, cdr("II", 1, 0xD800)) == "my_msgs__0__Kind('\"FFFFFFFFFF7aCA////\"')"
+
+
+def test_big_endian():
+    found = read("int8 a\nfloat64 b\nstring c\nuint16[] d\nuint8[] e\nfloat64[10] f\n")
+    values = (1, 2.5, 3, b"hi\0", 2, 0x102, 0x304, 1, b"x")
+    raw = bytearray(cdr("b7xdI3sxIHHI1s", *values, order=">"))
+    raw += bytes(-(len(raw) - 4) % 8) + struct.pack(">10d", *range(10))
+    floats = ",".join(str(float(number)) for number in range(10))
+    assert shown(found, bytes(raw)) == f"my_msgs__0__Kind(1,2.5,'\"hi\"',[258,772],'\"x\"',[{floats}])"
+
+
+@pytest.mark.parametrize(
+    ("raw", "reason"),
+    [
+        (b"", "is not plain CDR: expected 00 00 or 00 01 at its beginning, found nothing"),
+        (b"\0\1\0", "is not plain CDR"),
+        (b"\0\3\0\0" + bytes(9), "found 00 03"),
+        (cdr(""), "0 bytes of CDR are not a my_msgs/Kind"),
+        (cdr("I", 2), "4 bytes of CDR are not a my_msgs/Kind"),
+        (cdr("I2sxxI", 3, b"hi", 1), "are not a"),
+        (cdr("I3sxI", 3, b"hi\0", 2**32 - 1), "are not a"),
+        (cdr("I3sxIi", 3, b"hi\0", 0, 7), "are not a"),
+        (cdr("I", 2**32 - 1), "are not a"),
+    ],
+)
+def test_what_is_no_message_is_an_error(raw, reason):
+    with pytest.raises(MessageError, match=reason):
+        read("string a\nint32[] b\n").to_ros1(raw)
+
+
+def test_up_to_three_bytes_may_follow():
+    found = read("int8 a\n")
+    assert [found.to_ros1(cdr(f"b{number}x", 5)) for number in range(4)] == [b"\5"] * 4
+    with pytest.raises(MessageError):
+        found.to_ros1(cdr("b4x", 5))
+
+
+KINDS = sorted(STORE.types)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", KINDS)
+def test_every_usual_type_is_converted_as_rosbags_does(name):
+    check_type(name)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "std_msgs/msg/Header",
+        "std_msgs/msg/Empty",
+        "tf2_msgs/msg/TFMessage",
+        "sensor_msgs/msg/PointCloud2",
+        "shape_msgs/msg/SolidPrimitive",
+        "visualization_msgs/msg/Marker",
+        "diagnostic_msgs/msg/DiagnosticArray",
+        "nav_msgs/msg/Odometry",
+        "builtin_interfaces/msg/Time",
+    ],
+)
+def test_usual_types_are_converted_as_rosbags_does(name):
+    check_type(name)
+
+
+def check_type(name):
+    found = read(find(name.replace("/msg/", "/")), name)
+
+    @settings(
+        deadline=None,
+        derandomize=True,
+        max_examples=15,
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+    )
+    @given(
+        messages(
+            found.definition,
+            st.text(st.characters(blacklist_categories=["Cs", "Cc"]), max_size=9).map(str.encode),
+        )
+    )
+    def every_message(values):
+        raw = serialize(found.definition, without_numbers(found.definition, values))
+        data = bytes(STORE.ros1_to_cdr(raw, name))
+        assert found.to_ros1(data) == raw
+        assert bytes(STORE.cdr_to_ros1(data, name)) == raw
+
+    every_message()
+
+
+def without_numbers(definition, values):
+    """Have 0 in all headers as the number that ROS 2 does not have."""
+    values = list(values)
+    for at, slot in enumerate(definition.fields):
+        if slot.definition is not None and slot.length is None:
+            values[at] = without_numbers(slot.definition, values[at])
+        elif slot.definition is not None:
+            values[at] = [without_numbers(slot.definition, one) for one in values[at]]
+    if definition.name == "std_msgs/Header":
+        values[0] = 0
+    return values
+
+
+ARRAYS = ("", "", "[]", "[<=3]", "[2]", "[9]")
+SLOTS = (
+    "bool",
+    "int8",
+    "uint16",
+    "int32",
+    "float32",
+    "int64",
+    "float64",
+    "string",
+    "Pair",
+    "Mixed",
+    "Empty",
+    "Header",
+)
+PARTS = f"""
+{"=" * 80}
+MSG: my_msgs/Pair
+int16 a
+int16[2] b
+{"=" * 80}
+MSG: my_msgs/Mixed
+string a
+Pair[] b
+int8 c
+"""
+
+
+@settings(
+    deadline=None, derandomize=True, max_examples=40, suppress_health_check=[HealthCheck.data_too_large]
+)
+@given(st.lists(st.tuples(st.sampled_from(SLOTS), st.sampled_from(ARRAYS)), max_size=5), st.data())
+def test_types_of_any_slots_are_converted_as_rosbags_does(slots, data):
+    full = {"Empty": "std_msgs/Empty", "Header": "std_msgs/Header"}
+    text = "".join(
+        f"{full.get(kind, kind)}{array} slot{number}\n" for number, (kind, array) in enumerate(slots)
+    )
+    found = read(text + PARTS)
+    store = get_typestore(Stores.LATEST)
+    store.register(get_types_from_msg(text + PARTS, "my_msgs/msg/Kind"))
+    values = data.draw(
+        messages(found.definition, st.text(st.characters(whitelist_categories=["L"])).map(str.encode))
+    )
+    raw = serialize(found.definition, without_numbers(found.definition, values))
+    converted = bytes(store.ros1_to_cdr(raw, "my_msgs/msg/Kind"))
+    assert found.to_ros1(converted) == raw
+    for end in range(len(converted)):
+        with pytest.raises(MessageError):
+            found.to_ros1(converted[:end])

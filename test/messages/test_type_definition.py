@@ -1,0 +1,286 @@
+import pytest
+from reachability import reachable
+
+from retalis.foundation.errors import MessageError
+from retalis.messages.type_definition import (
+    MAX_MESSAGE_BYTES,
+    MAX_SLOTS,
+    MAX_TYPE_DEPTH,
+    VARIABLE,
+    Measure,
+    functor_name,
+    parse,
+    split_sections,
+    type_name,
+)
+from retalis.messages.type_registry import Definitions, Installed
+
+HEADER = "uint32 seq\ntime stamp\nstring frame_id\n"
+
+
+def registry(**installed):
+    return Definitions(Installed([], [], rosbags=False))
+
+
+def read(text, name="pkg/Type"):
+    return registry().add(name, text)
+
+
+def fault(text):
+    with pytest.raises(MessageError) as caught:
+        read(text)
+    return caught.value
+
+
+def test_slots():
+    definition = read("# a comment\n\nfloat64 x # metres\nint32[]  many\nuint8[4] four\r\n\tstring name\n")
+    assert [(slot.name, slot.type, slot.length) for slot in definition.fields] == [
+        ("x", "float64", None),
+        ("many", "int32", VARIABLE),
+        ("four", "uint8", 4),
+        ("name", "string", None),
+    ]
+    assert [slot.describe() for slot in definition.fields] == ["float64", "int32[]", "uint8[4]", "string"]
+
+
+def test_constants():
+    definition = read(
+        "int8 LOW=-128\nuint8 MASK = 0x1F # bits\nfloat32 HALF=0.5\nbool YES=True\n"
+        "string NAME= it's # not a comment \n"
+    )
+    assert [(c.name, c.value) for c in definition.constants] == [
+        ("LOW", -128),
+        ("MASK", 31),
+        ("HALF", 0.5),
+        ("YES", True),
+        ("NAME", "it's # not a comment"),
+    ]
+    assert definition.fields == ()
+
+
+def test_checksums_are_those_of_ros():
+    assert read(HEADER, "std_msgs/Header").md5sum == "2176decaecbce78abc3b96ef049fabed"
+    assert read("string data\n", "std_msgs/String").md5sum == "992ce8a1687cec8c8bd883ec73ca41d1"
+    assert read("", "std_msgs/Empty").md5sum == "d41d8cd98f00b204e9800998ecf8427e"
+    text = "geometry_msgs/Vector3  linear\ngeometry_msgs/Vector3  angular\n"
+    vector = "=" * 80 + "\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z"
+    assert read(text + vector, "geometry_msgs/Twist").md5sum == "9f195f881246fdfa2798d1d3eebca84a"
+
+
+def test_comments_do_not_count_but_constants_do():
+    plain = read("int32 x\nint32 Y=1\n")
+    assert read("# why\nint32   x # what\n int32 Y = 1 # how\n").md5sum == plain.md5sum
+    assert read("int32 x\nint32 Y=2\n").md5sum != plain.md5sum
+
+
+def test_header_is_that_of_std_msgs():
+    text = "Header header\n" + "=" * 80 + "\nMSG: std_msgs/Header\n" + HEADER
+    assert read(text).fields[0].type == "std_msgs/Header"
+    assert read(text.replace("Header header", "roslib/Header header")).md5sum == read(text).md5sum
+
+
+def test_nested_types_are_looked_for_in_the_own_package_first():
+    text = "Point p\n" + "=" * 80 + "\nMSG: pkg/Point\nint8 x\n" + "=" * 80 + "\nMSG: other/Point\nint16 x\n"
+    assert read(text).fields[0].type == "pkg/Point"
+
+
+def test_nested_types_of_old_texts_without_a_package():
+    text = "Point p\n" + "=" * 80 + "\nMSG: geometry_msgs/Point\nfloat64 x\n"
+    assert read(text).fields[0].type == "geometry_msgs/Point"
+
+
+def test_full_text_reads_back():
+    text = "Header header\nInner[] all\n" + "=" * 80 + "\nMSG: pkg/Inner\nHeader header\n" + "=" * 80
+    definition = read(text + "\nMSG: std_msgs/Header\n" + HEADER)
+    again = read(definition.full_text)
+    assert again.md5sum == definition.md5sum
+    assert [nested.name for nested in again.dependencies()] == ["std_msgs/Header", "pkg/Inner"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message", "line", "column"),
+    [
+        ("int32 x\nnonsense\n", "expected 'type name' or 'type NAME=value', found 'nonsense'", 2, 1),
+        ("int32 x y\n", "expected 'type name' or 'type NAME=value', found 'int32 x y'", 1, 1),
+        ("int32 x\n  int32 x\n", "x is defined twice", 2, 9),
+        ("int32 1x\n", "expected a name of ASCII letters", 1, 7),
+        ("uint8 BIG=256\n", "'256' is not a value of type uint8", 1, 11),
+        ("bool B=maybe\n", "'maybe' is not a value of type bool", 1, 8),
+        ("time T=3\n", "a constant cannot be of type time", 1, 1),
+        ("int32 x\nother/Thing thing\n", "no definition of the message type other/Thing", 2, 1),
+        ("Thing[] things\n", "no definition of the message type pkg/Thing", 1, 1),
+        ("int32[x] y\n", "expected 'type name'", 1, 1),
+    ],
+)
+def test_errors_have_a_place(text, message, line, column):
+    error = fault(text)
+    assert message in error.message
+    assert (error.place.source, error.place.line, error.place.column) == ("pkg/Type", line, column)
+
+
+def test_an_error_in_a_nested_type_names_that_type():
+    error = fault("Inner inner\n" + "=" * 80 + "\nMSG: pkg/Inner\nint32 x\nfloat y\n")
+    assert str(error.place) == "pkg/Inner:2:1"
+
+
+def test_a_type_cannot_contain_itself():
+    assert "pkg/Type contains itself" in fault("Type inner\n").message
+
+
+def test_half_a_character():
+    error = fault("int32 x\nstring X=a\ud800")
+    assert (error.place.line, error.place.column) == (2, 11)
+
+
+def test_broken_sections():
+    assert "expected 'MSG: pkg/Type'" in fault("int32 x\n" + "=" * 80 + "\nint32 y\n").message
+    assert "expected 'MSG: pkg/Type'" in fault("int32 x\n" + "=" * 80 + "\n").message
+    both = "int32 x\n" + ("=" * 80 + "\nMSG: a/B\nint8 {}\n") * 2
+    assert "a/B is defined twice with different contents" in fault(both.format("x", "y")).message
+    assert len(split_sections("pkg/Type", both.format("x", "x"))) == 2
+
+
+@pytest.mark.parametrize("name", ["Type", "pkg/", "pkg/a/b", "1pkg/Type", ""])
+def test_wrong_names_of_types(name):
+    with pytest.raises(MessageError, match="expected a message type"):
+        parse(name, "int8 x\n", lambda written, package: None)
+
+
+def test_names_of_functors():
+    assert functor_name("geometry_msgs/Pose") == "geometry_msgs__0__Pose"
+    assert type_name("geometry_msgs__0__Pose") == "geometry_msgs/Pose"
+    assert type_name("tf") is None
+
+
+def section(name, text):
+    return "=" * 80 + f"\nMSG: {name}\n{text}"
+
+
+TOO_MUCH = {
+    "digits": ("uint8[" + "9" * 5000 + "] x\n", "an array cannot have more than 4294967295 elements"),
+    "length": ("uint8 y\nuint8[4294967295] x\n", "a message cannot have more than 4294967295 bytes"),
+    "product": (
+        "pkg/A[100000] a\n" + section("pkg/A", "pkg/B[100000] b\n") + section("pkg/B", "float64 x\n"),
+        "a message cannot have more than 4294967295 bytes",
+    ),
+    "slots": ("".join(f"int8 x{n}\n" for n in range(80_000)), "more than 10000 slots"),
+    "constants": ("".join(f"int8 X{n}=1\n" for n in range(60_000)), "more than 10000 constants"),
+    "doubled": (
+        "pkg/T0 t\n" + "".join(section(f"pkg/T{n}", f"pkg/T{n + 1} a\npkg/T{n + 1} b\n") for n in range(40))
+        + section("pkg/T40", "int8 x\n"),
+        "more than 10000 slots",
+    ),
+    "deep": (
+        "pkg/T0 t\n" + "".join(section(f"pkg/T{n}", f"pkg/T{n + 1} a\n") for n in range(900))
+        + section("pkg/T900", "int8 x\n"),
+        "types cannot be nested more than 50 deep",
+    ),
+    "itself": ("pkg/A a\n" + section("pkg/A", "pkg/B b\n") + section("pkg/B", "pkg/A[] a\n"), "contains itself"),
+    "types": ("".join(section(f"pkg/T{n}", "int8 x\n") for n in range(2000)), "more than 1000 types"),
+    "text": ("# " + "x" * 1_000_000, "has 1000002 characters: at most 1000000 are allowed"),
+    "name": ("int8 " + "x" * 1000 + "\n", "longer than 255 characters"),
+    "line": ("? " * 100_000, "expected 'type name'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("text,reason", TOO_MUCH.values(), ids=TOO_MUCH)
+def test_what_would_be_too_large_is_refused_with_one_short_error(text, reason):
+    error = fault(text)
+    assert reason in str(error)
+    assert len(str(error)) < 1000
+
+
+def test_types_of_one_another_among_the_installed_ones_end(tmp_path):
+    for name, other in (("A", "B"), ("B", "A")):
+        folder = tmp_path / "pkg" / "msg"
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / f"{name}.msg").write_text(f"C c\n{section('pkg/C', f'pkg/{other} x')}\n")
+    known = Definitions(Installed([str(tmp_path)], [], rosbags=False))
+    for _ in range(2):
+        with pytest.raises(MessageError, match="contains itself"):
+            known.find("pkg/A")
+
+
+def test_types_beside_each_other_are_not_nested():
+    names = [f"pkg/Part{number}" for number in range(MAX_TYPE_DEPTH + 5)]
+    text = "".join(f"{name} slot{number}\n" for number, name in enumerate(names))
+    found = read(text + "".join(section(name, "int8 x\n") for name in names))
+    assert (len(found.fields), found.measure.depth) == (MAX_TYPE_DEPTH + 5, 2)
+
+
+@pytest.mark.slow
+def test_the_largest_types_compile_and_are_read():
+    known = registry()
+    wide = known.add("pkg/Wide", "".join(f"int8 x{n}\n" for n in range(10_000)))
+    deep = known.add(
+        "pkg/T0",
+        "pkg/T1 a\n"
+        + "".join(section(f"pkg/T{n}", f"pkg/T{n + 1} a\n") for n in range(1, 49))
+        + section("pkg/T49", "int8[4] x\n"),
+    )
+    for definition, data in ((wide, bytes(10_000)), (deep, bytes(4))):
+        term = known.decoder(definition).decode(data)
+        assert known.encoder(definition).encode(term) == data
+
+
+@pytest.mark.slow
+def test_ever_new_definitions_do_not_pile_up():
+    known = registry()
+    for number in range(3000):
+        known.decoder(
+            known.add("pkg/Type", f"int8 x{number}\npkg/N{number} n\n" + section(f"pkg/N{number}", ""))
+        )
+    assert max(map(len, reachable(known, dict))) <= 1000
+    assert known.known("pkg/N0") is not None
+    assert [number for number in range(1, 3000) if known.known(f"pkg/N{number}") is not None] == []
+    for number in range(999):
+        known.add(f"pkg/T{number}", "int8 x\n")
+    with pytest.raises(MessageError, match="pkg/More is refused: the definitions of 1000 message types"):
+        known.add("pkg/More", "int8 x\n")
+    assert known.add("pkg/T5", "int8 x\n") is known.find("pkg/T5")
+
+
+@pytest.mark.parametrize(
+    "text,column,part",
+    [
+        (f"uint8 X={'9' * 100_000}", 9, "not a value of type uint8"),
+        (f"uint8[{' ' * 100_000}", 1, "expected 'type name'"),
+    ],
+    ids=["constant", "blanks"],
+)
+def test_long_digits_and_blanks(text, column, part):
+    found = fault(text)
+    assert found.place.column == column and part in found.message
+
+
+def test_a_type_may_be_as_large_as_is_allowed():
+    for field, most in (("slots", MAX_SLOTS), ("depth", MAX_TYPE_DEPTH), ("least", MAX_MESSAGE_BYTES)):
+        assert Measure(**{field: most}).problem() == ""
+        assert str(most) in Measure(**{field: most + 1}).problem()
+
+
+@pytest.mark.parametrize(
+    ("text", "measure"),
+    [
+        ("", Measure()),
+        ("int8 a\nfloat64 b", Measure(least=9, slots=2, depth=1)),
+        ("time t\nduration[2] d", Measure(least=24, slots=2, depth=1)),
+        ("string s", Measure(least=4, fixed=False, slots=1, depth=1)),
+        ("string[3] s", Measure(least=12, fixed=False, slots=1, depth=1)),
+        ("int16[] a\nint8[3] b", Measure(least=7, fixed=False, slots=2, depth=1)),
+        ("Part p", Measure(least=3, slots=4, depth=2)),
+        ("Part[2] p", Measure(least=6, slots=4, depth=2)),
+        ("Part[] p", Measure(least=4, fixed=False, slots=4, depth=2)),
+        ("Nothing n", Measure(slots=1, depth=1)),
+        ("Nothing[5] n\nNothing[2] m", Measure(slots=2, depth=1, bare=7, may_be_bare=True)),
+        ("Nothing[] n", Measure(least=4, fixed=False, slots=1, depth=1, may_be_bare=True)),
+        ("Bare[2] b", Measure(least=2, slots=3, depth=2, bare=6, may_be_bare=True)),
+        ("int8[0] a", Measure(slots=1, depth=1)),
+    ],
+)
+def test_what_messages_of_a_type_measure(text, measure):
+    parts = {"Part": "int16 a\nint8 b\nNothing n", "Nothing": "", "Bare": "Nothing[3] n\nint8 a"}
+    more = "".join(f"\n{'=' * 80}\nMSG: my_robot/{name}\n{part}" for name, part in parts.items())
+    definitions = Definitions()
+    definition = definitions.decoder(definitions.add("my_robot/Thing", text + more)).definition
+    assert definition.measure == measure

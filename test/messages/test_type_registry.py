@@ -1,0 +1,258 @@
+import gc
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from retalis.foundation.errors import MessageError
+from retalis.messages.type_registry import Definitions, Installed
+
+STAMPED = """Header header
+Inner inner
+================================================================================
+MSG: pkg/Inner
+int8 x
+================================================================================
+MSG: std_msgs/Header
+uint32 seq
+time stamp
+string frame_id
+"""
+
+
+def nothing_installed():
+    return Definitions(Installed([], [], rosbags=False))
+
+
+def package(root, name, **messages):
+    folder = root / name / "msg"
+    folder.mkdir(parents=True)
+    (root / name / "package.xml").write_text("<package/>")
+    for kind, text in messages.items():
+        (folder / f"{kind}.msg").write_text(text)
+
+
+def test_a_publisher_describes_its_own_messages_and_no_others():
+    definitions = Definitions()
+    installed = definitions.find("std_msgs/String").md5sum
+    transforms = definitions.find("tf/tfMessage").md5sum
+    forged = Definitions().add("tf/tfMessage", "int32 x\n").md5sum
+    for number in range(1100):  # more than are kept
+        with pytest.raises(MessageError, match="expected std_msgs/String, found"):
+            definitions.received("std_msgs/String", f"my_pkg/Type{number}", f"int32 x{number}\n", "*")
+    with pytest.raises(MessageError, match="expected std_msgs/String, found tf/tfMessage"):
+        definitions.received("std_msgs/String", "tf/tfMessage", "int32 x\n", forged)
+    own = definitions.received("tf/tfMessage", "tf/tfMessage", "int32 x\n", forged)
+    assert own.md5sum == forged  # this publisher's messages are read as it says
+    definitions.received("unknown_msgs/Kind", "tf/tfMessage", "int32 x\n", forged)
+    assert definitions.find("tf/tfMessage").md5sum == transforms
+    assert definitions.find("std_msgs/String").md5sum == installed
+    assert definitions.received("tf/tfMessage", "tf2_msgs/TFMessage", "", transforms).md5sum == transforms
+    assert definitions.received("my_own/Kind", "my_own/Kind", "int32 x\n", "").name == "my_own/Kind"
+    assert "my_own/Kind" in definitions
+    assert "my_pkg/Type1" not in definitions
+
+
+def test_an_added_type_is_found_with_its_nested_ones():
+    registry = nothing_installed()
+    definition = registry.add("pkg/Stamped", STAMPED)
+    assert registry.find("pkg/Stamped") is definition
+    assert registry.add("pkg/Stamped", STAMPED) is definition
+    assert registry.find("pkg/Inner").fields[0].name == "x"
+    assert "pkg/Stamped" in registry
+    assert "pkg/Other" not in registry
+
+
+def test_types_may_be_named_as_in_ros_2():
+    registry = nothing_installed()
+    definition = registry.add("pkg/msg/Stamped", STAMPED.replace("Inner inner", "pkg/msg/Inner inner"))
+    assert definition.name == "pkg/Stamped"
+    assert definition.md5sum == registry.add("pkg/Stamped", STAMPED).md5sum
+    assert registry.find("pkg/msg/Stamped") is registry.find("pkg/Stamped") is definition
+    assert registry.encoder("pkg/msg/Inner") is registry.encoder("pkg/Inner")
+    assert "pkg/msg/Inner" in registry
+    assert registry.known("pkg/msg/Inner") is registry.known("pkg/Inner")
+    assert registry.received("pkg/msg/Stamped", "pkg/Stamped", STAMPED, "*").name == "pkg/Stamped"
+    learned = registry.learn("pkg/msg/Other", "pkg/msg/Inner", "int8 x", "*")
+    assert (learned.decoder.definition.name, learned.instead) == ("pkg/Other", True)
+    assert Definitions().misspelt("std_msgs/msg/Strng") == "std_msgs/String"
+    assert Definitions().installed_text("std_msgs/msg/String") == Definitions().installed_text(
+        "std_msgs/String"
+    )
+
+
+def test_another_text_for_a_known_name_is_another_definition():
+    registry = nothing_installed()
+    first = registry.add("pkg/Type", "int8 x\n")
+    second = registry.add("pkg/Type", "int16 x\n")
+    assert registry.find("pkg/Type") is first
+    assert first.md5sum != second.md5sum
+    assert registry.decoder(second).decode(b"\1\0") == registry.decoder(first).decode(b"\1")
+    assert registry.decoder("pkg/Type") is registry.decoder(first)
+    assert registry.encoder("pkg/Type").definition is first
+
+
+def test_a_definition_that_is_not_that_of_the_messages():
+    registry = nothing_installed()
+    with pytest.raises(
+        MessageError, match="the definition of pkg/Type that came with the messages does not match theirs"
+    ):
+        registry.add("pkg/Type", "", "123")
+    assert "pkg/Type" not in registry
+    definition = registry.add("pkg/Type", "int8 x\n", "*")
+    assert registry.add("pkg/Type", "int8 x\n", definition.md5sum) is definition
+
+
+def test_an_unknown_type_is_an_error_that_names_it():
+    with pytest.raises(MessageError, match="no definition of the message type pkg/Missing"):
+        nothing_installed().find("pkg/Missing")
+
+
+def test_installed_types_are_found_and_read_once(tmp_path):
+    package(tmp_path, "pkg", Outer="other/Inner inner\nOwn own\n", Own="int8 x\n")
+    package(tmp_path, "other", Inner="float64 y\n")
+    registry = Definitions(Installed([str(tmp_path)], [], rosbags=False))
+    outer = registry.find("pkg/Outer")
+    assert [slot.type for slot in outer.fields] == ["other/Inner", "pkg/Own"]
+    assert registry.find("pkg/Outer") is outer
+
+
+def test_an_installed_type_that_is_wrong_names_its_file(tmp_path):
+    package(tmp_path, "pkg", Bad="int8 x\nint8 x\n")
+    with pytest.raises(MessageError) as caught:
+        Definitions(Installed([str(tmp_path)], [], rosbags=False)).find("pkg/Bad")
+    assert str(caught.value.place) == f"{tmp_path}/pkg/msg/Bad.msg:2:6"
+
+
+def test_packages_deep_in_a_workspace(tmp_path):
+    package(tmp_path / "src" / "stack", "pkg", Type="int8 x\n")
+    (tmp_path / "src" / ".hidden").mkdir()
+    registry = Definitions(Installed([str(tmp_path / "src"), str(tmp_path / "missing")], [], rosbags=False))
+    assert registry.find("pkg/Type").fields[0].type == "int8"
+
+
+def test_a_folder_that_is_a_package_itself(tmp_path):
+    package(tmp_path, "pkg", Type="int8 x\n")
+    assert "pkg/Type" in Definitions(Installed([str(tmp_path / "pkg")], [], rosbags=False))
+
+
+def test_the_usual_places(tmp_path, monkeypatch):
+    package(tmp_path / "path", "one", Type="int8 x\n")
+    package(tmp_path / "prefix" / "share", "two", Type="int16 x\n")
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "path"))
+    monkeypatch.setenv("CMAKE_PREFIX_PATH", str(tmp_path / "prefix"))
+    registry = Definitions()
+    assert registry.find("one/Type").fields[0].type == "int8"
+    assert registry.find("two/Type").fields[0].type == "int16"
+
+
+def test_generated_modules_are_read_and_not_run(tmp_path):
+    folder = tmp_path / "pkg" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "_Type.py").write_text(f'raise SystemExit\nclass Type:\n  _full_text = """{STAMPED}"""\n')
+    (folder / "_Broken.py").write_text("class Type(:\n")
+    registry = Definitions(Installed([], [str(tmp_path)], rosbags=False))
+    assert registry.find("pkg/Type").fields[1].type == "pkg/Inner"
+    assert "pkg/Broken" not in registry
+    assert "pkg" not in sys.modules
+
+
+def generated(folder, name, literal):
+    """Write a module as genpy does."""
+    (folder / "pkg" / "msg").mkdir(parents=True, exist_ok=True)
+    fields = "".join(
+        f"    if self.x{number} is None:\n      self.x{number} = [0, (1, 2)]\n" for number in range(200)
+    )
+    source = f'class {name}:\n  _full_text = """{literal}"""\n  def __init__(self):\n{fields}'
+    (folder / "pkg" / "msg" / f"_{name}.py").write_text(source, encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("literal", "text"),
+    [
+        ("int8 x\n", "int8 x\n"),
+        ('string A="b" ""c\n', 'string A="b" ""c\n'),
+        (r"# \"\"\" a \\ b \x41 \u00e9 \N{EURO SIGN}" + "\n", '# """ a \\ b A \xe9 \u20ac\n'),
+        (r"# \d \é" + "\n", "# \\d \\\xe9\n"),
+        ("int8 x \\\nint8 y\n", "int8 x int8 y\n"),
+        (r"# \U00110000", None),
+    ],
+)
+def test_literals_of_generated_modules_are_read_as_python_reads_them(tmp_path, literal, text):
+    generated(tmp_path, "Type", literal)
+    found = Installed([], [str(tmp_path)], rosbags=False).text("pkg/Type")
+    assert (found and found[0]) == text
+
+
+def test_generated_modules_are_read_in_several_threads(tmp_path):
+    """Two threads that are in `ast.parse` at once fail, most often when a collection runs Python code in between."""
+    generated(tmp_path, "Type", "int8 x\n")
+    installed = Installed([], [str(tmp_path)], rosbags=False)
+    threshold, interval = gc.get_threshold(), sys.getswitchinterval()
+
+    def switch(phase, info):
+        time.sleep(0)
+
+    def read(number):
+        return {installed.text("pkg/Type")[0] for _ in range(100)}
+
+    gc.callbacks.append(switch)
+    gc.set_threshold(10, 2, 2)
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(4) as threads:
+            assert list(threads.map(read, range(4))) == [{"int8 x\n"}] * 4
+    finally:
+        gc.callbacks.remove(switch)
+        gc.set_threshold(*threshold)
+        sys.setswitchinterval(interval)
+
+
+def test_types_that_rosbags_brings():
+    pytest.importorskip("rosbags")
+    registry = Definitions(Installed([], []))
+    assert registry.find("geometry_msgs/PoseStamped").md5sum == "d3812c3cbc69362b77dc0b19b345f8f5"
+    assert registry.find("sensor_msgs/NavSatStatus").md5sum == "331cdbddfa4bc96ffc3b9ad98900a54c"
+    assert "pkg/Type" not in registry
+
+
+def test_types_that_rosbags_brings_are_listed():
+    pytest.importorskip("rosbags")
+    installed = Installed([], [])
+    assert {"geometry_msgs", "sensor_msgs", "std_msgs"} <= set(installed.packages())
+    assert {"Point", "Pose"} <= set(installed.types("geometry_msgs"))
+
+
+@pytest.mark.parametrize("name", ["tf/tfMessage", "tf2_msgs/TFMessage"])
+def test_tf_by_both_names_wherever_geometry_is(name):
+    pytest.importorskip("rosbags")
+    definition = Definitions(Installed([], [])).find(name)
+    assert definition.name == name
+    assert definition.md5sum == "94810edda583a504dfda3829e70d7eec"
+
+
+def test_added_types_come_before_installed_ones_and_those_before_nested_ones(tmp_path):
+    package(tmp_path, "pkg", Inner="int64 installed\n", Stamped="int64 installed\n")
+    registry = Definitions(Installed([str(tmp_path)], [], rosbags=False))
+    registry.add("pkg/Stamped", STAMPED)
+    assert registry.find("pkg/Stamped").fields[0].name == "header"
+    assert registry.find("pkg/Inner").fields[0].name == "installed"
+
+
+def test_names_that_are_paths_are_not_looked_up(tmp_path):
+    package(tmp_path, "pkg", Type="int8 x\n")
+    assert Installed([str(tmp_path / "other")], [], rosbags=False).text("../pkg/Type") is None
+
+
+def test_received_messages_are_read_by_the_definition_that_fits():
+    registry = nothing_installed()
+    known = registry.add("pkg/A", "int8 x\n")
+    assert registry.received("pkg/A", "pkg/A", "", known.md5sum) is known
+    assert registry.received("pkg/A", "other/B", "", known.md5sum) is known
+    newer = registry.received("pkg/A", "pkg/A", "int8 x\nint8 y\n", "*")
+    assert [slot.name for slot in newer.fields] == ["x", "y"]
+    renamed = registry.received("new/C", "other/C", "int8 z\n", "*")
+    assert (renamed.name, renamed.fields[0].name) == ("new/C", "z")
+    with pytest.raises(MessageError, match="expected pkg/A, found other/D"):
+        registry.received("pkg/A", "other/D", "int16 x\n", "*")

@@ -1,0 +1,222 @@
+import tracemalloc
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rosbags")
+
+from hostilebags import ros1_bag  # noqa: E402
+
+from retalis.foundation.errors import RetalisError  # noqa: E402
+from retalis.messages.type_registry import Definitions, Installed  # noqa: E402
+from retalis.playback.rosbag1 import BagError, BagReader, BagWriter, Topic  # noqa: E402  # noqa: E402
+from retalis.prolog.terms.types import atom  # noqa: E402
+
+BAGS = Path(__file__).parents[3] / "shared" / "bags"
+REAL = sorted(BAGS.glob("*.bag")) if BAGS.is_dir() else []
+
+
+def registry():
+    return Definitions(Installed([], [], rosbags=False))
+
+
+@pytest.fixture
+def bag(tmp_path):
+    """A bag of two topics, one of them with two publishers."""
+    path = tmp_path / "some.bag"
+    known = registry()
+    text = known.add("std_msgs/String", "string data\n")
+    number = known.add("pkg/Number", "int8 x # of what\nUnit unit\n" + "=" * 80 + "\nMSG: pkg/Unit\nint8 y\n")
+    with BagWriter(path) as writer:
+        talk = writer.add("/talk", text, latched=True, caller="/talker")
+        one, other = (
+            writer.add("/numbers", number, caller="/one"),
+            writer.add("/numbers", number, caller="/other"),
+        )
+        writer.write(one, 3_000_000_001, b"\1\1")
+        writer.write(talk, 1_000_000_001, b"\2\0\0\0hi")
+        writer.write(other, 2_000_000_001, b"\2\2")
+    return path
+
+
+def test_what_is_written_is_read(bag):
+    with BagReader(bag) as reader:
+        assert (reader.messages, reader.start, reader.end) == (3, 1_000_000_001, 3_000_000_001)
+        assert [(topic.name, topic.type, topic.messages) for topic in reader.topics] == [
+            ("/talk", "std_msgs/String", 1),
+            ("/numbers", "pkg/Number", 1),
+            ("/numbers", "pkg/Number", 1),
+        ]
+        assert reader.topics[0] == Topic(
+            "/talk",
+            "std_msgs/String",
+            "string data\n",
+            "992ce8a1687cec8c8bd883ec73ca41d1",
+            1,
+            True,
+            "/talker",
+        )
+        assert [(record.topic.name, record.time, record.data) for record in reader.records()] == [
+            ("/talk", 1_000_000_001, b"\2\0\0\0hi"),
+            ("/numbers", 2_000_000_001, b"\2\2"),
+            ("/numbers", 3_000_000_001, b"\1\1"),
+        ]
+
+
+@pytest.mark.parametrize("topics", [["/numbers"], ["numbers", "other"], {"/numbers"}])
+def test_some_topics(bag, topics):
+    with BagReader(bag) as reader:
+        assert [record.data for record in reader.records(topics)] == [b"\2\2", b"\1\1"]
+        assert list(reader.records(["other"])) == []
+
+
+def test_definitions_are_in_the_bag(bag):
+    known = registry()
+    with BagReader(bag) as reader:
+        topic = reader.topics[1]
+        definition = known.add(topic.type, topic.definition)
+    assert definition.md5sum == topic.md5sum
+    assert definition.dependencies()[0].name == "pkg/Unit"
+
+
+def test_an_empty_bag(tmp_path):
+    BagWriter(tmp_path / "empty.bag").close()
+    with BagReader(tmp_path / "empty.bag") as reader:
+        assert (reader.messages, reader.start, reader.end, list(reader.records())) == (0, 0, 0, [])
+
+
+def test_a_bag_is_not_overwritten(bag):
+    with pytest.raises(BagError, match="already exists"):
+        BagWriter(bag)
+
+
+def test_a_bag_in_a_folder_that_is_not_there(tmp_path):
+    with pytest.raises(BagError, match="cannot be written"):
+        BagWriter(tmp_path / "missing" / "a.bag")
+
+
+def test_a_missing_bag(tmp_path):
+    with pytest.raises(RetalisError, match=r"a\.bag: there is no such file"):
+        BagReader(tmp_path / "a.bag")
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"no bag", b"#ROSBAG V1.2\n", b"#ROSBAG V2.0\n", b"#ROSBAG V2.0\nxxxxxxxxxxx"]
+)
+def test_files_that_are_no_bags(tmp_path, content):
+    path = tmp_path / "a.bag"
+    path.write_bytes(content)
+    with pytest.raises(BagError, match="not a complete ROS 1 bag"):
+        BagReader(path)
+
+
+def test_every_cut_of_a_bag_is_one_clear_error(bag, tmp_path):
+    content = bag.read_bytes()
+    cut = tmp_path / "cut.bag"
+    for size in range(0, len(content), 97):
+        cut.write_bytes(content[:size])
+        with pytest.raises(BagError), BagReader(cut) as reader:
+            list(reader.records())
+
+
+def test_a_recording_that_was_cut_off_can_be_repaired(bag, tmp_path):
+    cut = tmp_path / "cut.bag"
+    cut.write_bytes(bag.read_bytes()[:-100])
+    with pytest.raises(BagError, match="its index is missing or damaged: repair it with 'rosbag reindex'$"):
+        BagReader(cut)
+
+
+def test_overwritten_bytes_raise_nothing_else(bag, tmp_path):
+    content = bag.read_bytes()
+    broken = tmp_path / "broken.bag"
+    for at in range(0, len(content), 31):
+        broken.write_bytes(content[:at] + b"\xff" * 8 + content[at + 8 :])
+        try:
+            with BagReader(broken) as reader:
+                list(reader.records())
+        except BagError:
+            pass
+
+
+HOSTILE = [
+    (
+        {"stated": 4},
+        "the chunk at byte 4109: it has more than the 4 bytes that its header states",
+    ),
+    (
+        {"stated": 100},
+        "the chunk at byte 4109: it ends after 55 bytes: its header states 100",
+    ),
+    (
+        {"stated": 2 << 30},
+        "the chunk at byte 4109 states 2147483648 bytes: expected at most 512 MB",
+    ),
+    (
+        {"compression": "bz2", "packed": b"BZh9"},
+        "the chunk at byte 4109: it ends after 0 bytes: its header states",
+    ),
+    ({"compression": "xz", "packed": b""}, "compression 'xz' is unknown: expected none, bz2, lz4 or zstd"),
+    ({"entries": [3]}, "."),
+    ({"entries": [1 << 31]}, "."),
+    ({"entries": [0] * 12}, "the index names a message in the chunk at byte 4109 more than once"),
+    ({"index_count": 1 << 30}, "."),
+    ({"connections": 2}, "connection 0 is there twice"),
+    ({"infos": [0, 0]}, "the chunk at byte 4109 is inside another one"),
+    ({"infos": [0] * 3000}, "its index names the same bytes again and again"),
+]
+
+
+@pytest.mark.parametrize(("changes", "expected"), HOSTILE)
+def test_headers_and_indexes_that_claim_too_much(tmp_path, changes, expected):
+    path = tmp_path / "a.bag"
+    path.write_bytes(ros1_bag([[b"hello"]], **changes))
+    with pytest.raises(BagError, match=expected), BagReader(path) as reader:
+        list(reader.records())
+
+
+def test_lengths_beyond_the_end_of_the_file_take_no_memory(tmp_path):
+    """All lengths of the headers, each in its turn, are nearly 4 GB."""
+    content = ros1_bag([[b"hello"], [b"world"]])
+    path = tmp_path / "a.bag"
+    places = [
+        at for at in range(13, len(content) - 4) if 0 < int.from_bytes(content[at : at + 4], "little") < 5000
+    ]
+    tracemalloc.start()
+    try:
+        for at in places:
+            path.write_bytes(content[:at] + b"\xf0\xff\xff\xff" + content[at + 4 :])
+            try:
+                with BagReader(path) as reader:
+                    list(reader.records())
+            except BagError:
+                pass
+        assert tracemalloc.get_traced_memory()[1] < 5_000_000
+    finally:
+        tracemalloc.stop()
+    assert len(places) > 50
+
+
+@pytest.mark.parametrize(
+    "path", REAL or [pytest.param(None, marks=pytest.mark.skip(reason="no bags beside"))], ids=str
+)
+def test_real_bags_round_trip(path):
+    known = registry()
+    with BagReader(path) as reader:
+        for record in reader.records():
+            definition = known.add(record.topic.type, record.topic.definition)
+            assert definition.md5sum == record.topic.md5sum
+            decoder = known.decoder(definition)
+            term = decoder.decode(record.data)
+            assert decoder.stamp(record.data) is None or decoder.stamp(record.data) > 0
+            assert known.encoder(definition).encode(term) == record.data
+
+
+@pytest.mark.skipif(not REAL, reason="no bags beside")
+def test_a_real_bag_has_the_frames_it_should():
+    known = registry()
+    with BagReader(BAGS / "pr2_mylaserdata.bag") as reader:
+        first = next(iter(reader.records(["tf"])))
+        term = known.decoder(known.add(first.topic.type, first.topic.definition)).decode(first.data)
+    transform = term[1][1]
+    assert transform[0].name == "geometry_msgs__0__TransformStamped"
+    assert transform[1][3].__class__ is type(atom("a"))

@@ -1,0 +1,158 @@
+"""Decompression up to the stated size and up to the limit; bombs of each format."""
+
+import io
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rosbags")
+
+from hostilebags import (  # noqa: E402
+    MEGABYTE,
+    PACK,
+    folder_bag,
+    mcap,
+    mcap_message,
+    packed_zeros,
+    ros1_bag,
+    sqlite_bag,
+    zstd,
+)
+
+from retalis.playback.decompression import ChunkLimit, copy_up_to, read_up_to, unpack  # noqa: E402
+
+
+@pytest.mark.parametrize("compression", PACK)
+@pytest.mark.parametrize("data", [b"", b"a", bytes(range(256)) * 900], ids=len)
+def test_what_has_its_stated_size_is_unpacked(compression, data):
+    packed = PACK[compression](data)
+    assert unpack(compression, packed, len(data)) == data
+    with pytest.raises(
+        ValueError, match=f"it ends after {len(data)} bytes: its header states {len(data) + 1}$"
+    ):
+        unpack(compression, packed, len(data) + 1)
+    if data:
+        with pytest.raises(ValueError, match=f"more than the {len(data) - 1} bytes that its header states"):
+            unpack(compression, packed, len(data) - 1)
+
+
+@pytest.mark.parametrize("compression", ["bz2", "lz4", "zstd"])
+def test_what_is_cut_is_not_complete(compression):
+    data = bytes(range(256)) * 50
+    packed = PACK[compression](data)
+    for end in range(0, len(packed), 7):
+        with pytest.raises((ValueError, RuntimeError, EOFError)):
+            unpack(compression, packed[:end], len(data))
+
+
+def test_an_unknown_compression_is_an_error():
+    with pytest.raises(ValueError, match="compression 'xz' is unknown: expected none, bz2, lz4 or zstd"):
+        unpack("xz", b"", 0)
+
+
+def test_a_message_is_unpacked_up_to_the_limit():
+    limit = ChunkLimit(1)
+    assert limit.unpack_message(zstd(b"a" * MEGABYTE)) == b"a" * MEGABYTE
+    with pytest.raises(
+        ValueError, match=r"expected at most 1 MB, the limit that --max-chunk-megabytes raises"
+    ):
+        limit.unpack_message(zstd(b"a" * (MEGABYTE + 1)))
+    with pytest.raises(ValueError, match="it states 1000001 bytes: expected at most 1 MB"):
+        limit.check(MEGABYTE + 1, "it states")
+    limit.check(MEGABYTE, "it states")
+
+
+def test_a_stream_is_read_and_copied_up_to_a_size():
+    data = bytes(5 * MEGABYTE)
+    assert len(read_up_to(io.BytesIO(data), 3 * MEGABYTE + 7)) == 3 * MEGABYTE + 7
+    assert read_up_to(io.BytesIO(b"abc"), 9) == b"abc"
+    target = io.BytesIO()
+    assert copy_up_to(io.BytesIO(data), target, len(data)) == len(data) == len(target.getvalue())
+    assert MEGABYTE < copy_up_to(io.BytesIO(data), io.BytesIO(), MEGABYTE) <= 2 * MEGABYTE
+
+
+def bombs(folder):
+    """Write small files that hold or claim 200 MB; return each with what its error says."""
+    zeros = {kind: packed_zeros(kind, 200) for kind in ("bz2", "lz4", "zstd")}
+    size = 200 * MEGABYTE
+    found = []
+
+    def write(name, data, expected):
+        (folder / name).write_bytes(data)
+        found.append((folder / name, expected))
+
+    for kind in ("bz2", "lz4"):
+        chunk = {"compression": kind, "packed": zeros[kind]}
+        write(f"more-{kind}.bag", ros1_bag([[b"hello"]], **chunk), "has more than the 55 bytes")
+        write(
+            f"much-{kind}.bag",
+            ros1_bag([[b"hello"]], **chunk, stated=size),
+            f"states {size} bytes: expected at",
+        )
+    for kind in ("lz4", "zstd"):
+        for index in (True, False):
+            chunk = {"compression": kind, "packed": zeros[kind], "has_index": index}
+            message = [mcap_message(1)]
+            write(f"more-{kind}-{index}.mcap", mcap(message, **chunk), "has more than the 45 bytes")
+            write(f"much-{kind}-{index}.mcap", mcap(message, **chunk, stated=size), f"states {size} bytes")
+    several = [mcap_message(1) + mcap_message(second, b"\0" * 4 * MEGABYTE) for second in range(9, 29)]
+    write("overlapping.mcap", mcap(several, "zstd"), "chunks that overlap in time have")
+    for kind in (".mcap.zstd", ".db3.zstd"):
+        write(f"whole{kind}", zeros["zstd"], "is too large: unpacked it would have more than 20000000 bytes")
+    file = folder_bag(folder / "file", "whole.mcap.zstd", "mcap", "file")
+    (file / "whole.mcap.zstd").write_bytes(zeros["zstd"])
+    found.append((file, "is too large: unpacked"))
+    message = folder_bag(folder / "message", "one.db3", "sqlite3", "message")
+    sqlite_bag(message / "one.db3", messages=[(1, zeros["zstd"])])
+    found.append((message, "a compressed message has more bytes than allowed: expected at most 20 MB"))
+    return found
+
+
+READ = """
+import resource, sys
+from retalis.playback.bag_sources import MergedBag as BagSeries; from retalis.playback.rosbag1 import BagError
+def read(path):
+    try:
+        with BagSeries([path], max_chunk_megabytes=20) as bag:
+            return str(len(list(bag.records())))
+    except BagError as error:
+        return str(error)
+for path in sys.argv[2].split():  # imports what is needed
+    assert read(path) == "1", read(path)
+usage = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+most = usage + int(sys.argv[1])
+resource.setrlimit(resource.RLIMIT_AS, (most, most))
+for path in sys.argv[3:]:
+    print(read(path))
+"""
+
+
+@pytest.mark.skipif(
+    not Path("/proc/self/statm").exists(), reason="the system does not tell the size of a process"
+)
+def test_a_bomb_of_each_format_is_one_error_and_takes_no_memory(tmp_path):
+    """Chunks of 20 MB are allowed; with one that is there twice while its blocks are joined, 100 MB have to do."""
+    found = bombs(tmp_path)
+    assert max(path.stat().st_size for path, _ in found if path.is_file()) < 3 * MEGABYTE
+    fine = tmp_path / "fine"
+    fine.mkdir()
+    (fine / "a.bag").write_bytes(ros1_bag([[b"hello"]], compression="lz4"))
+    (fine / "a.mcap").write_bytes(mcap([mcap_message(1)], "zstd"))
+    (fine / "a.mcap.zstd").write_bytes(zstd((fine / "a.mcap").read_bytes()))
+    sqlite_bag(fine / "a.db3")
+    folder_bag(fine, "a.db3", "sqlite3")
+    good = " ".join(map(str, [fine, *sorted(fine.glob("a.*"))]))
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, sys.path))}
+    command = [sys.executable, "-c", READ, str(100 * MEGABYTE), good, *(str(path) for path, _ in found)]
+    done = subprocess.run(command, stdout=subprocess.PIPE, env=environment, text=True, check=True)
+    said = done.stdout.splitlines()
+    wrong = [
+        (path.name, line)
+        for (path, expected), line in zip(found, said)
+        if expected not in line or str(path) not in line
+    ]
+    assert wrong == []
+    assert len(said) == len(found)

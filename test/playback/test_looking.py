@@ -1,0 +1,33 @@
+"""What is told of a run costs the same for each message, however many queries wait."""
+
+from types import SimpleNamespace
+
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.playback.run_recorder import MAX_RECORDED_QUERIES, RunRecorder
+from retalis.prolog.terms.types import atom
+
+
+class Waiting:
+    """A hundred thousand queries; it counts how many of them are looked at."""
+
+    def __init__(self):
+        self.looked_at = 0
+
+    def __len__(self):
+        return 100_000
+
+    def __iter__(self):
+        question = SimpleNamespace(event=lambda values: atom("found"))
+        for order in range(len(self)):
+            self.looked_at += 1
+            yield order, question, (), None, None, []
+
+
+def test_of_many_queries_that_wait_the_first_are_looked_at(monkeypatch):
+    engine, told, waiting = Engine(), [], Waiting()
+    playback = SimpleNamespace(engine=engine, clock=SimpleNamespace(now=lambda: 5))
+    look = RunRecorder(playback, told.append)
+    monkeypatch.setattr(parts_of(engine).knowledge, "waiting", waiting)
+    look.look()
+    assert waiting.looked_at == MAX_RECORDED_QUERIES

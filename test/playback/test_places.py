@@ -1,0 +1,175 @@
+"""Where bags are found, how they are fetched, and that a result is there whole or not at all."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from retalis.playback.bag_sources import (
+    FoundBag,
+    fetched,
+    find_bags,
+    in_parts,
+    is_there,
+    remove_parts,
+    result_file,
+)
+from retalis.playback.rosbag1 import BagError
+
+
+@pytest.fixture
+def fleet(tmp_path):
+    """A folder with bags of two robots, one of ROS 2 among them, and with what is no bag."""
+    names = (
+        "r2/day.bag",
+        "r1/night.mcap",
+        "r1/day.bag",
+        "r1/day.truth.json",
+        "r1/day.bag.active",
+        "r1-notes.txt",
+        "r10/ros2/metadata.yaml",
+        "r10/ros2/ros2_0.db3",
+        ".trash/old.bag",
+        "r1/.day.bag.0123.part",
+    )
+    for name in names:
+        path = tmp_path / "fleet" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(name)
+    return tmp_path / "fleet"
+
+
+FOUND = ["r1/day.bag", "r1/night.mcap", "r10/ros2", "r2/day.bag"]
+NAMES = ["r1/day", "r1/night", "r10/ros2", "r2/day"]
+
+
+def test_bags_below_a_folder_come_in_the_order_of_their_names(fleet):
+    found = find_bags(["x/z.bag", f"{fleet}/", f"{fleet}/r10/ros2", "y"])
+    assert [bag.place for bag in found] == [
+        "x/z.bag",
+        *(f"{fleet}/{name}" for name in FOUND),
+        f"{fleet}/r10/ros2",
+        "y",
+    ]
+    assert [bag.name for bag in found] == ["z", *NAMES, "ros2", "y"]
+
+
+def test_compressed_files_of_ros_2_are_bags(tmp_path):
+    for name in ("a.db3.zstd", "b.mcap.zstd", "c.zstd", "d.bag.zstd"):
+        (tmp_path / name).touch()
+    assert [bag.name for bag in find_bags([str(tmp_path)])] == ["a", "b"]
+    assert [bag.name for bag in find_bags(["x/e.db3.zstd", "f.zstd"])] == ["e", "f.zstd"]
+
+
+def test_a_url_has_the_same_bags_as_the_folder(fleet):
+    pytest.importorskip("fsspec")
+    found = find_bags([f"file://{fleet}", f"file://{fleet}/r10/ros2", f"file://{fleet}/r2/day.bag"])
+    assert [bag.place for bag in found] == [
+        *(f"file://{fleet}/{name}" for name in FOUND),
+        f"file://{fleet}/r10/ros2",
+        f"file://{fleet}/r2/day.bag",
+    ]
+    assert [bag.name for bag in found] == [*NAMES, "ros2", "day"]
+
+
+@pytest.mark.parametrize(
+    ("names", "recordings"),
+    [
+        (("b", "a"), [["b"], ["a"]]),
+        (("r_0", "r_1", "r_10", "r_2"), [["r_0", "r_1", "r_2"], ["r_10"]]),
+        (("x/r_0", "y/r_1", "x/r_1"), [["x/r_0", "x/r_1"], ["y/r_1"]]),
+        (
+            ("r_2014-10-19-19-50-06_0", "r_2014-10-19-19-55-06_1", "r_2014-10-20-08-00-00_0"),
+            [["r_2014-10-19-19-50-06_0", "r_2014-10-19-19-55-06_1"], ["r_2014-10-20-08-00-00_0"]],
+        ),
+        (("r_1_0", "r_1_1", "r_0_0", "r_0"), [["r_1_0", "r_1_1"], ["r_0_0"], ["r_0"]]),
+        (("r_0", "q", "r_5", "r_1"), [["r_0", "r_1"], ["q"], ["r_5"]]),
+        (("r", "r", "r_", "_1"), [["r"], ["r"], ["r_"], ["_1"]]),
+    ],
+)
+def test_parts_of_a_recording_are_known_by_their_names(names, recordings):
+    found = in_parts([FoundBag(f"/d/{name}.bag", name) for name in names])
+    assert [[bag.name for bag in parts] for parts in found] == recordings
+
+
+def test_a_folder_without_bags_is_an_error(tmp_path):
+    with pytest.raises(
+        BagError, match="has no bags below it: no metadata.yaml, nothing that ends in .bag, .db3"
+    ):
+        find_bags([str(tmp_path)])
+
+
+def test_what_urls_need_is_named_where_it_is_missing(monkeypatch):
+    monkeypatch.setitem(sys.modules, "fsspec.core", None)
+    with pytest.raises(
+        BagError, match=r"s3://a/b: URLs need the Python package fsspec \(pip install fsspec, and"
+    ):
+        find_bags(["s3://a/b"])
+
+
+def test_what_a_url_cannot_be_is_said_by_who_reads_it():
+    pytest.importorskip("fsspec")
+    with pytest.raises(BagError, match="nowhere://a/b: Protocol not known: nowhere"):
+        find_bags(["nowhere://a/b"])
+
+
+def test_a_bag_is_fetched_for_as_long_as_it_is_used(fleet, tmp_path):
+    with fetched(str(fleet / "r2/day.bag"), str(tmp_path)) as there:
+        assert there == str(fleet / "r2/day.bag")
+    pytest.importorskip("fsspec")
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    with fetched(f"file://{fleet}/r2/day.bag", str(scratch)) as there:
+        assert there.startswith(f"{scratch}/") and there.endswith("/day.bag")
+        assert Path(there).read_text() == "r2/day.bag"
+    with fetched(f"file://{fleet}/r10/ros2", str(scratch)) as there:
+        assert Path(there, "metadata.yaml").read_text() == "r10/ros2/metadata.yaml"
+    assert list(scratch.iterdir()) == []
+    with pytest.raises(BagError, match="none.bag: "), fetched(f"file://{fleet}/none.bag", str(scratch)):
+        pytest.fail("there is nothing to fetch")
+
+
+@pytest.mark.parametrize("kind", ["", "file://"])
+def test_a_result_is_there_when_it_is_complete(tmp_path, kind):
+    if kind:
+        pytest.importorskip("fsspec")
+    target = tmp_path / "new" / "folder" / "a.jsonl"
+    with result_file(f"{kind}{target}", str(tmp_path)) as path, open(path, "w") as file:
+        file.write("all")
+        assert not is_there(f"{kind}{target}")
+    assert is_there(f"{kind}{target}")
+    assert target.read_text() == "all"
+    with pytest.raises(ZeroDivisionError), result_file(f"{kind}{target}", str(tmp_path)) as path:
+        Path(path).write_text("half")
+        raise ZeroDivisionError
+    assert target.read_text() == "all"
+    assert [one.name for one in target.parent.iterdir()] == ["a.jsonl"]
+
+
+def test_a_result_that_cannot_be_written_is_an_error(tmp_path):
+    (tmp_path / "file").touch()
+    result = result_file(str(tmp_path / "file" / "a.bag"), str(tmp_path))
+    with pytest.raises(BagError, match="file/a.bag cannot be written: "), result:
+        pytest.fail("there is nowhere to write")
+
+
+def test_what_dead_workers_left_is_removed_and_nothing_else(tmp_path):
+    for name in (".a.bag.01.part", ".b.bag.02.part", "a.bag", ".a.bag.03.parts"):
+        (tmp_path / name).touch()
+    remove_parts([str(tmp_path / "a.bag"), "s3://bucket/b.bag", str(tmp_path / "none" / "c.bag")])
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".a.bag.03.parts", ".b.bag.02.part", "a.bag"]
+
+
+def test_a_url_that_sends_more_than_it_states_is_an_error(tmp_path, monkeypatch):
+    memory = pytest.importorskip("fsspec.implementations.memory").MemoryFileSystem
+    with memory().open("/sent.bag", "wb") as file:
+        file.write(bytes(9_000_000))
+    with fetched("memory://sent.bag", str(tmp_path)) as path:
+        assert Path(path).stat().st_size == 9_000_000
+    monkeypatch.setattr(memory, "size", lambda self, path: 1000)
+    with pytest.raises(
+        BagError, match=r"memory://sent\.bag: .* has more than 1000 bytes, as stated or as half of"
+    ), fetched("memory://sent.bag", str(tmp_path)):
+        pass
+    assert list(tmp_path.iterdir()) == []
+    memory().rm("/sent.bag")

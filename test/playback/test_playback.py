@@ -1,0 +1,440 @@
+"""A program over a bag: topics, types, times, what is published, what is reported."""
+
+import logging
+
+import pytest
+from parsing import parse_term
+
+from retalis.engine.engine import Engine
+from retalis.events.program.program_folder import TopicType
+from retalis.events.rules import timer_service
+from retalis.messages.type_registry import Definitions
+from retalis.playback.playback import Playback
+from retalis.playback.rosbag1 import BagError, BagReader, BagWriter
+from retalis.prolog.syntax.event_text import to_text
+from retalis.prolog.terms.types import deref
+
+SECOND = 10**9
+POINT = "float64 x\n"
+STAMPED = (
+    "Header header\nfloat64 x\n"
+    + "=" * 80
+    + "\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
+)
+
+
+@pytest.fixture
+def definitions():
+    known = Definitions()
+    known.add("my_msgs/Point", POINT)
+    known.add("my_msgs/Stamped", STAMPED)
+    known.add("my_msgs/Empty", "")
+    return known
+
+
+@pytest.fixture
+def program(tmp_path):
+    folder = tmp_path / "program"
+    folder.mkdir()
+
+    def write(rules, goals="", topics=""):
+        (folder / "eventRules.txt").write_text(rules)
+        (folder / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')\n" + goals)
+        (folder / "pub_sub.xml").write_text(f"<publish_subscribe>{topics}</publish_subscribe>")
+        return folder
+
+    return write
+
+
+@pytest.fixture
+def bag(tmp_path, definitions):
+    def write(*messages):
+        path = tmp_path / "some.bag"
+        with BagWriter(path) as writer:
+            connections = {}
+            for time, topic, kind, text in messages:
+                if topic not in connections:
+                    connections[topic] = writer.add(topic, definitions.find(kind))
+                writer.write(connections[topic], time, definitions.encoder(kind).encode(parse_term(text)))
+        return path
+
+    return write
+
+
+def run(program, path, **options):
+    problems = []
+    logged = logging.Handler()
+    logged.emit = lambda record: problems.append(record.getMessage())
+    logging.getLogger("retalis").addHandler(logged)
+    try:
+        return play(program, path, problems, **options)
+    finally:
+        logging.getLogger("retalis").removeHandler(logged)
+
+
+def play(program, path, problems, **options):
+    playback = Playback(program, problems.append, **options)
+    events = []
+    playback.engine.on_event(lambda event, start, end: events.append((to_text(event), start, end)))
+    with BagReader(path) as reader:
+        outputs = list(playback.run(reader))
+    return outputs, events, [str(problem) for problem in problems]
+
+
+IN = '<subscribe_to name="in" msg_type="my_msgs/Point"/>'
+OUT = '<publish_to name="out" msg_type="my_msgs/Point"/>'
+
+
+def test_messages_become_events_and_outputs_become_messages(program, bag, definitions):
+    path = bag((7 * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(6.5)"))
+    goals = "subscribe(my_msgs__0__Point(X), [Y is X * 2], my_msgs__0__Point(Y), out, 1)"
+    outputs, events, problems = run(program("", goals, IN + OUT), path)
+    assert problems == []
+    assert events == [("my_msgs__0__Point(6.5)", 7 * SECOND, 7 * SECOND)]
+    (output,) = outputs
+    assert (output.topic, output.time, output.definition.name) == ("out", 7 * SECOND, "my_msgs/Point")
+    decoded = deref(definitions.decoder("my_msgs/Point").decode(output.data))
+    assert decoded == parse_term("my_msgs__0__Point(13.0)")
+
+
+def test_a_header_stamps_its_event_and_a_zero_stamp_counts_as_none(program, bag):
+    text = "my_msgs__0__Stamped(std_msgs__0__Header(1,[{},{}],'\"f\"'),1.0)"
+    path = bag(
+        (7 * SECOND, "/in", "my_msgs/Stamped", text.format(3, 4)),
+        (8 * SECOND, "/in", "my_msgs/Stamped", text.format(0, 0)),
+    )
+    topics = '<subscribe_to name="/in" msg_type="my_msgs/Stamped"/>'
+    _, events, problems = run(program("", "", topics), path)
+    assert problems == []
+    assert [(start, end) for _, start, end in events] == [(3 * SECOND + 4,) * 2, (8 * SECOND,) * 2]
+
+
+def test_topics_that_are_not_named_are_left_alone_unless_asked_for(program, bag):
+    path = bag((SECOND, "/other", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
+    folder = program("", "", IN)
+    assert run(folder, path)[1] == []
+    assert len(run(folder, path, topics=[TopicType("other", "my_msgs/msg/Point")])[1]) == 1
+
+
+@pytest.fixture
+def tf_bag(bag, definitions):
+    definitions.add("tf/tfMessage", "float64[] transforms\n")
+    return bag(
+        (SECOND, "/tf", "tf/tfMessage", "tf__0__tfMessage([1.0])"),
+        (2 * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"),
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "number"),
+    [
+        ({}, 2),
+        ({"direct": "auto"}, 2),
+        ({"direct": True}, 2),
+        ({"direct": False}, 1),
+        ({"direct": (TopicType("tf", "tf/tfMessage"),)}, 2),
+        ({"direct": ()}, 1),
+    ],
+)
+def test_what_a_node_subscribes_by_itself_is_played_too(program, tf_bag, options, number):
+    _, events, problems = run(program("", "", IN), tf_bag, **options)
+    assert len(events) == number
+    assert problems == []  # a bag need not have ar_pose_marker, which nobody named
+
+
+def test_a_direct_topic_that_the_file_names_enters_once_under_its_event_name(program, tf_bag):
+    named = IN + '<subscribe_to name="/tf" msg_type="tf/tfMessage" event="moved"/>'
+    for direct in ("auto", True, False):
+        _, events, _ = run(program("", "", named), tf_bag, direct=direct)
+        assert [event for event, _, _ in events] == ["moved([1.0])", "my_msgs__0__Point(1.0)"]
+
+
+def test_a_listed_direct_topic_that_the_bag_has_not_got_is_named(program, tf_bag):
+    _, _, problems = run(program("", "", IN), tf_bag, direct=(TopicType("scan", "my_msgs/Point"),))
+    (problem,) = problems
+    assert "has no messages on scan" in problem
+
+
+def test_a_goal_cannot_subscribe_a_direct_topic_as_another_type(program, tf_bag):
+    goal = "subscribe_to(tf, 'my_msgs/Point')"
+    _, _, (problem, *_) = run(program("", goal, IN), tf_bag)
+    assert "subscribed already as tf/tfMessage" in problem
+    assert run(program("", goal, IN), tf_bag, direct=False)[2] != []
+
+
+def test_another_type_on_a_default_topic_is_only_warned_of(program, bag):
+    path = bag(
+        (SECOND, "/tf", "my_msgs/Point", "my_msgs__0__Point(1.0)"),
+        (2 * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"),
+    )
+    wrong = []
+    with BagReader(path) as reader:
+        list(Playback(program("", "", IN), wrong.append).run(reader))
+    assert wrong == []
+    _, _, problems = run(program("", "", IN), path)
+    assert "1 message dropped" in problems[0]
+
+
+def test_a_type_goes_by_the_name_that_the_program_gives_it(program, bag):
+    path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
+    _, events, problems = run(program("", "", IN.replace("my_msgs/Point", "other_msgs/Dot")), path)
+    assert problems == [
+        "topic /in is requested as other_msgs/Dot, which is unknown here; the bag has my_msgs/Point, "
+        "which is used instead"
+    ]
+    assert [event for event, _, _ in events] == ["other_msgs__0__Dot(1.0)"]
+
+
+def test_a_type_without_slots_has_events_too(program, bag):
+    path = bag((SECOND, "/in", "my_msgs/Empty", "my_msgs__0__Empty"))
+    _, events, problems = run(program("", "", IN.replace("Point", "Empty")), path)
+    assert problems == []
+    assert [event for event, _, _ in events] == ["my_msgs__0__Empty"]
+
+
+def test_another_type_than_the_program_says_is_reported(program, bag):
+    path = bag(*((at * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)") for at in (1, 2)))
+    _, events, problems = run(program("", "", IN.replace("my_msgs/Point", "std_msgs/Float32")), path)
+    assert events == []
+    assert problems == ["topic /in: expected std_msgs/Float32, found my_msgs/Point; 2 messages dropped"]
+
+
+def test_topics_that_the_bag_has_not_got_are_named_once(program, bag):
+    path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
+    topics = IN + IN.replace('"in"', '"/ni"')
+    _, events, problems = run(program("", "", topics), path, topics=[TopicType("no", "my_msgs/Point")])
+    assert len(events) == 1
+    assert problems == [f"{path} has no messages on /ni, no; it has /in (my_msgs/Point)"]
+
+
+def test_what_cannot_be_published_is_said_once_and_counted(program, bag):
+    path = bag(*((at * SECOND, "/in", "my_msgs/Point", f"my_msgs__0__Point({at}.0)") for at in range(1, 8)))
+    goals = "subscribe(my_msgs__0__Point(X), [Y = a(X)], my_msgs__0__Point(Y), out, 1)"
+    outputs, _, problems = run(program("", goals, IN + OUT), path)
+    assert [output.data for output in outputs] == [None] * 7
+    first = "topic out, my_msgs/Point, slot x: expected float64, got a/1"
+    assert problems == [first, f"7 times in all: {first}"]
+
+
+def test_what_does_not_fit_is_reported_and_the_rest_goes_on(program, bag):
+    path = bag(
+        *((second * SECOND, "/in", "my_msgs/Point", f"my_msgs__0__Point({second}.0)") for second in (1, 2))
+    )
+    goals = (
+        "subscribe(my_msgs__0__Point(X), [], my_msgs__0__Point(no), out, 1)\n"
+        "subscribe(my_msgs__0__Point(X), [], _, nowhere, 2)\n"
+        "subscribe(my_msgs__0__Point(X), [], _, out, 3)\n"
+        "fail\n"
+    )
+    outputs, events, problems = run(program("", goals, IN + OUT), path)
+    assert len(events) == 2
+    assert sum(output.data is not None for output in outputs) == 2
+    assert "goalPredicates.txt:5:1" in problems[0]
+    assert any("topic out" in problem and "x" in problem for problem in problems)
+    assert any("nowhere" in problem for problem in problems)
+
+
+def test_alarms_go_by_the_time_of_the_bag(program, bag):
+    path = bag(
+        *((second * SECOND, "/in", "my_msgs/Point", f"my_msgs__0__Point({second}.0)") for second in (1, 2, 9))
+    )
+    _, events, problems = run(program("exceptionAlarm(late(X), 3) <- my_msgs__0__Point(X).", "", IN), path)
+    assert problems == []
+    assert [event for event, _, _ in events] == [
+        "my_msgs__0__Point(1.0)",
+        "my_msgs__0__Point(2.0)",
+        "late(1.0)",
+        "late(2.0)",
+        "my_msgs__0__Point(9.0)",
+    ]
+
+
+def test_an_alarm_rings_at_its_own_time_and_not_at_the_next_message(program, bag):
+    path = bag(*((at * SECOND, "/in", "my_msgs/Point", f"my_msgs__0__Point({at}.0)") for at in (1, 9)))
+    rules = (
+        "exceptionAlarm(late(X), 3) <- my_msgs__0__Point(X).\n"
+        "null do event(seen(X)) <- late(X).\n"
+        "exceptionAlarm(later(X), 2) <- seen(X).\n"
+        "null do event(my_msgs__0__Point(X)) <- later(X) where X < 5."
+    )
+    goals = "subscribe(seen(X), [], my_msgs__0__Point(X), out, 1)"
+    outputs, events, problems = run(program(rules, goals, IN + OUT), path)
+    assert problems == []
+    assert [output.time for output in outputs] == [4 * SECOND, 9 * SECOND]
+    assert ("seen(1.0)", 4 * SECOND, 4 * SECOND) in events
+    assert ("my_msgs__0__Point(1.0)", 6 * SECOND, 6 * SECOND) in events
+
+
+def test_an_output_is_given_before_the_next_message_is_read(program, bag):
+    path = bag(
+        *((at * SECOND, "/in", "my_msgs/Point", f"my_msgs__0__Point({at}.0)") for at in (1, 2, 3)),
+    )
+    goals = "subscribe(my_msgs__0__Point(X), [X < 3], _, out, 1)"
+    read = []
+    playback = Playback(program("", goals, IN + OUT), report=pytest.fail)
+    with BagReader(path) as reader:
+        for output in playback.run(reader, read.append):
+            assert read == list(range(1, output.time // SECOND + 1))
+            assert playback.clock.now() == output.time
+    assert read == [1, 2, 3]
+
+
+def test_a_damaged_bag_is_reported_after_the_messages_before_the_damage(program, bag):
+    path = bag(
+        *((at * SECOND, "/in", "my_msgs/Point", f"my_msgs__0__Point({at}.0)") for at in (1, 2, 3)),
+    )
+    playback = Playback(program("", "", IN), report=pytest.fail)
+    seen = []
+    playback.engine.on_event(lambda event, start, end: seen.append(start))
+    with BagReader(path) as reader:
+        whole = reader.records
+
+        def records(topics, **options):
+            yield from list(whole(topics, **options))[:2]
+            raise BagError("the rest cannot be read")
+
+        reader.records = records
+        with pytest.raises(BagError, match="the rest cannot be read"):
+            list(playback.run(reader))
+    assert seen == [SECOND, 2 * SECOND]
+    assert playback.engine.query("true") == [{}]
+
+
+TIMERS = """
+timer(tick, every(2))
+timer(once, after(3))
+timer(noon, at(datime(1970,1,1,0,0,7,0)))
+"""
+
+
+def test_timers_ring_as_they_do_for_a_stream_of_the_same_events(program, bag):
+    rules = "next(X) <- tick seq my_msgs__0__Point(X)."
+    instants = (1.5, 2, 5, 9)
+    path = bag(
+        *((int(at * SECOND), "/in", "my_msgs/Point", f"my_msgs__0__Point({at:.1f})") for at in instants),
+    )
+    _, events, problems = run(program(rules, TIMERS, IN), path)
+    assert problems == []
+    engine, stream = Engine(), []
+    engine.load(rules=rules, goals=TIMERS)
+    engine.on_event(lambda *event: stream.append((engine.show(event[0]), *event[1:])))
+    for at in instants:
+        engine.event(f"my_msgs__0__Point({at:.1f})", at)
+    assert events == stream and len(stream) == 12
+
+
+def test_in_a_bag_with_a_gap_a_timer_rings_no_more_often_than_where_time_jumps(program, bag, monkeypatch):
+    monkeypatch.setattr(timer_service, "MAX_RINGS_PER_JUMP", 100)
+    path = bag(
+        *((at * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)") for at in (10, 20, 5000, 5003))
+    )
+    _, events, (problem,) = run(program("null <- tick.", "timer(tick, every(1))", IN), path)
+    assert "4979 events of timer tick, every(1) left out" in problem
+    assert [at // SECOND for event, at, _ in events if event == "tick"] == [
+        *range(11, 21),
+        *range(5000, 5004),
+    ]
+
+
+@pytest.mark.parametrize("limit, taken", [(None, 5), (100.0, 4)])
+def test_a_stamp_far_ahead(program, bag, limit, taken):
+    folder = program("", topics='<subscribe_to name="/s" msg_type="my_msgs/Stamped"/>')
+    stamps = [10, 11, 3612, 13, 14]
+    messages = [
+        (
+            (at + 1) * SECOND,
+            "/s",
+            "my_msgs/Stamped",
+            f"my_msgs__0__Stamped(std_msgs__0__Header(0,[{stamp},1],'\"map\"'),1.0)",
+        )
+        for at, stamp in enumerate(stamps)
+    ]
+    _, events, problems = run(folder, bag(*messages), max_skew=limit)
+    assert len(events) == taken
+    assert [problem for problem in problems if "no goal" not in problem] == [
+        "topic /s, frame map: a stamp is 3600 s ahead of the stamps before it"
+        + ("; such messages are not taken" if limit else "")
+    ]
+
+
+def test_events_of_a_topic_are_called_as_it_says(program, bag):
+    line = '<subscribe_to name="{}" msg_type="my_msgs/Point" {}/>'
+    topics = line.format("left", 'event="bumper_left"') + line.format("/right", 'event=" bumper_right "')
+    folder = program(
+        "hit(X) <- bumper_left(X) seq bumper_right(X).\n"
+        "both(X) <- bumper_left(X) where access_mem(rights, bumper_right(X), _).",
+        "memorize(bumper_right(_), [], _, rights, 5)",
+        topics + line.format("middle", ""),
+    )
+    messages = [("/left", 1.0), ("right", 1.0), ("middle", 1.0), ("left", 1.0)]
+    path = bag(
+        *(
+            (at * SECOND, topic, "my_msgs/Point", f"my_msgs__0__Point({x})")
+            for at, (topic, x) in enumerate(messages, 1)
+        )
+    )
+    _, events, problems = run(folder, path)
+    assert [text for text, _, _ in events if not text.startswith("memory_")] == [
+        "bumper_left(1.0)",
+        "bumper_right(1.0)",
+        "hit(1.0)",
+        "my_msgs__0__Point(1.0)",
+        "bumper_left(1.0)",
+        "both(1.0)",
+    ]
+    assert problems == []
+
+
+def test_a_program_may_name_the_slots_of_types_that_only_the_bag_has(program, bag):
+    path = bag(
+        (SECOND, "/in", "my_msgs/Stamped", "my_msgs__0__Stamped(std_msgs__0__Header(1,[3,4],'\"f\"'),1.0)")
+    )
+    topics = '<subscribe_to name="in" msg_type="my_msgs/Stamped" event="fix"/>'
+    folder = program("at(F, X) <- fix{x: X, header: {frame_id: F}}.", "", topics + OUT)
+    problems, outputs = [], []
+    with BagReader(path) as reader:
+        playback = Playback(folder, problems.append, bag=reader)
+        playback.engine.on_event(lambda event, start, end: outputs.append(to_text(event)))
+        assert list(playback.run(reader)) == []
+    assert problems == []
+    assert outputs[1:] == ["at('\"f\"',1.0)"]
+    Playback(folder, problems.append)
+    assert "the slots of my_msgs/Stamped are not known when this is read" in str(problems)
+
+
+def test_goals_subscribe_topics_from_the_start_or_from_then_on(program, bag):
+    path = bag(
+        *(
+            (at * SECOND, topic, "my_msgs/Point", f"my_msgs__0__Point({at}.0)")
+            for at, topic in (
+                (1, "a"),
+                (2, "b"),
+                (3, "in"),
+                (4, "b"),
+                (5, "c"),
+                (6, "in"),
+                (8, "c"),
+                (9, "d"),
+            )
+        )
+    )
+    folder = program(
+        "now <- my_msgs__0__Point(3.0) do subscribe_to(b, 'my_msgs/Point', at_b).\n"
+        "exceptionAlarm(rung, 1) <- my_msgs__0__Point(6.0).\n"
+        "more <- rung do (subscribe_to('/c', 'my_msgs/Point'), subscribe_to(none, 'my_msgs/Point')).",
+        "subscribe_to('/a', 'my_msgs/Point', at_a)",
+        IN,
+    )
+    _, events, problems = run(folder, path)
+    assert [(text, end // SECOND) for text, _, end in events] == [
+        ("at_a(1.0)", 1),
+        ("my_msgs__0__Point(3.0)", 3),
+        ("now", 3),
+        ("at_b(4.0)", 4),
+        ("my_msgs__0__Point(6.0)", 6),
+        ("rung", 7),
+        ("more", 7),
+        ("my_msgs__0__Point(8.0)", 8),
+    ]
+    (problem,) = problems
+    assert "has no messages on none; it has a (my_msgs/Point)" in problem

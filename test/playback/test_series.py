@@ -1,0 +1,307 @@
+"""Several bags as one, parts of them, and bags of ROS 2."""
+
+import json
+import struct
+import tempfile
+
+import numpy
+import pytest
+from hostilebags import packed_zeros, zstd
+from rosbags import rosbag1, rosbag2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from retalis.foundation.errors import UsageError
+from retalis.messages.type_registry import Definitions
+from retalis.playback.bag_sources import MergedBag
+from retalis.playback.playback import Playback
+from retalis.playback.rosbag1 import BagError, BagWriter
+from retalis.playback.run_recorder import RunRecorder
+from retalis.prolog.syntax.event_text import to_text
+
+SECOND = 10**9
+STRING = Definitions().add("std_msgs/String", "string data")
+
+
+def bag(path, *seconds, topic="/chatter"):
+    """Write a bag with a text at each of these seconds."""
+    with BagWriter(path) as writer:
+        connection = writer.add(topic, STRING)
+        for second in seconds:
+            writer.write(connection, second * SECOND, struct.pack("<I", 2) + b"%2d" % second)
+    return path
+
+
+def read(bags):
+    return [(record.topic.name, record.time // SECOND) for record in bags.records()]
+
+
+def test_bags_come_in_the_order_of_receipt(tmp_path):
+    paths = [bag(tmp_path / "a.bag", 1, 4, 5), bag(tmp_path / "b.bag", 2, 4, 9, topic="/other")]
+    with MergedBag(paths) as bags:
+        assert read(bags) == [
+            (n, s)
+            for s, n in [
+                (1, "/chatter"),
+                (2, "/other"),
+                (4, "/chatter"),
+                (4, "/other"),
+                (5, "/chatter"),
+                (9, "/other"),
+            ]
+        ]
+        assert [record.time // SECOND for record in bags.records(["other"])] == [2, 4, 9]
+        assert (bags.start, bags.end) == (SECOND, 9 * SECOND)
+
+
+def test_a_part_begins_and_ends_where_it_is_told(tmp_path):
+    paths = [bag(tmp_path / "a.bag", 11, 14, 15), bag(tmp_path / "b.bag", 12, 19)]
+    with MergedBag(paths, start=3) as bags:
+        assert [second for _, second in read(bags)] == [14, 15, 19]
+    with MergedBag(paths, start=1, duration=3) as bags:
+        assert [second for _, second in read(bags)] == [12, 14]
+        assert bags.end == 15 * SECOND
+    with MergedBag(paths, duration=0) as bags:
+        assert read(bags) == []
+    with pytest.raises(UsageError, match="nothing 9 s after the first message: the last is at 8 s"):
+        MergedBag(paths, start=9)
+
+
+def test_a_bag_is_not_played_twice(tmp_path):
+    path = bag(tmp_path / "a.bag", 1)
+    with pytest.raises(UsageError, match="is given twice"):
+        MergedBag([path, tmp_path / "." / "a.bag"])
+    with pytest.raises(BagError, match="there is no bag"):
+        MergedBag([])
+
+
+@pytest.mark.parametrize("kind", ["BZ2", "LZ4"])
+def test_compressed_bags_are_read(tmp_path, kind):
+    writer = rosbag1.Writer(tmp_path / "a.bag")
+    writer.set_compression(rosbag1.Writer.CompressionFormat[kind])
+    with writer:
+        options = {"msgdef": STRING.full_text, "md5sum": STRING.md5sum}
+        connection = writer.add_connection("/chatter", "std_msgs/msg/String", **options)
+        writer.write(connection, SECOND, struct.pack("<I", 2) + b"hi")
+    assert kind.lower().encode() in (tmp_path / "a.bag").read_bytes()
+    with MergedBag([tmp_path / "a.bag"]) as bags:
+        assert read(bags) == [("/chatter", 1)]
+
+
+# ---- ROS 2 -------------------------------------------------------------------------------------------
+
+OWN = "std_msgs/Header header\nfloat64 level\nbuiltin_interfaces/Time since\nuint8[] raw\n"
+STORAGES = list(getattr(rosbag2, "StoragePlugin", [None]))
+
+
+def ros2_bag(folder, storage):
+    """Write a bag of ROS 2 with a message of a usual type and one of a type of its own."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg(OWN, "my_msgs/msg/Level"))
+    kinds = store.types
+    time = kinds["builtin_interfaces/msg/Time"]
+    header = kinds["std_msgs/msg/Header"]
+    options = {} if storage is None else {"version": 9, "storage_plugin": storage}
+    with rosbag2.Writer(folder, **options) as writer:
+        text = writer.add_connection("/chatter", "std_msgs/msg/String", typestore=store)
+        level = writer.add_connection("/level", "my_msgs/msg/Level", typestore=store)
+        said = kinds["std_msgs/msg/String"](data="hello")
+        writer.write(text, 3 * SECOND, store.serialize_cdr(said, "std_msgs/msg/String"))
+        raw = numpy.array([1, 2, 3], dtype=numpy.uint8)
+        stamped = header(stamp=time(sec=4, nanosec=5), frame_id="tank")
+        message = kinds["my_msgs/msg/Level"](header=stamped, level=0.5, since=time(sec=1, nanosec=2), raw=raw)
+        writer.write(level, 5 * SECOND, store.serialize_cdr(message, "my_msgs/msg/Level"))
+    return folder
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_bag_of_ros_2_gives_the_events_that_ros_1_would(tmp_path, storage):
+    program = tmp_path / "program"
+    program.mkdir()
+    (program / "pub_sub.xml").write_text(
+        '<publish_subscribe><subscribe_to name="chatter" msg_type="std_msgs/String"/>'
+        '<subscribe_to name="level" msg_type="my_msgs/msg/Level"/></publish_subscribe>'
+    )
+    (program / "goalPredicates.txt").write_text("")
+    found, wrong = [], []
+    playback = Playback(program, wrong.append)
+    look = RunRecorder(playback, found.append)
+    with MergedBag([ros2_bag(tmp_path / "two", storage)]) as bags:
+        assert [topic.type for topic in bags.topics] == ["std_msgs/String", "my_msgs/Level"]
+        assert list(playback.run(bags, lambda done: look.look())) == []
+    assert wrong == []
+    assert [(line["event"], line["start"]) for line in found] == [
+        ("std_msgs__0__String('\"hello\"')", 3 * SECOND),
+        (
+            "my_msgs__0__Level(std_msgs__0__Header(0,[4,5],'\"tank\"'),0.5,[1,2],'\"FFFFFFFFFFAQID////\"')",
+            4 * SECOND + 5,
+        ),
+    ]
+    assert json.loads(json.dumps(found)) == found
+
+
+BOUNDED = """\
+uint8 BOX=1
+string<=10 name "a # name"   # with a default value
+string<=10[<=2] names
+float64[<=3] dimensions [1.0, 2.0]
+wstring<=30 text
+byte code 200
+geometry_msgs/msg/Point[<=1] points
+"""
+IDL = """\
+================================================================================
+IDL: my_msgs/msg/Few
+module my_msgs {
+  module msg {
+    struct Few {
+      string<5> name;
+      sequence<double, 3> few;
+      std_msgs::msg::Header header;
+    };
+  };
+};
+"""
+
+
+def packed(*parts):
+    """Return a message in CDR, of parts as for `struct`."""
+    return b"\0\1\0\0" + b"".join(struct.pack(f"<{code}", *values) for code, *values in parts)
+
+
+def typed_bag(folder, storage, *connections):
+    """Write a bag of ROS 2 with topics of types, each with its definition and messages, one a second."""
+    options = {} if storage is None else {"version": 9, "storage_plugin": storage}
+    with rosbag2.Writer(folder, **options) as writer:
+        second = 0
+        for topic, kind, text, *messages in connections:
+            connection = writer.add_connection(topic, kind, msgdef=text, rihs01="RIHS01_0")
+            for data in messages:
+                second += 1
+                writer.write(connection, second * SECOND, data)
+    return folder
+
+
+HELLO = packed(("I6s", 6, b"hello\0"))
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_type_that_cannot_be_read_costs_its_own_topic(tmp_path, storage, caplog):
+    folder = typed_bag(
+        tmp_path / "two",
+        storage,
+        ("/broken", "my_msgs/msg/Broken", "float64[<3] x\n", HELLO),
+        ("/gone", "my_msgs/msg/Gone", "", HELLO),
+        ("/gone_too", "my_msgs/msg/Gone", "", HELLO),
+        ("/nested", "my_msgs/msg/Nested", "lost_msgs/msg/Lost lost\n", HELLO),
+        ("/chatter", "std_msgs/msg/String", "string data\n", HELLO),
+    )
+    with MergedBag([folder]) as bags:
+        assert [topic.name for topic in bags.topics] == ["/chatter"]
+        assert [record.data for record in bags.records()] == [struct.pack("<I", 5) + b"hello"]
+    left_out = [one.getMessage() for one in caplog.records]
+    assert left_out == [
+        f"{folder}: left out: topic /broken (my_msgs/Broken): my_msgs/Broken:1:1: expected 'type name' or "
+        "'type NAME=value', found 'float64[<3] x'",
+        f"{folder}: left out: topics /gone, /gone_too (my_msgs/Gone): the type is not defined in the bag or on this "
+        "system",
+        f"{folder}: left out: topic /nested (my_msgs/Nested): the type lost_msgs/Lost is not defined in the bag or "
+        "on this system",
+    ]
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_bounds_and_defaults_are_read(tmp_path, storage):
+    text = '"Jü"'
+    raw = packed(
+        ("I3sx", 3, b"hi\0"),
+        ("II2s", 1, 2, b"a\0"),
+        ("xxId", 1, 0.5),
+        ("III", 2, ord("J"), ord("ü")),
+        ("BxxxI", 200, 0),
+    )
+    folder = typed_bag(tmp_path / "two", storage, ("/bounded", "my_msgs/msg/Bounded", BOUNDED, raw))
+    with MergedBag([folder]) as bags:
+        (topic,) = bags.topics
+        (record,) = bags.records()
+    definitions = Definitions()
+    definition = definitions.add(topic.type, topic.definition, topic.md5sum)
+    shown = to_text(definitions.decoder(definition).decode(record.data))
+    assert shown == f"my_msgs__0__Bounded('\"hi\"',['\"a\"'],[0.5],'{text}',200,[])"
+
+
+def test_a_definition_in_idl_is_read(tmp_path):
+    raw = packed(("I3sx", 3, b"hi\0"), ("I4xd", 1, 0.5), ("iII1s", 4, 5, 1, b""))
+    folder = typed_bag(tmp_path / "two", STORAGES[-1], ("/few", "my_msgs/msg/Few", IDL, raw))
+    with MergedBag([folder]) as bags:
+        slots = bags.topics[0].definition.split("\n")[:3]
+        assert slots == ["string name", "float64[] few", "std_msgs/Header header"]
+        expected = struct.pack("<I2sIdIIII", 2, b"hi", 1, 0.5, 0, 4, 5, 0)
+        assert [record.data for record in bags.records()] == [expected]
+
+
+def test_messages_that_are_not_of_their_type_are_dropped_and_counted(tmp_path, caplog):
+    folder = typed_bag(
+        tmp_path / "two",
+        STORAGES[-1],
+        ("/chatter", "std_msgs/msg/String", "string data\n", HELLO, HELLO[:-2], b"", HELLO),
+    )
+    with MergedBag([folder]) as bags:
+        assert read(bags) == [("/chatter", 1), ("/chatter", 4)]
+    assert [one.getMessage() for one in caplog.records] == [
+        f"{folder}: a message on /chatter is dropped: 8 bytes of CDR are not a std_msgs/String",
+        f"{folder}: 2 messages on /chatter dropped",
+    ]
+
+
+@pytest.fixture
+def compressed(tmp_path):
+    """Return a function that writes one file of a bag of ROS 2, compressed."""
+
+    def write(storage):
+        folder = typed_bag(
+            tmp_path / "two", storage, ("/chatter", "std_msgs/msg/String", "string data\n", HELLO)
+        )
+        (path,) = [one for one in folder.iterdir() if one.suffix in (".db3", ".mcap")]
+        alone = tmp_path / f"alone{path.suffix}.zstd"
+        alone.write_bytes(zstd(path.read_bytes()))
+        return alone
+
+    return write
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_one_compressed_file_is_played(compressed, storage, tmp_path, monkeypatch):
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(scratch))
+    path = compressed(storage)
+    with MergedBag([path]) as bags:
+        assert read(bags) == [("/chatter", 1)]
+        assert bags.path == str(path)
+        assert len(list(scratch.iterdir())) == 1
+    assert list(scratch.iterdir()) == []
+
+
+def test_a_compressed_file_that_is_too_large_or_broken_is_an_error(compressed, tmp_path, monkeypatch):
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(scratch))
+    path = compressed(STORAGES[-1])
+    whole = path.read_bytes()
+    path.write_bytes(packed_zeros("zstd", 2))
+    with pytest.raises(BagError, match="too large: unpacked it would have more than 1000000 bytes"):
+        MergedBag([path], max_chunk_megabytes=1)
+    path.write_bytes(whole)
+    path.write_bytes(path.read_bytes()[:-9])
+    with pytest.raises(BagError, match="alone.* is not a complete ROS 2 bag"):
+        MergedBag([path])
+    assert list(scratch.iterdir()) == []
+
+
+def test_what_is_no_bag_of_ros_2_is_an_error(tmp_path):
+    (tmp_path / "metadata.yaml").write_text("nothing: 1")
+    with pytest.raises(BagError, match="is not a complete ROS 2 bag"):
+        MergedBag([tmp_path])
+    (tmp_path / "wrong.mcap").write_text("nothing")
+    with pytest.raises(BagError, match="wrong.mcap"):
+        MergedBag([tmp_path / "wrong.mcap"])

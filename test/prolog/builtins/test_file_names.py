@@ -1,0 +1,95 @@
+"""Names of files: their parts, and where they are."""
+
+import pytest
+from prolog.support import answers, first, prolog
+
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+
+
+@pytest.mark.parametrize(
+    ("goal", "expected"),
+    [
+        ("file_base_name('/a/b.pl', X)", "'b.pl'"),
+        ("file_base_name('/a/b/', X)", "b"),
+        ("file_base_name(/, X)", "/"),
+        ("file_base_name('', X)", "''"),
+        ('file_base_name("x/y", X)', "y"),
+        ("file_directory_name('/a/b.pl', X)", "'/a'"),
+        ("file_directory_name('/a/b/', X)", "'/a'"),
+        ("file_directory_name('/a', X)", "/"),
+        ("file_directory_name(a, X)", "'.'"),
+        ("file_directory_name('', X)", "'.'"),
+        ("file_name_extension(X, pl, 'a.b.pl')", "'a.b'"),
+        ("file_name_extension(X, '.pl', 'a.pl')", "a"),
+        ("file_name_extension(X, txt, 'a.pl')", None),
+        ("file_name_extension(a, X, 'a.pl')", "pl"),
+        ("file_name_extension(X, _, 'x.y/a')", "'x.y/a'"),
+        ("file_name_extension(X, '', a)", "a"),
+        ("file_name_extension(a, pl, X)", "'a.pl'"),
+        ("file_name_extension('a.pl', '.pl', X)", "'a.pl'"),
+        ("file_name_extension(a, '', X)", "a"),
+        ("directory_file_path(a, b, X)", "'a/b'"),
+        ("directory_file_path('a/', b, X)", "'a/b'"),
+        ("directory_file_path('.', b, X)", "b"),
+        ("directory_file_path(a, '/b', X)", "'/b'"),
+        ("directory_file_path(X, b, 'a/b')", "a"),
+        ("directory_file_path(a, X, 'a/b')", "b"),
+        ("is_absolute_file_name('/a'), \\+ is_absolute_file_name(a), X = yes", "yes"),
+    ],
+)
+def test_parts(goal, expected):
+    assert first(prolog(), goal) == expected
+
+
+@pytest.mark.parametrize(
+    ("goal", "error"),
+    [
+        ("file_base_name(_, _)", "instantiation_error"),
+        ("file_directory_name(f(x), _)", "type_error(text,f(x))"),
+        ("file_name_extension(_, _, _)", "instantiation_error"),
+        ("absolute_file_name(a, _)", "permission_error(access,source_sink,'.')"),
+        ("exists_directory(a)", "permission_error(access,source_sink,'.')"),
+    ],
+)
+def test_errors(goal, error):
+    assert answers(prolog(), goal) == [error]
+
+
+@pytest.fixture
+def logic(tmp_path):
+    (tmp_path / "kb.pl").write_text("p(1).\n")
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / "hall.pl").write_text("room(hall).\n")
+    engine = Engine(settings=Settings(folders=[tmp_path]))
+    engine.load_program(tmp_path / "kb.pl")
+    return parts_of(engine).logic
+
+
+@pytest.mark.parametrize(
+    ("goal", "expected"),
+    [
+        ("absolute_file_name('maps/../kb.pl', X)", "/kb.pl"),
+        ("absolute_file_name('maps/', X)", "/maps/"),
+        ("absolute_file_name(maps/hall, X, [file_type(prolog), access(read)])", "/maps/hall.pl"),
+        ("absolute_file_name(kb, [extensions([pl])], X)", "/kb.pl"),
+        ("absolute_file_name(maps, X, [file_type(directory), access(exist)])", "/maps"),
+        ("absolute_file_name('.', X, [relative_to('/other')])", "other"),
+    ],
+)
+def test_whole_paths(logic, tmp_path, goal, expected):
+    wanted = f"{tmp_path}{expected}" if expected.startswith("/") else f"/{expected}"
+    assert first(logic, goal) == f"'{wanted}'"
+
+
+def test_what_is_there(logic, tmp_path):
+    assert answers(logic, "exists_directory(maps)") == [{}]
+    assert answers(logic, "exists_directory('kb.pl')") == []
+    assert answers(logic, "absolute_file_name(none, _, [access(read)])") == [
+        "existence_error(source_sink,none)"
+    ]
+    assert answers(logic, "absolute_file_name(none, _, [access(read), file_errors(fail)])") == []
+    assert answers(logic, "absolute_file_name(library(lists), _)") == []
+    (error,) = answers(logic, "exists_directory('/')")
+    assert error == "permission_error(open,source_sink,/)"

@@ -1,0 +1,250 @@
+"""Goals that call predicates of the program as plain functions: same answers, errors and bindings as by frames."""
+
+import random
+
+import pytest
+from prolog.compiler.test_compiled import term
+from prolog.support import NEVER, prolog, show
+
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.machine.machine import BAIL
+from retalis.prolog.syntax.term_reader import read_term
+from retalis.prolog.terms.types import Var, functor
+
+PROGRAM = """
+inc(X, Y) :- Y is X + 1.
+big(X) :- X > 5, !.
+big(X) :- X < -5.
+twice(X, Y) :- inc(X, Z), inc(Z, Y).
+color(a, 1). color(b, 2). color(c, 3).
+any(X) :- color(_, X).
+key(K, V) :- color(K, W), V is W * 10.
+two(X) :- X = 1.
+two(X) :- X = 2.
+later(X) :- two(X), X > 1.
+cut(X, Y) :- two(X), !, Y = X.
+kind(X, K) :- ( big(X) -> K = big ; color(_, X) -> K = color ; K = none ).
+not_big(X) :- \\+ big(X).
+max(X, Y, X) :- X >= Y.
+max(X, Y, Y) :- X < Y.
+wrong(X) :- inc(X, _).
+len([], 0).
+len([_|T], N) :- len(T, M), N is M + 1.
+even(0).
+even(X) :- X > 0, Y is X - 1, odd(Y).
+odd(X) :- X > 0, Y is X - 1, even(Y).
+pair(f(X, Y), Y, X).
+says(X) :- big(X), write(X).
+same(X, X).
+bound(X) :- X = g(_), X = g(1).
+"""
+
+
+def compiled(logic, text, inputs, outputs):
+    read = read_term(text, logic.operators)
+    return logic.compile_goal(
+        read.term, [read.names[name] for name in inputs], [read.names[name] for name in outputs]
+    )
+
+
+def told(goal, values):
+    """Return what a goal says: its outputs as texts, or its error's."""
+    try:
+        found = goal.test(values)
+    except PrologError as error:
+        return show(error.term)
+    return None if found is None else tuple(map(show, found))
+
+
+def both_ways(logic, text, inputs, outputs, values):
+    """Return what a goal says, after comparing with what it says by frames; and whether a function told it."""
+    straight = compiled(logic, text, inputs, outputs)
+    by_frames = compiled(logic, text, inputs, outputs)
+    by_frames.straight = None
+    expected = told(by_frames, values)
+    for _ in range(2):
+        assert told(straight, values) == expected
+        assert logic.machine.trail == [] == logic.machine.choices
+    return expected, straight.straight is not None and straight.straight(*values) is not BAIL
+
+
+CASES = [
+    ("inc(X, Y)", (3,), ("4",), True),
+    ("twice(X, Y)", (3,), ("5",), True),
+    ("big(X)", (7,), (), True),
+    ("big(X)", (-7,), (), True),
+    ("big(X)", (1,), None, True),
+    ("key(b, Y)", (), ("20",), True),
+    ("any(X)", (3,), (), True),
+    ("color(Y, X), X > 1", (2,), ("b",), True),
+    ("color(_, Y), Y > 1", (), ("2",), False),
+    ("later(Y)", (), ("2",), False),
+    ("later(X)", (2,), (), True),
+    ("cut(Y, Z)", (), ("1", "1"), True),
+    ("cut(Y, Z), Y > 1", (), None, True),
+    ("kind(X, Y)", (9,), ("big",), True),
+    ("kind(X, Y)", (2,), ("color",), True),
+    ("kind(X, Y)", (4,), ("none",), True),
+    ("not_big(X)", (4,), (), True),
+    ("max(X, 3, Y)", (4,), ("4",), True),
+    ("max(X, 3, Y), Y > 3", (4,), ("4",), False),
+    ("max(X, 3, Y)", (2,), ("3",), True),
+    ("len([a,b], Y)", (), ("2",), False),
+    ("even(X)", (4,), (), False),
+    ("pair(f(1, X), Y, Z)", (2,), ("2", "1"), True),
+    ("same(f(Y, X), f(1, Z))", (2,), ("1", "2"), True),
+    ("bound(Y)", (), ("g(1)",), True),
+    ("says(X)", (1,), None, False),
+    ("two(Y), !, Y > 1", (), None, True),
+    ("\\+ two(X), Y = no", (3,), ("no",), True),
+    ("( two(X) -> Y = yes ; Y = no )", (2,), ("yes",), True),
+]
+
+
+@pytest.mark.parametrize("text, values, expected, is_function", CASES)
+def test_functions_say_what_frames_say(text, values, expected, is_function):
+    logic = prolog(PROGRAM)
+    outputs = [name for name in "YZ" if name in text]
+    inputs = ["X"] if values else []
+    found, function = both_ways(logic, text, inputs, outputs, values)
+    assert found == expected
+    assert function == is_function
+
+
+def test_errors_keep_their_context():
+    logic = prolog(PROGRAM)
+    found, function = both_ways(logic, "wrong(X)", ["X"], [], (functor("f", 1)(1),))
+    assert found == "error(type_error(evaluable,f/1),context(inc/2,A))"
+    assert not function
+    assert both_ways(logic, "wrong(X)", ["X"], [], (Var(),))[0].startswith(
+        "error(instantiation_error,context(inc/2"
+    )
+
+
+def test_a_goal_of_no_predicate_has_no_context():
+    logic = prolog(PROGRAM)
+    for _ in range(3):
+        found, _ = both_ways(logic, "two(Z), Y is X + 1, Y > Z", ["X"], ["Y"], (functor("f", 1)(1),))
+        assert found == "error(type_error(evaluable,f/1),A)"
+
+
+def test_variables_among_the_values_are_free_again():
+    logic = prolog(PROGRAM)
+    var = Var()
+    goal = compiled(logic, "two(X)", ["X"], ["X"])
+    assert goal.test((var,)) == (1,)
+    assert var.ref is None
+    failing = compiled(logic, "X = 1, !, X = 2", ["X"], [])
+    assert failing.test((var,)) is None
+    assert var.ref is None and logic.machine.trail == []
+
+
+def test_facts_that_come_and_go():
+    logic = prolog(":- dynamic state/2. is_on(X) :- state(X, on).")
+    goal = compiled(logic, "is_on(X)", ["X"], [])
+    lamp = read_term("lamp", logic.operators).term
+    change = {True: "assertz(state(lamp, on))", False: "retract(state(lamp, on))"}
+    for on in [True, False] * 3:
+        assert logic.once(read_term(change[on], logic.operators).term)
+        assert (goal.test((lamp,)) is not None) is on
+    assert logic.once(read_term("assertz((state(X, on) :- X == lamp))", logic.operators).term)
+    assert goal.test((lamp,)) == ()
+
+
+def test_many_facts_are_found_by_their_index():
+    logic = prolog(" ".join(f"p({n}, {n * n})." for n in range(200)) + " q(X, Y) :- p(X, Y), Y > 0.")
+    assert both_ways(logic, "q(X, Y)", ["X"], ["Y"], (12,)) == (("144",), True)
+    assert both_ways(logic, "q(X, Y)", ["X"], ["Y"], (0,)) == (None, True)
+    assert both_ways(logic, "p(_, Y), Y > 3", [], ["Y"], ()) == (("4",), False)
+    assert both_ways(logic, "p(_, Y)", [], ["Y"], ()) == (("0",), True)
+
+
+def test_clauses_that_are_added_count():
+    logic = prolog("p(1). q(X) :- p(X).")
+    goal = compiled(logic, "q(X)", ["X"], [])
+    assert goal.test((2,)) is None
+    logic.add_clause(read_term("p(2)", logic.operators).term)
+    assert goal.test((2,)) == ()
+    logic.add_clause(read_term("p(X) :- q(X)", logic.operators).term)
+    assert goal.test((1,)) == ()
+    assert goal.straight(1) is BAIL
+
+
+def test_predicates_may_be_defined_after_the_goal():
+    logic = prolog()
+    goal = compiled(logic, "inc(X, Y)", ["X"], ["Y"])
+    logic.add_clause(read_term("inc(X, Y) :- Y is X + 1", logic.operators).term)
+    assert goal.test((1,)) == (2,)
+    assert goal.straight(1) == (2,)
+
+
+def test_what_cannot_tell_is_not_asked_for_ever():
+    logic = prolog(PROGRAM)
+    goal = compiled(logic, "later(Y)", [], ["Y"])
+    for _ in range(30):
+        assert goal.test(()) == (2,)
+    assert goal.straight is None
+
+
+def test_attempts_use_functions_and_frames():
+    logic = prolog(PROGRAM)
+    machine = logic.machine
+    for text, values, expected in (
+        ("inc(X, Y)", (3,), (4,)),
+        ("later(Y)", (), (2,)),
+        ("max(X, 3, Y), Y > 3", (4,), (4,)),
+    ):
+        goal = compiled(logic, text, ["X"] if values else [], ["Y"])
+        seen = []
+
+        def then(outputs, seen=seen):
+            seen.append(outputs)
+            return machine.done
+
+        assert machine.run(machine.attempt(goal, values, then, machine.done, seen.append))
+        assert seen == [expected]
+
+
+def body(rng, names):
+    goals = []
+    for _ in range(rng.randint(0, 3)):
+        kind = rng.random()
+        call = f"{rng.choice(names)}({term(rng)}, {term(rng)})"
+        if kind < 0.5:
+            goals.append(call)
+        elif kind < 0.6:
+            goals.append(f"{term(rng)} = {term(rng)}")
+        elif kind < 0.7:
+            goals.append(f"( {call} -> {term(rng)} = {term(rng)} ; {term(rng)} \\= {term(rng)} )")
+        elif kind < 0.8:
+            goals.append(f"\\+ {call}")
+        elif kind < 0.9:
+            goals.append("!")
+        else:
+            goals.append(f"{rng.choice('XYZ')} is {rng.choice('XYU')} + 1")
+    return ", ".join(goals) or "true"
+
+
+def program(rng):
+    """Return clauses of p, q and r; each calls only those after it."""
+    names = ["p", "q", "r", "s"]
+    lines = ["s(1, a). s(2, b). s([a], X) :- X = 1."]
+    for at, name in enumerate(names[:3]):
+        for _ in range(rng.randint(1, 3)):
+            lines.append(f"{name}({term(rng)}, {term(rng)}) :- {body(rng, names[at + 1 :])}.")
+    return "\n".join(lines)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(150))
+def test_random_programs(seed):
+    rng = random.Random(seed)
+    text = program(rng)
+    logic = prolog(text, rng.choice([0, NEVER]))
+    functions = 0
+    for _ in range(4):
+        value = read_term(term(rng), logic.operators).term
+        goal = f"p(X, Y), {body(rng, ['q', 'r'])}, Z = Y"
+        found, function = both_ways(logic, goal, ["X"], ["Z"], (value,))
+        functions += function
+    assert logic.machine.choices == []

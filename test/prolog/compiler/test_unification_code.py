@@ -1,0 +1,67 @@
+"""Patterns in compiled clauses against the general unification of terms."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from retalis.prolog.system.prolog_system import PrologSystem
+from retalis.prolog.terms.term_traversal import copy, resolve, variables
+from retalis.prolog.terms.types import Var, atom, functor
+from retalis.prolog.terms.unification import compare, undo, unify
+
+ATOMS = st.sampled_from([atom("a"), atom("[]"), atom("b")])
+SHARED = [Var() for _ in range(4)]
+
+
+def terms(leaves):
+    return st.recursive(
+        leaves,
+        lambda inner: st.one_of(
+            st.builds(lambda x, y: functor("f", 2)(x, y), inner, inner),
+            st.builds(lambda x: functor("g", 1)(x), inner),
+            st.builds(lambda x, y, z: functor("f", 3)(x, y, z), inner, inner, inner),
+        ),
+        max_leaves=12,
+    )
+
+
+PATTERNS = terms(st.one_of(ATOMS, st.sampled_from(SHARED)))
+VALUES = terms(st.one_of(ATOMS, st.integers(0, 3), st.sampled_from(SHARED)))
+
+
+@pytest.mark.slow
+@given(PATTERNS, VALUES)
+def test_a_pattern_in_a_clause_unifies_as_terms_do(pattern, value):
+    pattern, value = copy(pattern), copy(value)
+    trail = []
+    expected = None
+    inputs = tuple(variables(functor("p", 1)(pattern)))
+    both = functor("p", 2)(functor("v", len(inputs))(*inputs) if inputs else atom("none"), value)
+    if unify(pattern, value, trail):
+        expected = copy(resolve(both))
+    undo(trail, 0)
+
+    logic = PrologSystem(compile_after=0)
+    argument = Var()
+    known = functor("v", len(inputs))(*inputs) if inputs else atom("none")
+    clause = functor(":-", 2)(functor("p", 2)(argument, known), functor("=", 2)(argument, pattern))
+    logic.add_clause(clause)
+    result = Var()
+    found = None
+    for _ in logic.solutions(functor("p", 2)(value, result)):
+        found = copy(resolve(functor("p", 2)(result, value)))
+    assert (found is None) == (expected is None)
+    if found is not None:
+        assert is_variant(found, expected)
+
+
+def is_variant(one, other):
+    """Tell whether two terms differ in the names of variables only."""
+    numbered = []
+    for term in (one, other):
+        term = copy(term)
+        trail = []
+        for number, var in enumerate(variables(term)):
+            unify(var, functor("$", 1)(number), trail)
+        numbered.append(resolve(term))
+    return compare(*numbered) == 0

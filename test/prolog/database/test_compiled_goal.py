@@ -1,0 +1,222 @@
+"""Goals for Python code, attempts as part of a run, limits, predicates in Python."""
+
+import traceback
+
+import pytest
+from prolog.support import answers, first, prolog
+
+from retalis.prolog.machine.errors import PrologError, type_error
+from retalis.prolog.machine.machine import LAST, Code
+from retalis.prolog.machine.resource_limits import Limits
+from retalis.prolog.syntax.term_reader import read_term
+from retalis.prolog.system.prolog_system import PrologSystem
+from retalis.prolog.terms.types import Var, atom, deref, functor
+
+
+def goal(logic, text, inputs, outputs):
+    read = read_term(text, logic.operators)
+    return logic.compile_goal(
+        read.term, [read.names[name] for name in inputs], [read.names[name] for name in outputs], name="test"
+    )
+
+
+FACTS = "p(1). p(2). p(3). q(X, Y) :- p(X), Y is X * 2."
+
+
+def test_an_inline_goal_is_straight_python():
+    logic = prolog()
+    found = goal(logic, "Z is Sec + NSec * 1.0e-9", ["Sec", "NSec"], ["Z"])
+    assert found.straight is not None
+    assert found.test((5, 500_000_000)) == (5.5,)
+    with pytest.raises(PrologError, match="Arguments are not sufficiently instantiated"):
+        found.test((Var(), 1))
+
+
+def test_a_goal_on_clauses_gives_its_first_solution():
+    logic = prolog(FACTS)
+    found = goal(logic, "q(X, Y), Y > A", ["A"], ["X", "Y"])
+    assert found.test((2,)) == (2, 4)
+    assert found.test((10,)) is None
+    assert found.all((0,)) == [(1, 2), (2, 4), (3, 6)]
+    assert logic.machine.trail == [] == logic.machine.choices
+
+
+def test_bindings_of_values_are_undone_and_outputs_resolved():
+    logic = prolog()
+    found = goal(logic, "X = f(Y, Z), Y = 3", ["X"], ["Y", "Z", "X"])
+    point = functor("f", 2)
+    assert found.test(((point, 3, 4),)) == (3, 4, (point, 3, 4))
+    given = Var()
+    three, other, whole = found.test((given,))
+    assert three == 3 and other.__class__ is Var and whole == (point, 3, other)
+    assert given.ref is None
+    assert found.test((4,)) is None
+    assert logic.machine.trail == []
+
+
+def test_a_goal_that_is_no_goal_is_refused():
+    logic = prolog()
+    with pytest.raises(PrologError, match="callable"):
+        logic.compile_goal((functor(",", 2), atom("a"), 1))
+
+
+def run(logic, frame):
+    return logic.machine.run((Code("test", lambda _: frame()),))
+
+
+def test_attempts():
+    logic = prolog(FACTS)
+    machine = logic.machine
+    seen = []
+
+    def then(outputs):
+        seen.append(outputs)
+        return machine.done
+
+    find = goal(logic, "q(X, Y), Y > A", ["A"], ["X", "Y"])
+    assert run(logic, lambda: machine.attempt(find, (2,), then, machine.done, seen.append))
+    assert seen == [(2, 4)]
+    assert run(logic, lambda: machine.attempt(find, (9,), then, machine.done, seen.append))
+    assert seen == [(2, 4)]
+    fails = goal(logic, "q(X, Y), Y > A, throw(ball(X))", ["A"], [])
+    assert run(
+        logic, lambda: machine.attempt(fails, (2,), then, machine.done, lambda error: seen.append(error.term))
+    )
+    assert seen[1:] == [(functor("ball", 1), 2)]
+    inline = goal(logic, "Y is X / 0", ["X"], ["Y"])
+    assert run(
+        logic,
+        lambda: machine.attempt(inline, (2,), then, machine.done, lambda error: seen.append(error.message)),
+    )
+    assert "zero_divisor" in seen[2]
+    assert machine.trail == [] == machine.choices
+
+
+def test_attempts_in_attempts_without_recursion():
+    logic = prolog("step(0, 1).")
+    machine = logic.machine
+    find = goal(logic, "step(0, X)", [], ["X"])
+    depth = 0
+
+    def again(outputs):
+        nonlocal depth
+        depth += 1
+        return machine.done if depth == 5000 else machine.attempt(find, (), again, None, print)
+
+    assert run(logic, lambda: machine.attempt(find, (), again, None, print))
+    assert depth == 5000
+
+
+LOOPS = "loop :- loop. grow(X) :- grow(f(X)). pile(N) :- M is N + 1, pile(M), true."
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "text", ["loop", "grow(a)", "pile(0), true", "repeat, fail", "between(1, inf, X), X < 0"]
+)
+def test_a_goal_without_end_is_stopped(text):
+    logic = prolog(LOOPS)
+    logic.limits = Limits(inferences=200_000)
+    assert answers(logic, text) == ["resource_error(inferences)"]
+    assert first(logic, f"catch(({text}), error(resource_error(W), _), true)") in (
+        "inferences",
+        {"X": "A", "W": "inferences"},
+    )
+    assert answers(logic, "X = 1") == [{"X": "1"}]
+
+
+def test_seconds_are_limited():
+    logic = prolog(LOOPS)
+    logic.limits = Limits(seconds=0.05)
+    assert answers(logic, "loop") == ["resource_error(seconds)"]
+
+
+@pytest.mark.slow
+def test_memory_is_limited():
+    logic = prolog("pile(T) :- pile([T,T,T,T,T,T|_]), true. piles(N) :- q(N), piles(N), q(N). q(_).")
+    logic.limits = Limits(megabytes=50)
+    assert answers(logic, "piles(1)") == ["resource_error(memory)"]
+
+
+def test_predicates_in_python():
+    logic = PrologSystem()
+
+    def double(machine, number, result):
+        value = deref(number)
+        if value.__class__ is not int:
+            raise type_error("integer", value)
+        return machine.unify(result, value * 2)
+
+    def divisors(machine, number, result):
+        for value in range(1, deref(number) + 1):
+            if deref(number) % value == 0 and machine.unify(result, value):
+                yield LAST if value == deref(number) else None
+
+    def twice(machine, args, after):
+        return logic.control.call(args[0], logic.control.call(args[0], after))
+
+    logic.define("double", 2, double)
+    logic.define_nondeterministic("divisor", 2, divisors)
+    logic.define_control("twice", 1, twice)
+    assert answers(logic, "double(4, X)") == [{"X": "8"}]
+    assert answers(logic, "double(a, X)") == ["type_error(integer,a)"]
+    assert [found["X"] for found in answers(logic, "divisor(6, X)")] == ["1", "2", "3", "6"]
+    assert answers(logic, "divisor(6, X), X > 2, !") == [{"X": "3"}]
+    assert logic.machine.choices == []
+    assert answers(logic, "twice(nb_setval(n, 1)), nb_getval(n, X)") == [{"X": "1"}]
+
+
+@pytest.mark.parametrize("after", ["", ", X = 1", ", twice"])
+def test_a_function_without_arguments_may_have_several_solutions(after):
+    logic = prolog(f"p(X) :- X = 1, twice{after}.\n", 0)
+
+    def twice(machine):
+        yield None
+        yield LAST
+
+    logic.define_nondeterministic("twice", 0, twice)
+    assert len(answers(logic, "p(X)")) == (4 if "twice" in after else 2)
+
+
+def test_solutions_one_by_one():
+    logic = prolog(FACTS)
+    read = read_term("p(X)", logic.operators)
+    outer = logic.solutions(read.term)
+    next(outer)
+    assert deref(read.names["X"]) == 1
+    assert answers(logic, "p(Y), Y > 1", 1) == [{"Y": "2"}]
+    next(outer)
+    assert deref(read.names["X"]) == 2
+    outer.close()
+    assert deref(read.names["X"]).__class__ is Var
+    assert logic.machine.trail == [] == logic.machine.choices
+
+
+def test_a_traceback_shows_the_generated_source_and_the_rule():
+    logic = prolog("broken(X) :- oops(X).")
+
+    def oops(machine, value):
+        raise KeyError("bug")
+
+    logic.define("oops", 1, oops)
+    try:
+        logic.once(read_term("broken(1)", logic.operators).term)
+    except KeyError:
+        text = traceback.format_exc()
+    assert "program.pl:1 broken/1" in text
+    assert "(M, " in text
+
+
+def test_a_change_of_a_called_predicate_is_seen():
+    logic = prolog("a(X) :- b(X). b(1). :- dynamic(b/1).")
+    assert answers(logic, "a(X)") == [{"X": "1"}]
+    assert answers(logic, "assertz(b(2)), a(X)") == [{"X": "1"}, {"X": "2"}]
+    assert answers(logic, "retract(b(1)), a(X)") == [{"X": "2"}]
+
+
+def test_a_program_may_define_a_predicate_of_the_library_for_itself():
+    logic = prolog("append(mine, _, _). last(own, _). u(X) :- append(X, _, _).")
+    assert answers(logic, "u(X)") == [{"X": "mine"}]
+    assert first(logic, "append([[1], [2]], X)") == "[1,2]"
+    with pytest.raises(PrologError, match="modify"):
+        logic.add_clause(read_term("atom(a)", logic.operators).term)

@@ -1,0 +1,186 @@
+"""What a program has SWI-Prolog load, who may, and what becomes of it in a state."""
+
+import ctypes
+import os
+import subprocess
+import sys
+
+import pytest
+from source import ROOT
+
+from retalis.engine.engine import Engine
+from retalis.engine.engine_settings import Settings
+from retalis.foundation.errors import ProgramErrors, RetalisError, UsageError
+from retalis.foundation.python_interpreter import PYPY
+from retalis.prolog.swi import libswipl
+
+ALLOWED = Settings(allow_swi=True)
+
+NOT_ON_PYPY = pytest.mark.skipif(PYPY, reason=libswipl.ON_PYPY)
+
+
+def test_programs_may_not_unless_they_are_allowed_to(tmp_path):
+    (tmp_path / "any.pl").write_text(":- module(any, [any/1]).\nany(1).\n")
+    with pytest.raises(ProgramErrors, match="load swi_file .*: the setting allow_swi is off"):
+        Engine().load(rules=":- use_swi('any.pl').", folder=tmp_path)
+
+
+def test_goals_that_run_later_never_may(folder):
+    engine = Engine(settings=ALLOWED)
+    engine.load(rules="near(a).", folder=folder)
+    with pytest.raises(RetalisError, match="load swi_file .* only what the program's own files ask for"):
+        engine.query("use_swi('kb.pl')")
+
+
+@NOT_ON_PYPY
+def test_it_is_said_where_swi_prolog_is_not_installed(monkeypatch, tmp_path):
+    (tmp_path / "any.pl").write_text(":- module(any, [any/1]).\nany(1).\n")
+    libswipl.find_library.cache_clear()
+    starting = pytest.importorskip("retalis.prolog.swi.swi_startup")
+    monkeypatch.setattr(starting, "_started", starting._started.__wrapped__)  # noqa: SLF001
+    monkeypatch.setattr(libswipl, "NAMES", ("libswipl_that_is_not_there.so",))
+    monkeypatch.setattr(libswipl, "PLACES", ())
+    with pytest.raises(ProgramErrors, match="SWI-Prolog, which is not installed here: .* swi-prolog-nox"):
+        Engine(settings=ALLOWED).load(rules=":- use_swi('any.pl').", folder=tmp_path)
+
+
+@NOT_ON_PYPY
+def test_it_is_said_which_function_an_older_one_lacks(monkeypatch):
+    class OldLibrary(ctypes.PyDLL):
+        """A library that has not all of the functions."""
+
+        def __init__(self, name, **options):
+            super().__init__("libc.so.6", **options)
+
+        def __getitem__(self, name):
+            return super().__getitem__("abs" if name != "PL_is_acyclic" else name)
+
+    find = libswipl.find_library.__wrapped__
+    monkeypatch.setattr(libswipl, "PLACES", ())
+    monkeypatch.setattr(libswipl, "NAMES", ("libswipl_that_is_not_there.so", "libc.so.6"))
+    with pytest.raises(UsageError, match=r"SWI-Prolog 7\.6\.4 or later: libc\.so\.6 is older.*PL_initialise"):
+        find()
+    monkeypatch.setattr(libswipl.ctypes, "PyDLL", OldLibrary)
+    monkeypatch.setattr(libswipl.ctypes, "CDLL", OldLibrary)
+    with pytest.raises(UsageError, match="PL_is_acyclic"):
+        find()
+
+
+def test_it_is_said_where_python_has_no_way_to_it(monkeypatch):
+    monkeypatch.setattr(libswipl, "PYPY", True)
+    with pytest.raises(UsageError, match="use_swi needs CPython"):
+        libswipl.find_library.__wrapped__()
+
+
+@pytest.mark.slow
+def test_who_does_not_use_it_loads_none_of_it():
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
+    script = (
+        "import sys, retalis; retalis.Engine(); "
+        "print(any(name.startswith('retalis.prolog.swi.s') for name in sys.modules))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, env=environment
+    )
+    assert done.stdout == "False\n"
+
+
+@NOT_ON_PYPY
+@pytest.mark.slow
+def test_these_tests_fail_where_they_are_asked_for_and_it_is_missing():
+    script = (
+        "import sys, pytest; from retalis.prolog.swi import libswipl; libswipl.NAMES = libswipl.PLACES = (); "
+        f"sys.exit(pytest.main([{os.path.dirname(__file__)!r} + '/test_values.py']))"
+    )
+    path = os.pathsep.join(
+        [str(ROOT / "src"), *sys.path]
+    )  # pytest may be in an environment that only PYTHONPATH names
+    environment = {**os.environ, "PYTHONPATH": path, "RETALIS_TEST_SWI": "1"}
+    ran = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT, env=environment
+    )
+    assert ran.returncode == 1
+    assert "RETALIS_TEST_SWI is set: use_swi needs SWI-Prolog" in ran.stdout
+    assert "skipped" not in ran.stdout
+
+
+def test_predicates_are_named(swi, folder):
+    (folder / "plain.pl").write_text("near(a, b).\nnear(b, c).\nnext_to(X, Y) :- near(X, Y).\n")
+    engine = Engine(settings=ALLOWED)
+    engine.load(rules=":- use_swi('plain.pl', [next_to/2, near/2 as close_by]).", folder=folder)
+    assert len(engine.query("next_to(X, Y), close_by(X, Y)")) == 2
+    with pytest.raises(RetalisError, match="near/2"):
+        engine.query("near(a, X)")
+
+
+def test_a_library_is_named(swi):
+    engine = Engine(settings=ALLOWED)
+    engine.load(goals="use_swi(library(ugraphs), [vertices_edges_to_ugraph/3, reachable/3])")
+    (found,) = engine.query("vertices_edges_to_ugraph([], [a-b, b-c], G), reachable(b, G, L)")
+    assert engine.show(found["L"]) == "[b,c]"
+
+
+@pytest.mark.parametrize(
+    ("text", "call", "message"),
+    [
+        ("near(a).\n", "use_swi('wrong.pl')", "exports nothing: name its predicates"),
+        ("near(a).\n", "use_swi('wrong.pl', [far/1])", "Unknown procedure: far/1"),
+        ("near(a).\n", "use_swi('wrong.pl', [near])", "predicate_indicator"),
+        ("near(a).\n", "use_swi('wrong.pl', near/1)", "`list' expected"),
+        ("near(a).\n", "use_swi('not_there.pl', [near/1])", "not_there.pl"),
+        ("near(a).\n", "use_swi(_)", "not sufficiently instantiated"),
+        ("atom_length(a, b).\n", "use_swi('wrong.pl', [atom_length/2])", "atom_length/2"),
+        ("near(a) :- (.\n", "use_swi('wrong.pl', [near/1])", "wrong.pl:1:.*[Ss]yntax error"),
+        (":- use_module(library(not_there)).\nnear(a).\n", "use_swi('wrong.pl', [near/1])", "not_there"),
+        ("near(a).\n", "use_swi(library(not_there), [near/1])", "not_there"),
+    ],
+)
+def test_what_is_wrong_is_said(swi, folder, tmp_path, text, call, message):
+    (tmp_path / "wrong.pl").write_text(text)
+    with pytest.raises(ProgramErrors, match=message):
+        Engine(settings=ALLOWED).load(rules=f":- {call}.", folder=tmp_path)
+
+
+def test_what_is_doubtful_is_a_warning(swi, tmp_path, caplog):
+    (tmp_path / "doubtful.pl").write_text(
+        ":- module(doubtful, [lonely/1]).\nlonely(X) :- near(Y).\nnear(1).\n"
+    )
+    engine = Engine(settings=ALLOWED)
+    engine.load(rules=":- use_swi('doubtful.pl').", folder=tmp_path)
+    assert engine.call("lonely(_)")
+    assert "doubtful.pl:2: Singleton variables" in caplog.text
+
+
+def test_a_file_that_has_changed_is_loaded_again(swi, tmp_path):
+    path = tmp_path / "changing.pl"
+    text = (
+        ":- module(changing, [version/1, to/2]).\n:- table to/2.\nto(X, Y) :- to(X, Z), Y is Z + 1, Y < 5.\n"
+    )
+    path.write_text(f"{text}to(X, X).\nversion(1).\n")
+    one = Engine(settings=ALLOWED)
+    one.load(rules=":- use_swi('changing.pl').", folder=tmp_path)
+    assert len(one.query("to(1, X)")) == 4
+    path.write_text(f"{text}to(X, X).\nversion(2).\n")
+    os.utime(path, (2e9, 2e9))
+    other = Engine(settings=ALLOWED)
+    other.load(rules=":- use_swi('changing.pl').", folder=tmp_path)
+    assert [engine.query("version(X)") for engine in (one, other)] == [[{"X": 2}], [{"X": 2}]]
+    assert len(one.query("to(1, X)")) == 4
+
+
+def test_a_state_says_what_to_load_and_keeps_nothing_of_it(swi, tmp_path):
+    (tmp_path / "kept.pl").write_text(
+        ":- module(kept, [learn/1, known/1]).\n:- dynamic known/1.\nknown(0).\nlearn(X) :- assertz(known(X)).\n"
+    )
+    one = Engine(settings=ALLOWED)
+    one.load(
+        rules=":- use_swi('kept.pl', [learn/1, known/1]).\nlearnt(X) <- told(X) where known(X).",
+        folder=tmp_path,
+    )
+    data = one.snapshot()
+    other = Engine.restore(data, settings=ALLOWED, folder=tmp_path)
+    assert other.query("known(X)") == [{"X": 0}]
+    with pytest.raises(UsageError, match="not in a folder of its own"):
+        Engine.restore(data, settings=ALLOWED)
+    with pytest.raises(UsageError, match="allow_swi is off"):
+        Engine.restore(data, folder=tmp_path)

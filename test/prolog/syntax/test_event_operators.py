@@ -1,0 +1,159 @@
+"""The table of the operators of events: what is read, found, explained and documented comes from it."""
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from events import table
+from fuzz.kinds import rules as fuzzed
+from oracle import patterns
+
+import retalis
+from retalis.events.language.aggregate_functions import AGGREGATES
+from retalis.events.language.pattern_operators import OPERATORS
+from retalis.prolog.syntax.event_operators import EVENT_OPERATORS, OperatorKind
+
+SOURCE = Path(retalis.__file__).parent
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "language.md").read_text(encoding="utf-8")
+NO_OPERATORS = {"`E`", "`P seq prolog(G)`, `prolog(G) seq P`"}
+"""Rows of the table of patterns that are those of no operator."""
+
+
+def rows(title):
+    """Return the rows of the table of this title, each a list of its cells."""
+    found = PAGE[PAGE.index(f"\n{title}\n") :].split("\n\n")[0].strip().split("\n")[2:]
+    return [row[2:-2].split(" | ") for row in found]
+
+
+def test_page_has_the_rows_of_all_patterns():
+    assert sorted(map(tuple, rows("| pattern | is matched when | interval |"))) == sorted(
+        [
+            *(row for one in EVENT_OPERATORS for row in one.rows),
+            *(
+                tuple(row)
+                for row in rows("| pattern | is matched when | interval |")
+                if row[0] in NO_OPERATORS
+            ),
+        ]
+    )
+
+
+def test_every_operator_of_patterns_stands_in_a_row():
+    forms = " ".join(row.form for one in EVENT_OPERATORS for row in one.rows)
+    for one in EVENT_OPERATORS:
+        if one.kind not in (OperatorKind.RULE, OperatorKind.REFUSED):
+            assert re.search(rf"\b{one.spellings[0]}\b", forms), one.name
+
+
+def test_page_has_the_priorities():
+    expected = {}
+    for one in EVENT_OPERATORS:
+        if one.priority and one.kind is not OperatorKind.REFUSED:
+            expected.setdefault(str(one.priority), set()).update((one.name, *one.signs))
+    found = {
+        priority: re.findall(r"`([^`]+)`", names) for priority, names in rows("| priority | operators |")
+    }
+    found["1200"].remove(":")
+    assert {priority: {name.strip("'") for name in names} for priority, names in found.items()} == expected
+
+
+def test_page_names_the_aggregates():
+    (found,) = re.findall(r"The kinds of aggregate are (.*)\. `", PAGE)
+    assert re.findall(r"`([^`]+)`", found) == [one.form for one in AGGREGATES.values()]
+
+
+def test_tests_know_all():
+    """The oracle has tables of its own: it is another opinion of what they mean."""
+    known = [one for one in EVENT_OPERATORS if one.kind not in (OperatorKind.RULE, OperatorKind.REFUSED)]
+    names = {one.spellings[0] for one in known}
+    assert set(OPERATORS) == set(patterns.TWO_SIDED)
+    assert set(AGGREGATES) == set(patterns.KINDS)
+    assert names <= {re.sub(r"\W.*", "", row) for row in table.ROWS} | {"do", "aggregate", "with", "absent"}
+    written = " ".join((*fuzzed.SIDES, *fuzzed.GOALS, *fuzzed.STREAMS, "do"))
+    assert all(re.search(rf"\b{name}\b", written) for name in names)
+    assert {re.sub(r"\W.*", "", kind) for kind in fuzzed.KINDS} == set(AGGREGATES)
+
+
+ENTRY = """    EventOperator(
+        "straddles",
+        OperatorKind.PAIR,
+        1025,
+        comparisons=("s1 < s2", "s2 < e1", "e1 < e2"),
+        start="s1",
+        end="e2",
+        wrong="none of the first overlaps one of the second",
+    ),
+"""
+AFTER = """    EventOperator("fnot","""
+PROGRAM = """
+import logging
+import sys
+
+from retalis import Engine, ProgramErrors
+from retalis.explanation.explain import explain, record_origins
+from retalis.engine.runtime.clock import StreamClock
+from retalis.prolog.terms.timestamps import SECOND; from retalis.prolog.terms.types import functor
+
+EVENTS = (("a(1)", 1, 4), ("a(2)", 2, 5), ("b(3)", 3, 6), ("b(4)", 5, 6), ("a(5)", 0, 4), ("b(6)", 1, 5))
+for policy in ("recent", "recent_2", "chronological", "chronological_2", "unrestricted"):
+    engine = Engine(clock=StreamClock(1000 * SECOND))
+    seen = []
+    engine.on_event(lambda term, start, end: seen.append((engine.show(term), start // SECOND, end // SECOND)))
+    goals = "set_etalis_flag(event_consumption_policy, %s)" % policy
+    engine.load(goals=goals, rules="o(X, Y) <- a(X) 'STRADDLES' b(Y) where X > 0. p(X) <- a(X) straddles b(X).")
+    for event in EVENTS:
+        engine.event(*event)
+    print(policy, *("%s@%d-%d" % one for one in seen if one[0][0] == "o"))
+
+engine = Engine(clock=StreamClock(1000 * SECOND))
+record_origins(engine)
+engine.load(rules="p(X) <- a(X) straddles b(X).")
+engine.event("a(7)", 1, 2)
+engine.event("b(7)", 3, 4)
+lines = explain(engine, (functor("p", 1), 7)).lines
+print(*(line.strip() for one in lines for line in one.indented() if "straddles:" in line))
+
+logging.basicConfig(stream=sys.stdout, format="%(message)s")
+for rule in ("p <- a stradles b.", "p <- a besides b.", "straddles(X, Y) <- a(X, Y)."):
+    try:
+        engine.load(rules=rule)
+    except ProgramErrors as errors:
+        print(errors.errors[0].message)
+"""
+PRINTED = """\
+recent o(2,3)@2-6 o(5,6)@0-5
+recent_2 o(2,3)@2-6 o(5,6)@0-5
+chronological o(1,3)@1-6 o(5,6)@0-5
+chronological_2 o(1,3)@1-6 o(5,6)@0-5
+unrestricted o(1,3)@1-6 o(2,3)@2-6 o(5,3)@0-6 o(5,6)@0-5
+- straddles: none of the first overlaps one of the second
+expected an operator or a full stop before "stradles"; did you mean "straddles"?
+expected an operator or a full stop before "besides"; "besides" is not an operator; two patterns are joined with \
+"or", "par", "and", "straddles", "seq", "forall_seq", "equals", "meets", "during", "starts" or "finishes"
+text:1:1: no pattern can match this event: in patterns straddles is an operator
+straddles(X, Y) <- a(X, Y).
+^
+"""
+
+
+@pytest.mark.slow
+def test_a_two_sided_operator_is_one_entry(tmp_path):
+    """Nothing else of the package changes: it is read, joined and limited in time, under every policy, and named."""
+    copied = tmp_path / "retalis"
+    shutil.copytree(str(SOURCE), str(copied), ignore=shutil.ignore_patterns("__pycache__"))
+    path = copied / "prolog" / "syntax" / "eventoperators.py"
+    text = path.read_text(encoding="utf-8")
+    assert text.count(AFTER) == 1
+    path.write_text(text.replace(AFTER, ENTRY + AFTER), encoding="utf-8")
+    result = subprocess.run(
+        [sys.executable, "-c", PROGRAM],
+        env={"PYTHONPATH": str(tmp_path), "PATH": "/usr/bin:/bin"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert result.stderr == ""
+    assert result.stdout == PRINTED

@@ -1,0 +1,333 @@
+import re
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from reachability import count_entries, reachable
+from sample_terms import shape, terms
+
+from retalis.foundation.bounded_caches import Cache
+from retalis.foundation.errors import SyntaxFault
+from retalis.prolog.syntax.event_text import EventReader, to_text
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_term
+from retalis.prolog.syntax.term_writer import write_term
+from retalis.prolog.syntax.tokenizer import ReadFlags
+from retalis.prolog.terms.list_terms import list_items
+from retalis.prolog.terms.types import FALSE, TRUE, Var, atom
+
+OPERATORS = Operators.prolog()
+TF = (
+    "event(tf__0__tfMessage([geometry_msgs__0__TransformStamped(std_msgs__0__Header(1,[1413748205,981209993],"
+    "'\"/odom\"'),'\"/base_link\"',geometry_msgs__0__Transform(geometry_msgs__0__Vector3(0.1,0.2,0.3),"
+    "geometry_msgs__0__Quaternion(0.0,0.0,0.0,1.0)))]),[datime(2014,10,19,19,50,5,981209993),"
+    "datime(2014,10,19,19,50,5,981209993)])"
+)
+
+
+def fully(text):
+    return read_term(text, OPERATORS, flags=ReadFlags(event_text=True)).term
+
+
+def outcome(read, text):
+    try:
+        return shape(read(text))
+    except SyntaxFault as fault:
+        return fault.message
+
+
+def check(text, reader=None):
+    reader = reader or EventReader()
+    expected = outcome(fully, text)
+    assert outcome(reader.read, text) == expected
+    assert outcome(reader.read, text) == expected
+
+
+def test_reads_a_tf_event_as_the_full_reader_does():
+    reader = EventReader()
+    assert to_text(reader.read(TF)) == TF
+    assert to_text(reader.read(TF)) == TF
+    known = count_entries(reader) + 1  # the frames that come next
+    other = TF.replace("0.1", "-7").replace("/odom", "/map")
+    assert to_text(reader.read(other)) == other
+    assert count_entries(reader) == known
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "e('\"4x4_1\"')",
+        'e("4x4_1")',
+        'e("it\'s","it\'s")',
+        "e('it''s')",
+        "e('')",
+        'e("")',
+        'e("a""b",1)',
+        "e('a\\nb','\\x41\\')",
+        "e(-1,-2.5,nan,inf,-inf,-nan,1.0e10,1e10,007,1.0e999,0x1F,0'a,1.0Inf)",
+        "e([inf,-nan,-inf],nan(1),nan)",
+        "e('nan','inf')",
+        "e(1 - 1, -1, - 1, a-1, 1-1)",
+        "e( 1 , -2 ,[ 3, 4 ])",
+        "e('-' - 1)",
+        "e('-',1)",
+        "e('dynamic' = 1)",
+        "e(X,Y,X,_)",
+        "e(1)",
+        "e(1).",
+        "e(1)\n",
+        "e(1,\n'a')",
+        "'Foo'(1,2)",
+        "e('\n')",
+        "e(\0)",
+        "e(\0,5)",
+        "e(1,\0)",
+        "e(5,/*'*/b,/*'*/c)",
+        "e(0'a,0'b)",
+        "e(1) % it's '",
+        "'a'",
+        '"a"',
+        "5",
+        "-5",
+        "[1|2]",
+        "[1,2|X]",
+        "e(1,2",
+        "e('a)",
+        'e("a)',
+        "",
+        " ",
+        "e(99999999999999999999999999)",
+        "x <- a('b') * c(1)",
+        "f('do',1)",
+        "(a,'do'(1),2 * 3)",
+        "e(10000000000000000000000000000000000000000)",
+        "e(1.5.3)",
+        "e(`12`)",
+    ],
+)
+def test_same_as_full_reader(text):
+    check(text)
+
+
+SEEN = "event(e(0,[1,2],'a',b('b'),0.5,[]))"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "event(e(7,[-8,9],'x',b('\"y\"'),-1.5,[]))",
+        "event(e(0.5,[1.5,2],'a',b('b'),7,[]))",
+        "event(e(1.0e-07,[1.5e16,2.0e+16],'a',b('b'),1.5e-307,[]))",
+        "event(e(1e5,[1,2],'a',b('b'),0.5,[]))",
+        "event(e(1.5e300,[1,2],'a',b('b'),0.5,[]))",
+        "event(e(1.5e-1000,[1,2],'a',b('b'),0.5,[]))",
+        "event(e(1.5e5,[1e5,2],'a',b('b'),0.5,[]))",
+        "event(e(1.5E5,[1,2],'a',b('b'),0.5,[]))",
+        "event(e(007,[1,2],'a',b('b'),0.5,[]))",
+        "event(e(nan,[1,2],'a',b('b'),-inf,[]))",
+        "event(e(0,[-0,-0.0],'a',b('b'),-0,[]))",
+        "event(e(0,1,[2],'a',b('b'),0.5,[]))",
+        "event(e(0,[1],'a',b('b'),0.5,[]))",
+        "event(e(0,[1,2,3],'a',b('b'),0.5,[]))",
+        "event(e(0,[1,e],'a',b('b'),0.5,[]))",
+        "event(e(0,[1,-],'a',b('b'),0.5,[]))",
+        "event(e(0,[1,2],'it''s',b('b'),0.5,[]))",
+        "event(e(0,[1,2],'a\\n',b('b'),0.5,[]))",
+        "event(e(0,[1,2],'',b(''),0.5,[]))",
+        "event(e(0,[1,2],\"a\",b('b'),0.5,[]))",
+        "event(e(0,[1,2],'a',b('\0'),0.5,[]))",
+        "event(e(0,[1,2],'a',b('b'),0.5,[])",
+        "event(e(0,[1,2],'a',b('b'),0.5,[])).",
+        f"event(e({'1' * 400},[1,{'2' * 400}.5],'a',b('b'),0.5,[]))",
+        f"event(e({'1' * 5000},[1,2],'a',b('b'),0.5,[]))",
+    ],
+)
+def test_a_text_like_those_before_is_read_as_any_other(text):
+    reader = EventReader()
+    for _ in range(3):
+        reader.read(SEEN)
+    check(text, reader)
+    check(SEEN, reader)
+
+
+def test_texts_of_many_numbers_and_of_none_are_read_as_any_other():
+    reader = EventReader()
+    for text in (
+        f"event(e([{','.join(['1.5'] * 36)}],'a'))",
+        f"event(e([{','.join(['1.5e-5'] * 35)},{'9' * 400}.5],'a'))",
+        "event(e('a',e,1,e,2))",
+        "event(e)",
+        "event(e('a'))",
+        "event(5)",
+        f"event(e({','.join(str(at) for at in range(250))}))",
+    ):
+        for _ in range(2):
+            check(text, reader)
+
+
+def test_shapes_that_alternate_are_read_as_any_other():
+    reader = EventReader()
+    for text in [SEEN, SEEN, SEEN.replace("0.5", "a"), SEEN.replace("[]", "[1]"), SEEN] * 3:
+        check(text, reader)
+        assert reader.ground is True
+
+
+def test_shapes_are_not_confused():
+    reader = EventReader()
+    places = [
+        "1",
+        "-1",
+        "1.5",
+        "'a'",
+        '"a"',
+        "a",
+        "nan",
+        "X",
+        "'1'",
+        '"1"',
+        "'\"1\"'",
+        "'\"'",
+        "[]",
+        "''",
+        "-a",
+    ]
+    for _ in range(2):
+        for one in places:
+            for two in places:
+                check(f"e({one},{two})", reader)
+                check(f"e([{one}|{two}])", reader)
+                check(f"e({one} , {two})", reader)
+                check(f"e({one}={two})", reader)
+                check(f"e({one} - {two})", reader)
+                check(f"event(e({one},[{two}]))", reader)
+
+
+def test_special_atoms_and_floats():
+    read = EventReader().read
+    assert read("nan") != read("nan") and read("-inf") == float("-inf")
+    assert read("'nan'") is atom("nan")
+    assert read('"4x4_1"') is read("'\"4x4_1\"'") is atom('"4x4_1"')
+
+
+@pytest.mark.parametrize("size", [1, 17, 250, 1000])
+def test_long_arrays(size):
+    reader = EventReader()
+    for start in (0, 5):
+        text = f"scan([{','.join(str(at / 2) for at in range(start, start + size))}],x,7)"
+        check(text, reader)
+        assert len(list_items(reader.read(text)[1])) == size
+    text = f"path([{','.join(f'p({at},a)' for at in range(size))}])"
+    check(text, reader)
+    check(f"[{','.join(['1'] * size)}|2]", reader)
+    check(f"e(a,{','.join(['1'] * size)},[{','.join(['b', '1'] * size)}])", reader)
+
+
+def test_memory_is_bounded():
+    reader = EventReader()
+    for number in range(600):
+        reader.read(f"e{number}(1)")
+    assert max(map(len, reachable(reader, Cache))) <= 512
+
+
+@pytest.mark.slow
+def test_deep_nesting():
+    text = "f(" * 50_000 + "1" + ")" * 50_000
+    reader = EventReader()
+    assert to_text(reader.read(text)) == text
+
+
+@pytest.mark.slow
+@settings(max_examples=150, deadline=None)
+@given(st.lists(terms, min_size=1, max_size=3))
+def test_written_terms(found):
+    reader = EventReader()
+    for term in found * 2:
+        check(to_text(term), reader)
+        check(write_term(term, OPERATORS), reader)
+        check(write_term(term, OPERATORS, spacing=True), reader)
+
+
+PIECES = st.sampled_from(
+    [
+        "f(",
+        "g(",
+        "(",
+        "[",
+        ")",
+        "]",
+        ",",
+        "|",
+        " ",
+        "a",
+        "X",
+        "'",
+        '"',
+        "'b'",
+        '"c"',
+        "1",
+        "-1",
+        "2.5",
+        "-",
+        ".",
+        "nan",
+    ]
+    + [
+        "inf",
+        "-inf",
+        "\\",
+        "''",
+        '""',
+        "0'",
+        "\n",
+        "%",
+        "/*",
+        "*/",
+        "e5",
+        "_",
+        "\0",
+        "{",
+        "}",
+        "dynamic",
+        "'-'",
+        " - ",
+    ]
+)
+
+
+SHARED = EventReader()
+
+
+@pytest.mark.slow
+@settings(max_examples=1000, deadline=None)
+@given(st.lists(PIECES, max_size=12).map("".join))
+@example("f('\0')")
+def test_any_text(text):
+    reader = SHARED  # what it learned from other texts must not matter
+    for variant in (
+        text,
+        f"e({text})",
+        f"event(e({text}))",
+        re.sub(r"\d", "7", text),
+        f"e({text},'x')",
+        text,
+    ):
+        check(variant, reader)
+
+
+def test_the_originals_spelling_of_a_bool_is_read():
+    for _ in range(2):  # by the full reader, then by its shape
+        term = EventReader().read("event(p(True,False,Truth))")
+        assert term[1][1:3] == (TRUE, FALSE)
+        assert term[1][3].__class__ is Var
+
+
+def test_it_knows_whether_a_term_has_variables():
+    reader = EventReader()
+    told = []
+    for text in ("e(1,'a')", "e(2,'b')", "e(X,[1])", "e(Y,[2])", "e(1 + 2)", "e(1"):
+        try:
+            reader.read(text)
+        except SyntaxFault:
+            pass
+        told.append(reader.ground)
+    assert told == [True, True, False, False, True, None]

@@ -1,0 +1,70 @@
+"""Where quoted text ends, and what it stands for."""
+
+import pytest
+
+from retalis.foundation.errors import SyntaxFault
+from retalis.prolog.syntax.event_text import EventReader
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.quoted_text import closing, unclosed_end
+from retalis.prolog.syntax.term_reader import read_term
+from retalis.prolog.syntax.tokenizer import ReadFlags
+
+OPERATORS = Operators.prolog()
+
+
+@pytest.mark.parametrize(
+    "text,end",
+    [
+        ("'a' b'", 3),
+        ("'a''b'", 6),
+        ("'a'''", 5),
+        ("'a\\'b'", 6),
+        ("'\\x41\\'b'", 7),
+        ("'\\x41'b'", 6),
+        ("'\\1\\'b'", 5),
+        ("'\\\n'", 4),
+        ("'\\c \n '", 7),
+        ("'a", None),
+        ("'a''", None),
+        ("'a\n'", None),
+        ("'a\\", None),
+        ("'\\x41\\\n'", None),
+        ('"a\'"', 4),
+        ("`a``'`", 6),
+    ],
+)
+def test_where_it_ends(text, end):
+    assert closing(text, 0) == end
+
+
+@pytest.mark.parametrize(
+    "text,end",
+    [
+        ("'a. b.\nc", 5),
+        ("'a. b. \t\nc", 5),
+        ("'a.", 2),
+        ("'a", 2),
+        ("'a\\\nb.\n", 5),
+        ("'a\\.\n", 4),
+        ("'a.\\", 3),
+    ],
+)
+def test_where_one_that_is_not_closed_ends(text, end):
+    assert unclosed_end(text, 0) == end
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["f('\\x41\\',',b)", "f('\\x41\\','b')", "f('\\c\n ',1)", "'a'''", "f('a'',b)", "f('a\\x41\\''',\n1)"],
+)
+def test_both_readers_agree(text):
+    def outcome(read):
+        try:
+            return read(text)
+        except SyntaxFault as fault:
+            return fault.message, fault.place.column
+
+    def fully(text):
+        return read_term(text, OPERATORS, "event text", ReadFlags(event_text=True)).term
+
+    assert outcome(EventReader(OPERATORS).read) == outcome(fully)

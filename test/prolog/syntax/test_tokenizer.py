@@ -1,0 +1,182 @@
+"""Tokens and terms of Prolog text, as SWI-Prolog 9 reads them where ISO leaves it open."""
+
+import math
+
+import pytest
+
+from retalis.foundation.errors import SyntaxFault
+from retalis.prolog.syntax import literals
+from retalis.prolog.syntax.event_text import to_text
+from retalis.prolog.syntax.operators import Operators
+from retalis.prolog.syntax.term_reader import read_term
+from retalis.prolog.syntax.term_writer import write_term
+from retalis.prolog.syntax.tokenizer import ReadFlags
+from retalis.prolog.terms.list_terms import make_list
+from retalis.prolog.terms.types import NIL, String, atom
+
+OPERATORS = Operators.prolog()
+
+
+def read(text, **flags):
+    return read_term(text, OPERATORS, flags=ReadFlags(**flags)).term
+
+
+@pytest.mark.parametrize(
+    "text,value",
+    [
+        ("0'a", 97),
+        ("0'''", 39),
+        ("0''", 39),
+        ("0'\\n", 10),
+        ("0'\\x41\\", 65),
+        ("0' ", 32),
+        ("0x1F", 31),
+        ("0o17", 15),
+        ("0b101", 5),
+        ("16'FF", 255),
+        ("36'Zz", 1295),
+        ("1_000_000", 1000000),
+        ("1_\n000", 1000),
+        ("0xFF_FF", 65535),
+        ("1.5e3", 1500.0),
+        ("1e10", 1e10),
+        ("1.0Inf", math.inf),
+        ("-1.0Inf", -math.inf),
+        ("-7", -7),
+    ],
+)
+def test_numbers(text, value):
+    found = read(text)
+    assert found == value and type(found) is type(value)
+    if isinstance(value, float):
+        assert read(write_term(value)) == value
+
+
+def test_long_integers():
+    assert read("9" * 10_000) == 10**10_000 - 1
+    assert write_term(10**20_000 + 7) == "1" + "0" * 19_999 + "7"
+    assert write_term(-(10**9000)) == "-1" + "0" * 9000
+
+
+@pytest.mark.parametrize(
+    "base, exponent, less", [(10, 4000, 0), (10, 8000, 1), (10, 16_000, 1), (7, 9999, 0)]
+)
+def test_long_integers_where_decimal_numbers_are_slow(base, exponent, less, monkeypatch):
+    value = base**exponent - less
+    fast = literals.integer_text(value)
+    monkeypatch.setattr(literals, "LONG_DECIMALS", False)
+    assert literals.integer_text(value) == fast
+    assert literals.integer_text(-value) == "-" + fast
+
+
+def test_nan():
+    assert math.isnan(read("1.5NaN")) and write_term(math.nan) == "1.5NaN"
+
+
+@pytest.mark.parametrize("text", ["1 000", "1e", "1r3", "1a", "2'12", "0x", "37'1", "1'1", "1.0e400"])
+def test_no_numbers(text):
+    with pytest.raises(SyntaxFault):
+        read(text)
+
+
+@pytest.mark.parametrize(
+    "text,name",
+    [
+        ("'a\\\nb'", "ab"),
+        ("'a\\x41\\b'", "aAb"),
+        ("'a\\x41b'", "a\u041b"),
+        ("'\\101\\'", "A"),
+        ("'\\e\\s\\a'", "\x1b \a"),
+        ("'\\u0041\\U00000041'", "AA"),
+        ("'a\\c  \n b'", "ab"),
+        ("'a''b'", "a'b"),
+        ("'a\"\"b`'", 'a""b`'),
+        ("''", ""),
+        ("[]", "[]"),
+        ("{ }", "{}"),
+        ("\u00e9t\u00e9", "\u00e9t\u00e9"),
+        ("\u2192", "\u2192"),
+        ("+/*x*/", "+/*"),
+        ("a%b", "a"),
+        ("/* c */ a /* d */", "a"),
+        ("\ufeffa", "a"),
+    ],
+)
+def test_atoms(text, name):
+    if text == "+/*x*/":
+        with pytest.raises(SyntaxFault):
+            read(text)
+    else:
+        assert read(text) is atom(name)
+
+
+def test_quotes_by_flag():
+    codes, chars = make_list([97, 98]), make_list([atom("a"), atom("b")])
+    assert read('"ab"') == String("ab")
+    assert read('"ab"', double_quotes="codes") == codes == read("`ab`")
+    assert read('"ab"', double_quotes="chars") == chars
+    assert read('"ab"', double_quotes="atom") is atom("ab")
+    assert read('"ab"', event_text=True) is atom('"ab"')
+    assert read('""', double_quotes="codes") is NIL
+
+
+def test_special_floats_are_atoms_in_programs_and_numbers_in_event_text():
+    text = "e(nan,inf,-inf,'nan',nan(1),a-inf)"
+    assert to_text(read(text, event_text=True)) == "e(nan,inf,-inf,'nan',nan(1),-(a,inf))"
+    assert to_text(read(text)) == "e('nan','inf',-('inf'),'nan',nan(1),-(a,'inf'))"
+
+
+TERMS = {
+    "- 1": "-(1)",
+    "-1": "-1",
+    "-(1)": "-(1)",
+    "- (a,b)": "-(','(a,b))",
+    "-(a,b)": "-(a,b)",
+    "1 - -1": "-(1,-1)",
+    "a- (-1)": "-(a,-1)",
+    "3 -(1)": "-(3,1)",
+    "-1^2": "^(-1,2)",
+    "- 1^2": "-(^(1,2))",
+    "-a^2": "-(^(a,2))",
+    "f(- , a)": "f(-,a)",
+    "[-]": "[-]",
+    "[:-|:-]": "[:-|:-]",
+    "- = x": "=(-,x)",
+    "- - -": "-(-(-))",
+    "\\+ (a,b)": "\\+(','(a,b))",
+    "a:b:c": ":(a,:(b,c))",
+    "a:b/c": ":(a,/(b,c))",
+    "f(a:-b)": "f(:-(a,b))",
+    "f(a|b)": "f('|'(a,b))",
+    "(a|b)": "'|'(a,b)",
+    "{a,b}": "{','(a,b)}",
+    "'{}'(x)": "{x}",
+    "[a,b|c]": "[a,b|c]",
+    "p:-q,!;r": ":-(p,;(','(q,!),r))",
+    ":- dynamic a/1,b/2": ":-(dynamic(','(/(a,1),/(b,2))))",
+    "dynamic - 1": "dynamic(-(1))",
+    "is is is": "is(is,is)",
+    "* = *": "=(*,*)",
+    "a 'mod' b": "mod(a,b)",
+    "[](x)": "[](x)",
+}
+
+
+@pytest.mark.parametrize("text", TERMS)
+def test_terms(text):
+    assert write_term(read(text), ignore_ops=True) == TERMS[text]
+
+
+def test_iso_priorities():
+    for text in ("f(a:-b)", "[a:-b]", "- = x", "X = -", "1e10", "a:b"):
+        operators = Operators.iso()
+        with pytest.raises(SyntaxFault):
+            read_term(text, operators, flags=ReadFlags(iso=True))
+    for text in ("f(:-)", "[-]", "- (-)", "f((a:-b))", "-(1)", "[(:-)|a]", "\\+ (a,b)"):
+        read_term(text, Operators.iso(), flags=ReadFlags(iso=True))
+
+
+def test_names_and_singletons():
+    found = read_term("f(A,B,_C,_,A,_)", OPERATORS)
+    assert list(found.names) == ["A", "B", "_C"] and found.singletons == ["B"]
+    assert found.term[1] is found.term[5] is found.names["A"] and found.term[4] is not found.term[6]

@@ -1,0 +1,369 @@
+"""Python functions as predicates."""
+
+import itertools
+import math
+import sys
+from pathlib import Path
+from typing import Any, Iterator, List
+
+import pytest
+
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+from retalis.foundation.errors import ProgramErrors, RetalisError, UsageError
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.machine.resource_limits import Limits
+from retalis.prolog.syntax.term_writer import writeq
+from retalis.prolog.system.foreign_functions import foreign
+from retalis.prolog.system.value_conversion import Compound
+from retalis.prolog.terms.types import Term, atom, functor
+
+
+@foreign
+def distance(x1: float, y1: float, x2: float, y2: float) -> float:
+    return math.hypot(x1 - x2, y1 - y2)
+
+
+@foreign
+def upto(most: int) -> Iterator[int]:
+    yield from range(1, most + 1)
+
+
+@foreign
+def is_even(number: int) -> bool:
+    return number % 2 == 0
+
+
+@foreign(name="parts", outputs=2)
+def split(text: str):
+    return text.partition("-")[::2] if "-" in text else None
+
+
+@foreign(outputs=2)
+def steps(items: list):
+    yield from zip(items, items[1:])
+
+
+@foreign
+def swapped(term) -> Compound:
+    return Compound(term.name, term.args[::-1])
+
+
+@foreign
+def kind(term: Term) -> str:
+    return type(term).__name__
+
+
+@foreign
+def broken() -> int:
+    raise ValueError("no luck")
+
+
+@foreign
+def broken_later() -> Iterator[int]:
+    yield 1
+    raise KeyError("x")
+
+
+@foreign
+def small(term: Any) -> bool:
+    return len(writeq(term)) < 5
+
+
+ALL = (distance, upto, is_even, split, steps, swapped, kind, broken, broken_later, small)
+
+
+@pytest.fixture
+def engine():
+    made = Engine()
+    made.add_foreign(*ALL)
+    return made
+
+
+def answers(engine, goal):
+    return [
+        {name: engine.show(value) for name, value in answer.items() if name[0] != "_"}
+        for answer in engine.query(goal)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("goal", "expected"),
+    [
+        ("distance(0, 0, 3, 4.0, D)", [{"D": "5.0"}]),
+        ("distance(0, 0, 3, 4, 6.0)", []),
+        ("upto(3, X)", [{"X": "1"}, {"X": "2"}, {"X": "3"}]),
+        ("upto(3, 2)", [{}]),
+        ("upto(3, X), X > 1, !", [{"X": "2"}]),
+        ("is_even(4)", [{}]),
+        ("is_even(3)", []),
+        ("small(f(a))", [{}]),
+        ("small(f(abc))", []),
+        ("parts('a-b', A, B)", [{"A": "a", "B": "b"}]),
+        ('parts("a-b", A, B)', [{"A": "a", "B": "b"}]),
+        ("parts(ab, A, B)", []),
+        ("steps([1,2,3], A, B)", [{"A": "1", "B": "2"}, {"A": "2", "B": "3"}]),
+        ('swapped(f(1,[a,"b"]), X)', [{"X": "f([a,b],1)"}]),
+        ("kind(X, Y)", [{"X": "_", "Y": "'Var'"}]),
+        ("findall(X, upto(2, X), L)", [{"X": "_", "L": "[1,2]"}]),
+    ],
+)
+def test_call(engine, goal, expected):
+    found = answers(engine, goal)
+    assert [
+        {name: "_" if value[:2] == "_G" else value for name, value in one.items()} for one in found
+    ] == expected
+
+
+@pytest.mark.parametrize(
+    ("goal", "formal"),
+    [
+        ("distance(a, 0, 0, 0, D)", "type_error(number,a)"),
+        ("distance(X, 0, 0, 0, D)", "instantiation_error"),
+        ("upto(2.0, X)", "type_error(integer,2.0)"),
+        ("steps(a, X, Y)", "type_error(list,a)"),
+        ("broken(X)", "python_error('ValueError',\"no luck\")"),
+        ("broken_later(X), fail", "python_error('KeyError',\"'x'\")"),
+    ],
+)
+def test_errors(engine, goal, formal):
+    with pytest.raises(PrologError) as caught:
+        engine.query(goal)
+    assert writeq(caught.value.term[1]) == formal
+
+
+def test_in_a_rule():
+    engine = Engine()
+    engine.add_foreign(distance)
+    engine.load("near(D) <- at(X, Y) where (distance(X, Y, 0, 0, D), D < 2).")
+    seen: List[str] = []
+    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    engine.event("at(3,4)", 1)
+    engine.event("at(0,1)", 2)
+    assert seen == ["at(3,4)", "at(0,1)", "near(1.0)"]
+
+
+def test_wrong_uses():
+    engine = Engine()
+    with pytest.raises(UsageError, match="decorated"):
+        engine.add_foreign(len)
+    with pytest.raises(UsageError, match="args"):
+        foreign(lambda *args: 1)
+    with pytest.raises(PrologError, match="append/3|atom_length/2"):
+        engine.add_foreign(foreign(name="atom_length")(lambda text: 1))
+    with pytest.raises(PrologError, match="2 values|3 values"):
+        engine.add_foreign(foreign(name="pair", outputs=2)(lambda: (1, 2, 3)))
+        engine.query("pair(A, B)")
+
+
+MODULE = """
+from retalis import foreign
+
+@foreign
+def double(number: int) -> int:
+    return 2 * number
+"""
+
+
+def test_use_foreign(tmp_path):
+    (tmp_path / "helpers.py").write_text(MODULE)
+    rules = ":- use_foreign(helpers).\nb(Y) <- a(X) where double(X, Y).\n"
+    (tmp_path / "rules.txt").write_text(rules)
+    (tmp_path / "goalPredicates.txt").write_text("compile_event_file('rules.txt')\n")
+    refused = Engine()
+    with pytest.raises(ProgramErrors, match="load foreign_module .*: the setting allow_foreign is off"):
+        refused.load_program(tmp_path)
+    engine = Engine(settings=Settings(allow_foreign=True))
+    engine.load_program(tmp_path)
+    seen: List[str] = []
+    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    engine.event("a(4)", 1)
+    assert seen == ["a(4)", "b(8)"]
+    engine.load(goals=f"use_foreign('{tmp_path / 'helpers.py'}')")
+
+
+@pytest.mark.parametrize("folders", [None, ()])
+def test_goals_that_run_later_load_no_python(tmp_path, folders):
+    (tmp_path / "helpers.py").write_text("import pathlib\npathlib.Path(__file__).with_name('ran').touch()\n")
+    engine = Engine(settings=Settings(allow_foreign=True, folders=folders, write_folders=folders))
+    errors: List[str] = []
+    parts_of(engine).rules.on_error = lambda error: errors.append(str(error))
+    engine.load(rules="loading(M) do use_foreign(M) <- load(M).", folder=tmp_path)
+    for module in ("helpers", "'helpers.py'", f"'{tmp_path}/helpers.py'", "'os.path'"):
+        for goal in (f"use_foreign({module})", f"compile_event_rules([(:- use_foreign({module}))])"):
+            with pytest.raises(RetalisError, match="load foreign_module .* only by the program's own files"):
+                engine.call(goal)
+        engine.event(f"load({module})", 1)
+        assert "load foreign_module" in errors.pop()
+    (tmp_path / "more.pl").write_text(":- use_foreign(helpers).\n")
+    with pytest.raises(RetalisError, match="more.pl:1:4: .*load foreign_module"):
+        engine.call(f"ensure_loaded('{tmp_path}/more.pl')")
+    assert not (tmp_path / "ran").exists()
+
+
+def test_use_foreign_by_module_name(monkeypatch, tmp_path):
+    (tmp_path / "retalis_test_helpers.py").write_text(MODULE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    engine = Engine(settings=Settings(allow_foreign=True))
+    engine.load(goals="use_foreign(retalis_test_helpers)")
+    assert answers(engine, "double(2, X)") == [{"X": "4"}]
+    sys.modules.pop("retalis_test_helpers")
+
+
+@pytest.mark.parametrize("text", ["1 +", "import nothing_of_that_name", "raise RuntimeError('x')", "x = 1"])
+def test_bad_module(tmp_path, text):
+    (tmp_path / "bad.py").write_text(text)
+    engine = Engine(settings=Settings(allow_foreign=True))
+    with pytest.raises(ProgramErrors, match="cannot load |has no function"):
+        engine.load(goals=f"use_foreign('{tmp_path / 'bad.py'}')")
+
+
+def test_a_result_that_does_not_fit_is_the_goals_error():
+    @foreign(outputs=2)
+    def pair(number: int) -> int:
+        return number
+
+    @foreign
+    def objects(number: int) -> Iterator[object]:
+        yield object()
+
+    engine = Engine()
+    engine.add_foreign(pair, objects)
+    for goal in ("pair(1, _, _)", "objects(1, _)"):
+        with pytest.raises(RetalisError):
+            engine.call(goal)
+        assert engine.call(f"catch({goal}, _, true)")
+
+
+def test_the_example_of_the_documentation(tmp_path):
+    page = Path(__file__).resolve().parents[3] / "docs" / "foreign.md"
+    code = page.read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
+    (tmp_path / "helpers.py").write_text(code)
+    engine = Engine(settings=Settings(allow_foreign=True))
+    engine.load_rules(":- use_foreign(helpers).", "rules.txt", tmp_path)
+    assert answers(engine, "distance(0, 0, 3, 4, D)") == [{"D": "5.0"}]
+    assert [answer["X"] for answer in answers(engine, "upto(3, X)")] == ["1", "2", "3"]
+    assert engine.call("is_even(4)")
+
+
+CLOSED = []
+
+
+@foreign
+def endless(start: int) -> Iterator[int]:
+    try:
+        while True:
+            yield start
+            start += 1
+    finally:
+        CLOSED.append(start)
+
+
+@foreign
+def count_items(items: list) -> int:
+    return len(items)
+
+
+@foreign
+def depth(term) -> int:
+    found = 0
+    while isinstance(term, Compound):
+        term = term.args[0]
+        found += 1
+    return found
+
+
+@foreign(outputs=2)
+def one_of_two() -> Any:
+    return (1,)
+
+
+@foreign(outputs=2)
+def no_tuple() -> Any:
+    return 1
+
+
+@foreign
+def strange() -> Any:
+    return object()
+
+
+@foreign
+def numbers_without_end() -> Any:
+    return itertools.count()
+
+
+@foreign
+def asks_for_the_engine(name: str) -> bool:
+    raise PrologError((functor("my_error", 1), atom(name)))
+
+
+@pytest.fixture
+def forms():
+    made = Engine()
+    made.add_foreign(
+        endless, count_items, depth, one_of_two, no_tuple, strange, numbers_without_end, asks_for_the_engine
+    )
+    CLOSED.clear()
+    return made
+
+
+@pytest.mark.parametrize(
+    ("goal", "at"),
+    [
+        ("endless(1, X), X > 2, !", [3]),
+        ("(endless(1, X) -> true)", [1]),
+        ("\\+ \\+ endless(1, _)", [1]),
+        ("once((endless(1, X), endless(5, Y), X + Y > 7))", [7, 1]),
+        ("catch((endless(1, X), X > 2, throw(done)), done, true)", [3]),
+        ("findall(X, limit(2, endless(1, X)), _)", [2]),
+    ],
+)
+def test_a_generator_is_closed_where_it_is_cut(forms, goal, at):
+    assert forms.call(goal)
+    assert sorted(CLOSED) == sorted(at)
+
+
+def test_a_generator_without_end_is_stopped_by_the_limits(forms):
+    parts_of(forms).logic.limits = Limits(inferences=20_000)
+    with pytest.raises(PrologError, match="Not enough resources: inferences"):
+        forms.call("endless(1, X), X < 0")
+
+
+@pytest.mark.slow
+def test_deep_and_long_terms_are_converted(forms):
+    forms.load(rules="deep(0, a) :- !.\ndeep(N, s(T)) :- M is N - 1, deep(M, T).")
+    assert forms.call("numlist(1, 100000, L), count_items(L, 100000)")
+    assert forms.call("deep(50000, T), depth(T, 50000)")
+    with pytest.raises(PrologError, match="Not enough resources"):
+        forms.call("T = s(T), depth(T, _)")
+
+
+@pytest.mark.parametrize(
+    ("goal", "formal"),
+    [
+        ("one_of_two(A, B)", "system_error('a foreign predicate returned 1 value for 2 outputs')"),
+        ("strange(X)", "system_error('a object is not a term: <"),
+        ("no_tuple(A, B)", "python_error('TypeError',"),
+        ("asks_for_the_engine(a)", None),
+        ("count_items([1|_], _)", "instantiation_error"),
+        ("count_items(X, _)", "instantiation_error"),
+        ("count_items([_], _)", "instantiation_error"),
+        ("count_items([1])", "existence_error(procedure,count_items/1)"),
+    ],
+)
+def test_what_goes_wrong_is_an_error_of_the_goal(forms, goal, formal):
+    with pytest.raises(PrologError) as caught:
+        forms.call(goal)
+    if formal is None:
+        assert writeq(caught.value.term) == "my_error(a)"
+    else:
+        assert writeq(caught.value.term[1]).startswith(formal)
+    assert forms.call("count_items([1], 1)")
+
+
+def test_a_result_without_end_is_given_up(forms):
+    parts_of(forms).logic.limits = Limits(inferences=20_000)
+    with pytest.raises(PrologError, match="Not enough resources"):
+        forms.call("numbers_without_end(X)")

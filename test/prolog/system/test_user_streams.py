@@ -1,0 +1,140 @@
+"""Output of goals to ``user_output`` and ``user_error``: escapes for control characters, and the limit of output."""
+
+import pytest
+
+from retalis.engine.engine import Engine
+from retalis.engine.engine_parts import parts_of
+from retalis.engine.engine_settings import Settings
+from retalis.prolog.machine.errors import PrologError
+from retalis.prolog.machine.resource_limits import Limits
+
+
+@pytest.fixture
+def engine():
+    made = Engine()
+    made.printed, made.complained = [], []
+    parts_of(made).logic.print_to(made.printed.append, made.complained.append)
+    return made
+
+
+@pytest.mark.parametrize(
+    "goal",
+    [
+        "write('\\e[2J')",
+        "print_message_lines(user_output, '', ['\\e[2J'-[]])",
+        "format(\"~a~s\", ['\\e', [91, 50, 74]])",
+        "format(user_output, \"~w\", ['\\e[2J'])",
+        "put_char('\\e'), write('[2J')",
+        "write_term('\\e[2J', [])",
+        "write_canonical('\\e[2J')",
+        "tell(user), write('\\e[2J'), told",
+    ],
+)
+def test_an_escape_is_shown_and_not_written(engine, goal):
+    engine.query(goal)
+    text = "".join(engine.printed)
+    assert "\x1b" not in text
+    assert "\\x1b[2J" in text or "\\x1B\\[2J" in text
+
+
+@pytest.mark.parametrize(
+    "goal",
+    [
+        "write(user_error, '\\e[2J')",
+        "print_message(error, format(\"~w\", ['\\e[2J']))",
+        "debug(t), debug(t, \"~w\", ['\\e[2J'])",
+        "format(user_error, \"~w\", ['\\e[2J'])",
+    ],
+)
+def test_an_escape_to_user_error_is_shown_and_not_written(engine, goal):
+    engine.query(goal)
+    assert "\\x1b[2J" in "".join(engine.complained)
+    assert "\x1b" not in "".join(engine.complained)
+
+
+def test_rules_and_events_write_escapes_as_queries_do(engine):
+    engine.load(rules="null_event do (write(X), nl) <- in(X).")
+    engine.event("in('\\e[31m\\x202e\\')", 1)
+    assert "".join(engine.printed) == "\\x1b[31m\\u202e\n"
+
+
+def test_text_for_people_and_programs_is_written_as_it_is(engine):
+    engine.query("write('a\\tb é 日本'), nl, write([1,'x y'])")
+    assert "".join(engine.printed) == "a\tb é 日本\n[1,x y]"
+
+
+def test_captured_output_and_files_hold_what_was_written(tmp_path):
+    engine = Engine(settings=Settings(write_folders=(str(tmp_path),)))
+    answer = engine.query("with_output_to(codes(C), write('\\e[2J'))")
+    assert engine.show(answer[0]["C"]) == "[27,91,50,74]"
+    path = tmp_path / "out.txt"
+    engine.query(f"open('{path}', write, S), write(S, '\\e[2J'), close(S)")
+    assert path.read_bytes() == b"\x1b[2J"
+
+
+def limited(output_megabytes):
+    engine = Engine(settings=Settings(limits=Limits(output_megabytes=output_megabytes)))
+    engine.sizes = []
+    add = lambda text: engine.sizes.append(len(text.encode()))  # noqa: E731
+    parts_of(engine).logic.print_to(add, add)
+    return engine
+
+
+@pytest.mark.parametrize(
+    "goal", ["repeat, format('~*c~n', [1000, 0'x]), fail", "repeat, write(user_error, 'é\\e'), fail"]
+)
+def test_a_query_that_writes_for_ever_ends_at_one_megabyte(goal):
+    engine = Engine()
+    sizes = []
+    parts_of(engine).logic.print_to(*[lambda text: sizes.append(len(text.encode()))] * 2)
+    with pytest.raises(PrologError, match="Not enough resources: output"):
+        engine.query(goal)
+    assert 990_000 < sum(sizes) <= 1_000_000
+    assert engine.call("write(x)")
+
+
+def test_nothing_is_written_of_a_text_that_is_too_long():
+    engine = limited(0.001)
+    with pytest.raises(PrologError, match="output"):
+        engine.query("format('~*c', [1001, 0'x])")
+    assert engine.sizes == []
+
+
+def test_the_error_can_be_caught_once_and_a_tenth_more_be_written():
+    engine = limited(0.1)
+    writes = "repeat, write(aaaaaaaaaa), fail"
+    goal = f"catch(({writes}), error(resource_error(output), _), ({writes}))"
+    with pytest.raises(PrologError, match="output"):
+        engine.query(goal)
+    assert 100_000 < sum(engine.sizes) <= 110_000
+
+
+def test_each_event_may_write_as_much_with_all_that_it_starts(caplog):
+    engine = limited(0.01)
+    engine.load(
+        rules="a(X) <- in(X).\nb(X) <- in(X).\nnull_event do format('~*c', [4000, 0'x]) <- a(_).\n"
+        "null_event do format('~*c', [4000, 0'x]) <- b(_).\nnull_event do format('~*c', [4000, 0'x]) <- in(2)."
+    )
+    engine.event("in(1)", 1)
+    engine.event("in(1)", 2)
+    assert sum(engine.sizes) == 16_000
+    assert not caplog.records
+    engine.event("in(2)", 3)
+    assert sum(engine.sizes) == 24_000
+    assert caplog.text.count("Not enough resources: output") == 1
+
+
+def test_a_cleanup_that_writes_too_much_is_over():
+    engine = limited(0.001)
+    with pytest.raises(PrologError, match="output"):
+        engine.query(
+            "setup_call_cleanup(true, format('~*c', [999, 0'x]), (repeat, write(y), fail)), write(zzzzz)"
+        )
+    assert sum(engine.sizes) <= 1100
+    assert engine.call("write(x)")
+
+
+def test_no_limit_writes_all():
+    engine = limited(None)
+    engine.query("between(1, 300, _), format('~*c', [10000, 0'x]), fail ; true")
+    assert sum(engine.sizes) == 3_000_000

@@ -1,0 +1,313 @@
+"""Reading messages from a connection in rospy's place. Needs rospy, no master."""
+
+import socket
+import struct
+from io import BytesIO
+from types import SimpleNamespace
+
+import pytest
+
+rospy = pytest.importorskip("rospy", reason="ROS is not installed")
+
+from rospy.exceptions import TransportException, TransportTerminated  # noqa: E402
+
+from retalis.ros import connection_reader  # noqa: E402
+from retalis.ros.connection_reader import (  # noqa: E402
+    LATE,
+    MAX_SINGLE_MESSAGE_WINDOWS,
+    WINDOW,
+    ConnectionReader,
+    Pace,
+    read_by,
+)
+
+HEADER = {"type": "std_msgs/String", "callerid": "/talker"}
+
+
+def frame(data):
+    return struct.pack("<I", len(data)) + data
+
+
+@pytest.fixture
+def pair():
+    """Return both ends of a TCP connection."""
+    with socket.socket() as listening:
+        listening.bind(("localhost", 0))
+        listening.listen(1)
+        sender = socket.create_connection(listening.getsockname())
+        receiver, _ = listening.accept()
+    yield sender, receiver
+    sender.close()
+    receiver.close()
+
+
+def new_link(receiver, read=b"", latched=False):
+    buffer = BytesIO()
+    buffer.write(read)
+    return SimpleNamespace(
+        socket=receiver,
+        header=HEADER,
+        read_buff=buffer,
+        done=False,
+        stat_bytes=0,
+        stat_num_msg=0,
+        is_latched=latched,
+        latch=None,
+        receive_once=None,
+    )
+
+
+def callback(message):
+    raise AssertionError("rospy calls it, the reader does not")
+
+
+def subscribed(callbacks=(callback,), **topic):
+    topic = SimpleNamespace(callbacks=[(one, None) for one in callbacks], **topic)
+    return SimpleNamespace(impl=topic, callback=callback)
+
+
+def new_reader(link, taken, callbacks=(callback,)):
+    return ConnectionReader(link, subscribed(callbacks), lambda header: taken.append, 0.001)
+
+
+def send_in_pieces(sender, data, size):
+    for at in range(0, len(data), size):
+        sender.sendall(data[at : at + size])
+    sender.close()
+
+
+@pytest.mark.parametrize("size", [1, 3, 5, 1000])
+@pytest.mark.parametrize("read", [b"", frame(b"first"), frame(b"first")[:2], frame(b"first")[:7]])
+def test_messages_are_handed_on_wherever_they_are_cut(pair, monkeypatch, size, read):
+    sender, receiver = pair
+    monkeypatch.setattr(connection_reader, "BUFFER", size)
+    messages = [b"first", b"", b"second", b"x" * 300]
+    stream = b"".join(map(frame, messages))
+    assert stream.startswith(read)
+    link, taken = new_link(receiver, read), []
+    send_in_pieces(sender, stream[len(read) :], 7)
+    with pytest.raises(TransportTerminated):
+        new_reader(link, taken)()
+    assert [one for found in taken for one in found] == messages
+    assert link.stat_num_msg == len(messages)
+    assert link.stat_bytes == len(stream) - len(read)
+
+
+def test_messages_that_come_together_are_handed_on_together(pair):
+    sender, receiver = pair
+    taken = []
+    send_in_pieces(sender, frame(b"one") + frame(b"two"), 1000)
+    with pytest.raises(TransportTerminated):
+        new_reader(new_link(receiver), taken)()
+    assert taken == [[b"one", b"two"]]
+
+
+@pytest.mark.parametrize("callbacks", [(callback, print), (print,)], ids=["too", "only"])
+def test_messages_go_to_rospy_where_others_have_called_for_them(pair, callbacks):
+    sender, receiver = pair
+    taken = []
+    sender.sendall(frame(b"one") + frame(b"two"))
+    messages = new_reader(new_link(receiver), taken, callbacks)()
+    assert [message._buff for message in messages] == [b"one", b"two"]
+    assert all(message._connection_header is HEADER for message in messages)
+    assert taken == []
+
+
+@pytest.mark.parametrize("missing", ["latch", "is_latched", "stat_num_msg", "socket"])
+def test_connections_that_lack_something_stay_rospys(missing):
+    link = new_link(None)
+    delattr(link, missing)
+    subscriber = subscribed(data_class=rospy.AnyMsg, connections=[link], add_connection=lambda link: True)
+    read_by(subscriber, print, 0.001)
+    assert link.receive_once is None
+
+
+@pytest.mark.parametrize("callbacks", [None, (), [callback], {callback: None}])
+def test_topics_that_keep_their_callbacks_otherwise_stay_rospys(callbacks):
+    link = new_link(None)
+    subscriber = subscribed(data_class=rospy.AnyMsg, connections=[link], add_connection=lambda link: True)
+    subscriber.impl.callbacks = callbacks
+    read_by(subscriber, print, 0.001)
+    assert link.receive_once is None
+    del subscriber.impl.callbacks
+    read_by(subscriber, print, 0.001)
+    assert link.receive_once is None
+
+
+def test_the_last_message_of_a_latched_topic_is_kept(pair):
+    sender, receiver = pair
+    link = new_link(receiver, latched=True)
+    send_in_pieces(sender, frame(b"one") + frame(b"two"), 1000)
+    with pytest.raises(TransportTerminated):
+        new_reader(link, [])()
+    assert link.latch._buff == b"two"
+
+
+def test_a_connection_that_is_closed_ends(pair):
+    _, receiver = pair
+    reader = new_reader(new_link(receiver), [])
+    receiver.close()
+    with pytest.raises((TransportTerminated, OSError)):
+        reader()
+    with pytest.raises(TransportException):
+        new_reader(new_link(None), [])()
+
+
+def test_a_message_alone_arrives_where_several_are_waited_for(pair, monkeypatch):
+    sender, receiver = pair
+    link, taken = new_link(receiver), []
+
+    def take(messages):
+        taken.extend(messages)
+        link.done = True
+
+    class Patient(Pace):
+        def __init__(self, *arguments):
+            super().__init__(*arguments)
+            self.wait_for(1000)
+
+    monkeypatch.setattr(connection_reader, "Pace", Patient)
+    reader = ConnectionReader(link, subscribed(), lambda header: take, 0.001)
+    sender.sendall(frame(b"alone"))
+    assert reader() == []
+    assert taken == [b"alone"]
+
+
+def subscriber(data_class=rospy.AnyMsg, connections=(), statistics=None):
+    added = []
+    found = subscribed(
+        data_class=data_class,
+        connections=list(connections),
+        statistics_logger=statistics,
+        add_connection=added.append,
+    )
+    return found, added
+
+
+def ignore(header):
+    return lambda messages: None
+
+
+def test_connections_present_and_future_are_read(pair):
+    present, future = new_link(pair[1]), new_link(pair[1])
+    found, added = subscriber(connections=[present])
+    read_by(found, ignore, 0.001)
+    found.impl.add_connection(future)
+    assert isinstance(present.receive_once, ConnectionReader)
+    assert isinstance(future.receive_once, ConnectionReader)
+    assert added == [future]
+    reader = present.receive_once
+    found.impl.add_connection(present)
+    assert present.receive_once is reader
+
+
+@pytest.mark.parametrize("options", [{"data_class": rospy.Header}, {"statistics": object()}])
+def test_topics_that_are_rospys_own_are_left_to_it(pair, options):
+    link = new_link(pair[1])
+    found, _ = subscriber(connections=[link], **options)
+    read_by(found, ignore, 0.001)
+    assert link.receive_once is None
+
+
+def test_connections_of_another_make_are_left_to_rospy():
+    link = SimpleNamespace(receive_once=None)
+    found, _ = subscriber(connections=[link])
+    read_by(found, ignore, 0.001)
+    assert link.receive_once is None
+    read_by(SimpleNamespace(), ignore, 0.001)
+
+
+class Options:
+    """A socket that notes what it is told."""
+
+    def __init__(self):
+        self.least = 1
+        self.timeout = None
+
+    def setsockopt(self, level, option, value):
+        if option == socket.SO_RCVLOWAT:
+            self.least = value
+        else:
+            self.timeout = value
+
+
+@pytest.fixture
+def paced():
+    """Return a socket, its pace, and a function that lets a window of wake-ups pass."""
+    time = [0.0]
+    sock = Options()
+    pace = Pace(sock, 0.001, lambda: time[0])
+
+    def window(seconds, messages, size=100, windows=1):
+        for _ in range(windows * WINDOW):
+            time[0] += seconds / WINDOW
+            pace.note(messages * size, messages)
+
+    return sock, pace, window
+
+
+linux = pytest.mark.skipif(
+    not connection_reader.sys.platform.startswith("linux"), reason="for Linux's sockets"
+)
+
+
+@linux
+@pytest.mark.parametrize(("rate", "least"), [(500, 1), (1900, 1), (2500, 201), (9900, 901)])
+def test_how_much_is_waited_for_goes_with_the_rate(paced, rate, least):
+    sock, pace, window = paced
+    window(WINDOW / rate, 1)
+    assert sock.least == pace.least == least
+    assert (sock.timeout is None) == (least == 1)
+
+
+@linux
+def test_bursts_are_not_waited_for(paced):
+    sock, _, window = paced
+    window(4 * WINDOW / 2500, 4)
+    assert sock.least == 1
+
+
+@linux
+def test_when_it_gets_slower_each_message_is_read_at_once_again(paced):
+    sock, _, window = paced
+    window(WINDOW / 2500, 1)
+    assert sock.least > 1
+    window(2 * WINDOW / 900, 2)
+    assert sock.least == 1
+    assert sock.timeout == connection_reader.NEVER
+
+
+@linux
+def test_where_waiting_is_in_vain_it_is_tried_ever_more_seldom(paced):
+    sock, pace, window = paced
+    pauses = []
+    for _ in range(9):
+        pauses.append(0)
+        while sock.least == 1:
+            window(WINDOW / 2500, 1)
+            pauses[-1] += 1
+        for _ in range(LATE + 1):
+            pace.note(0, 0)
+        assert sock.least == 1
+    assert pauses == [
+        1,
+        2,
+        4,
+        8,
+        16,
+        32,
+        MAX_SINGLE_MESSAGE_WINDOWS,
+        MAX_SINGLE_MESSAGE_WINDOWS,
+        MAX_SINGLE_MESSAGE_WINDOWS,
+    ]
+
+
+def test_a_socket_that_cannot_wait_is_read_as_before(paced):
+    sock, pace, window = paced
+
+    def refuse(*arguments):
+        raise OSError("no such option")
+
+    sock.setsockopt = refuse
+    window(WINDOW / 2500, 1)
+    assert pace.least == 1

@@ -1,0 +1,80 @@
+"""When the interface believes what it was told of messages that nobody reads. Needs rospy, no master."""
+
+from types import SimpleNamespace
+
+import pytest
+
+rospy = pytest.importorskip("rospy", reason="ROS is not installed")
+
+from retalis.prolog.terms.types import functor  # noqa: E402
+from retalis.ros import projection_sync  # noqa: E402
+from retalis.ros.projection_sync import ProjectionReceiver  # noqa: E402
+
+IMAGE = functor("image", 3)
+HEADER = {"callerid": "/retalis"}
+
+
+@pytest.fixture
+def interface(monkeypatch):
+    """Return what the interface knows, with rospy's connections and reports in lists."""
+    sources = []
+    impl = SimpleNamespace(connections=sources)
+    monkeypatch.setattr(projection_sync.rospy, "Subscriber", lambda *_, **__: SimpleNamespace(impl=impl))
+    texts, said = [SimpleNamespace(endpoint_id="/retalis")], []
+    reports = SimpleNamespace(warning=lambda text, kind: said.append(text))
+    known = ProjectionReceiver(lambda: texts, reports)
+    return SimpleNamespace(known=known, sources=sources, texts=texts, said=said)
+
+
+def tell(interface, text, header=HEADER):
+    interface.sources.append(SimpleNamespace(header=header, done=False))
+    interface.known._take(SimpleNamespace(data=text, _connection_header=header))  # noqa: SLF001
+
+
+def test_nothing_is_left_out_before_it_is_told(interface):
+    assert interface.known.of(IMAGE) == set()
+
+
+def test_what_is_told_holds_until_something_else_is(interface):
+    tell(interface, '{"image/3": [2, 3], "other/1": [1]}')
+    assert interface.known.of(IMAGE) == {2, 3}
+    assert interface.known.of(functor("image", 2)) == set()
+    tell(interface, '{"image/3": [3]}')
+    assert interface.known.of(IMAGE) == {3}
+    tell(interface, "{}")
+    assert interface.known.of(IMAGE) == set()
+
+
+def test_it_does_not_hold_where_nobody_or_somebody_else_gets_the_texts(interface):
+    tell(interface, '{"image/3": [3]}')
+    interface.texts.append(SimpleNamespace(endpoint_id="/rostopic_1"))
+    assert interface.known.of(IMAGE) == set()
+    del interface.texts[0]
+    assert interface.known.of(IMAGE) == set()
+    del interface.texts[0]
+    assert interface.known.of(IMAGE) == set()
+    interface.texts.append(SimpleNamespace(endpoint_id="/retalis"))
+    assert interface.known.of(IMAGE) == {3}
+
+
+def test_it_does_not_hold_once_the_one_who_told_it_is_gone(interface):
+    tell(interface, '{"image/3": [3]}')
+    interface.sources[0].done = True
+    assert interface.known.of(IMAGE) == set()
+    interface.sources[:] = [
+        SimpleNamespace(header=dict(HEADER), done=False)
+    ]  # started anew, and not told yet
+    assert interface.known.of(IMAGE) == set()
+    del interface.sources[:]
+    assert interface.known.of(IMAGE) == set()
+
+
+@pytest.mark.parametrize(
+    "text", ["", "nonsense", "[]", '{"image/3": 3}', '{"image/3": ["3"]}', "[" * 100_000, "1" * 2_000_000]
+)
+def test_what_is_not_understood_is_said_and_everything_is_written(interface, text):
+    tell(interface, '{"image/3": [3]}')
+    tell(interface, text)
+    assert interface.known.of(IMAGE) == set()
+    assert len(interface.said) == 1
+    assert len(interface.said[0]) < 1000

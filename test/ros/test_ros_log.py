@@ -1,0 +1,78 @@
+"""Texts from outside in the node's log and in lines that goals print. Needs rospy, no master."""
+
+import io
+import logging
+import sys
+
+import pytest
+
+pytest.importorskip("rospy", reason="ROS is not installed")
+
+from rosgraph.roslogging import RosStreamHandler  # noqa: E402
+
+from retalis.ros.ros_log import MAX_PRINTED_LINE_CHARACTERS, PrintedLines, show_safely  # noqa: E402
+
+FORGED = "[ERROR] [1700000000.000000]: the robot is on fire"
+
+
+@pytest.fixture
+def log():
+    return io.StringIO()
+
+
+@pytest.fixture
+def logger(log):
+    made = logging.getLogger("test_log")
+    handler = RosStreamHandler(colorize=False, stdout=log, stderr=log)
+    made.addHandler(handler)
+    made.addFilter(show_safely)
+    made.setLevel(logging.INFO)
+    made.propagate = False
+    yield made
+    made.removeHandler(handler)
+    made.removeFilter(show_safely)
+
+
+def test_a_text_forges_no_record_and_no_colour(logger, log):
+    logger.info("heard %s", f"\x1b[31m\u202e\n{FORGED}\r{FORGED}")
+    lines = log.getvalue().splitlines()
+    assert len(lines) == 2
+    assert lines[0].endswith(r"heard \x1b[31m\u202e")
+    assert lines[1] == f"    {FORGED}\\r{FORGED}"
+
+
+@pytest.mark.parametrize("text", ["${time:", "${node}", "${walltime: 100%", "100 % ${"])
+def test_a_text_is_no_template_of_the_log(logger, log, text):
+    logger.warning(text)
+    assert log.getvalue().endswith(f"]: {text}\n".replace("${", r"\x24{"))
+
+
+def test_wrong_arguments_of_a_record_raise_nothing_where_it_is_logged(logger, log):
+    logger.warning("%d things", "\x1b")
+    assert log.getvalue().endswith(r"]: %d things ('\x1b',)" + "\n")
+
+
+def test_an_error_with_its_line_stays_readable(logger, log):
+    logger.warning("%s", "rules.txt:1:3: wrong\na $ b\n  ^")
+    assert log.getvalue().endswith("rules.txt:1:3: wrong\n    a $ b\n      ^\n")
+
+
+def test_lines_of_goals_have_a_mark_and_are_whole(capsys):
+    print_lines = PrintedLines("stdout")
+    print_lines("a")
+    assert capsys.readouterr().out == ""
+    print_lines(f"b\n{FORGED}\nc")
+    assert capsys.readouterr().out == f"| ab\n| {FORGED}\n"
+    print_lines.end()
+    print_lines.end()
+    assert capsys.readouterr().out == "| c\n"
+
+
+def test_a_line_without_an_end_is_not_held_for_ever(capsys):
+    PrintedLines("stderr")("x" * (2 * MAX_PRINTED_LINE_CHARACTERS + 1))
+    assert capsys.readouterr().err == f"| {'x' * MAX_PRINTED_LINE_CHARACTERS}\n" * 2
+
+
+def test_a_node_without_standard_output_goes_on(monkeypatch):
+    monkeypatch.setattr(sys, "stdout", None)
+    PrintedLines("stdout")("a\n")

@@ -1,0 +1,173 @@
+"""States with wrong values and right checksums are refused, and change nothing."""
+
+import pytest
+
+from retalis.engine.engine import Engine
+from retalis.engine.runtime.clock import StreamClock
+from retalis.foundation.errors import UsageError
+from retalis.prolog.terms.list_terms import make_list
+from retalis.prolog.terms.timestamps import Stamp, WholeSeconds
+from retalis.prolog.terms.types import atom, functor
+from retalis.serialization.codec import Ref, from_bytes, to_bytes
+from retalis.serialization.state_sections import pack, unpack
+
+RULES = """
+p(X, Y) <- a(X) seq b(Y).
+w(N) <- aggregate(count, a(_), N, last(10)).
+m(L) <- a(_) seq aggregate(list(X), b(X), L).
+"""
+GOALS = "memorize(a(X), [], X, as, 10)\nsubscribe(p(_, _), [], _, t, s)\ntimer(c(1), after(30))"
+
+
+@pytest.fixture(scope="module")
+def state():
+    engine = Engine(StreamClock())
+    engine.load(RULES, GOALS)
+    for now, event in enumerate(("a(1)", "a(2)", "b(1)"), 1):
+        engine.event(event, now)
+    return unpack(engine.snapshot())
+
+
+def changed(state, section, path, value):
+    """Return a state with another value at a place of a section."""
+    data = from_bytes(state[section])
+
+    def put(old, path):
+        if not path:
+            return value(old) if callable(value) else value
+        first, *rest = path
+        if isinstance(first, str):
+            return [[name, put(one, rest)] if name == first else [name, one] for name, one in old]
+        return [put(one, rest) if at == first else one for at, one in enumerate(old)]
+
+    return pack({**state, section: to_bytes(put(data, path))})
+
+
+def test_unchanged_it_is_taken(state):
+    assert Engine.restore(changed(state, "run", ["taken"], 3)).query("memory_size(as, N)") == [{"N": 10}]
+
+
+@pytest.mark.parametrize(
+    ("section", "path", "value", "message"),
+    [
+        ("run", ["taken"], "x", "section run: taken: 'x': expected an integer"),
+        ("run", ["taken"], True, "expected an integer"),
+        ("run", ["clock"], [1], "expected 4 items"),
+        ("run", ["clock", 0], 1 << 100, "expected an instant"),
+        ("run", ["sent"], [], "not as many subscriptions"),
+        ("run", [], [], "expected the fields clock"),
+        ("values", [0], [["double_quotes", atom("x")]], "the flag double_quotes"),
+        ("values", [3], [["other", 1]], "what built-ins keep"),
+        ("program", ["network", "rules", 0, 0], atom("x"), "expected an event rule"),
+        ("program", ["network", "rules", 0, 4], 7, "expected rules in their order"),
+        ("program", ["network", "flags"], [["no_flag", 1]], "no flag"),
+        ("program", ["memories", 0, 0], atom("x"), "a term of memorize/5"),
+        ("program", ["standings"], [["\0", []]], "expected a path"),
+        ("clauses", [0, 0, 0], 1201, "expected an integer from 0 to 1200"),
+        ("clauses", [0, 0], [], "names and types of operators"),
+        ("matches", ["states"], [], "the states of 3 rules"),
+        ("matches", ["states", 0, 3, 0, 0], Ref(10_000), "expected a reference"),
+        ("matches", ["states", 0, 3, 0, 1], 99, "expected an integer from -1"),
+        ("matches", ["states", 0, 3, 0, 2], 99, "something waits that has not come"),
+        ("matches", ["states", 0, 3], lambda old: old + old, "something waits twice"),
+        ("matches", ["states", 0, 2, 0, 0], "Leaves", "made of other parts"),
+        ("matches", ["rows", 0], ["match"], "expected the row of an object"),
+        ("matches", ["rows", 0], lambda old: [*old[:6], [Ref(0)], old[7]], "was made of itself"),
+        ("matches", ["rows", 0, 1], [], "a match with 1 values"),
+        ("matches", ["rows", 0, 2], "x", "expected an instant"),
+        ("matches", ["rows", 0, 7], Ref(5000), "expected a reference"),
+        ("matches", ["timers", 0], lambda old: old + old, "alarms with orders of their own"),
+        ("matches", ["timers", 0, 0, 1], functor("no", 1)(1), "expected every"),
+        ("matches", ["waiting"], [[0, atom("x"), atom("y"), 1, 2, [], None]], "waits for a memory"),
+        ("memory 0", [3, 1], [None, None], "expected a term"),
+        ("memory 0", [3, 1], [], "expected 2 terms"),
+        ("memory 0", [3], ["floats", bytes(8)], "expected 2 terms"),
+        ("memory 0", [3], ["columns", functor("a", 1), []], "expected 2 terms"),
+        ("memory 0", [3], ["columns", functor("a", 1), [["terms", [1, []]]]], "expected a term"),
+        ("memory 0", [3], ["indexed", [1], b"\0\0\0"], "expected 2 terms"),
+        ("memory 0", [3], ["indexed", [1], b"\0\1"], "'1': expected a position among 1 terms"),
+        ("memory 0", [3], ["indexed", [[]], bytes(2)], "expected a term"),
+        ("memory 0", [3], ["indexed", [1] * 257, bytes(3)], "expected positions of 2 bytes"),
+        ("memory 0", [3], ["parts", []], "expected 2 terms"),
+        ("memory 0", [3], ["parts", [["parts", [["terms", [1, 2]]]]]], "expected 2 terms"),
+        ("memory 0", [4, 0], b"", "expected 2 instants"),
+        ("memory 0", [4, 1], b"\x07\0", "the forms of instants"),
+        ("memory 0", [4, 0], [9, 3], "not in the order of their ends"),
+    ],
+)
+def test_what_is_wrong_is_refused_and_said(state, section, path, value, message):
+    with pytest.raises(UsageError, match=".*") as caught:
+        Engine.restore(changed(state, section, path, value))
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("left_out", ["program", "clauses", "values", "matches", "run", "memory 0"])
+def test_a_section_that_is_missing_is_said(state, left_out):
+    with pytest.raises(UsageError, match="no section|not as many memories"):
+        Engine.restore(pack({name: data for name, data in state.items() if name != left_out}))
+
+
+def test_a_section_that_no_state_has_is_refused(state):
+    with pytest.raises(UsageError, match="section 'more', which no state has"):
+        Engine.restore(pack({**state, "more": to_bytes(1)}))
+
+
+def test_an_older_state_is_refused_by_its_format(state):
+    data = pack(state).replace(b'"format": 6', b'"format": 5')
+    with pytest.raises(UsageError, match="format 5, a pickle .* never read: this version reads format 6"):
+        Engine.restore(data)
+
+
+def test_records_come_back_by_columns():
+    engine = Engine(StreamClock())
+    engine.load(goals="memorize(tf(_, _, _, _), [], _, m, 200)")
+    for at in range(150):
+        engine.event(f'tf(a{at % 3}, v({at}.5, {at / 7!r}), x(y({at}), [{at}]), "s")', at + 1)
+    other = Engine.restore(engine.snapshot())
+    query = "access_mem(m, R, I)"
+    assert [str(one) for one in other.query(query)] == [str(one) for one in engine.query(query)]
+    assert len(other.query(query)) == 150
+
+
+SHARED = functor("s", 1)(1)
+LONG = make_list(range(100))
+
+
+@pytest.mark.parametrize("number", [49, 50, 203, 1000, 1001, 2500])
+@pytest.mark.parametrize(
+    "value",
+    [
+        lambda at: at / 7,
+        lambda at: at,
+        lambda at: at if at % 40 else 2**70,
+        lambda at: at / 7 if at % 40 else 1,
+        lambda at: at / 7 if at % 40 or not at else atom("none"),
+        lambda at: atom(f"a{at % 3}"),
+        lambda at: atom(f"a{at % 256}"),
+        lambda at: atom(f"a{at % 257}"),
+        lambda at: atom(f"a{at}") if at % 40 or not at else LONG,
+        lambda at: SHARED if at % 40 else 1.5,
+        lambda at: functor("q", 2)(at, SHARED) if at % 40 else functor("r", 1)(at),
+        lambda at: functor("q", 2)(at / 3, functor("u", 1)(at)) if at % 40 or not at else atom("none"),
+    ],
+)
+def test_arguments_of_all_kinds_come_back(number, value):
+    engine = Engine(StreamClock())
+    engine.load(goals=f"memorize(f(_, _), [], _, m, {number})")
+    for at in range(number):
+        engine.event_at(functor("f", 2)(value(at), functor("g", 1)(value(at))), at, at)
+    other = Engine.restore(engine.snapshot())
+    query = "access_mem(m, R, I)"
+    assert [str(one) for one in other.query(query)] == [str(one) for one in engine.query(query)]
+    assert len(other.query(query)) == number
+
+
+def test_instants_in_records_come_back_as_integers():
+    engine = Engine(StreamClock())
+    engine.load(goals="memorize(f(_, _), [], _, m, 60)")
+    for at in range(60):
+        stamp = Stamp.of(at, functor("s", 1)(at))
+        engine.event_at(functor("f", 2)(WholeSeconds(at), stamp if at % 7 else at), at, at)
+    other = Engine.restore(engine.snapshot())
+    found = [one["R"] for one in other.query("access_mem(m, R, _)")]
+    assert found == [functor("f", 2)(at, at) for at in reversed(range(60))]

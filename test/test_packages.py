@@ -1,0 +1,151 @@
+"""Structure of the package: imports go one way, between packages and between modules."""
+
+import ast
+from collections import Counter
+
+import pytest
+from source import ROOT, packages
+
+MODULES, CROSSINGS = packages.MODULES, packages.CROSSINGS
+
+ORDER = (
+    "foundation",
+    "prolog.terms",
+    "prolog.syntax",
+    "prolog.machine",
+    "prolog.compiler",
+    "prolog.database",
+    "prolog.builtins",
+    "prolog.system",
+    "prolog.swi",
+    "messages",
+    "events.streams",
+    "events.language",
+    "events.dispatch",
+    "events.matches",
+    "events.fused",
+    "events.provenance",
+    "events.network",
+    "events.program",
+    "events.rules",
+    "events.knowledge",
+    "events.checks",
+    "engine.runtime",
+    "serialization",
+    "engine",
+    "explanation",
+    "visualization",
+    "dashboard",
+    "playback",
+    "cli",
+    "ros",
+)
+"""The packages from the lowest to the highest: each imports only packages before it."""
+
+REPEATED_NAMES = {"errors", "types", "parser", "protocols", "__init__"}
+"""Names that modules of several packages may have."""
+
+MAX_LINES = 1_000
+
+ROS = {"genpy", "rosgraph", "rosgraph_msgs", "roslib", "rospy", "rostopic", "std_msgs"}
+
+TESTED_ELSEWHERE = ("bench", "examples", "oracle", "fuzz", "interrupts", "faults", "mutation")
+"""Folders of tests without a package of their own."""
+
+
+def test_packages_are_those_of_the_order():
+    assert sorted(ORDER) == packages.PACKAGES
+
+
+@pytest.mark.parametrize("package", ORDER)
+def test_imports_go_one_way_between_packages(package):
+    below = ORDER[: ORDER.index(package)]
+    wrong = [
+        f"{module.path}: {target.name}"
+        for module, target in CROSSINGS
+        if module.package == package and target.name and target.package not in below
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_modules_do_not_import_each_other():
+    imported = {module.name: set(module.own_imports()) - {module.name} for module in MODULES.values()}
+    while True:
+        free = {name for name, others in imported.items() if not others}
+        if not free:
+            break
+        imported = {name: others - free for name, others in imported.items() if name not in free}
+    assert not imported
+
+
+def test_packages_are_two_levels_deep_at_most():
+    assert [name for name in packages.PACKAGES if name.count(".") > 1] == []
+
+
+def test_no_module_name_is_used_twice():
+    names = Counter(module.path.stem for module in MODULES.values())
+    assert [name for name, count in names.items() if count > 1 and name not in REPEATED_NAMES] == []
+
+
+def test_no_module_is_too_long():
+    lengths = {
+        name: len(module.path.read_text(encoding="utf-8").splitlines()) for name, module in MODULES.items()
+    }
+    assert {name: length for name, length in lengths.items() if length > MAX_LINES} == {}
+
+
+def test_init_files_contain_a_docstring_only():
+    wrong = [
+        module.name
+        for module in MODULES.values()
+        if module.path.name == "__init__.py" and module.name and len(module.tree.body) != 1
+    ]
+    assert wrong == []
+
+
+def test_private_names_are_not_imported():
+    wrong = [
+        f"{module.path}: {name}"
+        for module in MODULES.values()
+        for base, name in module.imports
+        if base.startswith("retalis") and name is not None and name.startswith("_")
+    ]
+    assert wrong == []
+
+
+def test_only_the_nodes_import_ros():
+    importing = {
+        module.package
+        for module in MODULES.values()
+        for base, _ in module.imports
+        if base.split(".")[0] in ROS
+    }
+    assert importing == {"ros"}
+
+
+def test_one_module_compiles_and_none_builds_syntax_trees():
+    """CPython fails if two threads build syntax trees at once, and every connection of a node has a thread."""
+    compiling = {
+        module.name
+        for module in MODULES.values()
+        for node in module.nodes
+        if isinstance(node, ast.Name) and node.id in ("compile", "exec", "eval")
+    }
+    assert compiling == {"foundation.codegen"}
+    assert not [module.name for module in MODULES.values() for base, _ in module.imports if base == "ast"]
+
+
+def test_tests_mirror_the_packages():
+    wrong = []
+    for path in sorted((ROOT / "test").rglob("test_*.py")):
+        folder, name = path.parent.relative_to(ROOT / "test"), path.name[len("test_") :]
+        if folder.as_posix() in TESTED_ELSEWHERE:
+            continue
+        package = packages.SOURCE / folder
+        if not package.is_dir() or (not (package / name).exists() and list(package.glob(f"*/**/{name}"))):
+            wrong.append(path.relative_to(ROOT).as_posix())
+    assert wrong == []
+
+
+def test_picture_shows_the_imports():
+    assert packages.PICTURE.read_text(encoding="utf-8") == packages.picture(), "run docs/packages.py"

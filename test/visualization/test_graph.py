@@ -1,0 +1,127 @@
+"""A program as a graph."""
+
+from pathlib import Path
+
+import pytest
+
+from retalis.engine.engine import Engine
+from retalis.visualization.program_graph import MAX_NODES, GraphEdge, GraphTopic, graph_key, program_graph
+
+NAO = Path(__file__).resolve().parents[2] / "application_source"
+
+
+def edges(rules="", goals="", topics=()):
+    engine = Engine()
+    engine.load(rules=rules, goals=goals)
+    return {(one.source, one.target, one.kind) for one in program_graph(engine, topics).edges}
+
+
+def test_a_rule_stands_between_what_it_takes_and_what_it_fires():
+    assert edges("l : alarm(X) <- smoke(X) seq heat(_).") == {
+        ("event:smoke/1", "rule:0", "flow"),
+        ("event:heat/1", "rule:0", "flow"),
+        ("rule:0", "event:alarm/1", "flow"),
+    }
+
+
+def test_what_must_not_happen_is_told_apart():
+    found = edges("quiet <- (a seq c) cnot b.")
+    assert ("event:b/0", "rule:0", "absent") in found
+    assert ("event:a/0", "rule:0", "flow") in found
+
+
+def test_events_that_goals_make_and_memories_that_they_read_are_found_in_clauses():
+    found = edges(
+        "null_event do act(X) <- go(X). act(X) :- \\+ busy, then(X). then(X) :- new_event(done(X), 1, 2). "
+        "then(X) :- prev(fires, X, _, _, 5). busy :- act(1).",
+        "memorize(fire(_), [], _, fires, 10)",
+    )
+    assert found == {
+        ("event:go/1", "rule:0", "flow"),
+        ("rule:0", "event:done/1", "flow"),
+        ("memory:fires", "rule:0", "reads"),
+        ("event:fire/1", "memory:fires", "flow"),
+    }
+
+
+def test_a_chain_of_poses_reads_its_memories():
+    found = edges("a(P) <- b(T, R) where pose_chain([odom, R, head], T, P).")
+    assert {edge for edge in found if "reads" in edge} == {
+        ("memory:odom", "rule:0", "reads"),
+        ("memory:head", "rule:0", "reads"),
+    }
+
+
+def test_alarms_and_events_of_goals_are_what_they_fire():
+    found = edges("exceptionAlarm(waited(S), 5) <- down(S). null_event do event(held(S)) <- waited(S).")
+    assert {edge for edge in found if edge[0].startswith("rule")} == {
+        ("rule:0", "event:waited/1", "flow"),
+        ("rule:1", "event:held/1", "flow"),
+    }
+
+
+def test_memories_subscriptions_and_topics_have_their_places():
+    found = edges(
+        goals="memorize(_, [], _, all, 10)\nsubscribe(std_msgs__0__String(_), [], _, echo, e)",
+        topics=[GraphTopic("/chatter", "std_msgs__0__String"), GraphTopic("/unused", "std_msgs__0__Empty")],
+    )
+    assert found == {
+        ("event:any event", "memory:all", "flow"),
+        ("event:std_msgs__0__String/1", "output:echo", "flow"),
+        ("topic:/chatter", "event:std_msgs__0__String/1", "flow"),
+    }
+
+
+def test_a_synchronized_query_reads_its_memories():
+    found = edges("synchronized(seen(X), ask(X), [[odom, T], [head, T]]) <- marker(X, T).")
+    assert found == {
+        ("event:marker/2", "rule:0", "flow"),
+        ("rule:0", "query:0", "flow"),
+        ("query:0", "event:seen/1", "flow"),
+        ("memory:odom", "query:0", "reads"),
+        ("memory:head", "query:0", "reads"),
+    }
+
+
+def test_the_nao_example_is_one_way_from_its_topics_to_its_outputs():
+    engine = Engine()
+    engine.load_program(NAO)
+    graph = program_graph(engine, [GraphTopic("/tf", "tf__0__tfMessage")])
+    assert graph.left_out == 0
+    found = {(one.source, one.target): one for one in graph.edges}
+    way = ("topic:/tf", "event:tf__0__tfMessage/1", "rule:0", "event:tf/4", "memory:odom_base", "query:2")
+    way += ("event:geometry_msgs__0__PoseStamped/2", "output:marker1")
+    for source, target in zip(way, way[1:]):
+        assert (source, target) in found
+    assert found["event:tf/4", "memory:odom_base"] == GraphEdge(
+        "event:tf/4", "memory:odom_base", "memory:odom_base", "flow"
+    )
+
+
+def test_large_programs_are_cut():
+    engine = Engine()
+    engine.load(rules=" ".join(f"a{number} <- b{number}." for number in range(100)))
+    graph = program_graph(engine)
+    assert (len(graph.nodes), graph.left_out) == (MAX_NODES, 300 - MAX_NODES)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "memorize(fire, [], _, fires, 10)",
+        "subscribe(fire, [], _, fires, 10)",
+        "",
+    ],
+)
+def test_the_key_changes_with_the_program(change):
+    engine = Engine()
+    engine.load(rules="a <- b.")
+    before = graph_key(engine, ())
+    assert graph_key(engine, ()) == before
+    engine.event("b", 1)
+    assert graph_key(engine, ()) == before
+    if not change:
+        engine.load(rules="c <- d.")
+    else:
+        assert engine.call(change)
+    assert graph_key(engine, ()) != before

@@ -1,0 +1,168 @@
+"""A run as lanes: what is in them, what is left out, what is refused; the page and the picture of it."""
+
+import json
+import re
+import sys
+import types
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as some
+
+from retalis.foundation.errors import UsageError
+from retalis.visualization.timeline import (
+    MAX_LANES,
+    MAX_MARKS,
+    TRACKS,
+    TimelineBuilder,
+    draw_timeline,
+    page,
+    read_run,
+    tracks,
+)
+
+SECOND = 10**9
+RUN = [
+    {"event": "my_msgs__0__Level(1)", "start": 5 * SECOND, "end": 5 * SECOND},
+    {"event": "null_event", "start": 5 * SECOND, "end": 5 * SECOND},
+    {"event": "'a (b'(1)", "start": 5 * SECOND, "end": 7 * SECOND},
+    {"output": "x", "topic": "z", "id": "i", "time": 7 * SECOND},
+    {"output": "x", "topic": "y", "id": "i", "time": 8 * SECOND},
+    {"wait": "seen(1)", "memories": ["odom"], "start": 6 * SECOND, "end": 7 * SECOND},
+    {
+        "memory": "odom",
+        "pattern": "p(_)",
+        "size": 9,
+        "records": 3,
+        "taken": 4,
+        "start": 6 * SECOND,
+        "end": 9 * SECOND,
+    },
+    {"memory": "none", "pattern": "q", "size": 9, "records": 0, "taken": 0, "start": None, "end": None},
+    {"explain": "x", "happened": True, "because": []},
+]
+
+
+def of(lines):
+    return read_run(map(json.dumps, lines), "run.jsonl")
+
+
+def test_a_run_has_a_lane_for_each_name():
+    run = of(RUN)
+    assert (run.begin, run.length, run.left_out) == (5 * SECOND, 4.0, 0)
+    assert [(lane.kind, lane.name, lane.number) for lane in run.lanes] == [
+        *(("event", "Level", 1), ("event", "a (b", 1), ("wait", "seen waits", 1)),
+        *(("memory", "odom", 4), ("output", "y", 1), ("output", "z", 1)),
+    ]
+    assert run.lanes[1].marks == [(0.0, 2.0, "'a (b'(1)")]
+    assert run.lanes[2].marks == [(1.0, 2.0, "for odom: seen(1)")]
+    assert of([]).lanes == []
+
+
+def test_a_long_run_is_thinned_over_its_whole_length():
+    builder = TimelineBuilder()
+    number = 2 * MAX_MARKS + 7
+    for at in range(number):
+        builder.take({"event": "a", "start": at, "end": at})
+    for at in range(MAX_LANES + 3):
+        builder.take({"event": f"e{at}", "start": at, "end": at})
+    run = builder.timeline()
+    lane = run.lanes[0]
+    assert lane.number == number and MAX_MARKS / 2 <= len(lane.marks) <= MAX_MARKS
+    assert round(lane.marks[-1][0] * SECOND) > number - 5
+    assert len(run.lanes) == MAX_LANES and run.left_out == 4
+
+
+@pytest.mark.parametrize(
+    "line, says",
+    [
+        ("{", "run.jsonl:2: this is no JSON"),
+        ("[1]", "run.jsonl:2: this is no JSON object"),
+        ('{"event": 1, "start": 1, "end": 1}', 'run.jsonl:2: expected a text as "event"'),
+        ('{"event": "a", "start": "1", "end": 1}', 'run.jsonl:2: expected whole nanoseconds as "start"'),
+        ('{"event": "a", "start": 1.5, "end": 2}', 'run.jsonl:2: expected whole nanoseconds as "start"'),
+        (
+            f'{{"event": "a", "start": 1, "end": 1{"0" * 400}}}',
+            "run.jsonl:2: expected nanoseconds since the epoch",
+        ),
+    ],
+)
+def test_a_line_that_is_no_record_is_named(line, says):
+    with pytest.raises(UsageError, match=re.escape(says)):
+        read_run(["{}", line], "run.jsonl")
+
+
+MARKS = some.lists(some.tuples(some.integers(0, 20), some.integers(0, 5)).map(lambda m: (m[0], sum(m), "")))
+
+
+@settings(max_examples=30)
+@given(MARKS.map(sorted))
+def test_marks_of_a_row_overlap_only_where_all_rows_are_taken(marks):
+    rows = tracks(marks)
+    for at, (start, end, _) in enumerate(marks):
+        assert (rows[at] is None) == (start == end)
+        before = {row for (_, until, _), row in zip(marks[:at], rows) if row is not None and until > start}
+        if rows[at] in before:
+            assert before == set(range(TRACKS))
+
+
+def test_the_page_holds_the_run_and_no_text_of_it_is_markup():
+    run = of([{"event": "</script><b>(1)", "start": 0, "end": SECOND}, *RUN])
+    text = page(run, "<i>title</i>")
+    found = json.loads(re.search(r'type="application/json">(.*?)</script>', text, re.DOTALL).group(1))
+    assert found["title"] == "<i>title</i>"
+    assert found["lanes"][0]["marks"] == [[0.0, 1.0, "</script><b>(1)", 0]]
+    assert "not all marks" not in found["about"]
+    assert "<b>" not in text and "<i>title" not in text
+    assert not re.search(r"(src|href)=|https?:|@import|url\(", text)
+
+
+def test_half_a_character_is_part_of_the_page():
+    run = of([{"event": "'\ud800'", "start": 0, "end": SECOND}])
+    assert "\\ud800" in page(run, "run").encode("utf-8").decode()
+
+
+def test_the_page_shows_control_characters_as_escapes():
+    run = of([{"output": "x\x1b", "topic": "z\u202e", "id": "i", "time": 7 * SECOND}])
+    text = page(run, "\x9b")
+    (held,) = re.findall(r">(\{.*\})<", text)
+    found = json.loads(held)
+    assert found["title"] == r"\x9b"
+    assert (found["lanes"][0]["name"], found["lanes"][0]["marks"][0][2]) == (r"z\u202e", r"x\x1b")
+
+
+def test_without_matplotlib_the_error_says_what_to_do(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(UsageError, match=r"pip install matplotlib\).*run\.html.* needs nothing"):
+        draw_timeline(of(RUN), "run", tmp_path / "run.png")
+
+
+def test_what_matplotlib_is_asked_for(monkeypatch, tmp_path):
+    """It need not be there for the tests: a stand-in notes the calls."""
+    calls = []
+
+    class Noting:
+        def __init__(self, *arguments, **named):
+            self.spines = dict.fromkeys(("top", "left", "right"), self) if named.get("axes") else {}
+
+        def __getattr__(self, name):
+            def call(*arguments, **named):
+                calls.append((name, arguments))
+                return Noting(axes=True)
+
+            return call
+
+    for name, held in (("figure", {"Figure": Noting}), ("patches", {"Patch": Noting})):
+        module = types.ModuleType(f"matplotlib.{name}")
+        vars(module).update(held)
+        monkeypatch.setitem(sys.modules, f"matplotlib.{name}", module)
+    monkeypatch.setitem(sys.modules, "matplotlib", types.ModuleType("matplotlib"))
+    draw_timeline(of(RUN), "a run of $x_{$", tmp_path / "run.png")
+    named = [arguments[0] for name, arguments in calls if name == "set_yticklabels"]
+    assert named == [["Level", "a (b", "seen waits", "odom", "y", "z"], ["1", "1", "1", "4", "1", "1"]]
+    (title,) = [arguments[0] for name, arguments in calls if name == "set_title"]
+    assert title.startswith("a run of \\$x_{\\$\n")
+    assert [arguments[0] for name, arguments in calls if name == "savefig"] == [tmp_path / "run.png"]
+    bars = [arguments[0] for name, arguments in calls if name == "broken_barh"]
+    assert bars == [[(0.0, 2.0)], [(1.0, 1.0)], [(1.0, 3.0)]]
