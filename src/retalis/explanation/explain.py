@@ -14,7 +14,7 @@ from ..events.language.pattern_tree import Aggregate, Shaped, Windowed, walk
 from ..events.language.window_parser import subscribed_event
 from ..events.matches.partial_matches import AfterMatchSkipStrategy
 from ..events.network.event_rule import EventRule
-from ..events.provenance.event_log import Fired, Occurrence
+from ..events.provenance.event_log import Occurrence
 from ..foundation.cancellation import look, watched_by
 from ..foundation.errors import RetalisError, UsageError, counted
 from ..prolog.syntax.term_reader import read_term
@@ -368,7 +368,7 @@ class _Explainer:
             )
         ]
 
-    def _rule(self, rule: Fired) -> str:
+    def _rule(self, rule: EventRule) -> str:
         place = "" if rule.place is None else f" ({rule.place.source}:{rule.place.line})"
         label = "" if rule.label is None else f"{self._show(rule.label)}: "
         names = rule.definition.names

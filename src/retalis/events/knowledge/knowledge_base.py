@@ -1,7 +1,7 @@
 """Memories, waiting queries and subscriptions of one program, and the goals that reach them."""
 
 from operator import attrgetter
-from typing import Callable, Iterator, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Callable, Iterator, Optional, Sequence, Tuple
 
 from ...foundation.errors import UsageError
 from ...prolog.machine.errors import instantiation_error, type_error
@@ -16,8 +16,12 @@ from .memory import UPDATED, MemoryInstance, Warn, key_of
 from .memory_instances import CREATED, DELETED, MemoryInstances, define_read_access, enumerate_records
 from .pending_queries import GIVEN_UP, Behind, PendingQueries
 from .record_lookup import define_matching
-from .subscriptions import Deliver, RateClock, Subscriptions
+from .subscriptions import Deliver, Subscriptions
 from .timeouts import AlarmClock
+
+if TYPE_CHECKING:
+    from ..rules.rule_base import RuleBase
+
 
 MEMORIZE = functor("memorize", 5)
 SUBSCRIBE = functor("subscribe", 5)
@@ -54,7 +58,7 @@ class KnowledgeBase:
         clock: AlarmClock,
         deliver: Deliver,
         warn: Warn,
-        rules: RateClock,
+        rules: "RuleBase",
     ):
         self._logic = logic
         self._warn = warn

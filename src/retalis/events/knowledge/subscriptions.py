@@ -5,6 +5,7 @@ Subscriptions: which events go out, in which form, to which topic.
 
 from itertools import count
 from typing import (
+    TYPE_CHECKING,
     Any,
     Callable,
     Dict,
@@ -14,7 +15,6 @@ from typing import (
     List,
     NamedTuple,
     Optional,
-    Protocol,
     Sequence,
     Tuple,
 )
@@ -29,10 +29,13 @@ from ..dispatch.listeners import Listener, ListenerPhase
 from ..language.pattern_tree import Shaped
 from ..language.window_parser import subscribed_event, subscribed_shape
 from ..matches.partial_matches import NetworkOptions
-from ..network.goal_evaluation import Woken
 from ..network.stream_compiler import shaping
-from ..streams.stream_elements import KeyBounds, StreamElement, StreamOperator, StreamOutput
+from ..streams.stream_elements import StreamElement, StreamOperator, StreamOutput
 from .memory import Recording, Warn, itself, key_of, recording, unused_variables
+
+if TYPE_CHECKING:
+    from ..rules.rule_base import RuleBase
+
 
 KeptRate = Tuple[Any, int, int]
 """What the shape knows, and how many events came too late or were too many."""
@@ -41,27 +44,6 @@ KeptRate = Tuple[Any, int, int]
 def looked_at(part: Shaped) -> Tuple[Term, ...]:
     """Return the terms that a shape looks at."""
     return part.by if part.value is None else (part.value, *part.by)
-
-
-class RateClock(Protocol):
-    """All rules of a program, as subscriptions look at them: they ring what has come due.
-
-    Attributes:
-        cap: how many events, or keys, a shape may hold.
-        key_bounds: the bounds of the states of keys that flags set.
-    """
-
-    cap: int
-    key_bounds: KeyBounds
-
-    def time(self) -> int:
-        """Return the present instant, by which alarms ring."""
-
-    def wake(self, node: Woken, instant: int) -> None:
-        """Have a node ring when an instant has come."""
-
-    def newest_allowed(self) -> int:
-        """Return the newest stamp that may move time on."""
 
 
 class OutputRateLimiter:
@@ -90,7 +72,7 @@ class OutputRateLimiter:
     serial = 0
 
     def __init__(
-        self, part: Shaped, names: Sequence[Var], name: str, clock: RateClock, warn: Warn, place: int
+        self, part: Shaped, names: Sequence[Var], name: str, clock: "RuleBase", warn: Warn, place: int
     ):
         self._making = shaping(part, names)
         self.widths = (len(part.by), int(part.value is not None))
@@ -251,7 +233,7 @@ class Subscriptions:
     """
 
     def __init__(
-        self, logic: PrologSystem, dispatcher: Dispatcher, deliver: Deliver, problem: Warn, clock: RateClock
+        self, logic: PrologSystem, dispatcher: Dispatcher, deliver: Deliver, problem: Warn, clock: "RuleBase"
     ):
         self._logic = logic
         self._dispatcher = dispatcher

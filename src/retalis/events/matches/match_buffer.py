@@ -1,12 +1,16 @@
 """Where matches wait for partners: by the values they share, in order of arrival and, where that helps, by time."""
 
 import heapq
-from typing import Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Set, Tuple
+from typing import TYPE_CHECKING, Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Set, Tuple
 
 from ...prolog.terms.term_traversal import PLAIN, freeze
 from ...prolog.terms.types import Values
 from .interval_index import LEAST, MOST, IntervalBounds, IntervalIndex, TimeBounds
-from .partial_matches import Owner, PartialMatch
+from .partial_matches import PartialMatch
+
+if TYPE_CHECKING:
+    from ..network.event_rule import EventRule
+
 
 FEW, FEWER = 32, 4
 """How many matches at the wrong time are passed over before an index is made; before one that there is is used."""
@@ -35,7 +39,7 @@ class MatchBuffer:
 
     forbids = False
 
-    def __init__(self, rule: Owner, shared: Tuple[int, ...]):
+    def __init__(self, rule: "EventRule", shared: Tuple[int, ...]):
         self.rule = rule
         self.key = key_function(shared)
         self.newest: Dict[Hashable, PartialMatch] = {}

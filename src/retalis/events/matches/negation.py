@@ -6,13 +6,17 @@ accumulate without bound: a `RuledOutSweep` drops the oldest of them.
 
 from bisect import bisect_left, bisect_right
 from collections import deque
-from typing import Callable, Deque, Dict, Hashable, List, Optional, Protocol, Sequence, Tuple
+from typing import TYPE_CHECKING, Callable, Deque, Dict, Hashable, List, Optional, Sequence, Tuple
 
 from ...prolog.terms.types import Frame, Values
-from .consumption_policy import Emit
 from .interval_index import BEFORE, BETWEEN, LEAST, MOST
 from .match_buffer import MatchBuffer, key_function, surely_same
-from .partial_matches import NetworkOptions, Owner, PartialMatch, unify_sides
+from .partial_matches import NetworkOptions, PartialMatch, unify_sides
+
+if TYPE_CHECKING:
+    from ..network.event_rule import EventRule
+    from ..network.pattern_nodes import NetworkNode
+
 
 _SPARE = 1000
 
@@ -75,13 +79,6 @@ class _Frontier:
         return None
 
 
-class Emitting(Protocol):
-    """The node of a negated pattern."""
-
-    def bind(self, out: Emit, mode: NetworkOptions, /) -> None:
-        """Send matches to ``out`` from now on."""
-
-
 class NegationBuffer:
     """The matches of a negated pattern, by the variables that it shares with what it negates.
 
@@ -101,12 +98,12 @@ class NegationBuffer:
         borders: by key, the matches that are in the way of something that no other is in the way of.
     """
 
-    def __init__(self, rule: Owner, shared: Sequence[Tuple[int, int]], ever: bool):
+    def __init__(self, rule: "EventRule", shared: Sequence[Tuple[int, int]], ever: bool):
         self.rule = rule
         self.shared = tuple(shared)
         self.ever = ever
         self.condition: Optional[Callable[[Values, PartialMatch], bool]] = None
-        self.carried: List[Tuple[NegationBuffer, Emitting]] = []
+        self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
         self.buffer = MatchBuffer(rule, tuple(one for one, _ in self.shared))
         self.buffer.reach = BEFORE if ever else BETWEEN
         self.buffer.forbids = True
@@ -118,7 +115,7 @@ class NegationBuffer:
         """Have the borders made anew when they are asked for."""
         self.borders = {}
 
-    def bind(self, negated: Emitting, mode: NetworkOptions) -> None:
+    def bind(self, negated: "NetworkNode", mode: NetworkOptions) -> None:
         """Take what a node finds, and have the absences among the conditions take theirs."""
         negated.bind(self.arrive, mode)
         self.bind_carried(mode)

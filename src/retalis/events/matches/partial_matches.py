@@ -20,7 +20,6 @@ from typing import (
     Union,
 )
 
-from ...prolog.machine.resource_limits import Meter
 from ...prolog.terms.term_traversal import copy, resolve, term_key
 from ...prolog.terms.types import Term, Trail, Values, Var
 from ...prolog.terms.unification import undo, unify
@@ -469,53 +468,3 @@ def with_property(mode: NetworkOptions, name: str, word: str) -> NetworkOptions:
         return mode._replace(after_match=AfterMatchSkipStrategy(word))
     assert name == "out_of_order", name
     return mode._replace(out_of_order=word == "on")
-
-
-class Noting(Protocol):
-    """What keeps what events came from, see `Tracker`.
-
-    Attributes:
-        blocker: the negated match that made the last test fail.
-    """
-
-    blocker: Optional[PartialMatch]
-
-    def present(self) -> int:
-        """Return the number of the event that is being served."""
-
-
-class Bounds(Protocol):
-    """What a rule shares with all others.
-
-    Attributes:
-        cap: how many partial matches a rule may have.
-        mode: what the flags say about how the network runs.
-    """
-
-    cap: int
-    mode: NetworkOptions
-
-    @property
-    def tracker(self) -> Noting:
-        """What keeps what events came from."""
-
-
-class Owner(Protocol):
-    """The rule of a place.
-
-    Attributes:
-        order: how many matches have begun to wait so far.
-        waiting: how many wait.
-        meter: counts its pattern work; None if nothing is counted.
-    """
-
-    order: int
-    waiting: int
-    meter: Optional[Meter]
-
-    @property
-    def network(self) -> Bounds:
-        """What it shares with all other rules."""
-
-    def keep(self, match: PartialMatch, span: Optional[int]) -> None:
-        """Count a match that begins to wait; with too many the oldest goes."""

@@ -5,12 +5,16 @@ taken back and a first side may come of that: it takes, of those that came after
 """
 
 from collections import deque
-from typing import Deque, Hashable, Iterable, List, Optional
+from typing import TYPE_CHECKING, Deque, Hashable, Iterable, List, Optional
 
 from ...prolog.terms.types import Frame
 from .consumption_policy import Emit, Join, MatchSide, counted, emit_each, join_any
 from .match_buffer import MatchBuffer
-from .partial_matches import Noting, PartialMatch, arrival, sources
+from .partial_matches import PartialMatch, arrival, sources
+
+if TYPE_CHECKING:
+    from ..provenance.lineage import LineageTracker
+
 
 KEPT = 10_000
 """How many second sides are kept in one buffer."""
@@ -44,12 +48,12 @@ class RetainedMatches:
             self._kept.popleft().leave()
 
 
-def after_all(tracker: Noting, came: int) -> bool:
+def after_all(tracker: "LineageTracker", came: int) -> bool:
     """Tell whether what came then is not a part of the event that is served: it is there after all, by a revision."""
     return came < tracker.present()
 
 
-def first_side(tracker: Noting, side: MatchSide, uses: bool, all_too: bool, emit: Emit) -> Emit:
+def first_side(tracker: "LineageTracker", side: MatchSide, uses: bool, all_too: bool, emit: Emit) -> Emit:
     """Return what a first side does: it waits; set free by a revision, it takes what has come since.
 
     Args:
@@ -83,7 +87,7 @@ def first_side(tracker: Noting, side: MatchSide, uses: bool, all_too: bool, emit
     return arrive
 
 
-def in_order(tracker: Noting, join: Join) -> Join:
+def in_order(tracker: "LineageTracker", join: Join) -> Join:
     """Return a join of a second side and a first one, for second sides that may be there after all.
 
     These take what had come before them only.
@@ -99,7 +103,7 @@ def in_order(tracker: Noting, join: Join) -> Join:
 
 
 def that_came_before(
-    match: PartialMatch, others: Iterable[PartialMatch], tracker: Noting
+    match: PartialMatch, others: Iterable[PartialMatch], tracker: "LineageTracker"
 ) -> Iterable[PartialMatch]:
     """Return those of others that a match may meet: all, unless it is there after all, by a revision."""
     came = arrival(match)

@@ -6,10 +6,24 @@ A run of a repetition or aggregate: a first match, and what has extended it so f
 """
 
 from collections import deque
-from typing import Any, Callable, Deque, Dict, Hashable, Iterator, List, Optional, Protocol, Tuple
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Callable,
+    Deque,
+    Hashable,
+    Iterator,
+    List,
+    Optional,
+    Tuple,
+)
 
 from ...prolog.terms.types import NIL, Term, Values, Var
-from .partial_matches import NOTHING_HELD, Owner, PartialMatch, Parts, Repetitions, identity
+from .partial_matches import NOTHING_HELD, PartialMatch, Parts, Repetitions, identity
+
+if TYPE_CHECKING:
+    from ..network.repeat_node import RepeatNode
+
 
 _MASK = (1 << 61) - 1
 
@@ -111,27 +125,6 @@ def pieces_of(match: PartialMatch, times: int) -> Tuple[Piece, ...]:
 _NEVER = -(1 << 80)
 
 
-class Carrier(Protocol):
-    """The node of sequences that go on together.
-
-    Attributes:
-        trains: the sequences, by their values.
-        limit: for how many nanoseconds what waits is of use; None for no bound.
-        forbids: whether they are about what must not happen.
-    """
-
-    trains: Dict[Hashable, "RunGroup"]
-    limit: Optional[int]
-    forbids: bool
-
-    @property
-    def rule(self) -> Owner:
-        """The rule it belongs to."""
-
-    def values_of(self, token: "RunCursor") -> Values:
-        """Return the values of a sequence."""
-
-
 class RunCursor(PartialMatch):
     """A sequence that has not all of its repetitions yet, in a train.
 
@@ -175,7 +168,7 @@ class RunGroup:
 
     __slots__ = ("node", "key", "tokens", "end", "order", "log", "taken", "alive")
 
-    def __init__(self, node: Carrier, key: Hashable):
+    def __init__(self, node: "RepeatNode", key: Hashable):
         self.node = node
         self.key = key
         self.tokens: Deque[Optional[RunCursor]] = deque()
@@ -283,7 +276,7 @@ class Moving:
 
     forbids = False
 
-    def __init__(self, node: Carrier):
+    def __init__(self, node: "RepeatNode"):
         self._node = node
 
     @property

@@ -3,15 +3,18 @@
 All that an event completes is completed first. What has been skipped and waits goes when the next event comes.
 """
 
-from typing import Any, Dict, Hashable, Iterable, List, NamedTuple, Optional, Set, Tuple
+from typing import TYPE_CHECKING, Any, Dict, Hashable, Iterable, List, NamedTuple, Optional, Set, Tuple
 
 from ...prolog.terms.types import Frame
 from ..dispatch.listeners import DEPTH
 from ..matches.consumption_policy import Emit
 from ..matches.expiration import ExpirationQueue
 from ..matches.partial_matches import AfterMatchSkipStrategy, NetworkOptions, PartialMatch
-from .goal_evaluation import RuleOwner
 from .pattern_nodes import ActionNode, FilterNode, NetworkNode
+
+if TYPE_CHECKING:
+    from .event_rule import EventRule
+
 
 _NEVER = -(1 << 80)
 _SPARE = 1000
@@ -43,7 +46,7 @@ class AfterMatchSkip:
         swept: the same as the event that is served found it: what starts later is no part of a match any more.
     """
 
-    def __init__(self, rule: RuleOwner, kind: AfterMatchSkipStrategy):
+    def __init__(self, rule: "EventRule", kind: AfterMatchSkipStrategy):
         self._rule = rule
         self.kind = kind
         self.past = self.swept = _NEVER
@@ -188,7 +191,7 @@ def first_action(root: NetworkNode) -> Optional[ActionNode]:
     return found
 
 
-def skipping_by(rule: RuleOwner, mode: NetworkOptions) -> Optional[AfterMatchSkip]:
+def skipping_by(rule: "EventRule", mode: NetworkOptions) -> Optional[AfterMatchSkip]:
     """Return what a rule skips in a mode, with what it knows where that is as before; None where it skips nothing."""
     before: Optional[AfterMatchSkip] = rule.skipping
     if before is not None:

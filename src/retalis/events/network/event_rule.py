@@ -4,7 +4,7 @@ Event rules at run time: their clock, what waits for them, and what they fire.
 """
 
 from collections import deque
-from typing import Any, Callable, Deque, Dict, Hashable, List, NamedTuple, Optional, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Deque, Dict, Hashable, List, NamedTuple, Optional, Tuple
 
 from ...foundation.codegen import MAX_TERM_ARGUMENTS
 from ...foundation.errors import RuleError, UsageError
@@ -22,11 +22,13 @@ from ..matches.match_buffer import MatchBuffer
 from ..matches.negation import RuledOutSweep
 from ..matches.partial_matches import NetworkOptions, PartialMatch
 from .after_match_skip import AfterMatchSkip, skipping_by
-from .goal_evaluation import Listening, Network
 from .pattern_nodes import EventNode
 from .retention import least
 from .rule_compiler import RuleCompiler
 from .stream_node import StreamNode
+
+if TYPE_CHECKING:
+    from ..rules.rule_base import RuleBase
 
 
 class RuleMetrics:
@@ -104,7 +106,7 @@ class EventRule:
         sweep_at: the number of waiting matches above which `look_through` goes on to drop those that are ruled out.
     """
 
-    def __init__(self, network: Network, definition: RuleDefinition, serial: int, name: str):
+    def __init__(self, network: "RuleBase", definition: RuleDefinition, serial: int, name: str):
         self.network = network
         self.meter = network.logic.machine.budget.meter(self)
         self.definition = definition
@@ -280,7 +282,7 @@ class EventRule:
         self.expiries.reset(self._span)
         self._by_end = ExpirationQueue()
 
-    def listen(self, leaf: Listening, action: EventAction, fused: bool = False) -> None:
+    def listen(self, leaf: EventNode, action: EventAction, fused: bool = False) -> None:
         """Have a leaf's action called for its events; see `Audience.listen`."""
         listen = self.network.dispatcher.listen
         rank = (self.serial, leaf.rank)
@@ -557,7 +559,7 @@ class EventRule:
             return after
         return self.network.tracker.fire(self, match, self._head(match.values), after)
 
-    def fire(self, head: Term, start: int, end: int, after: Frame, token: object = None) -> Frame:
+    def fire(self, head: Term, start: int, end: int, after: Frame, token: Any = None) -> Frame:
         """Return the frame that dispatches the head, or sets its alarm, and goes on with ``after``."""
         if self.meter is not None and self.meter(1):
             return after

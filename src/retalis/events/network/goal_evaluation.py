@@ -5,36 +5,22 @@ Goals of rules: conditions that are part of a match, and actions.
 The goals of a program that aggregates ask: numbers of expressions, conditions of steps, folds of its own.
 """
 
-from typing import Any, Callable, Dict, Hashable, List, Optional, Protocol, Sequence, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Protocol, Sequence, Tuple
 
-from ...foundation.errors import RetalisError, RuleError
+from ...foundation.errors import RuleError
 from ...prolog.database.compiled_goal import CompiledGoal
 from ...prolog.machine.errors import PrologError, resource_error
 from ...prolog.machine.resource_limits import keep_back
 from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import are_ground, positions, variables
 from ...prolog.terms.types import Atom, EventAction, Frame, Term, Values, Var, functor
-from ..dispatch.listeners import Listener
 from ..fused.fused_actions import Continuation, goal_action
 from ..matches.consumption_policy import counted, emit_each
-from ..matches.match_buffer import MatchBuffer
-from ..matches.partial_matches import NetworkOptions, Owner, PartialMatch
-from ..provenance.event_log import Fired, Remembered
-from ..provenance.lineage import LineageTracker
+from ..matches.partial_matches import PartialMatch
 from ..streams.accumulators import ADDING, is_number, is_number_expression, unfit
-from ..streams.stream_elements import KeyBounds
 
-
-class Listening(Protocol):
-    """A node that waits for events."""
-
-    @property
-    def term(self) -> Term:
-        """What the events unify with."""
-
-    @property
-    def rank(self) -> int:
-        """Its place among the nodes of the rule: lower ones are served first."""
+if TYPE_CHECKING:
+    from .event_rule import EventRule
 
 
 class Buffer(Protocol):
@@ -99,132 +85,6 @@ class UnderWay:
     checked: Optional[Tuple[int, int]] = None
 
 
-class Counted(Protocol):
-    """What a rule counts.
-
-    Attributes:
-        errors: how many errors it had.
-    """
-
-    errors: int
-
-
-class Network(Remembered, Protocol):
-    """All rules of a program, as one of them sees the others."""
-
-    @property
-    def under_way(self) -> UnderWay:
-        """What conditions share while they are tested."""
-
-    @property
-    def tracker(self) -> LineageTracker:
-        """What keeps what events came from."""
-
-    def time(self) -> int:
-        """Return the present instant, by which alarms ring."""
-
-    def wake(self, node: "Woken", instant: int) -> None:
-        """Have a node ring when an instant has come."""
-
-    def came_late(self, rule: "RuleOwner", what: str) -> None:
-        """Report that a match of a rule came too late to be taken."""
-
-    def newest_allowed(self) -> int:
-        """Return the newest stamp that may move the clock of a rule."""
-
-    def dropped(self, rule: "RuleOwner", ways: int = 0) -> None:
-        """Report that a rule has too many partial matches, or more than `ways` ways to take steps from one start."""
-
-    @property
-    def key_bounds(self) -> KeyBounds:
-        """The bounds of the states of keys that flags set for all rules."""
-
-    def dropped_key(self, rule: "RuleOwner") -> None:
-        """Report that an operator of a rule has too many keys."""
-
-    def set_alarm(self, rule: "RuleOwner", term: Term, start: int, instant: int, token: Any = None) -> None:
-        """Have an event fire when its instant has come."""
-
-    def look_at_alarm(self, rule: "RuleOwner", head: Term, alarm: Optional[Tuple[Term, int, int]]) -> None:
-        """Report an alarm for an instant that is over."""
-
-    def goal_failed(self, rule: "RuleOwner", goal: Term, error: RetalisError) -> None:
-        """Report an error that a goal of a rule raised."""
-
-    def rule_failed(self, rule: "RuleOwner", error: RuleError) -> None:
-        """Report what stopped a rule from firing."""
-
-
-class RuleOwner(Owner, Fired, Protocol):
-    """A rule, as its nodes see it.
-
-    Attributes:
-        mode: how it runs: what the flags say, and the properties of its label.
-        window: the longest interval that its label allows, in ns; None for no bound.
-        idle: the time in ns for which what has no new event is kept; None for no bound.
-        clock: the newest end among the events that its patterns matched.
-        timed: whether its clock has to be kept.
-        double: whether one event may be in two parts of a match.
-        later: the matches that are to wait when another event comes.
-        listeners: of its leaves.
-        dropped: how many partial matches it has lost so far.
-        alarms_dropped: how many alarms were not set.
-        alarms_past: how many were for an instant that was over.
-        root: the node of its whole pattern.
-        completion: what takes the values of whole matches, where nothing is tracked.
-        late: how many matches came too late to be taken.
-        serial: the place among the rules: older ones are served first.
-    """
-
-    mode: NetworkOptions
-    window: Optional[int]
-    idle: Optional[int]
-    serial: int
-    late: int
-    clock: int
-    timed: bool
-    double: bool
-    later: List[Tuple[MatchBuffer, PartialMatch, Hashable]]
-    listeners: List[Listener]
-    dropped: int
-    alarms_dropped: int
-    alarms_past: int
-    root: Any
-    completion: Optional[Continuation]
-
-    @property
-    def collects(self) -> bool:
-        """Whether garbage control removes what waits."""
-
-    @property
-    def network(self) -> Network:
-        """All rules of the program."""
-
-    @property
-    def skipping(self) -> Optional[Any]:
-        """What its matches have skipped, see `Skipping`; None where they skip nothing."""
-
-    @property
-    def firings(self) -> "Counted":
-        """What it counts."""
-
-    @property
-    def active(self) -> bool:
-        """Whether it takes events."""
-
-    def tick(self, end: int) -> None:
-        """Move the rule's clock and remove what is too old by it."""
-
-    def listen(self, leaf: Listening, action: EventAction, fused: bool = False) -> None:
-        """Have a leaf's action called for its events."""
-
-    def add_later(self, buffer: MatchBuffer, match: PartialMatch, key: Hashable) -> None:
-        """Let a match wait in a buffer when the next event comes."""
-
-    def settle(self, only: Optional[MatchBuffer] = None) -> None:
-        """Let all matches wait that are to wait; with ``only``, those of one buffer."""
-
-
 Test = Callable[[Values, int, int], Optional[Values]]
 """Takes values and interval of a match; gives the values with what was found, or None where it fails."""
 
@@ -246,7 +106,7 @@ class RuleGoal:
         result_vars: ``known``, then the other variables of the goal.
     """
 
-    def __init__(self, rule: RuleOwner, goal: Term, known: Sequence[Var]):
+    def __init__(self, rule: "EventRule", goal: Term, known: Sequence[Var]):
         self.rule = rule
         self.goal = goal
         self.known = list(known)
@@ -453,7 +313,7 @@ class Evaluators:
         rule: the rule to which they belong.
     """
 
-    def __init__(self, rule: RuleOwner):
+    def __init__(self, rule: "EventRule"):
         self._rule = rule
 
     def evaluating(self, kind: str, measured: Term, names: Sequence[Var]) -> Evaluate:

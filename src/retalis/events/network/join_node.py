@@ -1,6 +1,6 @@
 """The node that puts two matches together."""
 
-from typing import AbstractSet, Any, Callable, Dict, Hashable, List, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, AbstractSet, Any, Callable, Dict, Hashable, List, Optional, Sequence, Tuple
 
 from ...foundation.codegen import shared_function
 from ...prolog.syntax.event_operators import EventOperator
@@ -18,12 +18,15 @@ from ..matches.consumption_policy import (
 )
 from ..matches.interval_index import reach_of
 from ..matches.match_buffer import MatchBuffer
-from ..matches.negation import Emitting, NegationBuffer, RuledOutSweep
+from ..matches.negation import NegationBuffer, RuledOutSweep
 from ..matches.partial_matches import Found, NetworkOptions, PartialMatch, taken_back
 from ..matches.revision import RetainedMatches, first_side, in_order
-from .goal_evaluation import Buffer, RuleOwner, Test
+from .goal_evaluation import Buffer, Test
 from .pattern_nodes import EventNode, Fuse, Name, NetworkNode, found_here
 from .retention import kept_for_late
+
+if TYPE_CHECKING:
+    from .event_rule import EventRule
 
 
 class JoinNode(NetworkNode):
@@ -48,7 +51,7 @@ class JoinNode(NetworkNode):
 
     def __init__(
         self,
-        rule: RuleOwner,
+        rule: "EventRule",
         operator: EventOperator,
         left: NetworkNode,
         right: NetworkNode,
@@ -81,7 +84,7 @@ class JoinNode(NetworkNode):
         self.vars = [var for _, var in taken]
         self.absences: List[NegationBuffer] = []
         self.negated: List[NetworkNode] = []
-        self.carried: List[Tuple[NegationBuffer, Emitting]] = []
+        self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
         self.tests: List[Test] = []
         self.completed: Dict[Hashable, None] = {}
         self.double = double

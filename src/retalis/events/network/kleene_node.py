@@ -3,7 +3,19 @@
 Repetitions and aggregates: a first match starts a run, and later matches extend it in place.
 """
 
-from typing import AbstractSet, Any, Callable, Hashable, Iterable, List, Optional, Sequence, Tuple, Union
+from typing import (
+    TYPE_CHECKING,
+    AbstractSet,
+    Any,
+    Callable,
+    Hashable,
+    Iterable,
+    List,
+    Optional,
+    Sequence,
+    Tuple,
+    Union,
+)
 
 from ...foundation.errors import RuleError
 from ...prolog.terms.term_traversal import positions, resolve, variables
@@ -15,7 +27,7 @@ from ..language.pattern_tree import SEQ
 from ..matches.consumption_policy import Emit, counted, emit_each
 from ..matches.interval_index import reach_of
 from ..matches.match_buffer import MatchBuffer, surely_same
-from ..matches.negation import Emitting, NegationBuffer
+from ..matches.negation import NegationBuffer
 from ..matches.partial_matches import (
     Found,
     NetworkOptions,
@@ -28,9 +40,12 @@ from ..matches.partial_matches import (
 )
 from ..matches.revision import RetainedMatches, after_all, stands, that_came_before
 from ..matches.run_groups import NO_ITEMS, Run, by_occurrence, by_term
-from .goal_evaluation import Buffer, RuleOwner, Test
+from .goal_evaluation import Buffer, Test
 from .pattern_analysis import Items, with_item
 from .pattern_nodes import Name, NetworkNode, found_here
+
+if TYPE_CHECKING:
+    from .event_rule import EventRule
 
 
 class KleeneValues(NetworkNode):
@@ -213,7 +228,7 @@ class KleeneNode(KleeneValues):
 
     def __init__(
         self,
-        rule: RuleOwner,
+        rule: "EventRule",
         first: NetworkNode,
         repeated: NetworkNode,
         double: bool,
@@ -230,7 +245,7 @@ class KleeneNode(KleeneValues):
         self.buffer = MatchBuffer(rule, tuple(one for one, _ in self.pairs))
         self.incoming = MatchBuffer(rule, tuple(two for _, two in self.pairs))
         self.step_tests: List[Test] = []
-        self.carried: List[Tuple[NegationBuffer, Emitting]] = []
+        self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
         self._step_at = [at for at, var in enumerate(repeated.vars) if var not in in_first]
         self.kept_sides = RetainedMatches(self.incoming)
 

@@ -4,6 +4,7 @@ What is read off the parts of a pattern before and after their nodes are made.
 """
 
 from typing import (
+    TYPE_CHECKING,
     AbstractSet,
     Any,
     Callable,
@@ -33,11 +34,15 @@ from ..language.pattern_tree import (
     occurrences,
     walk,
 )
-from ..matches.negation import Emitting, NegationBuffer
+from ..matches.negation import NegationBuffer
 from ..matches.partial_matches import PartialMatch
 from ..matches.run_groups import NO_ITEMS
-from .goal_evaluation import RuleGoal, RuleOwner, Test, goal_test
+from .goal_evaluation import RuleGoal, Test, goal_test
 from .pattern_nodes import EventNode, NetworkNode
+
+if TYPE_CHECKING:
+    from .event_rule import EventRule
+
 
 _ITEMS = functor("items", 2)
 ITEM = "item of a run"
@@ -51,7 +56,7 @@ class Carrying(Protocol):
         carried: those, with the nodes of what they negate.
     """
 
-    carried: List[Tuple[NegationBuffer, Emitting]]
+    carried: List[Tuple[NegationBuffer, NetworkNode]]
 
 
 class Built(NamedTuple):
@@ -203,7 +208,7 @@ def with_item(items: Term, values: Values) -> Term:
 
 
 def deferred_test(
-    rule: RuleOwner, node: Carrying, one: DeferredConditions, names: List[Var]
+    rule: "EventRule", node: Carrying, one: DeferredConditions, names: List[Var]
 ) -> Tuple[Test, List[Var]]:
     """Return the test of a condition at a node that knows all it looks at, and the names that it leaves.
 
@@ -228,7 +233,7 @@ def deferred_test(
 
 
 def early_test(
-    rule: RuleOwner, node: Carrying, one: DeferredConditions, names: List[Var]
+    rule: "EventRule", node: Carrying, one: DeferredConditions, names: List[Var]
 ) -> Tuple[Test, List[Var]]:
     """Return a test as `deferred_test` does, for where some of what the condition waits for may still be open.
 
@@ -250,7 +255,7 @@ def early_test(
 
 
 def _test_of_each(
-    rule: RuleOwner, node: Carrying, items: Items, one: DeferredConditions, names: List[Var]
+    rule: "EventRule", node: Carrying, items: Items, one: DeferredConditions, names: List[Var]
 ) -> Tuple[Test, List[Var]]:
     at = names.index(items.var)
     mentioned = [] if one.goal is None else variables(one.goal)
@@ -281,7 +286,7 @@ def _test_of_each(
     return test, known
 
 
-def absence_of(rule: RuleOwner, negated: Built, names: List[Var], ever: bool) -> NegationBuffer:
+def absence_of(rule: "EventRule", negated: Built, names: List[Var], ever: bool) -> NegationBuffer:
     """Return what looks for matches of a negated node.
 
     Args:

@@ -11,6 +11,7 @@ frame and return the frame to go on with. `NetworkNode.bind` connects them for a
 
 from operator import itemgetter
 from typing import (
+    TYPE_CHECKING,
     AbstractSet,
     Any,
     Callable,
@@ -31,9 +32,13 @@ from ..dispatch.discrimination_tree import takes_all
 from ..fused.fused_actions import Continuation
 from ..language.pattern_tree import Aggregate, Either, Pattern, Star, Windowed, children, own_terms
 from ..matches.consumption_policy import Emit
-from ..matches.negation import Emitting, NegationBuffer, RuledOutSweep
+from ..matches.negation import NegationBuffer, RuledOutSweep
 from ..matches.partial_matches import Found, Named, NetworkOptions, PartialMatch, identity
-from .goal_evaluation import Buffer, RuleGoal, RuleOwner, Test
+from .goal_evaluation import Buffer, RuleGoal, Test
+
+if TYPE_CHECKING:
+    from .event_rule import EventRule
+
 
 Name = Callable[[PartialMatch], Hashable]
 
@@ -171,7 +176,7 @@ class EventNode(NetworkNode):
         whole: whether all events of its functor do, and the values are their arguments.
     """
 
-    def __init__(self, rule: RuleOwner, term: Term):
+    def __init__(self, rule: "EventRule", term: Term):
         self.rule = rule
         self.term = term
         self.alone = True
@@ -410,7 +415,7 @@ class ActionNode(NetworkNode):
 class NotNode(NetworkNode):
     """Lets a match through if no event of another kind ended before it started."""
 
-    def __init__(self, rule: RuleOwner, child: NetworkNode, negated: NetworkNode, absence: NegationBuffer):
+    def __init__(self, rule: "EventRule", child: NetworkNode, negated: NetworkNode, absence: NegationBuffer):
         self.child = child
         self.negated = negated
         self.absence = absence
@@ -449,10 +454,10 @@ class EarlyTestNode(NetworkNode):
 
     test: Test
 
-    def __init__(self, rule: RuleOwner, child: NetworkNode):
+    def __init__(self, rule: "EventRule", child: NetworkNode):
         self.rule = rule
         self.child = child
-        self.carried: List[Tuple[NegationBuffer, Emitting]] = []
+        self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
         self.vars = child.vars
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:

@@ -6,6 +6,7 @@ this does not hold (nothing is used up, first sides come late, values have varia
 """
 
 from typing import (
+    TYPE_CHECKING,
     AbstractSet,
     Any,
     Callable,
@@ -38,9 +39,13 @@ from ..matches.run_groups import (
     pieces_of,
 )
 from ..provenance.event_log import known_in
-from .goal_evaluation import Buffer, RuleOwner
+from .goal_evaluation import Buffer
 from .join_node import JoinNode
 from .pattern_nodes import Name, NetworkNode
+
+if TYPE_CHECKING:
+    from .event_rule import EventRule
+
 
 _SEQ = OPERATORS[SEQ]
 
@@ -80,7 +85,7 @@ class RepeatNode(NetworkNode):
 
     def __init__(
         self,
-        rule: RuleOwner,
+        rule: "EventRule",
         child: NetworkNode,
         times: int,
         keep: AbstractSet[Var],

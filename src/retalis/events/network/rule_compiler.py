@@ -1,7 +1,7 @@
 """From the pattern of a rule to its nodes: which conditions are tested where, and how long a match can be of use."""
 
 from functools import partial
-from typing import Any, Dict, List, Optional, Sequence, Set, Tuple, TypeVar, Union
+from typing import TYPE_CHECKING, Any, Dict, List, Optional, Sequence, Set, Tuple, TypeVar, Union
 
 from ...foundation.errors import RuleError
 from ...prolog.terms.term_traversal import variables
@@ -27,7 +27,7 @@ from ..language.pattern_tree import (
     occurrences,
     surely_bound_by,
 )
-from .goal_evaluation import Evaluators, RuleGoal, RuleOwner, Test, goal_test
+from .goal_evaluation import Evaluators, RuleGoal, Test, goal_test
 from .join_node import JoinNode
 from .kleene_node import KleeneNode
 from .pattern_analysis import (
@@ -67,6 +67,10 @@ from .retention import UNLIMITED, Retention
 from .stream_compiler import StreamCompiler
 from .stream_node import StreamNode
 
+if TYPE_CHECKING:
+    from .event_rule import EventRule
+
+
 N = TypeVar("N", bound=NetworkNode)
 
 
@@ -86,7 +90,7 @@ class RuleCompiler(StreamCompiler):
         twins: what negated patterns were built anew, and what they were built as first.
     """
 
-    def __init__(self, rule: RuleOwner, head: List[Term], pattern: Pattern):
+    def __init__(self, rule: "EventRule", head: List[Term], pattern: Pattern):
         super().__init__(rule)
         self.pattern = pattern
         self.keep = used_twice(head, pattern)

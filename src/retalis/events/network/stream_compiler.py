@@ -5,7 +5,7 @@ From the parts of a pattern that look at streams to how their nodes are to make 
 
 from fractions import Fraction
 from functools import partial
-from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Set, Tuple, Union
+from typing import TYPE_CHECKING, Any, Callable, Dict, Hashable, List, Optional, Sequence, Set, Tuple, Union
 
 from ...foundation.errors import RuleError
 from ...prolog.terms.list_terms import make_list
@@ -47,11 +47,15 @@ from ..streams.windows import (
     SlidingTimeWindow,
     TumblingCountWindow,
 )
-from .goal_evaluation import Evaluate, Evaluators, Folding, Holding, RuleOwner
+from .goal_evaluation import Evaluate, Evaluators, Folding, Holding
 from .pattern_analysis import Built, Negated, VarSet, absence_of
 from .pattern_nodes import MatchKeys
 from .retention import UNLIMITED, Retention
 from .stream_node import Result, StreamNode, StreamNodeSpec
+
+if TYPE_CHECKING:
+    from .event_rule import EventRule
+
 
 GivenGoal = Callable[[Term, Sequence[Var], str], Holding]
 """Gives what asks a goal, given the values of some variables and what reports call it."""
@@ -348,7 +352,7 @@ class StreamCompiler:
 
     _telling: MatchKeys
 
-    def __init__(self, rule: RuleOwner):
+    def __init__(self, rule: "EventRule"):
         self.rule = rule
 
     def _build(self, pattern: Pattern, context: VarSet, limit: Retention) -> Built:

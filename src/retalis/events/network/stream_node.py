@@ -10,6 +10,7 @@ The node of an operator on streams: hands matches over, gives on what comes of t
 from collections import Counter, deque
 from functools import partial
 from typing import (
+    TYPE_CHECKING,
     Any,
     Callable,
     Deque,
@@ -34,7 +35,7 @@ from ..fused.fused_actions import Continuation
 from ..fused.fused_window import FusedWindow, fused_window
 from ..language.pattern_tree import Pattern
 from ..matches.consumption_policy import Emit, counted, emit_each
-from ..matches.negation import Emitting, NegationBuffer
+from ..matches.negation import NegationBuffer
 from ..matches.partial_matches import (
     NOTHING_HELD,
     Found,
@@ -48,9 +49,13 @@ from ..provenance.event_log import known_in
 from ..streams.row_pattern import MAX_WAYS_PER_START
 from ..streams.stream_elements import KeyBounds, KnownState, StreamElement, StreamOperator, StreamOutput
 from ..streams.windows import KeyedWindow
-from .goal_evaluation import Buffer, RuleOwner
+from .goal_evaluation import Buffer
 from .pattern_nodes import NetworkNode
 from .retention import least
+
+if TYPE_CHECKING:
+    from .event_rule import EventRule
+
 
 PutOff = Callable[[Frame], Frame]
 """Does what was put off, and returns the frame that goes on with another."""
@@ -298,7 +303,7 @@ class StreamNode(NetworkNode):
 
     def __init__(
         self,
-        rule: RuleOwner,
+        rule: "EventRule",
         children: Sequence[NetworkNode],
         names: Sequence[Var],
         making: StreamNodeSpec,
@@ -309,7 +314,7 @@ class StreamNode(NetworkNode):
         self.children = list(children)
         self.vars = list(names)
         self.making = making
-        self.carried: List[Tuple[NegationBuffer, Emitting]] = []
+        self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
         self.alone = len(self.children) == 1 and self.children[0].alone and not making.calls
         self._postponing = ReentrancyQueue(rule.network.dispatcher) if making.calls else None
         self._arrivals: Dict[int, Emit] = {}

@@ -8,19 +8,15 @@ has none is a Prolog program: each of its directives runs before the next term i
 that raises an error is left out, with a warning. A file of which nothing is left is refused.
 """
 
-from typing import Any, Callable, Dict, Hashable, List, NamedTuple, Optional, Protocol
+from typing import TYPE_CHECKING, Any, Callable, List, NamedTuple, Optional
 
 from ...foundation.errors import Errors, Omission, Place, ProgramErrors, RetalisError, RuleError, SyntaxFault
 from ...prolog.machine.errors import PrologError
 from ...prolog.machine.resource_limits import LimitError
 from ...prolog.syntax.term_reader import OF_FILES, Program, ReadTerm, read_program
 from ...prolog.terms.types import Atom, Term, Var, atom, deref, functor
-from ..language.event_declarations import Declarations
 from ..language.goal_analysis import Unknown
-from ..language.pattern_tree import RuleDefinition
 from ..language.rule_parser import Property
-from ..network.event_rule import EventRule
-from ..network.goal_evaluation import Network
 from .event_file_checker import (
     DIRECTIVES,
     FileChecker,
@@ -34,57 +30,8 @@ from .file_directives import Directives, Goals
 from .source_files import SourceFiles, declare_operators
 from .source_preprocessing import ConditionalCompilation, TermExpansion
 
-
-class KnownDeclarations(Protocol):
-    """The events that a program has declared, as what loads its files sees them."""
-
-    def now(self) -> Declarations:
-        """Return the declarations that hold, to which others may be added without anybody seeing it."""
-
-
-class Loaded(Network, Protocol):
-    """All rules of a program, as what loads them sees them.
-
-    Attributes:
-        warn_singletons: whether variables that stand in a clause only once are worth a warning.
-        serial: how many rules there have been.
-    """
-
-    warn_singletons: bool
-    serial: int
-
-    @property
-    def files(self) -> SourceFiles:
-        """The files of the program."""
-
-    @property
-    def declared(self) -> "KnownDeclarations":
-        """The events that have been declared."""
-
-    @property
-    def rules(self) -> List[EventRule]:
-        """The rules that take events."""
-
-    def terms(self) -> List[Term]:
-        """Return the rules as they were written, and the bodies of the program's clauses."""
-
-    def compile(self, definition: RuleDefinition) -> EventRule:
-        """Build a rule without having it take events."""
-
-    def activate(self, rule: EventRule) -> None:
-        """Have a rule take events."""
-
-    def remove(self, rule: EventRule) -> None:
-        """Take a rule out, with its partial matches."""
-
-    def set_property(self, one: Property) -> None:
-        """Give a label a property."""
-
-    def all_properties(self) -> Dict[Hashable, List[Property]]:
-        """Return the properties of all labels."""
-
-    def restore_properties(self, properties: Dict[Hashable, List[Property]]) -> None:
-        """Have the labels have these properties and no others."""
+if TYPE_CHECKING:
+    from ..rules.rule_base import RuleBase
 
 
 _END = atom("end_of_file")
@@ -111,7 +58,7 @@ class Consultation:
         use: loads another file, or does so once.
     """
 
-    def __init__(self, rules: Loaded, directives: Directives, use: Use):
+    def __init__(self, rules: "RuleBase", directives: Directives, use: Use):
         self._rules = rules
         self._directives = directives
         self._use = use
@@ -180,7 +127,7 @@ class _PrologFile:
 
     def __init__(
         self,
-        rules: Loaded,
+        rules: "RuleBase",
         directives: Directives,
         use: Use,
         note_calls: Callable[[List[Unknown]], None],

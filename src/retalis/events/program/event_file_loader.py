@@ -5,7 +5,7 @@ Loading event files: read, check all of it, then act; what is refused leaves not
 
 from os import PathLike
 from pathlib import Path
-from typing import Callable, Dict, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
+from typing import TYPE_CHECKING, Callable, Dict, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
 from ...foundation.errors import (
     Errors,
@@ -25,7 +25,7 @@ from ..language.goal_analysis import Unknown, unknown_calls
 from ..language.pattern_tree import RuleDefinition
 from ..language.rule_parser import Property
 from ..network.event_rule import EventRule
-from .consult import Consultation, Consulted, Loaded
+from .consult import Consultation, Consulted
 from .event_file_checker import (
     DIRECTIVES,
     TOO_DEEP,
@@ -42,11 +42,14 @@ from .file_kind import change_reading, is_of_events
 from .source_files import LIBRARY, SourceFiles, require_library
 from .source_preprocessing import ConditionalCompilation, TermExpansion
 
+if TYPE_CHECKING:
+    from ..rules.rule_base import RuleBase
+
 
 class LoadSavepoint:
     """What there was before a load, of what costs little to note."""
 
-    def __init__(self, rules: Loaded, loaded: Set[Path]):
+    def __init__(self, rules: "RuleBase", loaded: Set[Path]):
         self._rules = rules
         self._loaded = loaded
         self._serial = rules.serial
@@ -65,7 +68,7 @@ class LoadSavepoint:
 class LoadRollback:
     """What the program was before a file was loaded: clauses, rules, properties and operators."""
 
-    def __init__(self, rules: Loaded):
+    def __init__(self, rules: "RuleBase"):
         self._rules = rules
         self._active = set(rules.rules)
         found = list(rules.logic.database.predicates.values())
@@ -125,7 +128,7 @@ class _Reading(NamedTuple):
 class EventFileLoader:
     """Loads event files into `Rules`."""
 
-    def __init__(self, rules: Loaded):
+    def __init__(self, rules: "RuleBase"):
         self._rules = rules
         self._files: SourceFiles = rules.files
         self._directives = Directives(rules.logic)

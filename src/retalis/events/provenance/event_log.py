@@ -8,86 +8,33 @@ What is kept, written or shown of all events, where flags or facts ask for it.
 import logging
 import os
 from collections import deque
-from typing import Any, Callable, Deque, Iterator, List, Optional, Protocol, Sequence, Tuple, Union
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Deque,
+    Iterator,
+    List,
+    Optional,
+    Protocol,
+    Sequence,
+    Tuple,
+    Union,
+)
 
-from ...foundation.errors import Place, RetalisError, UsageError
+from ...foundation.errors import RetalisError, UsageError
 from ...prolog.database.control_constructs import functor_of
 from ...prolog.database.predicate import Predicate
 from ...prolog.machine.machine import Machine
-from ...prolog.system.foreign_functions import NamedFiles
-from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import copy
 from ...prolog.terms.timestamps import interval_term
 from ...prolog.terms.types import SLASH, Atom, Frame, Functor, Term, Trail, Values, Var, deref, functor
 from ...prolog.terms.unification import undo, unify
-from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import Listener, ListenerPhase
-from ..language.pattern_tree import RuleDefinition
-from ..matches.partial_matches import Bounds, Holder, PartialMatch, TrackedMatch, leaves, sources, taken_back
+from ..matches.partial_matches import Holder, PartialMatch, TrackedMatch, leaves, sources, taken_back
 
-
-class Fired(Protocol):
-    """A rule that fires events."""
-
-    @property
-    def definition(self) -> RuleDefinition:
-        """What it says."""
-
-    @property
-    def label(self) -> Optional[Term]:
-        """Its label, or None."""
-
-    @property
-    def name(self) -> str:
-        """What reports call it."""
-
-    @property
-    def place(self) -> Optional[Place]:
-        """Where it stands."""
-
-    def fire(self, head: Term, start: int, end: int, after: Frame, token: object = None) -> Frame:
-        """Return the frame that dispatches the head and goes on with ``after``."""
-
-    def add_those_of_other_events(self, event: object) -> None:
-        """Let those matches wait that were to wait when another event comes."""
-
-
-class Switches(Protocol):
-    """The flags of the program."""
-
-    def is_on(self, name: str) -> bool:
-        """Tell whether a switch is on."""
-
-
-class Remembered(Bounds, Protocol):
-    """All rules of a program, as what keeps their events sees them."""
-
-    @property
-    def on_warning(self) -> Callable[[RetalisError], None]:
-        """Called with each warning."""
-
-    @property
-    def logic(self) -> PrologSystem:
-        """Where its clauses are."""
-
-    @property
-    def dispatcher(self) -> Dispatcher:
-        """Whose events they are."""
-
-    @property
-    def flags(self) -> Switches:
-        """Its flags."""
-
-    @property
-    def files(self) -> NamedFiles:
-        """Its files."""
-
-    @property
-    def rules(self) -> Sequence[Fired]:
-        """The rules that take events, oldest first."""
-
-    def took_nothing_back(self, term: Term, rule: Optional[Fired]) -> None:
-        """Report an event ``rev(E)`` where there is no E to take back."""
+if TYPE_CHECKING:
+    from ..network.event_rule import EventRule
+    from ..rules.rule_base import RuleBase
 
 
 class Occurrence:
@@ -125,7 +72,7 @@ class Occurrence:
     )
 
     def __init__(
-        self, term: Term, start: int, end: int, rule: Optional[Fired], match: Optional[PartialMatch]
+        self, term: Term, start: int, end: int, rule: Optional["EventRule"], match: Optional[PartialMatch]
     ):
         self.term = term
         self.start = start
@@ -177,7 +124,7 @@ class TriesAgain(Protocol):
     """A node that tries again what something kept from firing."""
 
     @property
-    def rule(self) -> Fired:
+    def rule(self) -> "EventRule":
         """The rule it belongs to."""
 
     def retry(self, what: Any, after: Frame, /) -> Frame:
@@ -254,7 +201,7 @@ _SHOWN = tuple(functor(name, 1) for name in ("external_trigger", "print_trigger"
 class EventList(Predicate):
     """A predicate whose facts name events: as soon as it has one, all events are looked at."""
 
-    def __init__(self, rules: Remembered, store: "EventLog", key: Functor):
+    def __init__(self, rules: "RuleBase", store: "EventLog", key: Functor):
         super().__init__(rules.logic.database, key)
         self.dynamic = True
         self._store = store
@@ -268,7 +215,7 @@ class EventList(Predicate):
 class EventLog:
     """Looks on at all events; what is not asked for costs nothing."""
 
-    def __init__(self, rules: Remembered):
+    def __init__(self, rules: "RuleBase"):
         self._rules = rules
         self._events: Deque[Tuple[Term, int, int]] = deque(maxlen=_KEPT)
         self._storing: Optional[Listener] = None

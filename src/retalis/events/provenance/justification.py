@@ -1,6 +1,19 @@
 """Why an event happened, as a term; or what was missing for one that did not."""
 
-from typing import Any, Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Set, Tuple, Union
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Callable,
+    Dict,
+    Hashable,
+    Iterator,
+    List,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+    Union,
+)
 
 from ...prolog.terms import timestamps
 from ...prolog.terms.list_terms import make_list
@@ -27,8 +40,13 @@ from ..language.pattern_tree import (
 from ..language.window_parser import shape_term, window_term
 from ..matches.partial_matches import Found, PartialMatch, TrackedMatch
 from ..matches.run_groups import repetitions
-from .event_log import Fired, Occurrence, Remembered
+from .event_log import Occurrence
 from .lineage import LineageTracker
+
+if TYPE_CHECKING:
+    from ..network.event_rule import EventRule
+    from ..rules.rule_base import RuleBase
+
 
 _EVENT = functor("event", 2)
 _CLAUSE_BODY = functor("clause_body", 2)
@@ -52,7 +70,7 @@ Show = Callable[[Occurrence], Term]
 class Justifier:
     """Answers ``justify_event/3`` and ``justification_edge/2`` from what the tracker remembers."""
 
-    def __init__(self, rules: Remembered, tracker: LineageTracker):
+    def __init__(self, rules: "RuleBase", tracker: LineageTracker):
         self._rules = rules
         self._tracker = tracker
 
@@ -100,7 +118,7 @@ class Justifier:
 class _Missing:
     """What was missing for an event that did not happen, each rule on the way looked at once."""
 
-    def __init__(self, rules: Remembered, tracker: LineageTracker):
+    def __init__(self, rules: "RuleBase", tracker: LineageTracker):
         self._rules = rules
         self._tracker = tracker
         self._open: Set[Hashable] = set()
@@ -119,7 +137,7 @@ class _Missing:
             self._open.discard(key)
         return found or [(_JUSTIFICATION, _UNLABELED, (_HEAD, event, interval), _FAILED)]
 
-    def _for_rule(self, rule: Fired, event: Term, interval: Term) -> Optional[Term]:
+    def _for_rule(self, rule: "EventRule", event: Term, interval: Term) -> Optional[Term]:
         head = rule.definition.head
         if head is None or not self._left:
             return None
@@ -313,7 +331,7 @@ def _as_event(occurrence: Occurrence) -> Term:
     return (_EVENT, occurrence.term, interval_term(occurrence.start, occurrence.end))
 
 
-def _label(rule: Optional[Fired]) -> Term:
+def _label(rule: Optional["EventRule"]) -> Term:
     return _UNLABELED if rule is None or rule.label is None else rule.label
 
 

@@ -3,7 +3,20 @@
 from collections import deque
 from functools import partial
 from itertools import count
-from typing import Any, Callable, Deque, Dict, Hashable, Iterator, List, Optional, Protocol, Sequence, Tuple
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Callable,
+    Deque,
+    Dict,
+    Hashable,
+    Iterator,
+    List,
+    Optional,
+    Protocol,
+    Sequence,
+    Tuple,
+)
 
 from ...prolog.machine.resource_limits import Meter
 from ...prolog.terms.term_traversal import term_key
@@ -12,17 +25,12 @@ from ..dispatch.listeners import CAUSE, END, PARENT, START, TERM, TOKEN, Context
 from ..matches.consumption_policy import counted
 from ..matches.partial_matches import PartialMatch, TrackedMatch, sources
 from ..matches.run_groups import Run
-from .event_log import (
-    Fired,
-    Occurrence,
-    Remembered,
-    Suppressed,
-    Tracked,
-    Tried,
-    TriesAgain,
-    following,
-    known_in,
-)
+from .event_log import Occurrence, Suppressed, Tracked, Tried, TriesAgain, following, known_in
+
+if TYPE_CHECKING:
+    from ..network.event_rule import EventRule
+    from ..rules.rule_base import RuleBase
+
 
 KEPT = 100_000
 """How many events are remembered."""
@@ -54,7 +62,7 @@ class LineageTracker:
         blocker: the negated match that made the last test fail.
     """
 
-    def __init__(self, rules: Remembered):
+    def __init__(self, rules: "RuleBase"):
         self._rules = rules
         self._recent: Deque[Occurrence] = deque()
         self._by_term: Dict[Hashable, List[Occurrence]] = {}
@@ -157,7 +165,7 @@ class LineageTracker:
                 del self._by_term[key]
         return after
 
-    def fire(self, rule: Fired, match: PartialMatch, head: Term, after: Frame) -> Frame:
+    def fire(self, rule: "EventRule", match: PartialMatch, head: Term, after: Frame) -> Frame:
         """Fire a rule and keep what its event came from."""
         occurrence = Occurrence(head, match.start, match.end, rule, match)
         occurrence.follows(known_in(match))
@@ -319,7 +327,7 @@ def _mark_gone(found: Sequence[Tracked], meter: Optional[Meter]) -> Optional[Lis
     return gone
 
 
-def _rule_after(found: Sequence[Occurrence]) -> Optional[Fired]:
+def _rule_after(found: Sequence[Occurrence]) -> Optional["EventRule"]:
     """Return a rule that derived an event from one of some events, or None."""
     stack: List[Tracked] = [*found]
     while stack:

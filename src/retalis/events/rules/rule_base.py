@@ -23,11 +23,11 @@ from ..language.pattern_tree import RuleDefinition
 from ..language.rule_parser import Property, is_absolute, is_rule
 from ..matches.partial_matches import NetworkOptions, with_property
 from ..network.event_rule import EventRule
-from ..network.goal_evaluation import RuleOwner, UnderWay, Woken
+from ..network.goal_evaluation import UnderWay, Woken
 from ..program.event_file_checker import FileChecker, nowhere
 from ..program.event_file_loader import EventFileLoader
 from ..program.source_files import SourceFiles
-from ..provenance.event_log import EventLog, Fired, Occurrence
+from ..provenance.event_log import EventLog, Occurrence
 from ..provenance.justification import Justifier
 from ..provenance.lineage import LineageTracker
 from .event_flags import Flags
@@ -428,7 +428,7 @@ class RuleBase:
     # ---- alarms and reports --------------------------------------------------------------------------
 
     def set_alarm(
-        self, rule: RuleOwner, term: Term, start: int, instant: int, token: Optional[Occurrence] = None
+        self, rule: EventRule, term: Term, start: int, instant: int, token: Optional[Occurrence] = None
     ) -> None:
         """Have an event fire when its instant has come."""
         if len(self.clock.alarms) >= self.cap:
@@ -447,12 +447,12 @@ class RuleBase:
         """Have a node ring when an instant has come."""
         self.deadlines.add(node, instant)
 
-    def came_late(self, rule: RuleOwner, what: str) -> None:
+    def came_late(self, rule: EventRule, what: str) -> None:
         """Report that a match of a rule came too late to be taken."""
         rule.late += 1
         self._warn_seldom(rule, rule.late, f": {what}; {rule.late} so far")
 
-    def look_at_alarm(self, rule: RuleOwner, head: Term, alarm: Optional[Tuple[Term, int, int]]) -> None:
+    def look_at_alarm(self, rule: EventRule, head: Term, alarm: Optional[Tuple[Term, int, int]]) -> None:
         """Report an alarm for an instant that is over: one before its own start is None here, and rings never."""
         if not is_absolute(head) or (alarm is not None and alarm[2] >= self.clock.now()):
             return
@@ -461,7 +461,7 @@ class RuleBase:
         text = f": the instant of its alarm is in the past, so {then}; {rule.alarms_past} so far"
         self._warn_seldom(rule, rule.alarms_past, text)
 
-    def took_nothing_back(self, term: Term, rule: Optional[Fired]) -> None:
+    def took_nothing_back(self, term: Term, rule: Optional[EventRule]) -> None:
         """Report an event ``rev(E)`` where there is no E to take back; at 1, 2, 4, 8 ... of them."""
         self.revs_of_nothing += 1
         number = self.revs_of_nothing
@@ -471,20 +471,20 @@ class RuleBase:
             place = None if rule is None else rule.place
             self.on_warning(RuleError(f"{text}; {number} so far", place))
 
-    def rule_failed(self, rule: RuleOwner, error: RuleError) -> None:
+    def rule_failed(self, rule: EventRule, error: RuleError) -> None:
         """Report what stopped a rule from firing."""
         rule.firings.errors += 1
         context = self.dispatcher.current
         met = "" if context is None else f", at event {self.logic.brief(context[TERM])}"
         self.on_error(RuleError(f"{rule.name}{met}: {error.message}", rule.place))
 
-    def goal_failed(self, rule: RuleOwner, goal: Term, error: RetalisError) -> None:
+    def goal_failed(self, rule: EventRule, goal: Term, error: RetalisError) -> None:
         """Report an error that a goal of a rule raised, or stopped for."""
         if keep_back(error):
             shown = self.logic.brief(goal, names=rule.definition.names)
             self.rule_failed(rule, RuleError(f"goal {shown}: {error.message}"))
 
-    def dropped(self, rule: RuleOwner, ways: int = 0) -> None:
+    def dropped(self, rule: EventRule, ways: int = 0) -> None:
         """Report that a rule has too many partial matches, or more than `ways` ways to take steps from one start."""
         text = f" has more than {self.cap} partial matches; {rule.dropped} of the oldest have been dropped so far"
         if ways:
@@ -494,7 +494,7 @@ class RuleBase:
             )
         self._warn_seldom(rule, rule.dropped, text)
 
-    def dropped_key(self, rule: RuleOwner) -> None:
+    def dropped_key(self, rule: EventRule) -> None:
         """Report that an operator of a rule has too many keys."""
         text = (
             f" has more than {self.key_bounds.keys} keys; {rule.dropped} of the least recently used have been "
@@ -502,7 +502,7 @@ class RuleBase:
         )
         self._warn_seldom(rule, rule.dropped, text)
 
-    def _warn_seldom(self, rule: RuleOwner, number: int, text: str) -> None:
+    def _warn_seldom(self, rule: EventRule, number: int, text: str) -> None:
         """Report what has happened to a rule a number of times; at 1, 2, 4, 8 ... of them."""
         if number & (number - 1) == 0:
             self.on_warning(RuleError(f"{rule.name}{text}", rule.place))

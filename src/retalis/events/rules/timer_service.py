@@ -12,6 +12,7 @@ The goals that set timers, cancel and list them: ``timer/2``, ``cancel_timer/1,2
 import heapq
 from itertools import count
 from typing import (
+    TYPE_CHECKING,
     Any,
     Callable,
     Dict,
@@ -38,8 +39,11 @@ from ...prolog.terms.types import Term, Var, atom, deref, functor
 from ...prolog.terms.unification import may_unify
 from ..dispatch.dispatcher import Dispatcher
 from ..language.rule_parser import TIMER, Schedule, schedule_of
-from ..network.goal_evaluation import RuleOwner, Woken
+from ..network.goal_evaluation import Woken
 from ..provenance.event_log import Occurrence
+
+if TYPE_CHECKING:
+    from ..network.event_rule import EventRule
 
 
 class Timing(Protocol):
@@ -183,7 +187,7 @@ class RuleAlarm:
     def __init__(
         self,
         rules: Any,
-        rule: RuleOwner,
+        rule: "EventRule",
         term: Term,
         start: int,
         instant: int,
