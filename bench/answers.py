@@ -33,8 +33,9 @@ sys.path[:0] = [str(ROOT / "bench"), str(ROOT / "src")]
 from arguments import above_zero, existing, positive, target  # noqa: E402
 from corpus import chosen, closed, is_closed, kind  # noqa: E402
 
-from retalis.engine.engine import Engine  # noqa: E402
-from retalis.engine.engine_parts import parts_of  # noqa: E402
+from retalis.engine.engine import (
+    Engine,  # noqa: E402
+)
 from retalis.engine.engine_settings import Settings  # noqa: E402  # noqa: E402
 from retalis.foundation.errors import RetalisError, SyntaxFault, TermTooLarge  # noqa: E402
 from retalis.prolog.machine.errors import PrologError  # noqa: E402
@@ -234,7 +235,7 @@ def ask_here(path: Path, goals: List[str], seconds: float) -> Answers:
 def tell(path: Path, goals: List[str], seconds: float) -> None:
     """Load a file in this process and print what it answers, each goal in a process of its own."""
     engine = Engine(settings=Settings(limits=Limits(seconds=seconds), folders=None))
-    of_engine = parts_of(engine)
+    of_engine = engine
     logic = of_engine.logic
     logic.output = lambda text: print(text, end="")
     logic.error_output = lambda text: None

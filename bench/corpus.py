@@ -33,8 +33,9 @@ sys.path[:0] = [str(ROOT / "bench"), str(ROOT / "src")]
 
 from arguments import above_zero, existing, positive, target  # noqa: E402
 
-from retalis.engine.engine import Engine  # noqa: E402
-from retalis.engine.engine_parts import parts_of  # noqa: E402
+from retalis.engine.engine import (
+    Engine,  # noqa: E402
+)
 from retalis.engine.engine_settings import Settings  # noqa: E402  # noqa: E402
 from retalis.foundation.errors import Omission, RetalisError  # noqa: E402
 from retalis.prolog.machine.resource_limits import Limits  # noqa: E402
@@ -148,7 +149,7 @@ def here(path: Path, seconds: float) -> Loaded:
 def load(path: Path, seconds: float) -> Loaded:
     """Load a file in this process."""
     engine = Engine(settings=Settings(limits=Limits(seconds=seconds), folders=None))
-    parts = parts_of(engine)
+    parts = engine
     parts.logic.output = parts.logic.error_output = lambda text: None
     omitted: List[str] = []
     parts.rules.on_warning = lambda one: omitted.append(str(one)) if isinstance(one, Omission) else None

@@ -14,8 +14,9 @@ from typing import Any, Dict, Iterator, List
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "src"))
 
-from retalis.engine.engine import Engine  # noqa: E402
-from retalis.engine.engine_parts import parts_of  # noqa: E402  # noqa: E402
+from retalis.engine.engine import (
+    Engine,  # noqa: E402
+)
 from retalis.engine.runtime.clock import StreamClock  # noqa: E402
 from retalis.prolog.terms.timestamps import SECOND  # noqa: E402
 from retalis.prolog.terms.types import functor  # noqa: E402
@@ -61,7 +62,7 @@ def feed(name: str, number: int) -> List[List[int]]:
         clock.move_to(instant)
         engine.post((kind, at, at), instant)
         if at % step == 0:
-            samples.append([at, resident(), parts_of(engine).rules.waiting])
+            samples.append([at, resident(), engine.rules.waiting])
     return samples
 
 

@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Tuple
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.runtime.gc_tuning import limit_gc_pauses, restore_gc
 from retalis.events.dispatch.listeners import ListenerPhase
 from retalis.events.rules import timer_service
@@ -307,7 +306,7 @@ class StreamBench:
         self.row = row
         self.size = size
         self.engine = engine = Engine()
-        parts = parts_of(engine)
+        parts = engine
         parts.rules.cap = size if row.capped else 10**8
         timer_service.MAX_TIMERS = max(timer_service.MAX_TIMERS, size)
         for at in range(0, size if row.declares else 0, 1000):

@@ -39,8 +39,9 @@ import event_streams  # noqa: E402
 import event_tables  # noqa: E402
 from arguments import above_zero, existing, positive, target  # noqa: E402
 
-from retalis.engine.engine import Engine  # noqa: E402
-from retalis.engine.engine_parts import parts_of  # noqa: E402  # noqa: E402
+from retalis.engine.engine import (
+    Engine,  # noqa: E402
+)
 from retalis.engine.runtime.clock import StreamClock  # noqa: E402
 from retalis.events.dispatch.listeners import ListenerPhase  # noqa: E402
 from retalis.prolog.terms.timestamps import SECOND  # noqa: E402
@@ -243,9 +244,9 @@ class Expiring:
 
     def batch(self, length: int) -> Tuple[float, int]:
         """Let further events wait, at each of which an older one expires."""
-        before = parts_of(self.engine).rules.waiting
+        before = self.engine.rules.waiting
         seconds = self._dispatch(length)
-        assert parts_of(self.engine).rules.waiting <= before + 1
+        assert self.engine.rules.waiting <= before + 1
         return seconds, 0
 
     def _dispatch(self, number: int) -> float:
@@ -267,7 +268,7 @@ class Counter:
 
     def __init__(self, engine: Engine):
         self.number = 0
-        listen = parts_of(engine).dispatcher.listen
+        listen = engine.dispatcher.listen
         listen(ListenerPhase.SUBSCRIPTIONS, atom("out"), self._count)
 
     def _count(self, term: Term, values: Any, start: int, end: int, after: Any) -> Any:
@@ -279,13 +280,13 @@ def engine_with(policy: str, clock: Optional[StreamClock] = None) -> Engine:
     """Return an engine with a consumption policy; by default its clock stands still, and nothing expires."""
     engine = Engine(clock or StreamClock())
     engine.load(goals=f"set_etalis_flag(event_consumption_policy, {policy})")
-    parts_of(engine).rules.cap = 10**8
+    engine.rules.cap = 10**8
     return engine
 
 
 def dispatch(engine: Engine, events: Sequence[Event]) -> float:
     """Have events taken in; return the CPU seconds of each."""
-    take = parts_of(engine).intake.take
+    take = engine.event_input.take
 
     def all_of_them() -> float:
         began = time.thread_time()

@@ -19,8 +19,9 @@ sys.path[:0] = [str(ROOT / "bench"), str(ROOT / "src")]
 
 from arguments import positive  # noqa: E402
 
-from retalis.engine.engine import Engine  # noqa: E402
-from retalis.engine.engine_parts import parts_of  # noqa: E402
+from retalis.engine.engine import (
+    Engine,  # noqa: E402
+)
 from retalis.engine.engine_settings import Settings  # noqa: E402  # noqa: E402
 from retalis.engine.runtime.problem_reports import Reports  # noqa: E402
 from retalis.foundation.errors import RetalisError  # noqa: E402
@@ -108,7 +109,7 @@ def event_rules_of_new_events() -> Round:
         )
         one.event(f"hot_{number}(w, c_{number})", number)
         one.call(f"del_event_rule(l_{number})")
-        assert not parts_of(one).rules.rules
+        assert not one.rules.rules
 
     return do
 

@@ -24,14 +24,13 @@ RULES = {
 def rules(work: str, events: List[StreamEvent], emit: Emit) -> Run:
     """The engine, with one rule. It gets terms, and its clock stands at the last of them: none is of the future."""
     from retalis.engine.engine import Engine
-    from retalis.engine.engine_parts import parts_of
-    from retalis.engine.runtime.clock import StreamClock
+        from retalis.engine.runtime.clock import StreamClock
     from retalis.events.dispatch.listeners import ListenerPhase
     from retalis.prolog.terms.types import Var, functor
 
     engine = Engine(StreamClock(events[-1][2]))
     engine.load(rules=RULES[work])
-    parts = parts_of(engine)
+    parts = engine
     parts.rules.cap = 10**8
 
     def heard(term: Any, values: Any, start: int, end: int, after: Any) -> Any:
@@ -47,7 +46,7 @@ def rules(work: str, events: List[StreamEvent], emit: Emit) -> Run:
     else:
         kinds = {kind: functor(kind, 1) for kind in "abclr"}
         ready = [(kinds[kind](key), time) for kind, key, time in events]
-    take = parts.intake.take
+    take = parts.event_input.take
 
     def all_of_them() -> None:
         for term, time in ready:

@@ -10,7 +10,6 @@ from xml.etree import ElementTree
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.events.checks.check_registry import look_through
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.program.program_folder import Topics
@@ -87,7 +86,7 @@ def test_rules_and_goals_in_the_pages_load_and_check_has_nothing_to_say_of_them(
     else:
         assert list(read_program(text, Operators.prolog(), "snippet"))
         engine.load(rules=text)
-    parts = parts_of(engine)
+    parts = engine
     found = look_through(ProgramModel(parts.rules, parts.knowledge, definitions, Topics()))
     meant = (*PARTS, "waits-for-ever") if "unrestricted" in text else PARTS  # which is what it shows
     assert [str(one.problem) for one in found if one.check not in meant] == []

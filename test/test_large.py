@@ -9,7 +9,6 @@ import re
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.events.dispatch import matcher_compiler
 from retalis.foundation import codegen
 from retalis.foundation.errors import ProgramErrors
@@ -195,7 +194,5 @@ def test_an_index_does_not_hold_each_clause_with_a_variable_under_each_key():
     engine = Engine()
     engine.load(rules="".join(f"f({at}, a).\nf(_, {at}).\n" for at in range(2000)))
     assert len(engine.query("f(7, a)")) == 1
-    predicate = next(
-        one for one in parts_of(engine).logic.database.predicates.values() if str(one.functor) == "f/2"
-    )
+    predicate = next(one for one in engine.logic.database.predicates.values() if str(one.functor) == "f/2")
     assert 0 < len(predicate.indexes) < 20 * 4000

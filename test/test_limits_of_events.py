@@ -3,7 +3,6 @@
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.prolog.machine import resource_limits
 from retalis.prolog.machine.errors import PrologError
@@ -31,9 +30,9 @@ def make(rules="", goals="", settings=None, **most):
 
 def spent(engine, work):
     """Return the inferences that a piece of work takes."""
-    before = parts_of(engine).logic.machine.budget.inferences
+    before = engine.logic.machine.budget.inferences
     work()
-    return parts_of(engine).logic.machine.budget.inferences - before
+    return engine.logic.machine.budget.inferences - before
 
 
 def subscriptions(conditions, number=MANY):
@@ -187,7 +186,7 @@ def test_an_alarm_inside_a_goal_takes_nothing_from_it(caplog):
         engine.event("tick", 10)
         return True
 
-    parts_of(engine).logic.define("ring", 0, ring)
+    engine.logic.define("ring", 0, ring)
     assert engine.call("count(10000), ring, count(5000)")
     assert caplog.text.count("Not enough resources: inferences") == 1
 
@@ -198,7 +197,7 @@ def test_goals_at_the_start_may_be_exempt(tmp_path):
     most = Limits(inferences=20_000)
     engine = Engine(settings=Settings(limits=most, limit_start=False))
     engine.load_program(tmp_path)
-    assert parts_of(engine).logic.limits == most
+    assert engine.logic.limits == most
     with pytest.raises(PrologError, match="inferences"):
         engine.call("count(50000)")
 
@@ -215,13 +214,13 @@ def test_an_interrupt_leaves_the_next_event_its_limits():
     def interrupt(machine):
         raise KeyboardInterrupt
 
-    parts_of(engine).logic.define("interrupt", 0, interrupt)
+    engine.logic.define("interrupt", 0, interrupt)
     for number in range(3):
         with pytest.raises(KeyboardInterrupt):
             engine.call("count(20000), interrupt")
         engine.event(f"in({number})", number)
     assert len(engine.sent) == 3
-    assert parts_of(engine).logic.machine.budget.goal is None
+    assert engine.logic.machine.budget.goal is None
 
 
 NESTED = """
@@ -243,16 +242,16 @@ written(N) :- N > 0, M is N - 1, format("~@~@", [written(M), written(M)]).
 )
 def test_a_goal_inside_a_step_that_swallows_its_limit_gains_nothing(goal):
     engine = make(NESTED, inferences=20_000)
-    parts_of(engine).logic.output = parts_of(engine).logic.error_output = lambda text: None
+    engine.logic.output = engine.logic.error_output = lambda text: None
     with pytest.raises(PrologError, match="resources: inferences"):
         engine.call(goal)
-    assert parts_of(engine).logic.machine.budget.inferences < 10 * 20_000
+    assert engine.logic.machine.budget.inferences < 10 * 20_000
 
 
 def test_many_short_cleanups_inside_each_other_have_limits():
     engine = make(NESTED, inferences=20_000)
     warnings = []
-    parts_of(engine).logic.error_output = warnings.append
+    engine.logic.error_output = warnings.append
     engine.call("twice(30)")
     assert "".join(warnings) == "Warning: cleanup: Not enough resources: inferences\n"
 

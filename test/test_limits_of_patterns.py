@@ -6,7 +6,6 @@ import time
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.engine.runtime.problem_reports import Reports
 from retalis.prolog.machine.errors import PrologError
@@ -43,7 +42,7 @@ def make(rules, inferences=LIMIT, **settings):
     limits = settings.pop("limits", Limits(inferences=inferences))
     engine = Engine(settings=Settings(limits=limits, limit_start=False, **settings), reports=Counting())
     engine.load(rules=rules + "alive(X) <- ping(X).\n")
-    engine.said = parts_of(engine).reports.said
+    engine.said = engine.reports.said
     engine.seen = []
     engine.on_event(lambda term, start, end: engine.seen.append(engine.brief(term)))
     return engine
@@ -134,8 +133,8 @@ def test_all_operators_count(rule, flag):
     few = 200
     engine = make(f":- {flag}.\n" + PAIRS + rule + "\n", 1_000_000)
     send(engine, *[f"a({at})" for at in range(300)])
-    parts_of(engine).logic.limits = Limits(inferences=few)
-    budget = parts_of(engine).logic.machine.budget
+    engine.logic.limits = Limits(inferences=few)
+    budget = engine.logic.machine.budget
     before = budget.inferences
     for _ in range(3):
         assert len(send(engine, "b(1)")) <= few
@@ -156,7 +155,7 @@ def test_steps_with_many_ways_count():
     steps = "steps([x(0, many) where X > 0, later(y(1, 2, reluctant)) where X > 1, z where X < 0])"
     engine = make(f"q(N) <- aggregate(count, p(X), N, {steps}).\nr <- q(_).\n{PAIRS}", 1_000_000)
     send(engine, *[f"a({at})" for at in range(1, 100)])
-    parts_of(engine).logic.limits = Limits(inferences=LIMIT // 10)
+    engine.logic.limits = Limits(inferences=LIMIT // 10)
     send(engine, "b(1)")
     assert engine.said() == 1
     assert is_alive(engine)
@@ -166,7 +165,7 @@ def test_windows_of_many_keys_count_what_they_give_on():
     engine = make("q(X, N) <- aggregate(count, p(X), N, every(10)).\n", 1_000_000)
     for number in range(3000):
         engine.event(f"p({number})", 1 + number / 1000)
-    parts_of(engine).logic.limits = Limits(inferences=LIMIT)
+    engine.logic.limits = Limits(inferences=LIMIT)
     engine.now = 20
     send(engine, "ping(1)")
     assert engine.said() == 1
@@ -179,7 +178,7 @@ REVISED = ":- set_etalis_flag(revision_flag, on).\n" + PAIRS + "q(X, Y) <- p(X) 
 def test_taking_events_back_counts_and_leaves_nothing_of_what_is_gone(caplog):
     engine = make(REVISED, 1_000_000)
     send(engine, *[f"a({at})" for at in range(1000)], "b(1)")
-    parts_of(engine).logic.limits = Limits(inferences=2500)  # enough to take out 1000 events that wait once
+    engine.logic.limits = Limits(inferences=2500)  # enough to take out 1000 events that wait once
     seen = send(engine, "rev(b(1))")
     assert 10 < len(seen) < 600
     assert engine.said() == 1
@@ -191,11 +190,11 @@ def test_taking_events_back_counts_and_leaves_nothing_of_what_is_gone(caplog):
 def test_an_event_with_too_many_consequences_is_not_taken_back(caplog):
     engine = make(REVISED, 1_000_000)
     send(engine, *[f"a({at})" for at in range(1000)], "b(1)")
-    parts_of(engine).logic.limits = Limits(inferences=500)
+    engine.logic.limits = Limits(inferences=500)
     assert send(engine, "rev(b(1))") == ["rev(b(1))"]
     assert engine.said() == 1
     assert "rule p(X): rev/1 has exceeded its limit of inferences" in caplog.text
-    parts_of(engine).logic.limits = Limits()
+    engine.logic.limits = Limits()
     assert len(send(engine, "c(1)")) == 1 + 1000
     assert len(send(engine, "rev(b(1))")) == 1 + 2 * 1000
     assert send(engine, "c(2)") == ["c(2)"]
@@ -211,11 +210,11 @@ def test_an_event_with_too_many_consequences_is_not_taken_back(caplog):
 def test_a_window_or_run_that_is_computed_again_stops_at_the_limit(rule, most, total, caplog):
     engine = make(":- set_etalis_flag(revision_flag, on).\n" + rule + "\n", 1_000_000)
     send(engine, "k", "d(5)", *["d(1)"] * 1000)
-    parts_of(engine).logic.limits = Limits(inferences=most)
+    engine.logic.limits = Limits(inferences=most)
     send(engine, "rev(d(5))")
     assert engine.said() == 1
     assert "rule s(S): rev/1 has exceeded its limit of inferences" in caplog.text
-    parts_of(engine).logic.limits = Limits()
+    engine.logic.limits = Limits()
     (made,) = [one for one in send(engine, "d(7)") if one.startswith("s(")]
     assert 7 <= int(made[2:-1]) < total  # a window is empty after that; a run has the first repetitions
     assert is_alive(engine)
@@ -226,7 +225,7 @@ def test_an_event_that_takes_all_repetitions_of_a_run_back_one_by_one_stops_at_t
     rules += "s(S) <- k seq aggregate(sum(X), d(X), S).\nrev(d(X)) <- d(X) seq stop.\n"
     engine = make(rules, 1_000_000)
     send(engine, "k", *[f"d({at})" for at in range(300)])
-    parts_of(engine).logic.limits = Limits(inferences=5000)
+    engine.logic.limits = Limits(inferences=5000)
     assert len(send(engine, "stop")) < 5000  # there would be 300 times 300 / 2 results
     assert engine.said() == 1
     assert is_alive(engine)

@@ -7,7 +7,6 @@ import pytest
 
 from retalis.cli.prompt import bindings
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.prolog.machine.errors import PrologError
 from retalis.prolog.syntax.term_reader import read_program, read_term
 from retalis.prolog.syntax.term_writer import write_term
@@ -23,7 +22,7 @@ SNIPPET = re.compile(r"^```(\w+)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 
 def answered(engine, text):
     """Return the answers to a goal as the page shows them."""
-    logic, found = parts_of(engine).logic, []
+    logic, found = engine.logic, []
     read = read_term(text, engine.operators)
     try:
         for _ in logic.solutions(read.term):
@@ -58,9 +57,7 @@ def test_goals_answer_as_shown(section):
 
 def test_every_predicate_of_an_engine_is_on_a_page():
     """Those of the logic have a page of their own, with a test of its own."""
-    added = {str(key) for key in parts_of(Engine()).logic.names()} - {
-        str(key) for key in PrologSystem().names()
-    }
+    added = {str(key) for key in Engine().logic.names()} - {str(key) for key in PrologSystem().names()}
     pages = " ".join(
         (PAGE.parent / name).read_text() for name in ("language.md", "memories.md", "foreign.md", "prolog.md")
     )

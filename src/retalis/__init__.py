@@ -18,8 +18,7 @@ from pkgutil import extend_path
 from typing import TYPE_CHECKING, Any, List
 
 if TYPE_CHECKING:  # for type checkers; a program gets them by `__getattr__`
-    from .engine.engine import Engine
-    from .engine.engine_parts import OnEvent, OnOutput
+    from .engine.engine import Engine, OnEvent, OnOutput
     from .engine.engine_settings import Settings
     from .engine.engine_status import (
         AwaitedMemory,
@@ -155,8 +154,8 @@ _MODULES = {
     "MemoryStatus": "engine.engine_status",
     "MessageError": "foundation.errors",
     "Omission": "foundation.errors",
-    "OnEvent": "engine.engine_parts",
-    "OnOutput": "engine.engine_parts",
+    "OnEvent": "engine.engine",
+    "OnOutput": "engine.engine",
     "Operators": "prolog.syntax.operators",
     "Output": "playback.playback",
     "Place": "foundation.errors",

@@ -8,8 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from retalis.engine.engine_parts import parts_of
-
 BENCH = Path(__file__).resolve().parents[2] / "bench"
 
 
@@ -102,7 +100,7 @@ def test_partners_wait_again_after_a_batch(events):
     bench = events.Bench("seq", "recent", "values")
     bench.grow(10)
     bench.batch(5)
-    assert parts_of(bench.engine).rules.waiting == 10
+    assert bench.engine.rules.waiting == 10
 
 
 def test_bounds_hold_memory(events):

@@ -9,7 +9,6 @@ from retalis.cli.command_line import main
 from retalis.cli.console import Console
 from retalis.cli.error_report import Report
 from retalis.cli.prompt import Lines
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.messages.type_registry import Definitions
 from retalis.playback.rosbag1 import BagWriter
@@ -134,7 +133,7 @@ def test_the_time_that_a_user_takes_is_not_counted(capsys):
         is_terminal = True
 
         def wants_more(self):
-            budget = parts_of(console.engine).logic.machine.budget
+            budget = console.engine.logic.machine.budget
             asked.append(budget.turn.entry)
             return True
 

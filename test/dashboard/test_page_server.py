@@ -18,7 +18,6 @@ from retalis.dashboard.view_model import (  # noqa: E402  # noqa: E402
     DashboardSource,
     TopicLook,
 )
-from retalis.engine.engine_parts import parts_of  # noqa: E402
 from retalis.foundation.errors import UsageError  # noqa: E402
 
 
@@ -151,7 +150,7 @@ def test_the_graph_comes_once_and_again_when_the_program_has_changed(program, vi
 
 def listeners(program):
     """Return how many take all events whole or in part, but for the record of what events come from."""
-    return sum(one.partial for one in parts_of(program).dispatcher._listeners.get(None, ()))  # noqa: SLF001
+    return sum(one.partial for one in program.dispatcher._listeners.get(None, ()))  # noqa: SLF001
 
 
 def until(condition):

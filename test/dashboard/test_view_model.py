@@ -11,7 +11,6 @@ from retalis.dashboard.view_model import (
     event_beginning,
 )
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.events.dispatch.listeners import NOT_READ
 from retalis.explanation.explain import explain, record_origins
 from retalis.prolog.terms.list_terms import make_list
@@ -92,9 +91,7 @@ def test_short_events_are_whole(engine, recent, text):
     engine.event(text, 1)
     (found,) = recent.look()
     assert found.whole
-    assert parts_of(engine).logic.once(
-        (functor("=@=", 2), engine.query(f"X = ({text})")[0]["X"], recent_term(recent))
-    )
+    assert engine.logic.once((functor("=@=", 2), engine.query(f"X = ({text})")[0]["X"], recent_term(recent)))
 
 
 def recent_term(recent):

@@ -5,7 +5,6 @@ import threading
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.engine.external_queries import ask, await_memories
 from retalis.foundation.errors import SyntaxFault, UsageError
@@ -107,7 +106,7 @@ def test_others_work_while_it_waits(engine):
 
 
 def waiting(engine):
-    return len(parts_of(engine).knowledge.waiting)
+    return len(engine.knowledge.waiting)
 
 
 def test_it_waits_no_longer_than_it_was_told(engine):

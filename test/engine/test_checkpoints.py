@@ -13,7 +13,6 @@ import pytest
 
 from retalis.engine.checkpoints import Checkpointer, CheckpointStorage, put_aside, read_checkpoint, resume
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.engine.runtime.clock import StreamClock
 from retalis.engine.runtime.problem_reports import Reports
@@ -121,7 +120,7 @@ def test_late_records_deleted_memories_and_time_that_goes_back(folder, seed):
             engine.call(f"delete_memory(e{extra})")
             extra -= 1
         elif what == 2:
-            parts_of(engine).knowledge.clear()
+            engine.knowledge.clear()
         elif what < 10:
             kept.write()
             other = resumed(folder)

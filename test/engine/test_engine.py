@@ -7,7 +7,6 @@ import pytest
 from recording_engine import RecordingEngine
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.engine.runtime.clock import Clock, StreamClock
 from retalis.engine.runtime.problem_reports import Reports
@@ -45,7 +44,7 @@ def test_stamped_events_move_the_clock_and_late_ones_do_not_move_it_back():
     for second in range(200):
         engine.event(f"a({second})", second)
     assert engine.clock.now() == 199 * 10**9
-    assert parts_of(engine).rules.rules[0].waiting == 60
+    assert engine.rules.rules[0].waiting == 60
     assert [event for event, _, _ in engine.events].count("ring(194)") == 1
     assert ("ring(195)", 195 * 10**9, 200 * 10**9) not in engine.events
     engine.event("late", 3)
@@ -297,7 +296,7 @@ def test_an_alarm_that_rings_inside_a_subscriber_leaves_the_event_as_it_was():
     ]
     (kept,) = engine.query("access_mem(m, b, [Start, End])")
     assert [timestamps.from_term(kept[name]) for name in ("Start", "End")] == [4 * second] * 2
-    assert parts_of(engine).dispatcher.current is None
+    assert engine.dispatcher.current is None
 
 
 @pytest.mark.parametrize(
@@ -319,7 +318,7 @@ def test_an_interrupt_leaves_no_event_behind(work):
     engine.on_output(stop)
     with pytest.raises(KeyboardInterrupt):
         work(engine)
-    assert parts_of(engine).dispatcher.current is None
+    assert engine.dispatcher.current is None
     del engine.events[:]
     engine.event("d", 2)
     assert [event for event, _, _ in engine.events] == ["d"]  # nothing of what was interrupted comes after
@@ -338,7 +337,7 @@ def test_events_that_a_subscriber_makes_of_its_own_follow_from_what_it_was_sent(
     engine.event("n(0)", 1)
     assert seen == [f"n({number})" for number in range(11)]
     assert "more than 10 events were derived one from another" in caplog.text
-    assert parts_of(engine).dispatcher.current is None
+    assert engine.dispatcher.current is None
 
 
 def test_a_query_and_events_from_many_threads():
@@ -410,9 +409,9 @@ def test_a_subscriber_that_fails_cuts_nothing_off(caplog):
 
 def test_alarms_past_the_bound_are_dropped_and_reported():
     engine = Engine()
-    parts_of(engine).rules.cap = 3
+    engine.rules.cap = 3
     warnings = []
-    parts_of(engine).rules.on_warning = lambda warning: warnings.append(str(warning))
+    engine.rules.on_warning = lambda warning: warnings.append(str(warning))
     engine.load(rules="exceptionAlarm(late(X), 10) <- e(X).")
     rung = []
     engine.on_event(lambda term, start, end: rung.append(engine.show(term)))
@@ -521,7 +520,7 @@ def test_an_error_of_a_callback_is_reported_and_what_follows_of_the_event_is_don
     assert seen == ["a", "b", "c"] * 2
     assert caplog.text.count("ValueError: of the callback") >= 1
     assert caplog.text.count("BrokenPipeError: of the callback") >= 1
-    assert parts_of(engine).reports.errors == 2 * 2 * 3 + 2 * 2
+    assert engine.reports.errors == 2 * 2 * 3 + 2 * 2
 
 
 @pytest.mark.parametrize("kind", ["on_output", "on_event", "foreign"])
@@ -582,8 +581,8 @@ def test_a_callback_may_ask_the_engine_itself_and_other_threads_may_post():
 def test_names_alike_are_looked_for_a_few_times_only(caplog, monkeypatch):
     engine = Engine()
     looked = []
-    similar = parts_of(engine).logic.similar
-    monkeypatch.setattr(parts_of(engine).logic, "similar", lambda key: looked.append(key) or similar(key))
+    similar = engine.logic.similar
+    monkeypatch.setattr(engine.logic, "similar", lambda key: looked.append(key) or similar(key))
     engine.load(rules="".join(f"h <- a(X) where (unknown{at}(X)).\n" for at in range(200)))
     assert len(caplog.records) == 200 and len(looked) < 60
 

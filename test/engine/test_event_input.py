@@ -5,7 +5,6 @@ import logging
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.program_check import check_program
 from retalis.events.program.program_folder import TopicEvent, Topics, topic_type
 from retalis.foundation.errors import RetalisError
@@ -21,7 +20,7 @@ TOPICS = Topics(
 def asked():
     """Return an engine with topics, and what its goals ask for."""
     engine, found = Engine(), []
-    parts_of(engine).input_topics.begin(lambda one: found.append(tuple(one)), TOPICS)
+    engine.input_topics.begin(lambda one: found.append(tuple(one)), TOPICS)
     return engine, found
 
 
@@ -32,7 +31,7 @@ def test_a_goal_subscribes_a_topic_once(asked):
     assert engine.call("subscribe_to(right, 'std_msgs/msg/Bool', bumper_right)")
     assert engine.call("subscribe_to(said, 'std_msgs/String'), subscribe_to(left, 'std_msgs/Bool', bump)")
     assert found == [("right", "std_msgs/Bool", "bumper_right"), ("scan", "a/B", "")]
-    joined = parts_of(engine).input_topics.joined(TOPICS)
+    joined = engine.input_topics.joined(TOPICS)
     assert joined.subscribed == (
         *TOPICS.subscribed,
         topic_type("right", "std_msgs/Bool"),

@@ -6,7 +6,6 @@ import pytest
 
 from retalis.engine.engine import Engine
 from retalis.engine.engine import Engine as Whole
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.engine.runtime.clock import StreamClock
 from retalis.explanation.explain import record_origins
@@ -127,7 +126,7 @@ ASKED = {
 def shown(engine, term):
     """Return a term as text in which variables have no numbers, which differ."""
     names = {var: f"V{at}" for at, var in enumerate(variables(term))}
-    return parts_of(engine).logic.show(term, names=names)
+    return engine.logic.show(term, names=names)
 
 
 def listened(engine):
@@ -365,16 +364,16 @@ def test_flags_that_settings_give_are_those_of_the_new_engine():
     assert Engine.restore(one.snapshot()).query("get_etalis_flag(max_gap, X)") == [{"X": -1}]
     record_origins(one)
     one.event("a", 1)
-    assert not parts_of(Engine.restore(one.snapshot())).rules.mode.tracked
+    assert not Engine.restore(one.snapshot()).rules.mode.tracked
 
 
 def test_topics_are_subscribed_once():
     one = Engine()
     asked = []
-    parts_of(one).input_topics.begin(asked.append, plain=lambda topic: "/" + topic.lstrip("/"))
+    one.input_topics.begin(asked.append, plain=lambda topic: "/" + topic.lstrip("/"))
     one.call("subscribe_to('/scan', 'std_msgs/String')")
     other = Engine.restore(one.snapshot())
     again = []
-    parts_of(other).input_topics.begin(again.append, plain=lambda topic: "/" + topic.lstrip("/"))
+    other.input_topics.begin(again.append, plain=lambda topic: "/" + topic.lstrip("/"))
     other.call("subscribe_to('/scan', 'std_msgs/String')")
     assert again == asked

@@ -5,7 +5,6 @@ import threading
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.engine.external_queries import add_rule, delete_rule
 from retalis.foundation.errors import ProgramErrors, RetalisError, UsageError
@@ -69,7 +68,7 @@ class Program:
 
     def state(self):
         """Return all that a refused reload has to leave as it is."""
-        engine, parts = self.engine, parts_of(self.engine)
+        engine, parts = self.engine, self.engine
         predicates = [one for one in parts.logic.database.predicates.values() if one.kind == "user"]
         return (
             [(rule.name, rule.waiting, rule.active) for rule in parts.rules.rules],
@@ -111,8 +110,8 @@ def test_again_and_again(program):
         assert program.events("tick") == ["tick", f"extra({number})"]
         assert program.all("numbered(X)") == [str(number)]
     assert program.events("heat(9)") == ["heat(9)", "both(0,9)"]
-    assert len(parts_of(program.engine).rules.rules) == 3
-    assert len(parts_of(program.engine).programs) == 1
+    assert len(program.engine.rules.rules) == 3
+    assert len(program.engine.deployments) == 1
 
 
 def test_a_rule_changes_and_one_is_kept_with_what_waits_in_it(program):
@@ -259,7 +258,7 @@ def test_queries_that_wait_for_a_kept_memory_go_on(program):
 def test_queries_that_wait_for_a_memory_that_goes_are_given_up(program):
     program.reload(rules=RULES + "synchronized(done, true, [[fires, 50]]) <- go.\n")
     program.events("go")
-    waiting = parts_of(program.engine).knowledge.waiting
+    waiting = program.engine.knowledge.waiting
     assert len(waiting) == 1
     program.reload(goals=GOALS.replace("fires, 5", "fires, 6"))
     assert len(waiting) == 0
@@ -276,7 +275,7 @@ def test_subscriptions_change(program):
 
 
 def test_flags_that_the_program_no_longer_sets_are_what_they_were(program):
-    flags = parts_of(program.engine).rules.flags
+    flags = program.engine.rules.flags
     program.reload(goals=GOALS + "set_etalis_flag(event_consumption_policy, unrestricted)\n")
     assert flags.get("event_consumption_policy") is atom("unrestricted")
     program.reload(goals=GOALS)
@@ -425,12 +424,12 @@ def test_what_fails_only_in_the_running_engine_is_taken_back(program, goals, rul
     engine.call("assertz(here), retract(count(0)), assertz(count(7))")
     program.events("fire(hall)", "smoke(1)")
     before = program.state()
-    flags = {name: parts_of(engine).rules.flags.get(name) for name in parts_of(engine).rules.flags.names()}
+    flags = {name: engine.rules.flags.get(name) for name in engine.rules.flags.names()}
     for _ in range(2):
         with pytest.raises(ProgramErrors, match="this goal fails"):
             program.reload(goals, rules)
         assert program.state() == before
-        assert {name: parts_of(engine).rules.flags.get(name) for name in flags} == flags
+        assert {name: engine.rules.flags.get(name) for name in flags} == flags
     engine.call("retract(here)")
     told = program.reload(GOALS, RULES)
     assert told[0] == "rules: 0 new, 0 gone, 2 kept, with 1 partial match"

@@ -3,7 +3,6 @@
 import pytest
 from events.running import Program
 
-from retalis.engine.engine_parts import parts_of
 from retalis.foundation.errors import ProgramErrors
 
 
@@ -12,7 +11,7 @@ def errors_of(rules):
     program = Program()
     with pytest.raises(ProgramErrors) as caught:
         program.engine.load(rules=rules)
-    assert parts_of(program.engine).rules.rules == []
+    assert program.engine.rules.rules == []
     return [_shown(error) for error in caught.value.errors]
 
 

@@ -1,7 +1,6 @@
 """Programs over short streams, for tests: ``a@1 b(2)@3-5`` is a stream and an answer alike."""
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.engine.runtime.clock import StreamClock
 from retalis.prolog.syntax.term_writer import write_term
@@ -30,8 +29,8 @@ class Program:
         settings = Settings() if folder is None else Settings(folders=[folder])
         self.engine = Engine(clock or StreamClock(FUTURE), settings)
         self.errors, self.warnings, self.seen = [], [], []
-        parts_of(self.engine).rules.on_error = lambda error: self.errors.append(error)
-        parts_of(self.engine).rules.on_warning = lambda error: self.warnings.append(error)
+        self.engine.rules.on_error = lambda error: self.errors.append(error)
+        self.engine.rules.on_warning = lambda error: self.warnings.append(error)
         self.engine.on_event(lambda *event: self.seen.append(event))
         if policy:
             self.set("event_consumption_policy", policy)

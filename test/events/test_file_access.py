@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.engine.runtime.clock import StreamClock
 from retalis.foundation.errors import ProgramErrors, RetalisError
@@ -211,7 +210,7 @@ def test_called_while_the_program_is_loaded(place, goal):
     for name, (_, wanted) in cases(place).items():
         for way in ("goals", "directive"):
             engine = watch(engine_of(place))
-            text = parts_of(engine).logic.show(GOALS[goal](name))
+            text = engine.logic.show(GOALS[goal](name))
             text = (
                 text
                 if "\\xD" not in text
@@ -355,7 +354,7 @@ def persistent(place, **settings):
     """Run a program with persistent events from its folder; return it and its warnings."""
     engine = engine_of(place, **settings)
     warnings = []
-    parts_of(engine).rules.on_warning = lambda warning: warnings.append(str(warning))
+    engine.rules.on_warning = lambda warning: warnings.append(str(warning))
     engine.load(rules="persistent_event(b(_)). b(X) <- a(X).", folder=place / "program")
     engine.event("a(1)", 1, 1)
     return engine, warnings
@@ -516,7 +515,6 @@ SCRIPT = """
 import json, os, sys
 from events.test_file_access import GOALS, cases, engine_of, one
 from pathlib import Path
-from retalis.engine.engine_parts import parts_of
 from retalis import RetalisError, atom, functor
 
 place = Path(sys.argv[1])
@@ -531,7 +529,7 @@ def audit(event, arguments):
 
 sys.addaudithook(audit)
 engine = engine_of(place, allow_foreign=True)
-parts_of(engine).reports.error = parts_of(engine).rules.on_error = lambda error, kind=None: None
+engine.reports.error = engine.rules.on_error = lambda error, kind=None: None
 engine.load(rules="persistent_event(_). done do (nb_getval(goal, t(G)), call(G)) <- in.", folder=place / "program")
 
 def run():
@@ -613,8 +611,8 @@ def test_a_goal_writes_only_where_a_folder_is_named(place, goal):
 def test_a_text_that_is_read_is_bounded(place):
     (place / "program" / "large.txt").write_text("p(1).\n" * 1000)
     engine = engine_of(place)
-    parts_of(engine).rules.files.door.most = 5999
+    engine.rules.files.door.most = 5999
     text = told(lambda: engine.query("open('large.txt', read, _)"))
     assert text is not None and "more than 5999 bytes" in text
-    parts_of(engine).rules.files.door.most = 6000
+    engine.rules.files.door.most = 6000
     assert engine.query("open('large.txt', read, _)")

@@ -6,7 +6,6 @@ import pytest
 from events.running import Program, fired, text_of
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.events.network.repeat_node import RepeatNode
 
 POLICIES = ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")
@@ -121,7 +120,7 @@ def answer(rule, policy, flags, stream, changes):
         for flag, value in changes.get(at, ()):
             program.set(flag, value)
         found.append(program.feed(event))
-    return found, parts_of(program.engine).rules.waiting
+    return found, program.engine.rules.waiting
 
 
 @pytest.mark.slow
@@ -191,7 +190,7 @@ def test_an_explanation_is_that_of_the_sequence_written_out(policy):
 def test_as_many_events_as_repetitions_cost_so_many_steps(policy, times):
     program = Program(f"c(X) <- a(X,_) ntimes {times}.", policy=policy)
     assert program.errors == []
-    rule = parts_of(program.engine).rules.rules[0]
+    rule = program.engine.rules.rules[0]
     assert len(rule.nodes) < 10
     for at in range(times - 1):
         program.engine.event(f"a(1,{at % 7})", at, at)
@@ -206,7 +205,7 @@ def test_a_window_removes_what_is_too_old_from_the_longest_on():
     program = Program("c <- (a(_) ntimes 1000) within 10.", policy="chronological")
     for at in range(100):
         program.engine.event(f"a({at})", at, at)
-    rule = parts_of(program.engine).rules.rules[0]
+    rule = program.engine.rules.rules[0]
     assert rule.waiting == 10
     (node,) = [node for node, _, _ in rule.nodes if isinstance(node, RepeatNode)]
     assert node.visits == 100
@@ -217,9 +216,7 @@ def test_of_values_that_do_not_wait_nothing_is_kept():
     program = Program("c(X) <- (a(X) ntimes 10) within 10.")
     for at in range(5000):
         program.engine.event(f"a({at})", at, at)
-    (node,) = [
-        node for node, _, _ in parts_of(program.engine).rules.rules[0].nodes if isinstance(node, RepeatNode)
-    ]
+    (node,) = [node for node, _, _ in program.engine.rules.rules[0].nodes if isinstance(node, RepeatNode)]
     assert len(node.trains) <= 11
 
 

@@ -3,7 +3,6 @@
 import pytest
 from events.running import Program, fired, show
 
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.runtime.clock import StreamClock
 from retalis.events.matches import revision
 from retalis.events.matches.partial_matches import TrackedMatch
@@ -211,7 +210,7 @@ def test_second_sides_are_kept_for_revision_only_where_one_may_need_them(monkeyp
     ]:
         program = Program(rules, ["revision_flag"])
         program.feed(" ".join(f"d@{number}" for number in range(100)))
-        assert parts_of(program.engine).rules.waiting <= most
+        assert program.engine.rules.waiting <= most
         assert Program(rules, ["etalis_justification"]).feed("d@1 d@2") == ""
 
 
@@ -287,7 +286,7 @@ def test_what_is_too_old_to_be_taken_back_does_not_gather_what_follows_from_it(m
     monkeypatch.setattr(lineage, "KEPT", 20)
     program = Program("c <- a seq b.", ["revision_flag"], "unrestricted")
     program.feed("a@1")
-    (oldest,) = parts_of(program.engine).rules.tracker.all()
+    (oldest,) = program.engine.rules.tracker.all()
     program.feed("b@2")
     assert len(oldest.derived) == 1
     assert program.feed(" ".join(f"b@{instant}" for instant in range(3, 40))).count("c@") == 37
@@ -299,7 +298,7 @@ def test_what_is_too_old_to_be_taken_back_does_not_gather_what_follows_from_it(m
 def test_what_many_repetitions_have_made_is_kept_once_for_each(pattern):
     program = Program(f"c(N) <- {pattern}.", ["etalis_justification"], "unrestricted")
     program.feed("s@0 b(7)@0 " + " ".join(f"a({at})@{at}" for at in range(1, 301)))
-    kept = parts_of(program.engine).rules.tracker.all()
+    kept = program.engine.rules.tracker.all()
     links = [*kept, *(one for event in kept for one in event.derived if isinstance(one, TrackedMatch))]
     assert len(kept) > 600
     assert sum(len(one.derived) + len(one.held) for one in links) < 4000

@@ -13,7 +13,6 @@ from events.running import text_of
 from parsing import parse_term
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.engine.runtime.clock import StreamClock
 from retalis.foundation.errors import RetalisError
@@ -43,11 +42,9 @@ class Run:
         self.engine.on_output(
             lambda term, topic, name: self.outputs.append(text_of((OUTPUT, term, atom(topic), name)))
         )
-        parts_of(self.engine).rules.on_error = lambda error: self.errors.append(str(error))
-        parts_of(self.engine).logic.define("sleep", 1, self._sleep)
-        parts_of(self.engine).logic.define(
-            "current_datime", 1, lambda machine, term: machine.unify(term, to_term(NOW))
-        )
+        self.engine.rules.on_error = lambda error: self.errors.append(str(error))
+        self.engine.logic.define("sleep", 1, self._sleep)
+        self.engine.logic.define("current_datime", 1, lambda machine, term: machine.unify(term, to_term(NOW)))
         self._run(data, folder)
 
     def _sleep(self, machine, seconds):
@@ -83,7 +80,7 @@ class Run:
     def _solutions(self, goal):
         try:
             term = read_term(goal, self.engine.operators).term
-            return [text_of(term) for _ in parts_of(self.engine).logic.solutions(term)]
+            return [text_of(term) for _ in self.engine.logic.solutions(term)]
         except RetalisError as error:
             return f"error: {error}"
 

@@ -6,7 +6,6 @@ import pytest
 from events import table
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.runtime.clock import StreamClock
 from retalis.explanation.explain import explain
 from retalis.prolog.syntax.operators import Operators
@@ -28,7 +27,7 @@ class Run:
 
     def __init__(self, engine, rules, stream, policy, **flags):
         self.engine = engine
-        parts_of(self.engine).rules.reset()
+        self.engine.rules.reset()
         self.seen = engine.seen = []
         self._flag("event_consumption_policy", policy)
         for name, value in flags.items():
@@ -38,7 +37,7 @@ class Run:
             self.take(*event)
 
     def _flag(self, name, value):
-        parts_of(self.engine).rules.flags.set(name, atom(value) if isinstance(value, str) else value)
+        self.engine.rules.flags.set(name, atom(value) if isinstance(value, str) else value)
 
     def take(self, text, start, end):
         self.engine.event(text, start, end)

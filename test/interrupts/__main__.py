@@ -22,7 +22,6 @@ import time
 from collections import Counter
 from difflib import ndiff
 
-from retalis.engine.engine_parts import parts_of
 from retalis.foundation.errors import RetalisError
 from retalis.prolog.terms.types import functor
 
@@ -116,9 +115,9 @@ class Campaign:
 
     @staticmethod
     def _of_load(subject, action, k):
-        names = [rule.name for rule in parts_of(subject.engine).rules.rules if f"extra{k}(" in rule.name]
+        names = [rule.name for rule in subject.engine.rules.rules if f"extra{k}(" in rule.name]
         first = "extra{k}_" if "extra{k}_" in action else "loaded{k}"
-        predicate = parts_of(subject.engine).logic.lookup(functor(first.format(k=k), 1))
+        predicate = subject.engine.logic.lookup(functor(first.format(k=k), 1))
         clauses = 0 if predicate is None else len(predicate)
         return [] if (len(names), clauses) in ((0, 0), (1, 2)) else [f"loaded by half: {names} {clauses}"]
 

@@ -2,7 +2,6 @@
 
 from concurrent.futures import ThreadPoolExecutor
 
-from retalis.engine.engine_parts import parts_of
 from retalis.events.rules.timer_service import TimerAlarm
 from retalis.foundation.cancellation import WATCH
 
@@ -19,9 +18,9 @@ def faults(engine):
             found.append(text)
 
     machine, dispatcher, runner = (
-        parts_of(engine).logic.machine,
-        parts_of(engine).dispatcher,
-        parts_of(engine).runner,
+        engine.logic.machine,
+        engine.dispatcher,
+        engine.executor,
     )
     budget = machine.budget
     check(not machine.choices, f"{len(machine.choices)} choice points are left")
@@ -34,15 +33,15 @@ def faults(engine):
     check(dispatcher.current is None and dispatcher.cause is None, "an event is being served")
     check(runner.thread is None and runner.callback is None, "the runner is at work")
     check(not len(runner) and not runner.callers, "something waits to be done")
-    check(parts_of(engine).rules.files.state()[1:] == (0, False), "a file is being loaded")
-    check(parts_of(engine).logic.new_goals is None, "goals are being prepared")
-    check(not parts_of(engine).rules.loader.is_loading, "a load is under way")
-    found += _of_memories(parts_of(engine).knowledge)
-    found += _of_states(parts_of(engine).knowledge)
-    found += _of_timers(parts_of(engine).rules.timers, engine.clock)
-    for rule in parts_of(engine).rules.rules:
+    check(engine.rules.files.state()[1:] == (0, False), "a file is being loaded")
+    check(engine.logic.new_goals is None, "goals are being prepared")
+    check(not engine.rules.loader.is_loading, "a load is under way")
+    found += _of_memories(engine.knowledge)
+    found += _of_states(engine.knowledge)
+    found += _of_timers(engine.rules.timers, engine.clock)
+    for rule in engine.rules.rules:
         found += _of_rule(rule)
-    found += _of_predicates(parts_of(engine).logic)
+    found += _of_predicates(engine.logic)
     check(others_are_served(runner), "the lock is not given back")  # the last: who comes in may mend the rest
     return found
 

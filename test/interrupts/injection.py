@@ -7,7 +7,6 @@ from itertools import count
 from pathlib import Path
 
 import retalis
-from retalis.engine.engine_parts import parts_of
 from retalis.prolog.machine import machine, resource_limits
 from retalis.prolog.machine.resource_limits import Limits
 
@@ -111,11 +110,11 @@ def time_runs_out(engine, at):
         used[0] = next(looks)
         return 0.0 if at is None or used[0] < at else 1e9 + used[0]
 
-    clock, allowed = resource_limits.monotonic, parts_of(engine).logic.limits
+    clock, allowed = resource_limits.monotonic, engine.logic.limits
     resource_limits.monotonic = fake
-    parts_of(engine).logic.limits = Limits(seconds=100.0)
+    engine.logic.limits = Limits(seconds=100.0)
     try:
         yield used
     finally:
         resource_limits.monotonic = clock
-        parts_of(engine).logic.limits = allowed
+        engine.logic.limits = allowed

@@ -9,7 +9,6 @@ from functools import lru_cache
 from events.running import text_of
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.engine.runtime.clock import StreamClock
 from retalis.prolog.machine.errors import PrologError
@@ -161,10 +160,8 @@ class Subject:
         self.engine.call("nb_setval(open,closed)")
         self.engine.on_event(lambda *event: self.seen.append(event))
         self.engine.on_output(lambda *output: self.seen.append(output))
-        parts_of(self.engine).rules.on_error = lambda error: self.seen.append((atom("error"), error.message))
-        parts_of(self.engine).reports.error = lambda error, kind=None: self.seen.append(
-            (atom("error"), repr(error))
-        )
+        self.engine.rules.on_error = lambda error: self.seen.append((atom("error"), error.message))
+        self.engine.reports.error = lambda error, kind=None: self.seen.append((atom("error"), repr(error)))
 
     def event(self, text, instant):
         self.clock.move_to(instant * SECOND)

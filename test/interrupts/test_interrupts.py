@@ -7,7 +7,6 @@ import pytest
 from parsing import parse_term
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.runtime.clock import StreamClock
 from retalis.events.knowledge.memory import Memory
 from retalis.prolog.terms.types import atom, functor
@@ -49,7 +48,7 @@ def test_an_event_that_is_interrupted_anywhere_is_recorded_whole_or_not_at_all()
     counts = []
     event = functor("a", 1)(1)
     for _ in interrupted(engine, lambda: engine.event_at(event, 1, 1)):
-        memory = parts_of(engine).knowledge.memories.find(atom("m")).memory
+        memory = engine.knowledge.memories.find(atom("m")).memory
         assert len(memory.ends) == len(memory.records)
         counts.append(memory.added)
     assert {new - old for old, new in zip(counts, counts[1:])} == {0, 1}
@@ -81,7 +80,7 @@ def test_a_post_that_is_interrupted_anywhere_leaves_the_engine_to_others(number)
 def test_a_side_of_a_pair_that_is_interrupted_anywhere_leaves_its_rule_in_order(last):
     engine = Engine(StreamClock(0))
     engine.load(rules="out(K) <- ((a(K) seq b(K)) cnot c(K)) within 5.")
-    [rule] = parts_of(engine).rules.rules
+    [rule] = engine.rules.rules
     instants = count(1_000_000_000, 1_000_000_000)
     seen = []
     engine.on_output(lambda term, topic, name: seen.append(term))
@@ -107,7 +106,7 @@ def test_a_side_of_a_pair_that_is_interrupted_anywhere_leaves_its_rule_in_order(
         if last == "a":
             post("b")
             assert len(seen) == waits
-    assert "a" in {key.name for key in parts_of(engine).dispatcher.fused}
+    assert "a" in {key.name for key in engine.dispatcher.fused}
 
 
 @pytest.mark.slow
@@ -147,8 +146,8 @@ def test_solutions_that_are_closed_long_after_an_interrupt_disturb_no_other_goal
         kept.append(solutions)
         raise KeyboardInterrupt
 
-    parts_of(engine).logic.define("keep", 1, keep)
-    parts_of(engine).logic.define("close", 0, lambda machine: kept.pop().close() or True)
+    engine.logic.define("keep", 1, keep)
+    engine.logic.define("close", 0, lambda machine: kept.pop().close() or True)
     with pytest.raises(KeyboardInterrupt):
         engine.call("keep(1)")
     assert faults(engine) == []

@@ -13,7 +13,6 @@ from itertools import count
 from typing import Any, Callable, Collection, Iterable, Iterator, List, Optional, Sequence, Tuple
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.runtime.clock import StreamClock
 from retalis.events.matches import interval_index, match_buffer
 from retalis.foundation.errors import RetalisError
@@ -51,7 +50,7 @@ class Reset:
     def ready(self) -> Engine:
         """Return the engine with nothing in it."""
         self.steps = []
-        parts_of(self.engine).rules.reset()
+        self.engine.rules.reset()
         return self.engine
 
 

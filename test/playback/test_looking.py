@@ -3,7 +3,6 @@
 from types import SimpleNamespace
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.playback.run_recorder import MAX_RECORDED_QUERIES, RunRecorder
 from retalis.prolog.terms.types import atom
 
@@ -28,6 +27,6 @@ def test_of_many_queries_that_wait_the_first_are_looked_at(monkeypatch):
     engine, told, waiting = Engine(), [], Waiting()
     playback = SimpleNamespace(engine=engine, clock=SimpleNamespace(now=lambda: 5))
     look = RunRecorder(playback, told.append)
-    monkeypatch.setattr(parts_of(engine).knowledge, "waiting", waiting)
+    monkeypatch.setattr(engine.knowledge, "waiting", waiting)
     look.look()
     assert waiting.looked_at == MAX_RECORDED_QUERIES

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Tuple, Union, cast
 
 from ..engine.engine import Engine
-from ..engine.engine_parts import parts_of
 from ..engine.engine_settings import Settings
 from ..engine.runtime.clock import Clock
 from ..engine.runtime.gc_tuning import limit_gc_pauses
@@ -149,7 +148,7 @@ class LoadedFiles:
         return [path for path, stamp in self._stamps.items() if self._stamp(path) != stamp]
 
     def _stamp(self, path: Path) -> _FileStates:
-        made = parts_of(self._engine).programs.get(os.path.realpath(path))
+        made = self._engine.deployments.get(os.path.realpath(path))
         files = set() if made is None else {Path(file) for file in made.files}
         files |= set(path.iterdir()) if path.is_dir() else {path}
         return tuple(_stat(file) for file in sorted(files))
@@ -257,11 +256,11 @@ class Console:
     ):
         self.reports = Reports()
         self.engine = Engine(Clock(time.time_ns), FREE if settings is None else settings, self.reports)
-        self._rules = parts_of(self.engine).rules
+        self._rules = self.engine.rules
         self._rules.warn_singletons = True
         self._files = LoadedFiles(self.engine)
         self.engine.on_output(to_reader(self._output))
-        self.logic = parts_of(self.engine).logic
+        self.logic = self.engine.logic
         self.logic.print_to(_show, _show_error)
         self._report = report
         self._most = most

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import IO, Callable, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Union
 
 from ..engine.engine import Engine
-from ..engine.engine_parts import parts_of
 from ..engine.engine_settings import Settings
 from ..engine.runtime.clock import StreamClock
 from ..engine.runtime.gc_tuning import limit_gc_pauses
@@ -228,7 +227,7 @@ class Session:
         self._first: Optional[int] = None
         if options.times == RELATIVE:
             self.engine.on_event(self._note_first)
-        parts_of(self.engine).logic.define_control("sleep", 1, self._sleep)
+        self.engine.logic.define_control("sleep", 1, self._sleep)
         if options.explain:
             record_origins(self.engine)
         if options.clock:

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Callable, List, Optional
 
 from ..engine.engine import Engine
-from ..engine.engine_parts import parts_of
 from ..engine.engine_settings import Settings
 from ..engine.event_input import InputTopics
 from ..events.program.program_folder import GOALS, TOPICS, Topics, read_topics
@@ -57,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
     if not (folder / GOALS).is_file():
         raise UsageError(f"{folder.resolve()} is no program: it has no file {GOALS}")
     engine = Engine(settings=limited(Settings(), options))
-    input_topics = parts_of(engine).input_topics
+    input_topics = engine.input_topics
     input_topics.begin(lambda wanted: None)
     try:
         engine.load_program(folder)

@@ -13,7 +13,6 @@ from itertools import count
 from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from ..engine.engine import Engine
-from ..engine.engine_parts import parts_of
 from ..engine.engine_status import Status
 from ..events.dispatch.listeners import NOT_READ, Listener, ListenerPhase
 from ..explanation.explain import records_origins
@@ -103,8 +102,8 @@ class RecentEvents:
 
     def __init__(self, engine: Engine):
         self._engine = engine
-        parts = parts_of(engine)
-        self._dispatcher, self._runner, self._show = parts.dispatcher, parts.runner, parts.logic.show
+        parts = engine
+        self._dispatcher, self._runner, self._show = parts.dispatcher, parts.executor, parts.logic.show
         self._listener: Optional[Listener] = None
         self._wanted = False
         self._serial = count(1)

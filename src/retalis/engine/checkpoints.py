@@ -34,7 +34,6 @@ from ..serialization.state_sections import (
 )
 from .deployment import Deployment
 from .engine import Engine
-from .engine_parts import parts_of
 from .engine_settings import Settings
 from .engine_snapshot import EngineSnapshot, checked
 from .program_loader import REQUEST
@@ -424,7 +423,7 @@ class Checkpointer:
         self._standings: List[Deployment] = []
         self._files: Dict[str, str] = {}
         if files is not None:
-            self._standings = list(parts_of(engine).programs.values())
+            self._standings = list(engine.deployments.values())
             self._files = dict(files)
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="checkpoints", daemon=True)
@@ -476,8 +475,8 @@ class Checkpointer:
         Raises:
             UsageError: where that cannot be written.
         """
-        parts = parts_of(self._engine)
-        found = parts.runner.call(lambda: parts.dispatcher.undisturbed(self._take), (REQUEST,))
+        parts = self._engine
+        found = parts.executor.call(lambda: parts.dispatcher.undisturbed(self._take), (REQUEST,))
         sections, clauses, records = found
         if clauses is not None:
             sections["clauses"] = to_bytes(clauses)
@@ -490,8 +489,8 @@ class Checkpointer:
 
     def _look_at_files(self) -> None:
         """Note what files say when they are read: all where the program was loaded or read again, else new ones."""
-        parts = parts_of(self._engine)
-        standings = list(parts.programs.values())
+        parts = self._engine
+        standings = list(parts.deployments.values())
         if len(standings) != len(self._standings) or any(
             one is not other for one, other in zip(standings, self._standings)
         ):
@@ -509,7 +508,7 @@ class Checkpointer:
         sections = {name: to_bytes(data) for name, data in found.items()}
         memories: Dict[MemoryInstance, _InFile] = {}
         records = []
-        for instance in parts_of(self._engine).knowledge.memories:
+        for instance in self._engine.knowledge.memories:
             known = self._memories.get(instance)
             memory = instance.memory
             since = 0 if known is None else min(known.added, memory.changed)

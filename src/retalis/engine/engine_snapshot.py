@@ -1,7 +1,7 @@
 """The state of an engine taken as data, and taken up by another engine."""
 
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Optional, Sequence, TypeVar
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence, TypeVar
 
 from ..events.network.event_rule import EventRule
 from ..foundation.errors import RetalisError, UsageError
@@ -29,9 +29,11 @@ from ..serialization.memory_state import (
 from ..serialization.network_state import keep_matches, keep_rules, restore_matches, restore_rules
 from ..serialization.state_sections import SECTIONS, read_section
 from .deployment import keep_standings, restore_standings
-from .engine_parts import EngineCore, parts_of
 from .event_input import AskedTopic
 from .runtime.clock import StreamClock
+
+if TYPE_CHECKING:
+    from .engine import Engine
 
 Sections = Dict[str, Any]
 """Parts of a state: data that `to_bytes` takes."""
@@ -47,9 +49,9 @@ class EngineSnapshot:
         engine: nothing else is done in it meanwhile.
     """
 
-    def __init__(self, engine: EngineCore):
+    def __init__(self, engine: "Engine"):
         self._engine = engine
-        self._parts = parts_of(engine)
+        self._parts = engine
         self._signature: Any = None
 
     def take(self, whole: bool = True) -> Sections:
@@ -68,9 +70,9 @@ class EngineSnapshot:
         matches, named = keep_matches(rules, knowledge, engine.clock, rules.rules)
         run = {
             "clock": engine.clock.kept(),
-            "followed": parts.intake.followed is not None,
-            "taken": parts.intake.taken,
-            "dropped": parts.runner.dropped,
+            "followed": parts.event_input.followed is not None,
+            "taken": parts.event_input.taken,
+            "dropped": parts.executor.dropped,
             "tokens": parts.dispatcher.tokens,
             "sent": keep_sent(knowledge),
         }
@@ -105,8 +107,8 @@ class EngineSnapshot:
             rules.files.door.own,
             list(parts.logic.foreign_modules),
             list(parts.logic.swi_files),
-            sorted(parts.programs),
-            list(parts.programs.values()),
+            sorted(parts.deployments),
+            list(parts.deployments.values()),
         )
 
     def _program(self, named: List[EventRule]) -> Sections:
@@ -117,7 +119,7 @@ class EngineSnapshot:
             "memories": keep_memories(knowledge),
             "subscriptions": keep_subscriptions(knowledge),
             "declared": [one.form.term for one in knowledge.states],
-            "standings": keep_standings(parts.programs, parts.logic, knowledge, named),
+            "standings": keep_standings(parts.deployments, parts.logic, knowledge, named),
             "topics": [tuple(one) for one in parts.input_topics.kept()],
             "events": dict(parts.slots.events),
             "foreign": list(parts.logic.foreign_modules),
@@ -139,7 +141,7 @@ class EngineSnapshot:
         Raises:
             RetalisError: what is wrong.
         """
-        self._parts.runner.call(lambda: self._take_up(sections, records, folder))
+        self._parts.executor.call(lambda: self._take_up(sections, records, folder))
 
     def _take_up(self, sections: Sections, records: Sequence[Sequence[Any]], folder: Optional[Path]) -> None:
         engine, parts = self._engine, self._parts
@@ -165,11 +167,13 @@ class EngineSnapshot:
         restore_matches(rules, knowledge, engine.clock, sections["matches"], named)
         rules.files.loaded = set(map(Path, program["network"]["loaded"]))
         rules.declared.in_use = True  # what is there is looked at with the first event
-        parts.programs.update(restore_standings(program["standings"], logic, knowledge, rules.timers, named))
+        parts.deployments.update(
+            restore_standings(program["standings"], logic, knowledge, rules.timers, named)
+        )
         parts.input_topics.restore(AskedTopic(*one) for one in program["topics"])
         engine.clock.restore(run["clock"])
-        parts.intake.taken = run["taken"]
-        parts.runner.dropped = run["dropped"]
+        parts.event_input.taken = run["taken"]
+        parts.executor.dropped = run["dropped"]
         parts.dispatcher.tokens = run["tokens"]
 
     def _load_foreign(self, modules: Sequence[str], folder: Optional[Path]) -> None:
@@ -187,7 +191,7 @@ class EngineSnapshot:
                 )
             files = parts.rules.files
             with files.loading(folder):
-                define_foreign(parts.logic, parts.runner, load_module(name, files))
+                define_foreign(parts.logic, parts.executor, load_module(name, files))
             parts.logic.foreign_modules[name] = None
 
     def _load_swi(self, found: Sequence[SwiFile], folder: Optional[Path]) -> None:

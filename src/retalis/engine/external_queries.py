@@ -18,7 +18,6 @@ from ..prolog.terms.list_terms import make_list
 from ..prolog.terms.term_traversal import term_key
 from ..prolog.terms.types import Atom, Term, Var, atom, deref, functor
 from .engine import Engine
-from .engine_parts import EngineCore, parts_of
 from .program_loader import REQUEST
 
 MAX_ANSWER_CHARACTERS = 1_000_000
@@ -70,7 +69,7 @@ def ask(
     """
     read = read_term(goal, engine.operators, "goal")
     names = {name: var for name, var in read.names.items() if not name.startswith("_")}
-    logic = parts_of(engine).logic
+    logic = engine.logic
 
     def work() -> Answer:
         found: List[List[Binding]] = []
@@ -102,15 +101,15 @@ def do_for_others(engine: Engine, work: Callable[[], T], what: Term = REQUEST) -
     """Do a piece of work, see `Engine.do`; its goals, and those that it gives the program, may not change flags."""
 
     def locked() -> T:
-        with parts_of(engine).logic.for_others():
+        with engine.logic.for_others():
             return work()
 
     return engine.do(locked, what)
 
 
-def _values(engine: EngineCore, names: Dict[str, Var], most: int) -> List[Binding]:
+def _values(engine: Engine, names: Dict[str, Var], most: int) -> List[Binding]:
     """Return the values of variables in the solution at hand."""
-    logic = parts_of(engine).logic
+    logic = engine.logic
     unbound: Dict[Var, str] = {}
     values = []
     for name, var in names.items():
@@ -145,7 +144,7 @@ def await_memories(engine: Engine, names: Sequence[Term], instant: int, seconds:
     Raises:
         UsageError: for an unknown memory, one that is deleted meanwhile, and where the time is up.
     """
-    knowledge = parts_of(engine).knowledge
+    knowledge = engine.knowledge
     arrived = Event()
 
     def begin() -> Optional[int]:
@@ -170,7 +169,7 @@ def await_memories(engine: Engine, names: Sequence[Term], instant: int, seconds:
 
 def _late(engine: Engine, names: Sequence[Term], instant: int) -> str:
     """Return which memories have not got to an instant, and how far behind they are."""
-    late = engine.do(lambda: parts_of(engine).knowledge.behind(names, instant))
+    late = engine.do(lambda: engine.knowledge.behind(names, instant))
     said = []
     for one, wanted in late:
         latest = one.memory.latest
@@ -203,7 +202,7 @@ def add_rule(engine: Engine, text: str, label: str = "") -> str:
 
     def work() -> str:
         name = _label(engine, read, label)
-        parts_of(engine).rules.loader.load_read(read)
+        engine.rules.loader.load_read(read)
         return engine.show(name)
 
     return do_for_others(engine, work)
@@ -216,9 +215,7 @@ def _label(engine: Engine, read: ReadTerm, wanted: str) -> Term:
     name = _named(engine, wanted) if wanted.strip() else own
     if own is not None and wanted.strip() and _name_of(own) is not name:
         raise UsageError(f"label: the rule has the label {engine.brief(_name_of(own))} already")
-    taken = {
-        term_key(_name_of(rule.label)) for rule in parts_of(engine).rules.rules if rule.label is not None
-    }
+    taken = {term_key(_name_of(rule.label)) for rule in engine.rules.rules if rule.label is not None}
     if name is None:
         name = next(one for one in map(_numbered, count(1)) if term_key(one) not in taken)
     if term_key(_name_of(name)) in taken:
@@ -235,7 +232,7 @@ def delete_rule(engine: Engine, label: str) -> None:
         UsageError: where there are none.
     """
     name = _named(engine, label)
-    if not engine.do(lambda: parts_of(engine).rules.delete(name), REQUEST):
+    if not engine.do(lambda: engine.rules.delete(name), REQUEST):
         raise UsageError(f"there is no rule {engine.brief(name)}")
 
 

@@ -12,7 +12,7 @@ import os
 from collections import Counter
 from pathlib import Path
 from threading import get_ident
-from typing import Callable, Dict, Hashable, Iterable, List, Sequence
+from typing import TYPE_CHECKING, Callable, Dict, Hashable, Iterable, List, Sequence
 
 from ..events.knowledge.memory import MemoryInstance
 from ..events.network.event_rule import EventRule
@@ -25,11 +25,13 @@ from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.term_traversal import term_key
 from ..prolog.terms.types import atom
 from .deployment import NOTHING, Clauses, Deployment, clause_key, paired, standing
-from .engine_parts import EngineCore, parts_of
 from .engine_settings import Settings
 from .program_loader import REQUEST
 from .runtime.clock import Clock, StreamClock
 from .runtime.problem_reports import Reports
+
+if TYPE_CHECKING:
+    from .engine import Engine
 
 Timed = Dict[Hashable, ProgramTimer]
 
@@ -184,9 +186,9 @@ class NullReports(Reports):
         """Say nothing."""
 
 
-def standing_of(engine: EngineCore) -> Deployment:
+def standing_of(engine: "Engine") -> Deployment:
     """Return what there is of an engine's program now."""
-    parts = parts_of(engine)
+    parts = engine
     return standing(parts.logic, parts.rules, parts.knowledge)
 
 
@@ -202,9 +204,9 @@ def trial_settings(settings: Settings) -> Settings:
     return settings._replace(limit_start=True, watchdog=None)
 
 
-def load_folder(engine: EngineCore, folder: Path) -> None:
+def load_folder(engine: "Engine", folder: Path) -> None:
     """Load a program's folder, or one event file, and note what that makes; see `Engine.load_program`."""
-    programs, key = parts_of(engine).programs, _real(folder)
+    programs, key = engine.deployments, _real(folder)
     before = standing_of(engine)
     try:
         _load(engine, folder)
@@ -219,41 +221,41 @@ def _real(folder: Path) -> str:
         raise UsageError(f"cannot read {str(folder)!r}: {error}") from error
 
 
-def _load(engine: EngineCore, folder: Path) -> None:
-    own_files = parts_of(engine).own_files
+def _load(engine: "Engine", folder: Path) -> None:
+    own_files = engine.loader
     if os.path.isfile(folder):
         own_files.load_rules(read_text(folder), str(folder), folder.parent)
         return
     if not os.path.isdir(folder):
         raise UsageError(f"cannot read {folder}: there is no such file or folder")
     path = folder / GOALS
-    parts = parts_of(engine)
+    parts = engine
     parts.slots.events = {**parts.input_topics.event_types(), **event_types(folder)}
     own_files.call_goals(read_text(path), str(path), folder)
 
 
-def reload_folder(engine: EngineCore, folder: Path, new_engine: Callable[[], EngineCore]) -> List[str]:
+def reload_folder(engine: "Engine", folder: Path, new_engine: Callable[[], "Engine"]) -> List[str]:
     """Read a program's folder again; see `Engine.reload`."""
-    parts, key = parts_of(engine), _real(folder)
-    if parts.runner.thread == get_ident():
+    parts, key = engine, _real(folder)
+    if parts.executor.thread == get_ident():
         raise UsageError("a goal or callback of an engine cannot have it read its program again")
     if os.path.isfile(folder):  # it may need what other files say, so it is not tried alone
         tried = standing_of(new_engine())
     else:
-        tried = try_program(engine, new_engine(), parts.programs.get(key, NOTHING), folder)
+        tried = try_program(engine, new_engine(), parts.deployments.get(key, NOTHING), folder)
 
     def work() -> List[str]:
-        exchange = ReloadTransaction(engine, parts.programs.get(key, NOTHING), tried)
+        exchange = ReloadTransaction(engine, parts.deployments.get(key, NOTHING), tried)
         try:
             with parts.rules.files.loading_again(parts.rules.files.omitted):
                 return exchange.run(lambda: _load(engine, folder))
         finally:
-            parts.programs[key] = exchange.made
+            parts.deployments[key] = exchange.made
 
-    return parts.runner.call(lambda: parts.dispatcher.undisturbed(work), (REQUEST,))
+    return parts.executor.call(lambda: parts.dispatcher.undisturbed(work), (REQUEST,))
 
 
-def try_program(engine: EngineCore, trial: EngineCore, made: Deployment, folder: Path) -> Deployment:
+def try_program(engine: "Engine", trial: "Engine", made: Deployment, folder: Path) -> Deployment:
     """Load a program into an engine of its own; return what it has made there.
 
     Args:
@@ -265,14 +267,14 @@ def try_program(engine: EngineCore, trial: EngineCore, made: Deployment, folder:
     Raises:
         ProgramErrors: what is wrong, and what the program makes that services have added to the one that runs.
     """
-    logic = parts_of(trial).logic
+    logic = trial.logic
     logic.output = logic.error_output = lambda text: None
-    with parts_of(trial).rules.files.loading_again(parts_of(engine).rules.files.omitted):
-        parts_of(trial).runner.call(lambda: _load(trial, folder), (_LOADING,))
+    with trial.rules.files.loading_again(engine.rules.files.omitted):
+        trial.executor.call(lambda: _load(trial, folder), (_LOADING,))
     found = standing_of(trial)
-    now = parts_of(engine).runner.call(lambda: standing_of(engine))
+    now = engine.executor.call(lambda: standing_of(engine))
     taken = Errors()
-    show = parts_of(engine).logic.brief
+    show = engine.logic.brief
     for key, one in found.memories.items():
         if key in now.memories and key not in made.memories:
             taken.append(
@@ -299,9 +301,9 @@ class ReloadTransaction:
         trial: what it makes elsewhere.
     """
 
-    def __init__(self, engine: EngineCore, made: Deployment, trial: Deployment):
+    def __init__(self, engine: "Engine", made: Deployment, trial: Deployment):
         self._engine = engine
-        self._parts = parts_of(engine)
+        self._parts = engine
         self._before = standing_of(engine)
         self._old = self._still_there(made)
         self._made = made

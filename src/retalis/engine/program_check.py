@@ -22,7 +22,6 @@ from ..foundation.errors import MessageError, Omission, Place, ProgramErrors, Re
 from ..messages.type_registry import Definitions
 from ..prolog.terms.types import CompoundTerm, Term
 from .engine import Engine
-from .engine_parts import parts_of
 from .engine_settings import Settings
 from .event_input import by_name
 from .runtime.clock import Clock
@@ -80,7 +79,7 @@ def check_program(
     except RetalisError as error:
         problems.all_of(error)
     engine = Engine(Clock(time.time_ns), settings, problems, definitions)
-    parts = parts_of(engine)
+    parts = engine
     parts.logic.output = parts.logic.error_output = lambda text: None
     own = direct_topics(direct, topics, by_name)
     parts.input_topics.begin(lambda wanted: None, topics, own)
@@ -103,7 +102,7 @@ def never_comes(
 
     Messages may come of topics that are subscribed later.
     """
-    parts = parts_of(engine)
+    parts = engine
     topics = parts.input_topics.joined(topics)
     program = ProgramModel(parts.rules, parts.knowledge, definitions, topics, tuple(direct))
     return without_maker(program, pattern)

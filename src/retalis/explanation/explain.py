@@ -8,7 +8,6 @@ from time import monotonic
 from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
 from ..engine.engine import Engine
-from ..engine.engine_parts import parts_of
 from ..events.knowledge.subscriptions import Subscription, SubscriptionKey
 from ..events.language.pattern_tree import Aggregate, Shaped, Windowed, walk
 from ..events.language.window_parser import subscribed_event
@@ -185,7 +184,7 @@ def record_origins(engine: Engine) -> None:
     >>> print(explain(engine, "smoke(_)").lines[0].text)
     smoke(kitchen) at 1 came from outside
     """
-    parts_of(engine).rules.flags.set_default("etalis_justification", atom("on"))
+    engine.rules.flags.set_default("etalis_justification", atom("on"))
 
 
 def records_origins(engine: Engine) -> bool:
@@ -196,7 +195,7 @@ def records_origins(engine: Engine) -> bool:
     >>> records_origins(engine)
     True
     """
-    return parts_of(engine).rules.flags.is_on("etalis_justification")
+    return engine.rules.flags.is_on("etalis_justification")
 
 
 def explain(
@@ -258,7 +257,7 @@ def _until(end: float, seconds: float) -> Callable[[int, int], None]:
 
 class _Explainer:
     def __init__(self, engine: Engine, origin: Optional[int]):
-        self._parts = parts_of(engine)
+        self._parts = engine
         self._origin = origin
         self._times = TimeFormat(self._show, origin)
         self._kept = self._parts.rules.tracker.all()

@@ -21,7 +21,6 @@ from typing import (
 )
 
 from ..engine.engine import Engine
-from ..engine.engine_parts import parts_of
 from ..engine.engine_settings import Settings
 from ..engine.event_input import AskedTopic, by_name
 from ..engine.runtime.clock import StreamClock
@@ -140,7 +139,7 @@ class Playback:
         self._joining: Set[str] = set()
         self._latched = {by_name(topic) for topic in named.latched}
         self.engine.on_output(self._collect)
-        parts_of(self.engine).input_topics.begin(self._subscribe, self._topics, self._direct)
+        self.engine.input_topics.begin(self._subscribe, self._topics, self._direct)
         if state is None:
             self._load()
 

@@ -6,7 +6,6 @@ A run as a Parquet file: a row for each line that it would be as JSON. ``pyarrow
 from itertools import islice
 from typing import Any, Callable, Dict, List, NamedTuple, Union
 
-from ..engine.engine_parts import parts_of
 from ..events.knowledge.knowledge_base import OF_MEMORIES
 from ..prolog.syntax.term_writer import canonical_text
 from ..prolog.terms.types import Term
@@ -41,7 +40,7 @@ class RunRecorder:
 
     def __init__(self, playback: Playback, tell: Callable[[Line], None]):
         self._engine = playback.engine
-        self._knowledge = parts_of(playback.engine).knowledge
+        self._knowledge = playback.engine.knowledge
         self._now = playback.clock.now
         self._tell = tell
         self._waits: Dict[int, _Wait] = {}

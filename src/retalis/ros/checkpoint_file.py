@@ -7,7 +7,6 @@ import rospy
 
 from ..engine.checkpoints import Checkpoint, Checkpointer, CheckpointStorage, ProgramFiles, put_aside, resume
 from ..engine.engine import Engine
-from ..engine.engine_parts import parts_of
 from ..engine.runtime.clock import Clock
 from ..engine.runtime.problem_reports import Reports
 from ..foundation.errors import RetalisError, counted
@@ -68,7 +67,7 @@ class StateFile:
         rospy.logwarn("%s is not taken up: %s. The node starts fresh; %s", path, error.message, where)
 
     def _tell(self, engine: Engine, found: Checkpoint) -> None:
-        parts = parts_of(engine)
+        parts = engine
         records = sum(len(one.memory) for one in parts.knowledge.memories)
         rospy.loginfo(
             "goes on from %s, written %.1f s ago: %s with %s, %s, %s",

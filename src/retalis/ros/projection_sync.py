@@ -13,7 +13,6 @@ import rospy
 from std_msgs.msg import String
 
 from ..engine.engine import Engine
-from ..engine.engine_parts import parts_of
 from ..engine.runtime.problem_reports import Reports
 from ..foundation.errors import MessageError, beginning
 from ..prolog.terms.types import Functor
@@ -29,7 +28,7 @@ class ProjectionPublisher:
     """Tells what an engine does not read, again whenever that has changed, by a thread of its own."""
 
     def __init__(self, engine: Engine):
-        self._dispatcher = parts_of(engine).dispatcher
+        self._dispatcher = engine.dispatcher
         self._publisher = rospy.Publisher(UNREAD, String, queue_size=10, latch=True)
         self._last: Optional[str] = None
         self._changed = threading.Event()

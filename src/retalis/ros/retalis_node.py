@@ -8,7 +8,6 @@ from typing import Any, Callable, Iterable, List, Mapping, Optional, Tuple
 import rospy
 
 from ..engine.engine import Engine
-from ..engine.engine_parts import parts_of
 from ..engine.program_check import never_comes, never_sent
 from ..engine.runtime.clock import Alarm, Clock
 from ..engine.runtime.clock_epochs import ClockEpochs
@@ -140,7 +139,7 @@ class RetalisNode:
         definitions = Definitions(bare=parameters.bare)
         state = StateFile(parameters, self._reports)
         self.engine = state.engine(lambda: RosClock(self._time.runs), definitions)
-        print_lines_of(parts_of(self.engine).logic)
+        print_lines_of(self.engine.logic)
         clock: Any = self.engine.clock
         clock.engine, clock.resumed = self.engine, state.resumed
         skew = ClockSkewMonitor(
@@ -153,7 +152,7 @@ class RetalisNode:
         topics = self._topics()
         direct = direct_topics(parameters.direct, topics, rospy.resolve_name)
         asked = DynamicSubscriptions()
-        input_topics = parts_of(self.engine).input_topics
+        input_topics = self.engine.input_topics
         input_topics.begin(asked.ask, topics, direct, plain)
         if not state.resumed:
             self._load()
@@ -251,7 +250,7 @@ class RetalisNode:
 
     def _input_roles(self, topics: Topics, direct: Iterable[TopicType]) -> Callable[[str], InputRole]:
         """Return what gives the use that the program has for a topic, as its rules are when it is called."""
-        embedded, takes = self._parameters.embedded, parts_of(self.engine).dispatcher.takes_name
+        embedded, takes = self._parameters.embedded, self.engine.dispatcher.takes_name
         resolve_name = rospy.resolve_name
         named = set(map(resolve_name, self._named(topics)))
         # Topics that the node subscribes by default, with the names of their events.

@@ -12,7 +12,6 @@ from types import MappingProxyType
 from typing import Any, Dict, Hashable, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple
 
 from ..engine.engine import Engine
-from ..engine.engine_parts import parts_of
 from ..events.language.pattern_tree import Occurs, own_terms, walk
 from ..events.language.rule_parser import ALARMS, SYNCHRONIZED, sets_timer
 from ..foundation.errors import UsageError, beginning, counted, printable
@@ -97,7 +96,7 @@ class GraphTopic(NamedTuple):
 
 def graph_key(engine: Engine, topics: Iterable[GraphTopic]) -> Hashable:
     """Return a key that is another one when the graph of a program has changed."""
-    parts = parts_of(engine)
+    parts = engine
     return (
         tuple([rule.serial for rule in parts.rules.rules]),
         tuple([id(one) for one in list(parts.knowledge.memories)]),
@@ -117,7 +116,7 @@ def program_graph(engine: Engine, topics: Iterable[GraphTopic] = ()) -> Graph:
 
 class _GraphBuilder:
     def __init__(self, engine: Engine):
-        self._parts = parts_of(engine)
+        self._parts = engine
         self._nodes: Dict[str, GraphNode] = {}
         self._edges: Dict[Tuple[str, str, str], GraphEdge] = {}
         self._left_out: Set[str] = set()

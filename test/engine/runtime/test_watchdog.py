@@ -6,7 +6,6 @@ import threading
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.engine.runtime import watchdog as _watchdog
 from retalis.engine.runtime.watchdog import AtWork, Watchdog, at_work
@@ -132,7 +131,7 @@ def test_looks_are_a_fifth_of_the_shortest_time_apart_within_bounds(turn, patien
     ],
 )
 def test_what_came_in_is_named_in_short(entry, named):
-    parts = parts_of(Engine())
+    parts = Engine()
     assert at_work(parts.logic, parts.dispatcher, entry) == AtWork(named, "", "", None)
 
 
@@ -149,14 +148,14 @@ def test_no_limit_and_no_patience_is_none(turn):
 def test_short_goals_that_add_up_are_ended_by_the_watchdog(caplog):
     engine = Engine(settings=Settings(limits=Limits(seconds=10.0)))
     engine.load_rules("".join(f"out({at}) <- in where slow({at}).\n" for at in range(10)))
-    dog, now = parts_of(engine).watchdog, [0.0]
+    dog, now = engine.watchdog, [0.0]
 
     def slow(machine, number):
         now[0] += 3.0
         dog.look(now[0])
         return True
 
-    parts_of(engine).logic.define("slow", 1, slow)
+    engine.logic.define("slow", 1, slow)
     seen = []
     engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
     engine.event("in", 1)
@@ -177,14 +176,14 @@ def test_short_goals_that_add_up_are_ended_by_the_watchdog(caplog):
 )
 def test_rule_goal_and_event_are_named(rules, goals, named, caplog):
     engine = Engine(settings=Settings(watchdog=1.0))
-    dog = parts_of(engine).watchdog
+    dog = engine.watchdog
 
     def hold(machine):
         dog.look(0.0)
         dog.look(1.5)
         return True
 
-    parts_of(engine).logic.define("hold", 0, hold)
+    engine.logic.define("hold", 0, hold)
     engine.load_rules(rules, "rules.txt")
     engine.load(goals=goals)
     engine.event("in(1)", 1)
@@ -196,7 +195,7 @@ def test_rule_goal_and_event_are_named(rules, goals, named, caplog):
 
 def test_goals_at_the_start_and_questions_are_named(caplog, tmp_path):
     engine = Engine(settings=Settings(watchdog=1.0, limits=Limits(seconds=1.0), limit_start=False))
-    dog, now = parts_of(engine).watchdog, [0.0]
+    dog, now = engine.watchdog, [0.0]
 
     def hold(machine, number):
         for _ in range(5):
@@ -204,7 +203,7 @@ def test_goals_at_the_start_and_questions_are_named(caplog, tmp_path):
             now[0] += 1.5
         return True
 
-    parts_of(engine).logic.define("hold", 1, hold)
+    engine.logic.define("hold", 1, hold)
     (tmp_path / "goalPredicates.txt").write_text("hold(1)\n")
     engine.load_program(tmp_path)
     assert "goalPredicates.txt:1:1: goal hold/1 is running" in caplog.text
@@ -220,7 +219,7 @@ def test_goals_at_the_start_and_questions_are_named(caplog, tmp_path):
 
 def test_what_cannot_be_named_is_ended_all_the_same(monkeypatch, caplog):
     engine = Engine(settings=Settings(watchdog=1.0, limits=Limits(seconds=1.0)))
-    dog, budget = parts_of(engine).watchdog, parts_of(engine).logic.machine.budget
+    dog, budget = engine.watchdog, engine.logic.machine.budget
 
     def changed_meanwhile(*_):
         assert budget.closed
@@ -233,7 +232,7 @@ def test_what_cannot_be_named_is_ended_all_the_same(monkeypatch, caplog):
         dog.look(1.5)
         return budget.closed
 
-    parts_of(engine).logic.define("hold", 0, hold)
+    engine.logic.define("hold", 0, hold)
     assert engine.call("hold")
     assert "changed size during iteration" in caplog.text
 
@@ -265,14 +264,14 @@ def test_the_thread_ends_with_the_engine():
 def test_the_thread_ends_what_no_goal_counts():
     engine = Engine(settings=Settings(limits=Limits(seconds=0.05)))
     going = threading.Event()
-    budget = parts_of(engine).logic.machine.budget
+    budget = engine.logic.machine.budget
 
     def wait(machine):
         while not budget.closed:
             going.wait(0.01)
         return True
 
-    parts_of(engine).logic.define("wait", 0, wait)
+    engine.logic.define("wait", 0, wait)
     engine.load_rules("a <- in where wait.\nb <- in where true(1).\ntrue(1).")
     seen = []
     engine.on_event(lambda term, start, end: seen.append(term))

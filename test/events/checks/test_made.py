@@ -3,7 +3,6 @@
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.events.checks.producer_checks import never_made, never_taken
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.knowledge.knowledge_base import OWN_EVENTS
@@ -16,7 +15,7 @@ TOPICS = Topics((TopicType("said", "std_msgs/String"),))
 def said_of(check, rules):
     engine = Engine()
     engine.load(rules=rules)
-    parts = parts_of(engine)
+    parts = engine
     program = ProgramModel(parts.rules, parts.knowledge, Definitions(), TOPICS)
     return [error.message for error in check(program)]
 

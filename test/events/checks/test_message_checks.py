@@ -3,7 +3,6 @@
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.program_check import check_program
 from retalis.events.checks.message_checks import wrong_messages
 from retalis.events.checks.program_model import ProgramModel
@@ -104,7 +103,7 @@ FAN = Topics((topic_type("fan/state", "std_msgs/Bool"),), events=(TopicEvent("fa
 def said_of_fans(rules, goals=""):
     engine = Engine()
     engine.load(rules=rules, goals=goals)
-    parts = parts_of(engine)
+    parts = engine
     program = ProgramModel(parts.rules, parts.knowledge, Definitions(), FAN)
     return [(error.message, error.place and error.place.column) for error in wrong_messages(program)]
 

@@ -3,7 +3,6 @@
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.checks.time_checks import cycles, missed_pairs, never_meet, unbounded_keys
 from retalis.events.program.program_folder import Topics, TopicType
@@ -21,7 +20,7 @@ PLAIN = [f"f{at + 1} <- f{at}." for at in range(LONG)]
 def said_of(*rules):
     engine = Engine()
     engine.load(rules="\n".join(rules))
-    parts = parts_of(engine)
+    parts = engine
     program = ProgramModel(parts.rules, parts.knowledge, Definitions(), TOPICS)
     return [error.message for error in (*never_meet(program), *cycles(program))]
 
@@ -58,7 +57,7 @@ TWO_TOPICS = Topics((TopicType("said", "std_msgs/String"), TopicType("on", "std_
 def missed(rules, topics=TWO_TOPICS):
     engine = Engine()
     engine.load(rules=rules)
-    parts = parts_of(engine)
+    parts = engine
     return [
         error.message
         for error in missed_pairs(ProgramModel(parts.rules, parts.knowledge, Definitions(), topics))
@@ -90,7 +89,7 @@ def unbounded(rules, flags=()):
     for flag, value in flags:
         assert engine.call(f"set_etalis_flag({flag}, {value})")
     engine.load(rules=rules)
-    parts = parts_of(engine)
+    parts = engine
     program = ProgramModel(parts.rules, parts.knowledge, Definitions(), Topics())
     return [error.message for error in unbounded_keys(program)]
 

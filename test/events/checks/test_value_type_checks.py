@@ -3,7 +3,6 @@
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.checks.value_type_checks import numerals
 from retalis.events.program.program_folder import Topics, topic_type
@@ -14,7 +13,7 @@ TOPICS = Topics((topic_type("at", "geometry_msgs/Point"), topic_type("n", "std_m
 def said(definitions, rules="", goals=""):
     engine = Engine()
     engine.load(rules=rules, goals=goals)
-    parts = parts_of(engine)
+    parts = engine
     return [one.message for one in numerals(ProgramModel(parts.rules, parts.knowledge, definitions, TOPICS))]
 
 

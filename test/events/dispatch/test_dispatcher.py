@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from reachability import count_entries, reachable
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.events.dispatch.dispatcher import Dispatcher
 from retalis.events.dispatch.listeners import TERM, Listener, ListenerPhase
@@ -233,7 +232,7 @@ def test_listeners_are_served_at_each_depth_up_to_the_limit(depth):
 def test_as_many_events_as_allowed_are_derived_one_from_the_other(depth):
     engine = Engine(settings=Settings(max_depth=depth))
     errors, seen = [], []
-    parts_of(engine).rules.on_error = errors.append
+    engine.rules.on_error = errors.append
     engine.on_event(lambda term, start, end: seen.append(term))
     engine.load(rules=f"n(Y) <- n(X) where (X < {depth + 1}, Y is X + 1).")
     engine.event(f"n({1})", 1)

@@ -7,7 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.engine.runtime.clock import StreamClock
 from retalis.events.dispatch.dispatcher import Dispatcher
@@ -134,7 +133,7 @@ def test_an_error_in_a_fused_action_names_the_event_and_the_next_one_is_served(c
     program.engine.post(A(X))
     program.engine.post(A(2))
     assert program.outputs == ["b(2)", "b(3)"]
-    assert parts_of(program.engine).dispatcher.current is None
+    assert program.engine.dispatcher.current is None
     (message,) = [record.getMessage() for record in caplog.records]
     assert "at event a(x)" in message and "x/0" in message
 

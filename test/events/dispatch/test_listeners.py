@@ -5,7 +5,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.events.dispatch import listeners as room
 from retalis.events.dispatch.listeners import NOT_READ, ListenerPhase
 from retalis.prolog.terms.types import Var, atom, functor
@@ -15,7 +14,7 @@ SEEN = "subscribe(seen(_,_), [], _, t, seen)"
 
 
 def told(engine, kind=IMAGE):
-    return set(parts_of(engine).dispatcher.unread.tell().get(kind, ()))
+    return set(engine.dispatcher.unread.tell().get(kind, ()))
 
 
 def made(rules="", goals=""):
@@ -84,7 +83,7 @@ def test_revision_and_justification_see_them_whole():
 def test_what_changes_is_told_anew():
     engine = made("seen(H, 1) <- image(H, _, _).")
     changes = []
-    parts_of(engine).dispatcher.on_change = lambda: changes.append(told(engine))
+    engine.dispatcher.on_change = lambda: changes.append(told(engine))
     engine.call("memorize(image(_, N, _), [], got(N), m, 10)")
     assert changes[-1] == {3}
     engine.call("delete_memory(m)")
@@ -127,7 +126,7 @@ def test_a_rule_that_takes_messages_whole_by_a_fused_action_does_not_take_those_
 def test_what_is_told_is_bounded(monkeypatch):
     monkeypatch.setattr(room, "MAX_FUNCTORS", 5)
     engine = made(goals="".join(f"subscribe(kind{at}(_), [], seen, t, {at})\n" for at in range(10)))
-    assert len(parts_of(engine).dispatcher.unread.tell()) == 5
+    assert len(engine.dispatcher.unread.tell()) == 5
 
 
 PARTS = [
@@ -181,7 +180,7 @@ def test_one_who_takes_events_as_they_come_has_nothing_made_for_it():
         found.append(term)
         return after
 
-    parts_of(engine).dispatcher.listen(ListenerPhase.TRACE, event, see, unused={event})
+    engine.dispatcher.listen(ListenerPhase.TRACE, event, see, unused={event})
     assert told(engine) == {2, 3}
     engine.event_at(IMAGE(atom("a"), NOT_READ, NOT_READ), 1, 1)
     assert found[0] == IMAGE(atom("a"), NOT_READ, NOT_READ)

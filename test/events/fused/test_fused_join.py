@@ -8,7 +8,6 @@ import pytest
 from events.fused.switching import PATHS
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.engine.runtime.clock import StreamClock
 from retalis.events.dispatch.listeners import ListenerPhase
@@ -78,7 +77,7 @@ def run(text, goals, events, cap, cut, change, posted):
             return lambda *told: reports.append((name, [str(one) for one in told]))
 
     engine = Engine(None, Settings(), Told())
-    parts = parts_of(engine)
+    parts = engine
     engine.load(goals=goals, rules=text)
     for arity in (0, 1, 2, 3):
         pattern = functor("out", arity)(*(Var() for _ in range(arity))) if arity else atom("out")
@@ -164,7 +163,7 @@ def test_many_streams(part):
 @pytest.mark.parametrize("cap", [10**6, 50])
 def test_what_has_left_is_not_held_until_its_time_is_over(cap):
     engine = Engine(StreamClock(10**6 * SECOND))
-    parts = parts_of(engine)
+    parts = engine
     engine.load(rules="out(K) <- (a(K) seq b(K)) within 100000.")
     parts.rules.cap = cap
     [rule] = parts.rules.rules
@@ -187,4 +186,4 @@ def test_what_only_one_side_of_a_rule_takes_has_a_fused_action():
     for made in ones.values():
         engine.post(made(1), 1)
     engine.post(functor("e", 2)(1, 1), 2)
-    assert {key.name for key in parts_of(engine).dispatcher.fused} == {"a", "b", "c", "f"}
+    assert {key.name for key in engine.dispatcher.fused} == {"a", "b", "c", "f"}

@@ -7,7 +7,6 @@ from hypothesis import settings as example_settings
 from hypothesis import strategies as st
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.events.network import stream_node
 from retalis.events.streams.accumulators import ExactSum
@@ -53,7 +52,7 @@ def run(text, events, cap, cut):
     engine = Engine(None, Settings(), Told())
     engine.on_event(lambda term, start, end: found.append((engine.show(term), start, end)))
     engine.load(rules=text)
-    rules = parts_of(engine).rules
+    rules = engine.rules
     rules.cap = cap
     now = 1000
     for at, (key, x, y, step, length) in enumerate(events):

@@ -4,7 +4,6 @@ import pytest
 from events.fused.switching import PATHS
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.prolog.machine.resource_limits import Limits
 
@@ -20,7 +19,7 @@ def steps(rules):
     """Return the steps of pattern work that each of some events takes."""
     engine = Engine(settings=Settings(limits=Limits(inferences=1_000_000)))
     engine.load(rules=rules)
-    budget = parts_of(engine).logic.machine.budget
+    budget = engine.logic.machine.budget
     found = []
     for at in range(8):
         before = budget.pattern_steps[0]

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.runtime.clock import StreamClock
 from retalis.engine.runtime.problem_reports import Reports
 from retalis.prolog.machine.errors import PrologError
@@ -265,7 +264,7 @@ def test_goals_that_are_joined_do_what_they_do_alone(records, gap):
     engine = Engine(StreamClock(1000 * SECOND), None, Reports())
     engine.load(rules=TOGETHER.format("a(V1, _, Q1)", "a(V2, _, Q2)"), goals="memorize(r(X), [], X, m, 4)")
     for name in COMPILED:
-        parts_of(engine).logic.database.predicate(functor(name, 3)).compile_after = 0
+        engine.logic.database.predicate(functor(name, 3)).compile_after = 0
     engine.call(f"set_etalis_flag(max_gap, {gap})")
     for end, long, record in records:
         engine.call(f"event(r({record}), [{end - long},{end}])")
@@ -296,7 +295,7 @@ def test_which_goals_are_joined(first, second, joined):
     engine = Engine(StreamClock(1000 * SECOND), None, Reports())
     calls = []
     engine.load(rules=TOGETHER.format(first, second))
-    predicate = parts_of(engine).logic.database.predicate(functor("prev", 5))
+    predicate = engine.logic.database.predicate(functor("prev", 5))
     joins = predicate.functional.joins
     predicate.functional = predicate.functional._replace(
         joins=lambda goals, counts: calls.append(joins(goals, counts)) or calls[-1]

@@ -7,7 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.runtime.clock import StreamClock
 from retalis.explanation.explain import explain, record_origins
 from retalis.foundation.errors import ProgramErrors
@@ -242,9 +241,9 @@ def test_another_engine_goes_on(tracked):
 def test_an_interrupt_leaves_all_in_order():
     engine = run()
     engine.take(("dock(a)", 1))
-    (state,) = parts_of(engine).knowledge.states
+    (state,) = engine.knowledge.states
     state._by_shared.clear()  # noqa: SLF001  (as if it had come in the midst)
-    parts_of(engine).knowledge.mend()
+    engine.knowledge.mend()
     assert engine.take(("undock(a)", 2)) == [("docked(a)", 1, 2)]
 
 
@@ -409,7 +408,7 @@ def test_a_program_that_resets_has_nothing_hold(goal, known):
 
 def test_a_state_whose_deletion_is_interrupted_is_deleted():
     engine = run()
-    dispatcher = parts_of(engine).dispatcher
+    dispatcher = engine.dispatcher
     on_change = dispatcher.on_change
 
     def interrupt():
@@ -430,7 +429,7 @@ def test_a_state_whose_deletion_is_interrupted_is_deleted():
 def test_a_state_that_is_deleted_or_set_aside_is_not_known():
     for declared_again in (False, True):
         engine = run(DOCKED)
-        states = parts_of(engine).knowledge.states
+        states = engine.knowledge.states
         engine.take(("dock(1)", 1))
         standing = states.standing()
         if declared_again:

@@ -5,7 +5,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.engine.runtime.clock import StreamClock
 from retalis.engine.runtime.problem_reports import Reports
@@ -47,7 +46,7 @@ def test_no_value_over_a_gap_that_is_too_wide(most):
     assert weights(engine, 1250) == [0.5]
     assert weights(engine, 3000) == []
     assert weights(engine, 4000) == [1]
-    assert parts_of(engine).reports.warnings == 0
+    assert engine.reports.warnings == 0
 
 
 def test_a_gap_as_wide_as_is_allowed():
@@ -97,7 +96,7 @@ def test_an_unusual_gap_is_told_of_once_for_each_memory(caplog):
     texts = [record.message for record in caplog.records]
     assert [text.split(":")[0] for text in texts] == ["memory m", "memory n(1)"]
     assert "over a gap of 2.1 s; its records are usually 0.1 s apart" in texts[0]
-    assert parts_of(engine).reports.warnings == 6
+    assert engine.reports.warnings == 6
 
 
 def test_several_look_ups_of_one_gap_before_the_first_interpolation(caplog):
@@ -123,7 +122,7 @@ def test_a_usual_gap_is_not(stamps):
     engine = engine_with(*stamps, size=200)
     for instant in range(1050, max(stamps), 100):
         assert weights(engine, instant)
-    assert parts_of(engine).reports.warnings == 0
+    assert engine.reports.warnings == 0
 
 
 def test_nobody_is_told_of_a_gap_that_is_only_looked_up():
@@ -131,7 +130,7 @@ def test_nobody_is_told_of_a_gap_that_is_only_looked_up():
     assert engine.call("next_inf(m, _, _, _, 3.0)")
     assert engine.call("memory_gap(m, 3.0, _)")
     assert weights(engine, 1250) == [0.5]
-    assert parts_of(engine).reports.warnings == 0
+    assert engine.reports.warnings == 0
 
 
 @pytest.mark.slow
@@ -142,10 +141,10 @@ def test_what_is_noted_is_bounded():
             engine.event("v(1)", start * 10 + step / 1000)
     for start in range(NOTED * 3 - 1):
         assert engine.call(f"next_inf(m, _, _, _, {start * 10 + 5}.0)")
-    noted = parts_of(engine).knowledge.gaps.noted
+    noted = engine.knowledge.gaps.noted
     assert len(noted) == NOTED
     assert weights(engine, 1_905_000) == [pytest.approx(0.505, abs=0.01)]
-    parts_of(engine).knowledge.clear()
+    engine.knowledge.clear()
     assert noted == {}
 
 

@@ -10,7 +10,6 @@ import re
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.events.dispatch.listeners import ListenerPhase
 from retalis.prolog.terms.types import Var, functor
@@ -94,7 +93,7 @@ def outcome(seed, everything, caplog):
 
     kinds = [functor(name, arity)(*(Var() for _ in range(arity))) for name, arity in KINDS]
     for pattern in kinds:
-        parts_of(engine).dispatcher.listen(ListenerPhase.TRACE, pattern, note)
+        engine.dispatcher.listen(ListenerPhase.TRACE, pattern, note)
     if everything:
         engine.on_event(lambda term, start, end: None)
     engine.load(rules=rules(pick, names), goals=goals)
@@ -106,11 +105,11 @@ def outcome(seed, everything, caplog):
             engine.event_at(term, instant, instant)
         if pick.random() < 0.02:
             engine.call("delete_memory(m0)")
-    assert parts_of(engine).dispatcher.current is None
+    assert engine.dispatcher.current is None
     warnings = [re.sub(r" \(in \S+/\d+\)|(?<=_)G?\d+", "", record.message) for record in caplog.records]
     return (
         got,
-        len(parts_of(engine).knowledge.waiting),
+        len(engine.knowledge.waiting),
         warnings,
     )  # without what calls a built-in of compiled code
 

@@ -7,7 +7,6 @@ import pytest
 from recording_engine import RecordingEngine
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.foundation.errors import UsageError
 from retalis.prolog.machine.errors import PrologError
 from retalis.prolog.terms.list_terms import list_items
@@ -217,7 +216,7 @@ def test_a_condition_that_fails_in_an_event_of_its_own_leaves_the_event_as_it_wa
         goals="memorize(a(X), [(new_event(b(Y), 1, 1), Y > X)], a(X), first, 5)\nmemorize(a(_), [], _, second, 5)",
     )
     engine.event("a(1)", 1, 1)
-    assert parts_of(engine).dispatcher.current is None
+    assert engine.dispatcher.current is None
     assert engine.query("access_mem(first, R, _)") == []
     assert len(engine.query("access_mem(second, R, _)")) == 1
 
@@ -274,7 +273,7 @@ def test_a_memory_may_look_at_itself_to_stop_when_it_is_full():
 
 def test_which_memories_are_behind():
     engine = RecordingEngine(goals="memorize(a, [], _, m, 5)\nmemorize(b, [], _, n, 5)")
-    knowledge = parts_of(engine).knowledge
+    knowledge = engine.knowledge
     engine.event("a", 2)
     engine.event("b", 1)
     names = [atom("m"), atom("n")]

@@ -11,7 +11,6 @@ import pytest
 from recording_engine import RecordingEngine
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.events.dispatch.dispatcher import Dispatcher
 from retalis.events.dispatch.listeners import DEPTH, ListenerPhase
@@ -30,7 +29,7 @@ class Overheard(Engine):
         self.events = []
         for name, arity in KINDS:
             pattern = functor(name, arity)(*(Var() for _ in range(arity))) if arity else atom(name)
-            parts_of(self).dispatcher.listen(ListenerPhase.TRACE, pattern, self._note)
+            self.dispatcher.listen(ListenerPhase.TRACE, pattern, self._note)
         self.load(rules=rules, goals=goals)
 
     def _note(self, term, values, start, end, after):
@@ -78,7 +77,7 @@ def test_another_waits_and_is_called_once_with_the_interval_of_its_own_event(run
     engine.event("v(3)", 20)
     engine.event("v(4)", 30)
     assert answers(engine) == [("answer(a,3)", 3 * 10**9, 3 * 10**9)]
-    assert len(parts_of(engine).knowledge.waiting) == 0
+    assert len(engine.knowledge.waiting) == 0
 
 
 def test_both_spellings_hold(run):
@@ -173,7 +172,7 @@ def test_wrong_conditions_are_reported_and_the_event_is_dropped(run, conditions,
         engine.event("ask", 1)
     assert message in caplog.text
     assert answers(engine) == []
-    assert len(parts_of(engine).knowledge.waiting) == 0
+    assert len(engine.knowledge.waiting) == 0
 
 
 def test_a_query_that_raises_is_reported(run, caplog):
@@ -192,7 +191,7 @@ def test_a_query_that_gives_no_event_is_reported_and_the_rest_goes_on(run, when,
         engine.event("v(1)", 10)
     assert "1 is dropped" in caplog.text
     assert names(engine) == ["done", "done(1)"]
-    assert parts_of(engine).dispatcher.current is None
+    assert engine.dispatcher.current is None
 
 
 def test_a_chain_of_synchronized_events_without_end_is_an_error_of_its_own(run, caplog):
@@ -229,7 +228,7 @@ def test_a_chain_of_synchronized_events_waits_for_each_anew(run):
 
 def test_those_that_wait_are_bounded(run, caplog):
     engine = run("syncronized(done(X), true, [[m, 10]]) <- ask(X).", MEMORY)
-    parts_of(engine).knowledge.waiting.limit = 3
+    engine.knowledge.waiting.limit = 3
     with caplog.at_level(logging.WARNING, "retalis"):
         for number in range(5):
             engine.event(f"ask({number})", 1)
@@ -240,10 +239,10 @@ def test_those_that_wait_are_bounded(run, caplog):
 
 def test_a_memory_without_events_does_not_pile_up_what_was_dropped(run):
     engine = run("syncronized(done(X), true, [[m, 10], [m, 11]]) <- ask(X).", MEMORY)
-    parts_of(engine).knowledge.waiting.limit = 3
+    engine.knowledge.waiting.limit = 3
     for number in range(50):
         engine.event(f"ask({number})", 1)
-    (memory,) = parts_of(engine).knowledge.memories
+    (memory,) = engine.knowledge.memories
     assert len(memory.times) <= 2 * 3 + 16
     engine.event("v(1)", 10)
     assert names(engine) == []
@@ -307,10 +306,10 @@ def test_what_follows_an_event_that_is_not_made_is_of_the_event_before():
     depths = []
 
     def measure(term, values, start, end, after):
-        depths.append(parts_of(engine).dispatcher.current[DEPTH])
+        depths.append(engine.dispatcher.current[DEPTH])
         return after
 
-    parts_of(engine).dispatcher.listen(ListenerPhase.TRACE, functor("done", 1)(Var()), measure)
+    engine.dispatcher.listen(ListenerPhase.TRACE, functor("done", 1)(Var()), measure)
     engine.event("a", 1)
     assert depths == [3] * 6
 
@@ -371,7 +370,7 @@ def test_a_query_waits_for_one_memory_after_the_other():
             engine.events.clear()
     engine.event("e(q)", 25)
     assert names(engine) == ["done(b)"]
-    assert len(parts_of(engine).knowledge.waiting) == 0
+    assert len(engine.knowledge.waiting) == 0
 
 
 def test_deleting_a_memory_drops_what_waits_for_it_among_others_but_not_what_has_got_its_data(run):
@@ -381,7 +380,7 @@ def test_deleting_a_memory_drops_what_waits_for_it_among_others_but_not_what_has
     engine.event("ask(a, 20)", 1)
     engine.event("ask(b, 30)", 1)
     engine.call("delete_memory(m)")
-    assert len(parts_of(engine).knowledge.waiting) == 1
+    assert len(engine.knowledge.waiting) == 1
     engine.event("w(1)", 50)
     assert names(engine) == ["done(a)"]
 
@@ -421,7 +420,7 @@ def test_an_error_in_the_query_of_a_message_leaves_nothing_behind(run, caplog):
     engine.post(value(0), 10**9)
     for at, asked in enumerate((2, atom("a"), 3, atom("b")), 1):
         engine.post(ask(asked, 1.0), at * 10**9)
-        assert parts_of(engine).dispatcher.current is None
+        assert engine.dispatcher.current is None
     engine.post(value(1), 20 * 10**9)
     assert names(engine) == ["done(rule)", "done(2)", "done(3)", "done(rule)"]
     assert "done(a) is dropped, its query raised" in caplog.text
@@ -438,7 +437,7 @@ def test_queries_of_messages_may_need_the_machine(run, query):
     engine.post(ask(10.0), 3 * 10**9)
     engine.post(value(1), 11 * 10**9)
     assert names(engine) == ["done(1)", "done(1)"]
-    assert parts_of(engine).dispatcher.current is None
+    assert engine.dispatcher.current is None
 
 
 @pytest.mark.parametrize("goal", ["loop", "length(_, 3000000)"])
@@ -462,7 +461,7 @@ def test_a_long_chain_of_events_follows_from_the_query_of_a_message(run):
     engine.post(value(0), 10**9)
     for second in (1.0, 1.0, 5.0):
         engine.post(ask(second), 10**9)
-        assert parts_of(engine).dispatcher.current is None
+        assert engine.dispatcher.current is None
     engine.post(value(1), 5 * 10**9)
     assert names(engine) == ["done(20)"] * 3
 
@@ -473,14 +472,14 @@ def test_queries_that_wait_go_on_waiting_in_another_engine(run):
     first, second = run(rules, memories), run(rules, memories)
     for at, instant in ((1, 1.0), (2, 2.0)):
         first.event(f"ask({at}, {instant})", instant)
-    order, found = parts_of(first).knowledge.waiting.kept()
-    parts_of(second).knowledge.waiting.restore(order, found)
-    assert len(parts_of(second).knowledge.waiting) == 2
-    assert parts_of(second).knowledge.waiting.kept() == (order, found)
+    order, found = first.knowledge.waiting.kept()
+    second.knowledge.waiting.restore(order, found)
+    assert len(second.knowledge.waiting) == 2
+    assert second.knowledge.waiting.kept() == (order, found)
     second.event("v(7)", 1)
     second.event("w", 1)
     second.event("v(8)", 3)
     assert names(second) == ["answer(1,7)"]
     second.event("w", 3)
     assert names(second) == ["answer(1,7)", "answer(2,7)"]
-    assert len(parts_of(second).knowledge.waiting) == 0
+    assert len(second.knowledge.waiting) == 0

@@ -4,7 +4,6 @@ import pytest
 from recording_engine import RecordingEngine
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.runtime.clock import Clock
 from retalis.prolog.machine.errors import PrologError
 from retalis.prolog.terms.timestamps import SECOND
@@ -101,7 +100,7 @@ def test_what_is_deleted_rings_no_more_and_one_that_is_made_again_knows_nothing(
 
 def test_one_that_is_deleted_by_the_event_that_it_takes_is_not_woken_for_it():
     engine = RecordingEngine(goals="subscribe(a(X) with debounce(2), [], _, t, 1)")
-    parts_of(engine).knowledge.subscriptions.items()[0][1].rate.stop()
+    engine.knowledge.subscriptions.items()[0][1].rate.stop()
     engine.event("a(1)", 1)
     engine.event("b", 9)
     assert engine.outputs == []
@@ -110,12 +109,12 @@ def test_one_that_is_deleted_by_the_event_that_it_takes_is_not_woken_for_it():
 def test_what_comes_too_late_or_is_too_much_is_counted_and_said():
     engine = RecordingEngine(goals="subscribe(a(X) with debounce(2, X), [], _, t, 1)")
     reports = []
-    parts_of(engine).reports.warning = lambda text, *rest: reports.append(text)
-    rate = parts_of(engine).knowledge.subscriptions.items()[0][1].rate
-    rate._warn = parts_of(engine).reports.warning  # noqa: SLF001
+    engine.reports.warning = lambda text, *rest: reports.append(text)
+    rate = engine.knowledge.subscriptions.items()[0][1].rate
+    rate._warn = engine.reports.warning  # noqa: SLF001
     engine.event("b", 10)
     engine.event("a(1)", 1)
-    parts_of(engine).rules.cap = 2
+    engine.rules.cap = 2
     for number in (2, 3, 4):
         engine.event(f"a({number})", 10)
     one = engine.status().subscriptions[0]
@@ -195,11 +194,11 @@ def test_they_go_on_where_a_program_is_read_again(tmp_path):
 def test_an_interrupt_may_leave_it_half_done_and_it_is_put_right():
     engine = RecordingEngine(goals="subscribe(a(X) with debounce(2), [], _, t, 1)")
     engine.event("a(1)", 1)
-    rate = parts_of(engine).knowledge.subscriptions.items()[0][1].rate
-    parts_of(engine).rules.deadlines.clear()
+    rate = engine.knowledge.subscriptions.items()[0][1].rate
+    engine.rules.deadlines.clear()
     rate.woken = None
-    parts_of(engine).rules.mend()
-    parts_of(engine).knowledge.mend()
+    engine.rules.mend()
+    engine.knowledge.mend()
     engine.event("b", 9)
     assert [term for term, _, _ in engine.outputs] == ["a(1)"]
 

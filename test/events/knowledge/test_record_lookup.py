@@ -5,14 +5,13 @@ import random
 import pytest
 from recording_engine import RecordingEngine
 
-from retalis.engine.engine_parts import parts_of
 from retalis.prolog.machine.errors import PrologError
 from retalis.prolog.machine.resource_limits import Limits
 from retalis.prolog.terms.types import atom, deref, functor
 
 
 def memory_of(engine):
-    return parts_of(engine).knowledge.memories.find(atom("m")).memory
+    return engine.knowledge.memories.find(atom("m")).memory
 
 
 @pytest.fixture
@@ -127,7 +126,7 @@ def test_a_known_argument_leads_to_its_records_without_looking_at_the_others():
 
 def test_a_long_search_is_work_of_the_goal_that_searches():
     engine = RecordingEngine(goals="memorize(v(_), [], _, m, 3000)")
-    parts_of(engine).logic.limits = Limits(inferences=2000)
+    engine.logic.limits = Limits(inferences=2000)
     term = functor("v", 1)(functor("f", 1)(0))
     for time in range(3000):
         memory_of(engine).add((term, time, time))
@@ -154,5 +153,5 @@ def test_finding_records_by_an_argument_costs_as_much_as_there_are_records():
     engine = RecordingEngine(goals="memorize(v(_), [], _, m, 5000)")
     for time in range(5000):
         memory_of(engine).add((functor("v", 1)(time), time, time))
-    parts_of(engine).logic.limits = Limits(inferences=10_000)
+    engine.logic.limits = Limits(inferences=10_000)
     assert engine.query("newest_matching(m, v(7), _, _)") != []

@@ -6,7 +6,6 @@ import pytest
 from recording_engine import RecordingEngine
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.events.dispatch.listeners import ListenerPhase
 from retalis.events.knowledge import memory
 from retalis.prolog.machine.errors import PrologError
@@ -59,13 +58,13 @@ def test_a_topic_is_written_without_quotes():
     engine = RecordingEngine(goals="subscribe(a, [], _, 'Front Left'/'Camera', 1)")
     engine.event("a", 1)
     assert engine.outputs == [("a", "Front Left/Camera", "1")]
-    subscriptions = parts_of(engine).knowledge.subscriptions
+    subscriptions = engine.knowledge.subscriptions
     assert subscriptions.has(atom("Front Left/Camera"), 1) and not subscriptions.has(atom("Front Left"), 1)
 
 
 def test_subscriptions_are_restored_as_they_were():
     engine = RecordingEngine(goals="subscribe(a, [], one, t, 1)\nsubscribe(a, [], two, t, 2)")
-    subscriptions = parts_of(engine).knowledge.subscriptions
+    subscriptions = engine.knowledge.subscriptions
     engine.event("a", 1)
     before = subscriptions.items()
     engine.load(goals="delete_subscription(t, 1)\nsubscribe(a, [], three, t, 3)")
@@ -78,7 +77,7 @@ def test_subscriptions_are_restored_as_they_were():
 
 def test_a_listener_that_an_interrupt_has_left_is_removed():
     engine = RecordingEngine(goals="subscribe(a, [], one, t, 1)")
-    parts = parts_of(engine)
+    parts = engine
     parts.dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, atom("a"), lambda *event: pytest.fail("delivered"))
     parts.knowledge.subscriptions.mend()
     engine.event("a", 1)
@@ -106,7 +105,7 @@ def test_what_is_no_subscription_is_an_error_and_nothing_is_half_made(goal):
     engine = RecordingEngine()
     with pytest.raises(PrologError):
         engine.call(goal)
-    assert list(parts_of(engine).knowledge.subscriptions) == []
+    assert list(engine.knowledge.subscriptions) == []
     engine.event("a", 1)
     assert engine.outputs == []
 

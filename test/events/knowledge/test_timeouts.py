@@ -3,7 +3,6 @@
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.runtime.clock import StreamClock
 from retalis.foundation.errors import ProgramErrors
 
@@ -38,7 +37,7 @@ def test_an_event_says_that_it_was_given_up():
     name, start, end = engine.seen[1]
     assert (start, end) == (3 * SECOND, 3 * SECOND)
     assert name.startswith("query_given_up(answer(_") and "[m," in name and "[n," in name
-    assert len(parts_of(engine).knowledge.waiting) == 0
+    assert len(engine.knowledge.waiting) == 0
     engine.event("w(1)", 6)
     assert "answer(1)" not in engine.texts()
 
@@ -107,7 +106,7 @@ def test_what_was_asked_is_not_kept_for_its_time():
         engine.event(f"ask({second})", second)
         engine.event("v(1)", second)
         engine.event("w(1)", second)
-    assert len(parts_of(engine).knowledge.waiting.timeouts) < 50
+    assert len(engine.knowledge.waiting.timeouts) < 50
     assert len(engine.clock.alarms) < 5
 
 

@@ -3,7 +3,6 @@
 import pytest
 from events.running import Program, fired
 
-from retalis.engine.engine_parts import parts_of
 from retalis.foundation.errors import ProgramErrors
 
 RISING = "up(M) <- aggregate(count, r(M,V), _, steps([low where V < 3, high where V >= 3]))."
@@ -57,7 +56,7 @@ def test_a_match_is_taken_back_with_what_decided_it():
 def test_what_is_passed_over_is_not_held():
     program = Program(STARS.format("a, later(b) where X > 5"))
     program.feed(" ".join(f"e(1)@{at}" for at in range(50)))
-    (rule,) = parts_of(program.engine).rules.rules
+    (rule,) = program.engine.rules.rules
     assert rule.held == 1
     assert program.feed("e(6)@50") == "s([1,6])@0-50"
 
@@ -90,7 +89,7 @@ def test_the_preferred_ways_of_one_start_are_followed_and_others_counted():
     assert program.warnings == []
     program.feed(" ".join(f"e({at})@{at}" for at in range(100, 150)))
     assert "more than 100 ways to take its steps from one start; 1 have been" in str(program.warnings[0])
-    (rule,) = parts_of(program.engine).rules.rules
+    (rule,) = program.engine.rules.rules
     assert rule.held == 150
     # the way in which b began with 10 was one too many, and that in which it began with 140 was not
     assert program.feed("e(10)@150 e(500)@151 e(-1)@152") == ""
@@ -101,8 +100,8 @@ def test_the_preferred_ways_of_one_start_are_followed_and_others_counted():
 def test_partial_matches_of_steps_are_bounded_and_those_that_are_dropped_counted():
     """Each start holds one item and many ways; both count."""
     program = Program(STARS.format(CROWDED))
-    parts_of(program.engine).rules.cap = 50
-    (rule,) = parts_of(program.engine).rules.rules
+    program.engine.rules.cap = 50
+    (rule,) = program.engine.rules.rules
     for at in range(120):
         program.feed(f"e({at})@{at}")
         assert rule.held <= 50

@@ -4,7 +4,6 @@ import pytest
 from events.running import Program, fired, show
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 
 STREAM = "a(1)@1 a(2)@2 b@3 b@4"
 TWICE = "a@1 a@2 b@3 b@4"
@@ -110,13 +109,13 @@ def test_window_as_a_fact_and_of_rules_without_label():
 def test_a_window_removes_what_is_too_old_by_the_clock_of_the_rule():
     program = Program("r([property(window,2)]) : c(X) <- a(X) seq b(X).")
     program.feed(" ".join(f"a({i})@{i}" for i in range(100)))
-    assert parts_of(program.engine).rules.waiting == 3
+    assert program.engine.rules.waiting == 3
 
 
 def test_within_removes_below_it_too():
     program = Program("c <- ((a(X) and b(X)) seq d) within 5.")
     program.feed(" ".join(f"a({i})@{i}" for i in range(100)))
-    assert parts_of(program.engine).rules.waiting == 5
+    assert program.engine.rules.waiting == 5
 
 
 def test_stamps_far_ahead_do_not_move_the_clock_of_a_rule():
@@ -126,9 +125,9 @@ def test_stamps_far_ahead_do_not_move_the_clock_of_a_rule():
 
 def test_cap():
     program = Program("c(X) <- a(X) seq b.", policy="chronological")
-    parts_of(program.engine).rules.cap = 3
+    program.engine.rules.cap = 3
     program.feed(" ".join(f"a({i})@{i}" for i in range(10)))
-    assert parts_of(program.engine).rules.waiting == 3
+    assert program.engine.rules.waiting == 3
     assert program.feed("b@20") == "c(7)@7-20"
     assert "partial matches" in str(program.warnings[0])
 
@@ -165,8 +164,8 @@ def test_garbage_control_general():
     kept, collected = Program(rules), Program(rules, flags)
     kept.feed(stream)
     collected.feed(stream)
-    assert parts_of(kept.engine).rules.waiting == 101
-    assert parts_of(collected.engine).rules.waiting < 10
+    assert kept.engine.rules.waiting == 101
+    assert collected.engine.rules.waiting < 10
 
 
 def test_garbage_control_counts_a_run_from_its_last_repetition():
@@ -175,7 +174,7 @@ def test_garbage_control_counts_a_run_from_its_last_repetition():
     assert program.feed("i@1 j@8") == "s(0)@1-1 t@1-1 s(1)@1-8 t@1-8"
     assert program.feed("j@17 j@26") == "s(2)@1-17 t@1-17 s(3)@1-26 t@1-26"
     assert program.feed("j@38") == ""
-    assert parts_of(program.engine).rules.waiting == 0
+    assert program.engine.rules.waiting == 0
 
 
 def test_garbage_control_pattern():
@@ -184,7 +183,7 @@ def test_garbage_control_pattern():
     )
     program = Program(rules, [("garbage_control", "pattern")])
     program.feed(" ".join(f"a({i})@{i}" for i in range(200)))
-    assert [rule.waiting for rule in parts_of(program.engine).rules.rules] == [51, 200]
+    assert [rule.waiting for rule in program.engine.rules.rules] == [51, 200]
 
 
 @pytest.mark.parametrize("goal", ["set_etalis_flag(foo,on)", "set_etalis_flag(out_of_order,maybe)"])

@@ -4,7 +4,6 @@ import pytest
 from events.running import Program, fired, show
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 
 PAST, NEXT, KEEP = "skip_past_last", "skip_to_next", "keep"
 
@@ -126,7 +125,7 @@ def test_a_stamp_far_ahead_does_not_end_a_rule():
 def test_what_waits_and_is_noted_stays_in_bounds():
     for kind in (PAST, NEXT):
         program = Program(rule(kind, "c <- a(X) seq b(X)."))
-        (one,) = parts_of(program.engine).rules.rules
+        (one,) = program.engine.rules.rules
         for number in range(3000):
             program.engine.event(f"a({number})", 5000 - number, 5000 - number)
             program.engine.event(f"b({number})", 5000 + number, 5000 + number)
@@ -136,7 +135,7 @@ def test_what_waits_and_is_noted_stays_in_bounds():
 def test_time_that_goes_back_begins_anew():
     program = Program(rule(PAST, "c <- a seq b."))
     assert program.feed("a@1 b@9") == "c@1-9"
-    parts_of(program.engine).rules.clear()
+    program.engine.rules.clear()
     assert program.feed("a@2 b@3") == "c@2-3"
 
 

@@ -3,7 +3,6 @@
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.events.dispatch.dispatcher import Dispatcher
 from retalis.events.network.stream_node import ReentrancyQueue
 
@@ -19,7 +18,7 @@ same(S, S).
 def run(rules):
     """Return an engine, what happens in it but for its input, and what it reports."""
     engine, seen, reports = Engine(), [], []
-    own = parts_of(engine).rules
+    own = engine.rules
     own.on_error = own.on_warning = lambda error: reports.append(error.message)
     engine.load(rules=rules)
     engine.on_event(
@@ -87,7 +86,7 @@ def test_a_rule_that_is_taken_out_by_its_own_goal_says_what_it_had_found(goal):
     for number in (1, 2, 3):
         engine.event(f"a({number})", number)
     assert seen == ["w([1])", "w([2,1])"]
-    assert parts_of(engine).rules.rules == []
+    assert engine.rules.rules == []
 
 
 def test_a_chain_of_events_that_makes_itself_anew_ends():
@@ -95,8 +94,8 @@ def test_a_chain_of_events_that_makes_itself_anew_ends():
     engine, seen, reports = run(
         rules + "none(0). same(S, S). step(X, _, X) :- Y is X + 1, event(a(Y), [1,1])."
     )
-    parts_of(engine).dispatcher.max_depth = 30
-    parts_of(engine).dispatcher._deepest = 31  # noqa: SLF001
+    engine.dispatcher.max_depth = 30
+    engine.dispatcher._deepest = 31  # noqa: SLF001
     engine.event("a(1)", 1)
     assert len(seen) < 200
     assert any("derived one from another" in report for report in reports)

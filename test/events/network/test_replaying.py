@@ -6,7 +6,6 @@ from collections import Counter
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.events.network import stream_node
 
 RULES = {
@@ -95,5 +94,5 @@ def test_results_of_long_windows_name_no_more_than_a_hundred():
     )
     for number in range(300):
         engine.event("t", number + 1)
-    known = [one for one in parts_of(engine).rules.tracker.all() if engine.show(one.term).startswith("out")]
+    known = [one for one in engine.rules.tracker.all() if engine.show(one.term).startswith("out")]
     assert len(known) == 300 and max(len(one.sources()) for one in known) == 100

@@ -7,7 +7,6 @@ from events.running import fired
 from events.streams.feeding import entries
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.runtime.clock import Clock, StreamClock
 from retalis.prolog.terms.timestamps import SECOND
 
@@ -17,7 +16,7 @@ class Run(Engine):
 
     def __init__(self, rules, cap=None, clock=None):
         super().__init__(clock)
-        own = parts_of(self).rules
+        own = self.rules
         own.cap = own.cap if cap is None else cap
         self.seen, self.reports = [], []
         own.on_error = own.on_warning = lambda error: self.reports.append(error.message)
@@ -40,7 +39,7 @@ class Run(Engine):
 
     @property
     def rules(self):
-        return parts_of(self).rules.rules
+        return self.rules.rules
 
     def streams(self):
         """Return the operators of all rules."""
@@ -82,7 +81,7 @@ def test_an_error_in_one_rule_does_not_keep_others_from_ringing(rule):
 def test_a_rule_that_is_deleted_rings_no_more():
     engine = Run(EVERY.format("a", 2) + EVERY.format("z", 2))
     engine.feed("in(1)@1")
-    own = parts_of(engine).rules
+    own = engine.rules
     own.remove(own.rules[0])
     assert engine.feed("tick@9") == "z(1)@0-2"
 
@@ -148,7 +147,7 @@ def test_alarms_and_wishes_are_as_many_as_nodes_wait():
     engine = Run(
         "w(X) <- in(X) seq absent(no, 10).\nv(X) <- in(X) with debounce(5, X).\n" + EVERY.format("a", 1)
     )
-    own, clock = parts_of(engine).rules, engine.clock
+    own, clock = engine.rules, engine.clock
     for number in range(400):
         engine.event(f"in({number})", number / 50)
         assert len(clock.alarms) <= 3
@@ -429,18 +428,18 @@ def test_what_an_interrupt_left_half_done_is_put_right(window):
     for number in range(1, 9):
         for one in (engine, whole):
             one.event(f"a({number})", number)
-        parts_of(engine).rules.mend()  # nothing was half done: it changes nothing
+        engine.rules.mend()  # nothing was half done: it changes nothing
     after, expected = seen_of(engine), seen_of(whole)
     for number in range(9, 20):
         for one in (engine, whole):
             one.event(f"a({number})", number)
     assert after == expected
-    for rule in parts_of(engine).rules.rules:  # counters that are wrong are counted anew
+    for rule in engine.rules.rules:  # counters that are wrong are counted anew
         for node, _, _ in rule.nodes:
             if hasattr(node, "stream"):
                 node.stream.number += 7
-    parts_of(engine).rules.mend()
-    assert parts_of(engine).rules.waiting == parts_of(whole).rules.waiting
+    engine.rules.mend()
+    assert engine.rules.waiting == whole.rules.waiting
 
 
 @pytest.mark.parametrize("flags", [(), ("revision_flag",), ("etalis_justification",)])

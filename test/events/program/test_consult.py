@@ -4,7 +4,6 @@ import pytest
 from events.running import Program
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.engine.program_check import check_program
 from retalis.events.program.file_kind import _OF_LANGUAGE
@@ -49,11 +48,11 @@ def test_a_file_of_event_rules_is_accepted_as_a_whole_or_not_at_all(program, res
     with pytest.raises(ProgramErrors):
         program.engine.load(rules=f"p(1).\np(2.\n{rest}\n")
     assert not program.engine.call("catch(p(_), _, fail)")
-    assert parts_of(program.engine).rules.rules == []
+    assert program.engine.rules.rules == []
 
 
 def test_goals_of_the_event_language_are_known(program):
-    names = {key.name for key in parts_of(program.engine).logic.names()}
+    names = {key.name for key in program.engine.logic.names()}
     assert sorted(_OF_LANGUAGE - names) == []
 
 
@@ -322,7 +321,7 @@ def test_two_files_that_are_one_module_are_told(program, tmp_path):
         (tmp_path / f"{name}.pl").write_text(f":- module(x, []).\np({name}).\n")
     said = []
     program.engine.load(rules=":- use_module(x). :- use_module(x).")
-    parts_of(program.engine).logic.files.on_same_module = said.append
+    program.engine.logic.files.on_same_module = said.append
     program.engine.load(rules=":- use_module(y). :- use_module(y).")
     assert said == [
         f"Warning: {tmp_path}/x.pl is module x as well; what {tmp_path}/y.pl has of it is added to that\n"

@@ -4,7 +4,6 @@ import pytest
 from events.refusals import errors_of
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 
 DECLARED = ":- event temperature(motor:atom, value:number).\n"
 FORM = "temperature(motor:atom,value:number)"
@@ -74,10 +73,10 @@ def test_all_of_them_are_said():
 def test_what_is_before_or_not_certain_is_no_error(text, number):
     engine = Engine()
     engine.load_rules(text)
-    assert len(parts_of(engine).rules.rules) == number
+    assert len(engine.rules.rules) == number
     with pytest.raises(Exception, match="is not as it is declared"):  # what comes later has to fit
         engine.load_rules("late <- temperature(X).")
-    assert len(parts_of(engine).rules.rules) == number
+    assert len(engine.rules.rules) == number
 
 
 def test_a_declaration_may_hold_already_or_stand_in_an_included_file(tmp_path):
@@ -89,7 +88,7 @@ def test_a_declaration_may_hold_already_or_stand_in_an_included_file(tmp_path):
         engine.load_rules("a <- temperature(X).")
     with pytest.raises(Exception, match="is not as it is declared"):
         other.load_rules(":- include('events.txt').\na <- temperature(X).", folder=tmp_path)
-    assert parts_of(engine).rules.rules == parts_of(other).rules.rules == []
+    assert engine.rules.rules == other.rules.rules == []
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ import pytest
 from events.refusals import warnings_of
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.foundation.errors import ProgramErrors
 
 
@@ -28,9 +27,7 @@ def test_they_are_errors_that_name_the_arrow(goal, key):
     assert "write :- before a goal" in error.message
     assert (error.place.line, error.place.column) == (3, 3)
     assert not engine.call("catch(fact(1), _, fail)")
-    assert parts_of(engine).logic.is_of_system(
-        next(k for k in parts_of(engine).logic.names() if str(k) == key)
-    )
+    assert engine.logic.is_of_system(next(k for k in engine.logic.names() if str(k) == key))
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ from events.refusals import assert_refused, errors_of
 from events.running import Program, fired
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.foundation.errors import ProgramErrors
 from retalis.prolog.database.predicate import Predicate
 from retalis.prolog.terms.types import atom, functor
@@ -171,7 +170,7 @@ def test_rules_come_and_go():
     assert call("del_all_event_rules(c4)")
     assert program.feed("a(1)@2 b@3") == "c3@2-3"
     assert call("del_event_rule(unlabeled)")
-    assert parts_of(program.engine).rules.rules == []
+    assert program.engine.rules.rules == []
 
 
 def test_a_rule_that_was_added_sees_later_events_only():
@@ -192,7 +191,7 @@ def test_reset():
     program.engine.call("reset_etalis_state")
     assert program.feed("b@2") == ""
     program.engine.call("reset_etalis")
-    assert parts_of(program.engine).rules.rules == []
+    assert program.engine.rules.rules == []
     assert program.engine.call("get_etalis_flag(event_consumption_policy,recent)")
 
 
@@ -212,9 +211,9 @@ def test_reset():
 def test_all_partial_matches_are_dropped(goal, rule, stream, more):
     program = Program(rule)
     program.feed(stream)
-    assert parts_of(program.engine).rules.waiting > 0
+    assert program.engine.rules.waiting > 0
     assert program.engine.call(goal)
-    assert parts_of(program.engine).rules.waiting == 0
+    assert program.engine.rules.waiting == 0
     assert program.feed(more) == ""
     assert program.feed(f"{stream} {more}") != ""
 
@@ -251,9 +250,7 @@ def test_rules_that_come_and_go_at_run_time_do_not_cost_more_with_what_there_is(
     looked = []
     live = Predicate.live
     monkeypatch.setattr(Predicate, "live", lambda one: looked.append(one) or live(one))
-    monkeypatch.setattr(
-        type(parts_of(engine).rules), "rules", property(lambda rules: looked.append(rules) or [])
-    )
+    monkeypatch.setattr(type(engine.rules), "rules", property(lambda rules: looked.append(rules) or []))
     assert engine.call("ins_event_rule(r([property(window,5)]) : (d(X) <- e(X) and f(X)))")
     assert program.feed("e(1)@1 f(1)@2") == "d(1)@1-2"
     assert engine.call("del_event_rule(r)")

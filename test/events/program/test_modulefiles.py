@@ -3,7 +3,6 @@
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 
 FILES = {
     "a.pl": ":- module(a, [a/1, shared/1]).\n:- use_module(b).\n:- dynamic shared/1.\n"
@@ -64,7 +63,7 @@ def test_rules_use_them(folder):
 
 def test_a_file_of_event_rules_is_none(folder):
     engine, said = Engine(), []
-    parts_of(engine).logic.message = lambda kind, text: said.append(text)
+    engine.logic.message = lambda kind, text: said.append(text)
     engine.load_rules(":- module(m, []).\nb <- a where own.\nown.\n")
     assert "is no module" in said[0]
     assert engine.call("own")
@@ -73,7 +72,7 @@ def test_a_file_of_event_rules_is_none(folder):
 def test_one_that_fails_half_way_is_left(folder):
     engine = Engine()
     (folder / "wrong.pl").write_text(":- module(wrong, [w/1]).\n:- throw(no).\nw(X) :- v(X).\nv(1).\n")
-    parts_of(engine).rules.on_warning = lambda warning: None
+    engine.rules.on_warning = lambda warning: None
     engine.load_program(folder / "wrong.pl")
     engine.load_rules("v(2).\n")
     assert values(engine, "w(X)") == ["1"]

@@ -6,7 +6,6 @@ import pytest
 from events.running import Program, show
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.engine.runtime.clock import StreamClock
 from retalis.events.program.source_files import SourceFiles
@@ -35,7 +34,7 @@ def errors_of(work):
 @pytest.mark.parametrize("name", ["'sub/one.pl'", '"sub/one.pl"', "sub/one", "'sub/one'"])
 def test_a_file_is_loaded_before_the_rules(program, tmp_path, form, name):
     write(tmp_path, main=f"d <- c.\n{form.format(name)}.", sub__one=":- use_module(two).", sub__two="c <- a.")
-    parts_of(program.engine).rules.load_file(tmp_path / "main.pl")
+    program.engine.rules.load_file(tmp_path / "main.pl")
     assert program.feed("a@1") == "c@1-1 d@1-1"
 
 
@@ -46,10 +45,10 @@ def test_a_file_is_ensured_once_and_used_each_time(program, tmp_path):
         main=":- ensure_loaded(one). :- ensure_loaded('./one.pl').",
         more="use_module(one).",
     )
-    parts_of(program.engine).rules.load_file("main.pl")
+    program.engine.rules.load_file("main.pl")
     assert program.engine.call("ensure_loaded(one)")
     assert program.feed("a@1") == "c@1-1"
-    parts_of(program.engine).rules.load_file("more.pl")
+    program.engine.rules.load_file("more.pl")
     assert program.feed("a@2") == "c@2-2 c@2-2"
 
 
@@ -60,7 +59,7 @@ def test_a_directive_consults_files_relative_to_its_own(program, tmp_path, goal)
     write(tmp_path, inner__main=f":- {goal}. d <- c.")
     (tmp_path / "inner" / "sub").mkdir()
     write(tmp_path / "inner", sub__one="c <- a.")
-    parts_of(program.engine).rules.load_file("inner/main.pl")
+    program.engine.rules.load_file("inner/main.pl")
     assert program.feed("a@1") == "c@1-1 d@1-1"
 
 
@@ -71,13 +70,13 @@ def test_a_directive_of_a_file_that_is_used_names_files_beside_it(program, tmp_p
         sub__one=":- compile_event_file('two.pl').",
         sub__two="c <- a.",
     )
-    parts_of(program.engine).rules.load_file("main.pl")
+    program.engine.rules.load_file("main.pl")
     assert program.feed("a@1") == "c@1-1"
 
 
 def test_files_that_ensure_each_other_are_loaded_once(program, tmp_path):
     write(tmp_path, one=":- ensure_loaded(two). c <- a.", two=":- ensure_loaded(one). d <- a.")
-    parts_of(program.engine).rules.load_file("one.pl")
+    program.engine.rules.load_file("one.pl")
     assert program.feed("a@1") == "d@1-1 c@1-1"
 
 
@@ -121,13 +120,13 @@ def test_errors_have_their_own_files_place_and_come_in_order(program, tmp_path):
         "two.pl:2:8",
     ]
     assert found[3] == "r:4:4: cannot read none: No such file or directory"
-    assert parts_of(program.engine).rules.rules == []
+    assert program.engine.rules.rules == []
 
 
 @pytest.mark.parametrize("form", ["include", "use_module"])
 def test_a_cycle_is_one_error(program, tmp_path, form):
     write(tmp_path, one=f"c <- a.\n:- {form}(two).", two=f":- {form}(one).\nd <- a.")
-    found = errors_of(lambda: parts_of(program.engine).rules.load_file("one.pl"))
+    found = errors_of(lambda: program.engine.rules.load_file("one.pl"))
     assert found == ["two.pl:1:4: one.pl loads itself"]
     text = (tmp_path / "one.pl").read_text()
     assert errors_of(lambda: program.engine.load_rules(text, "one.pl", tmp_path)) == [
@@ -208,9 +207,9 @@ def test_a_goal_opens_files_in_allowed_folders_only(tmp_path, goal):
     engine = Engine(settings=Settings(folders=(str(tmp_path / "inside"),)))
     with pytest.raises(Exception, match="No permission to open source_sink"):
         engine.call(goal.format(f"'{tmp_path}/outside/one.pl'"))
-    assert parts_of(engine).rules.rules == []
+    assert engine.rules.rules == []
     assert engine.call(goal.format(f"'{tmp_path}/inside/one.pl'"))
-    assert len(parts_of(engine).rules.rules) == 1
+    assert len(engine.rules.rules) == 1
 
 
 @pytest.mark.parametrize("mode", ["write", "append"])
@@ -225,7 +224,7 @@ def test_a_name_that_no_file_can_have_is_not_written_to(tmp_path, mode):
 def _persistent(write_folders=(), **settings):
     engine = Engine(clock=StreamClock(), settings=Settings(write_folders=write_folders, **settings))
     warnings = []
-    parts_of(engine).rules.on_warning = lambda warning: warnings.append(str(warning))
+    engine.rules.on_warning = lambda warning: warnings.append(str(warning))
     engine.load(rules="persistent_event(b(_)). b(X) <- a(X).")
     for number in range(4):
         engine.event(f"a({number})", number, number)
@@ -260,7 +259,7 @@ def test_persistent_events_are_written_to_allowed_folders_only(tmp_path, monkeyp
 def test_events_that_facts_name_are_logged_or_written(tmp_path, caplog, fact):
     caplog.set_level("INFO", "retalis")
     program = Program()
-    parts_of(program.engine).rules.files.door.allow([tmp_path], [tmp_path])
+    program.engine.rules.files.door.allow([tmp_path], [tmp_path])
     program.engine.load(rules=f"{fact}(b(1)). b(X) <- a(X).")
     assert program.engine.call(f"assertz({fact}(c/0))")
     program.feed("a(1)@1 a(2)@2 c@3")

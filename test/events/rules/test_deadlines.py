@@ -7,7 +7,6 @@ from events.running import Program, show
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.runtime.clock import StreamClock
 from retalis.events.rules.timer_service import NodeTimers
 
@@ -178,7 +177,7 @@ def test_each_rings_at_the_earliest_instant_that_it_asked_for(wishes):
 
 def test_a_rule_that_was_taken_out_is_not_woken_any_more():
     program = Program("l : o(N) <- aggregate(count, in(_), N, every(2)).", clock=StreamClock())
-    rules = parts_of(program.engine).rules
+    rules = program.engine.rules
     (rule,) = rules.rules
     program.feed("in(1)@1")
     assert rule.active

@@ -3,7 +3,6 @@
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.engine.runtime.clock import StreamClock
 from retalis.events.rules.event_flags import FLAGS
@@ -88,7 +87,7 @@ def test_a_directive_that_sets_a_wrong_flag_refuses_the_file():
     engine = Engine()
     with pytest.raises(ProgramErrors):
         engine.load(rules=":- set_etalis_flag(nonsense, on).\n" + SEQ)
-    assert not parts_of(engine).rules.rules
+    assert not engine.rules.rules
 
 
 def test_the_policy_holds_at_once_for_what_waits():
@@ -138,7 +137,7 @@ def test_pattern_garbage_control_removes_what_no_window_does():
     rules = "r([property(window,10),property(window_step,{})]) : out(X) <- e(X) fnot g(X)."
     stream = [(f"g({at})", at) for at in range(100)]
     waiting = [
-        parts_of(run(rules.format(step), stream, garbage_control=control)[0]).rules.waiting
+        run(rules.format(step), stream, garbage_control=control)[0].rules.waiting
         for control, step in (("off", 1), ("pattern", 1), ("pattern", 30))
     ]
     assert waiting == [100, 11, 20]  # with a step of 30 s last at the 90th second

@@ -3,7 +3,6 @@
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.external_queries import add_rule
 from retalis.events.rules import event_types
 from retalis.foundation.errors import ProgramErrors, UsageError
@@ -47,7 +46,7 @@ def test_a_goal_that_does_not_fit_does_nothing(engine, goal, said):
         assert said.replace("a <- temperature(_): ", "") in str(caught.value)
     else:
         engine.call(goal)
-    parts = parts_of(engine)
+    parts = engine
     assert (
         engine.seen == [] and not list(parts.knowledge.memories) and not list(parts.knowledge.subscriptions)
     )

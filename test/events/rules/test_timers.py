@@ -7,7 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.runtime.clock import StreamClock
 from retalis.events.rules import timer_service
 from retalis.foundation.errors import ProgramErrors, RetalisError
@@ -259,7 +258,7 @@ def test_an_interrupt_may_lose_an_alarm_and_no_timer():
     engine = run("timer(a, every(2))")
     engine.at(1)
     engine.clock.alarms.clear()
-    parts_of(engine).rules.mend()
+    engine.rules.mend()
     assert engine.at(3) == [("a", 2), ("e", 3)]
 
 

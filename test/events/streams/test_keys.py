@@ -3,7 +3,6 @@
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 
 STEPS = "aggregate(list(V), q(K, V), L, steps([up where V == up, down where V == down]))"
 LAST = "aggregate(list(V), q(K, V), L, last(3, events))"
@@ -30,7 +29,7 @@ class Run:
     def __init__(self, pattern, *flags, label="r"):
         self.engine = Engine()
         self.seen, self.warnings = [], []
-        parts_of(self.engine).rules.on_warning = lambda error: self.warnings.append(error.message)
+        self.engine.rules.on_warning = lambda error: self.warnings.append(error.message)
         for name, value in flags:
             assert self.engine.call(f"set_etalis_flag({name}, {value})")
         self.engine.load(rules=f"{label} : found(K, L) <- {pattern}.")
@@ -209,7 +208,7 @@ def test_shapes_of_subscriptions_have_the_bounds_of_flags():
     engine.load(goals="set_etalis_flag(state_ttl, 5), subscribe(q(K, V) with change(V, K), [], _, out, s)")
     for at in range(100):
         engine.event(f"q({at}, 1)", at, at)
-    (one,) = parts_of(engine).knowledge.subscriptions.items()
+    (one,) = engine.knowledge.subscriptions.items()
     assert len(one[1].rate) <= 6
     assert engine.call("set_etalis_flag(state_ttl, -1)")
     assert engine.call("set_etalis_flag(max_keys, 3)")

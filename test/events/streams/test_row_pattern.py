@@ -12,7 +12,6 @@ from oracle.strategies import Generator
 from oracle.text import write_rule
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.prolog.terms.list_terms import make_list
 from retalis.prolog.terms.types import Var, functor
 
@@ -88,7 +87,7 @@ WAITING = (
 
 def stepped(engine):
     """Return the operator of the only rule of an engine."""
-    (rule,) = parts_of(engine).rules.rules
+    (rule,) = engine.rules.rules
     return next(node.stream for node, _, _ in rule.nodes if hasattr(node, "stream"))
 
 
@@ -120,7 +119,7 @@ def test_what_an_interrupt_leaves_between_ways_and_what_waits_is_found_anew():
             one.event("reading(0)", at)
     (group,) = stepped(engine).states.values()
     group.whole.popleft()
-    parts_of(engine).rules.mend()
+    engine.rules.mend()
     for one in (engine, whole):
         for at, value in enumerate([8, 7, 7], 5):
             one.event(f"reading({value})", at)
@@ -134,7 +133,7 @@ def test_what_an_interrupt_leaves_between_ways_and_what_waits_is_found_anew():
 def test_a_measure_of_one_step_asks_that_step_alone_for_numbers(kind, result):
     """What another step takes may be anything; what the step itself would take is left out and reported."""
     engine, seen, reports = Engine(), [], []
-    parts_of(engine).rules.on_error = lambda error: reports.append(error.message)
+    engine.rules.on_error = lambda error: reports.append(error.message)
     engine.load(rules=f"found(A) <- aggregate(of(b, {kind}), reading(V), A, steps([a where V == go, b(2)])).")
     engine.on_event(lambda term, *interval: seen.append(engine.show(term)))
     for at, value in enumerate(["go", "2", "off", "2"]):

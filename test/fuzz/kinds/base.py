@@ -4,7 +4,6 @@ import logging
 from pathlib import Path
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.foundation.errors import RetalisError
 from retalis.prolog.machine.resource_limits import Limits
@@ -135,5 +134,5 @@ log.addHandler(LOGGED)
 def silent_engine(settings=SETTINGS):
     """Return an engine that prints nothing and raises what it would have logged as its own fault."""
     engine = Engine(settings=settings)
-    parts_of(engine).logic.output = parts_of(engine).logic.error_output = lambda text: None
+    engine.logic.output = engine.logic.error_output = lambda text: None
     return engine

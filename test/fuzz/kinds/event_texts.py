@@ -1,7 +1,5 @@
 """Texts on the topic of events, for an engine that takes events only."""
 
-from retalis.engine.engine_parts import parts_of
-
 from ..mutate import changed_text, soup, to_bytes, to_text
 from .base import ARGUMENTS, LOGGED, Kind, silent_engine
 
@@ -64,9 +62,9 @@ class Inputs(Kind):
         return to_bytes(changed_text(chance, chance.choice(self.texts), self.texts, PIECES))
 
     def run(self, data):
-        before = parts_of(self.engine).reports.warnings
+        before = self.engine.reports.warnings
         self.engine.post_text(to_text(data))
-        if parts_of(self.engine).reports.warnings > before:
+        if self.engine.reports.warnings > before:
             self.refused += 1
         else:
             self.taken += 1

@@ -3,7 +3,6 @@
 import re
 from pathlib import Path
 
-from retalis.engine.engine_parts import parts_of
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.terms.types import atom
 
@@ -30,7 +29,7 @@ class Inputs(Kind):
 
     def setup(self):
         self.texts += examples()
-        keys = parts_of(silent_engine()).logic.names()
+        keys = silent_engine().logic.names()
         self.keys = sorted((write_term(atom(key.name), None, quoted=True), key.arity) for key in keys)
 
     def begin(self):

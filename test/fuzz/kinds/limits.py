@@ -9,7 +9,6 @@ import os
 import random
 import re
 
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.prolog.machine.resource_limits import Limits
 from retalis.prolog.syntax.term_writer import write_term
@@ -167,7 +166,7 @@ class Inputs(Kind):
 
     def setup(self):
         self.engine = None
-        keys = parts_of(silent_engine()).logic.names()
+        keys = silent_engine().logic.names()
         self.keys = sorted((key.name, key.arity) for key in keys if key.arity and key.name not in LEFT_OUT)
         self.quoted = {name: write_term(atom(name), None, quoted=True) for name, _ in self.keys}
         self.signatures = signatures()
@@ -179,7 +178,7 @@ class Inputs(Kind):
             return
         self.engine = silent_engine(SETTINGS)
         self.engine.load(PROGRAM)
-        parts_of(self.engine).logic.globals.update(self.values)
+        self.engine.logic.globals.update(self.values)
 
     def systematic(self):
         """Return the inputs of all predicates with all kinds of values."""

@@ -1,7 +1,6 @@
 """States with changed values, references, and lengths and right checksums, changed bytes, and pieces left out."""
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.foundation.errors import RetalisError, UsageError
 from retalis.prolog.terms.timestamps import WholeSeconds
 from retalis.prolog.terms.types import Functor, String, Var, atom, functor
@@ -214,7 +213,7 @@ class Inputs(Kind):
             return
         if engine is None:
             return
-        parts_of(engine).logic.output = parts_of(engine).logic.error_output = lambda text: None
+        engine.logic.output = engine.logic.error_output = lambda text: None
         self.check_shared()
         for now in range(TIMES):
             self.attempt(engine.event, AFTER[now % len(AFTER)], 10 + now / 4)

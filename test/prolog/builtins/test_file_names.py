@@ -4,7 +4,6 @@ import pytest
 from prolog.support import answers, first, prolog
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 
 
@@ -64,7 +63,7 @@ def logic(tmp_path):
     (tmp_path / "maps" / "hall.pl").write_text("room(hall).\n")
     engine = Engine(settings=Settings(folders=[tmp_path]))
     engine.load_program(tmp_path / "kb.pl")
-    return parts_of(engine).logic
+    return engine.logic
 
 
 @pytest.mark.parametrize(

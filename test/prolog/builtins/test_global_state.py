@@ -3,7 +3,6 @@
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 
 
 @pytest.mark.parametrize(
@@ -33,7 +32,7 @@ def test_answers(goal):
 def test_flag_unknown():
     engine = Engine()
     told = []
-    parts_of(engine).logic.message = lambda kind, text: told.append((kind, text))
+    engine.logic.message = lambda kind, text: told.append((kind, text))
     engine.load(rules="p :- nope(1). q(L) :- findall(X, nope(X), L).")
     assert engine.call("unknown(error, warning), \\+ p, \\+ p, q([])")
     assert told == [("warning", "Unknown procedure: nope/1")]

@@ -4,7 +4,6 @@ import pytest
 from prolog.support import answers, first, prolog
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.foundation.errors import ProgramErrors
 from retalis.prolog.builtins.builtin_registry import ENTRIES
 from retalis.prolog.compiler.clause_nodes import FIXED
@@ -106,7 +105,7 @@ def test_a_file_that_is_refused_leaves_those_of_the_system():
     with pytest.raises(ProgramErrors):
         engine.load(rules="succ(1, own) :- true.\nc <- a.\n:- throw(no).\n")
     assert engine.call("succ(1, 2)")
-    assert parts_of(engine).logic.is_of_system(functor("succ", 2))
+    assert engine.logic.is_of_system(functor("succ", 2))
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ import pytest
 from prolog.support import first, prolog
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.foundation.cancellation import look
 from retalis.foundation.errors import ProgramErrors, UsageError
@@ -213,7 +212,7 @@ def test_rules_loaded_at_run_time_cannot_name_files_outside(tmp_path):
 
 def test_goals_do_not_look_at_limits_before_any_has_run_out():
     for limits in (Limits(), Limits(seconds=1.0)):
-        budget = parts_of(Engine(settings=Settings(limits=limits))).logic.machine.budget
+        budget = Engine(settings=Settings(limits=limits)).logic.machine.budget
         assert not budget.limited
         assert not budget.closed
 
@@ -224,7 +223,7 @@ def test_goals_do_not_look_at_limits_before_any_has_run_out():
 def test_goals_of_rules_that_need_no_machine_have_limits_too(goal):
     engine = Engine(settings=Settings(limits=Limits(inferences=2000)))
     errors = []
-    parts_of(engine).rules.on_error = lambda error: errors.append(str(error))
+    engine.rules.on_error = lambda error: errors.append(str(error))
     engine.load(rules=f"found(X) do ({goal}) <- e.")
     engine.event("e", 1)
     assert ["resource" in error or "inferences" in error for error in errors] == [True]
@@ -283,12 +282,12 @@ def test_a_second_limit_is_final_also_when_a_goal_of_a_rule_came_between():
 
 def test_an_interrupt_leaves_no_limit_behind():
     engine = Engine()
-    budget = parts_of(engine).logic.machine.budget
+    budget = engine.logic.machine.budget
 
     def interrupt(machine):
         raise KeyboardInterrupt
 
-    parts_of(engine).logic.define("interrupt", 0, interrupt)
+    engine.logic.define("interrupt", 0, interrupt)
     for goal in ("call_with_time_limit(60, interrupt)", "call_with_inference_limit(interrupt, 10000, _)"):
         with pytest.raises(KeyboardInterrupt):
             engine.call(goal)
@@ -303,11 +302,11 @@ def test_an_interrupt_leaves_no_binding_behind(limits):
     def interrupt(machine, term):
         raise KeyboardInterrupt
 
-    parts_of(engine).logic.define("interrupt", 1, interrupt)
+    engine.logic.define("interrupt", 1, interrupt)
     engine.load(rules="b <- a(X) where (Y = f(X, Z), Z = 3, interrupt(Y)).")
     with pytest.raises(KeyboardInterrupt):
         engine.event("a(1)", 1)
-    assert not parts_of(engine).logic.machine.trail
+    assert not engine.logic.machine.trail
 
 
 def test_a_limit_that_runs_out_in_a_function_is_not_run_into_again():

@@ -5,7 +5,6 @@ import os
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.foundation.errors import UsageError
 from retalis.prolog.machine.resource_limits import Limits
@@ -84,7 +83,7 @@ def program(folder):
     def make(rules="", **limits):
         engine = Engine(settings=Settings(allow_swi=True))
         engine.load(rules=f":- use_swi('kb.pl').\n{rules}", folder=folder)
-        parts_of(engine).logic.limits = Limits(**limits)  # not for the loading: a machine may be busy
+        engine.logic.limits = Limits(**limits)  # not for the loading: a machine may be busy
         return engine
 
     return make

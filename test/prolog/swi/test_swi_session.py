@@ -5,7 +5,6 @@ import threading
 
 import pytest
 
-from retalis.engine.engine_parts import parts_of
 from retalis.foundation.errors import RetalisError
 from retalis.prolog.machine.errors import PrologError
 from retalis.prolog.machine.resource_limits import LimitError, Limits
@@ -129,7 +128,7 @@ def test_what_hangs_is_ended(program, goal):
     engine = program(seconds=0.1)
     with pytest.raises(LimitError, match="seconds"):
         engine.query(goal)
-    parts_of(engine).logic.limits = Limits()
+    engine.logic.limits = Limits()
     assert values(engine, "inc(1, X)") == ["2"]
 
 
@@ -189,7 +188,7 @@ def test_limits_hold_for_what_it_asks_back(program):
     engine = program("turning :- turning.\n", seconds=0.05)
     with pytest.raises(LimitError, match="seconds"):
         engine.query("asks(turning, X)")
-    parts_of(engine).logic.limits = Limits()
+    engine.logic.limits = Limits()
     assert values(engine, "inc(1, X)") == ["2"]
 
 
@@ -242,7 +241,7 @@ def test_threads_have_stacks_of_their_own(engine):
 
 
 def test_solutions_belong_to_a_thread(program):
-    logic = parts_of(program()).logic
+    logic = program().logic
     solutions = logic.solutions((functor("upto", 2), 3, Var()))
     next(solutions)
     faults = []

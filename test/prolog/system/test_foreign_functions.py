@@ -9,7 +9,6 @@ from typing import Any, Iterator, List
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.foundation.errors import ProgramErrors, RetalisError, UsageError
 from retalis.prolog.machine.errors import PrologError
@@ -188,7 +187,7 @@ def test_goals_that_run_later_load_no_python(tmp_path, folders):
     (tmp_path / "helpers.py").write_text("import pathlib\npathlib.Path(__file__).with_name('ran').touch()\n")
     engine = Engine(settings=Settings(allow_foreign=True, folders=folders, write_folders=folders))
     errors: List[str] = []
-    parts_of(engine).rules.on_error = lambda error: errors.append(str(error))
+    engine.rules.on_error = lambda error: errors.append(str(error))
     engine.load(rules="loading(M) do use_foreign(M) <- load(M).", folder=tmp_path)
     for module in ("helpers", "'helpers.py'", f"'{tmp_path}/helpers.py'", "'os.path'"):
         for goal in (f"use_foreign({module})", f"compile_event_rules([(:- use_foreign({module}))])"):
@@ -326,7 +325,7 @@ def test_a_generator_is_closed_where_it_is_cut(forms, goal, at):
 
 
 def test_a_generator_without_end_is_stopped_by_the_limits(forms):
-    parts_of(forms).logic.limits = Limits(inferences=20_000)
+    forms.logic.limits = Limits(inferences=20_000)
     with pytest.raises(PrologError, match="Not enough resources: inferences"):
         forms.call("endless(1, X), X < 0")
 
@@ -364,6 +363,6 @@ def test_what_goes_wrong_is_an_error_of_the_goal(forms, goal, formal):
 
 
 def test_a_result_without_end_is_given_up(forms):
-    parts_of(forms).logic.limits = Limits(inferences=20_000)
+    forms.logic.limits = Limits(inferences=20_000)
     with pytest.raises(PrologError, match="Not enough resources"):
         forms.call("numbers_without_end(X)")

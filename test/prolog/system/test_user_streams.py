@@ -3,7 +3,6 @@
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.engine_parts import parts_of
 from retalis.engine.engine_settings import Settings
 from retalis.prolog.machine.errors import PrologError
 from retalis.prolog.machine.resource_limits import Limits
@@ -13,7 +12,7 @@ from retalis.prolog.machine.resource_limits import Limits
 def engine():
     made = Engine()
     made.printed, made.complained = [], []
-    parts_of(made).logic.print_to(made.printed.append, made.complained.append)
+    made.logic.print_to(made.printed.append, made.complained.append)
     return made
 
 
@@ -76,7 +75,7 @@ def limited(output_megabytes):
     engine = Engine(settings=Settings(limits=Limits(output_megabytes=output_megabytes)))
     engine.sizes = []
     add = lambda text: engine.sizes.append(len(text.encode()))  # noqa: E731
-    parts_of(engine).logic.print_to(add, add)
+    engine.logic.print_to(add, add)
     return engine
 
 
@@ -86,7 +85,7 @@ def limited(output_megabytes):
 def test_a_query_that_writes_for_ever_ends_at_one_megabyte(goal):
     engine = Engine()
     sizes = []
-    parts_of(engine).logic.print_to(*[lambda text: sizes.append(len(text.encode()))] * 2)
+    engine.logic.print_to(*[lambda text: sizes.append(len(text.encode()))] * 2)
     with pytest.raises(PrologError, match="Not enough resources: output"):
         engine.query(goal)
     assert 990_000 < sum(sizes) <= 1_000_000
