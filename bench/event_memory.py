@@ -14,7 +14,7 @@ from typing import Any, Dict, Iterator, List
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "src"))
 
-from retalis.engine.engine import (
+from retalis.engine.engine import (  # noqa: E402
     Engine,  # noqa: E402
 )
 from retalis.engine.runtime.clock import StreamClock  # noqa: E402

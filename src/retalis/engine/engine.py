@@ -130,6 +130,15 @@ class Engine:
         settings: limits and sizes.
         reports: takes what goes wrong while events flow; by default it is logged.
         definitions: the message types whose slots a program may name; by default those that are installed.
+
+    Attributes:
+        clock: the time of the program.
+        settings: limits and sizes.
+
+    The components are attributes, too, for the other packages of retalis: ``logic`` (Prolog), ``dispatcher``,
+    ``rules``, ``knowledge`` (memories, queries, subscriptions), ``reports``, ``executor``, ``watchdog``, ``loader``,
+    ``slots`` (field names of messages), ``deployments`` (the loaded folders), ``input_topics`` and ``event_input``.
+    They are not part of the public interface and may change in any version.
     """
 
     def __init__(
@@ -150,23 +159,34 @@ class Engine:
         self.logic.now = self.clock.now
         self.dispatcher = Dispatcher(self.logic, max_depth=settings.max_depth)
         self.reports = reports = Reports() if reports is None else reports
-        self.rules = RuleBase(self.logic, self.dispatcher, self.clock)
-        self.rules.on_error = reports.error
-        self.rules.on_warning = reports.warning
+        # Rules and knowledge need each other: the rules get functions that find the knowledge when they are called.
+        self.rules = RuleBase(
+            self.logic,
+            self.dispatcher,
+            self.clock,
+            on_error=reports.error,
+            on_warning=reports.warning,
+            on_reset=lambda past: self.knowledge.reset(past),
+            is_external_event=lambda key: key in OWN_EVENTS or key.name in self.slots.events,
+        )
         declared = self.rules.declared
         self._files = self.rules.files
-        self._files.door.allow(settings.folders, settings.write_folders)
-        self._files.door.most = settings.max_file_megabytes * MEGABYTE
-        self.knowledge = KnowledgeBase(
-            self.logic, self.dispatcher, self.clock, self._deliver, reports.warning, self.rules
+        self._files.door.allow(
+            settings.folders, settings.write_folders, settings.max_file_megabytes * MEGABYTE
         )
-        self.rules.on_reset = self.knowledge.reset
-        self.rules.flags.followers["max_gap"] = self.knowledge.gaps.limit
+        self.knowledge = KnowledgeBase(
+            self.logic,
+            self.dispatcher,
+            self.clock,
+            self._deliver,
+            reports.warning,
+            self.rules,
+            on_pattern=declared.require,
+            on_conditions=self.rules.note_conditions,
+        )
+        self.rules.flags.follow("max_gap", self.knowledge.gaps.limit)
         if settings.max_gap is not None:
             self.rules.flags.set_default("max_gap", settings.max_gap)
-        self.knowledge.on_conditions = self.rules.note_conditions
-        declared.others = lambda key: key in OWN_EVENTS or key.name in self.slots.events
-        self.knowledge.on_pattern = declared.require
         recovery = EngineRecovery(self.logic, self.dispatcher, self.rules, self.knowledge)
         self.executor = SerialExecutor(
             settings.queue, self._report_drop, reports.error, recovery, settings.patience

@@ -119,7 +119,7 @@ def test_names_that_files_can_have():
 def test_no_file_stays_open(door, tmp_path):
     os.mkfifo(str(tmp_path / "read" / "pipe"))
     (tmp_path / "read" / "large").write_text("x" * 100)
-    door.most = 50
+    door.max_bytes = 50
     before = os.listdir("/proc/self/fd")
     for name in ("a.txt", "pipe", "large", "none", "../other/a.txt", "."):
         path = str(tmp_path / "read" / name)
@@ -183,12 +183,12 @@ def test_a_text_is_no_list_of_folders(door):
 
 
 def test_a_file_has_up_to_100_megabytes():
-    assert FileSandbox().most == 100_000_000
+    assert FileSandbox().max_bytes == 100_000_000
 
 
 @pytest.mark.parametrize("text", ["x" * 10, "\u00e9" * 5])
 def test_a_file_may_have_the_bytes_that_are_allowed_and_no_more(door, tmp_path, text):
-    door.most = 10
+    door.max_bytes = 10
     path = tmp_path / "write" / "new.txt"
     with pytest.raises(PrologError, match="would have more than 10 bytes"):
         door.append(str(path), f"{text}x")

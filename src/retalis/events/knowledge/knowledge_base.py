@@ -59,11 +59,13 @@ class KnowledgeBase:
         deliver: Deliver,
         warn: Warn,
         rules: "RuleBase",
+        on_pattern: Callable[[Term], None] = lambda pattern: None,
+        on_conditions: Callable[[Term, str], None] = lambda conditions, owner: None,
     ):
         self._logic = logic
         self._warn = warn
-        self.on_pattern: Callable[[Term], None] = lambda pattern: None
-        self.on_conditions: Callable[[Term, str], None] = lambda conditions, who: None
+        self.on_pattern = on_pattern
+        self.on_conditions = on_conditions
         self.memories = MemoryInstances(logic, dispatcher, clock.stamp, warn)
         self.gaps = MemoryGaps(logic.brief, warn)
         self.memories.on_create = self.gaps.watch

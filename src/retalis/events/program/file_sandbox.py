@@ -35,24 +35,36 @@ class FileSandbox:
     """Opens files by their resolved paths, where that is allowed; None stands for all folders.
 
     Attributes:
-        most: how many bytes a file may have.
+        max_bytes: the largest file that is read or written.
         is_loading: whether the program's own files are being loaded.
     """
 
     def __init__(self) -> None:
-        self.most = 100 * MEGABYTE
+        self.max_bytes = 100 * MEGABYTE
         self.is_loading = False
         self._own: List[str] = []
         self._read: Folders = []
         self._write: Folders = []
 
-    def allow(self, read: Optional[Iterable[FolderName]], write: Optional[Iterable[FolderName]]) -> None:
-        """Have goals open files in these folders and below, besides reading in the program's own; None allows all.
+    def allow(
+        self,
+        read: Optional[Iterable[FolderName]],
+        write: Optional[Iterable[FolderName]],
+        max_bytes: int = 100 * MEGABYTE,
+    ) -> None:
+        """Set the folders in which goals may open files, and the size limit of files.
+
+        Args:
+            read: folders for reading, with all folders below them; None allows all. The program's own folders may
+                always be read.
+            write: folders for writing, likewise.
+            max_bytes: size limit of a file.
 
         Raises:
             UsageError: for a text in place of several folders.
         """
         self._read, self._write = _real_folders(read), _real_folders(write)
+        self.max_bytes = max_bytes
 
     @property
     def own(self) -> Tuple[str, ...]:
@@ -135,11 +147,11 @@ class FileSandbox:
         try:
             opened = _open(real, os.O_RDONLY, name, folders)
             with os.fdopen(opened, "rb") as file:
-                data = file.read(self.most + 1)
+                data = file.read(self.max_bytes + 1)
         except OSError as error:
             raise _fault("read", error, path, name) from error
-        if len(data) > self.most:
-            raise resource_error("file_size", reason=f"{path} has more than {self.most} bytes")
+        if len(data) > self.max_bytes:
+            raise resource_error("file_size", reason=f"{path} has more than {self.max_bytes} bytes")
         try:
             text = data.decode(encoding)
         except UnicodeDecodeError as error:
@@ -195,8 +207,8 @@ class FileSandbox:
 
     def _append(self, opened: int, data: bytes, path: str) -> None:
         size = os.fstat(opened).st_size
-        if size + len(data) > self.most:
-            raise resource_error("file_size", reason=f"{path} would have more than {self.most} bytes")
+        if size + len(data) > self.max_bytes:
+            raise resource_error("file_size", reason=f"{path} would have more than {self.max_bytes} bytes")
         try:
             written = os.write(opened, data)
         except OSError:

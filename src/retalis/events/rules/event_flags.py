@@ -69,16 +69,13 @@ class Flags:
 
     Args:
         on_change: called with the name of a flag that was given another value.
-
-    Attributes:
-        followers: called with the value of a flag that is a number, by its name, when that has changed.
     """
 
     def __init__(self, on_change: Callable[[str], None]):
         self._on_change = on_change
         self._defaults: Dict[str, Term] = {name: flag.default for name, flag in FLAGS.items()}
         self._values = dict(self._defaults)
-        self.followers: Dict[str, Callable[[float], None]] = {}
+        self._followers: Dict[str, Callable[[float], None]] = {}
         self._changing: Optional[str] = None
 
     def get(self, name: str) -> Optional[Term]:
@@ -119,14 +116,18 @@ class Flags:
         self.set(name, value)
         self._defaults[name] = value
 
+    def follow(self, name: str, callback: Callable[[float], None]) -> None:
+        """Call a function with the value of a numeric flag at each change."""
+        self._followers[name] = callback
+
     def changed(self) -> Dict[str, Term]:
         """Return the flags that have other values than by default."""
         return {name: value for name, value in self._values.items() if value != self._defaults[name]}
 
     def _tell(self, name: str) -> None:
         self._on_change(name)
-        if name in self.followers:
-            self.followers[name](self.number(name))
+        if name in self._followers:
+            self._followers[name](self.number(name))
 
     def mend(self) -> None:
         """Have what follows from a flag be done that was being set when an interrupt came."""

@@ -30,7 +30,7 @@ class EventTypes:
             by itself and messages.
     """
 
-    def __init__(self, rules: Any):
+    def __init__(self, rules: Any, is_external_event: Callable[[Functor], bool]):
         logic: PrologSystem = rules.logic
         self._logic = logic
         self._flags = rules.flags
@@ -40,7 +40,7 @@ class EventTypes:
         self._strict = False
         self._known = Declarations(logic.brief)
         self.in_use = False
-        self.others: Callable[[Functor], bool] = lambda key: False
+        self._is_external_event = is_external_event
         logic.define(DECLARE_EVENT.name, 1, self._declare)
 
     def now(self) -> Declarations:
@@ -63,7 +63,7 @@ class EventTypes:
             yield from known
 
     def _needs_none(self, key: Functor) -> bool:
-        return key in _NEED_NONE or type_name(key.name) is not None or self.others(key)
+        return key in _NEED_NONE or type_name(key.name) is not None or self._is_external_event(key)
 
     def _declare(self, machine: Machine, declared: Term) -> bool:
         known = self.now()

@@ -13,7 +13,7 @@ from ...prolog.machine.resource_limits import keep_back
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import copy, term_key, variables
 from ...prolog.terms.timestamps import SECOND, from_seconds
-from ...prolog.terms.types import Term, Trail, atom, deref
+from ...prolog.terms.types import Functor, Term, Trail, atom, deref
 from ...prolog.terms.unification import unify
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import TERM, ListenerPhase
@@ -113,11 +113,12 @@ class RuleBase:
         cap: how many partial matches a rule may have (the oldest go), and how many alarms may be set (further ones
             are dropped).
         future: by how many nanoseconds a stamp may be ahead of the clock to move the clocks of rules.
+        on_error: called with each error of a rule or goal while events are processed; by default it is logged.
+        on_warning: called with each warning; by default it is logged.
+        on_reset: called if a goal drops partial matches; its argument tells whether stored events are dropped, too.
+        is_external_event: tells whether events of a functor come from outside the program without a declaration.
 
     Attributes:
-        on_error: called with each error of a rule or goal while events flow.
-        on_reset: called where a goal has partial matches dropped, and with True what is kept of past events.
-        on_warning: called with each warning.
         warn_singletons: whether variables that stand in a clause only once are worth a warning.
         flags: the flags of ``set_etalis_flag/2``.
         declared: the events that have been declared.
@@ -133,22 +134,26 @@ class RuleBase:
         clock: Timing,
         cap: int = 1_000_000,
         future: int = 10 * SECOND,
+        on_error: Callable[[RetalisError], None] = lambda error: log.error("%s", error),
+        on_warning: Callable[[RetalisError], None] = lambda error: log.warning("%s", error),
+        on_reset: Callable[[bool], None] = lambda past: None,
+        is_external_event: Callable[[Functor], bool] = lambda key: False,
     ):
         self.logic = logic
         self.dispatcher = dispatcher
         self.clock = clock
         self.cap = cap
         self.future = future
-        self.on_error: Callable[[RetalisError], None] = lambda error: log.error("%s", error)
+        self.on_error = on_error
         self.warn_singletons = False
         self.revs_of_nothing = 0
         self.fired_before = 0
-        self.on_reset: Callable[[bool], None] = lambda past: None
-        self.on_warning: Callable[[RetalisError], None] = lambda error: log.warning("%s", error)
+        self.on_reset = on_reset
+        self.on_warning = on_warning
         self.under_way = UnderWay()
         self._table = RuleIndex()
         self.flags = Flags(self._flag_changed)
-        self.declared = EventTypes(self)
+        self.declared = EventTypes(self, is_external_event)
         self.mode: NetworkOptions = self.flags.mode()
         self.key_bounds = self.flags.key_bounds()
         self.tracker = LineageTracker(self)
