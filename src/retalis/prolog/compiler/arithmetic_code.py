@@ -1,4 +1,10 @@
-"""Code for arithmetic: expressions become Python expressions on locals."""
+"""Compilation of arithmetic expressions to Python expressions on local variables.
+
+An expression is compiled bottom-up: each operation becomes one assignment to a temporary, and its result is described
+by a class (`Operand`). A known class removes tests: the sum of two locals that hold integers needs no check. For an
+operand of unknown class the generated code tests for the common case and calls the general evaluator
+(``machine.arithmetic.measure``) for the rest, so results and errors are those of the interpreter.
+"""
 
 from typing import Tuple
 
@@ -27,18 +33,19 @@ _GIVING_AN_OPERAND = {
     *(functor(name, 2) for name in ("max", "min")),
     *(timestamps.DATIME6, timestamps.DATIME7),
 }
-"""Functions whose value may be a stamp that remembers its instant."""
+"""Functions whose value may be a timestamp that carries its exact instant (see `arithmetic.instants`)."""
 _MAX_EXPRESSION_DEPTH = 30
 
 Operand = Tuple[str, str]
-"""A Python expression without side effects, and its class: "int", "float", "num" where it is one of these, or "any".
+"""A Python expression without side effects, and its class: "int", "float", "num" (either of them), or "any".
 
-The last is a number too, and may be a stamp's, which no term may be: see `arithmetic.instants`.
+The value of class "any" is a number as well, but may carry the exact instant of a timestamp. Such values exist only
+within an evaluation and never become terms; see `arithmetic.instants`.
 """
 
 
 def number(scope: Scope, expression: Term, depth: int = 0) -> Operand:
-    """Write the evaluation of an arithmetic expression and return the expression for its value."""
+    """Write the evaluation of an arithmetic expression and return its operand."""
     expression = deref(expression)
     if expression.__class__ is int:
         return scope.unit.constant(expression), "int"
@@ -59,7 +66,7 @@ def number(scope: Scope, expression: Term, depth: int = 0) -> Operand:
 
 
 def number_of_program(scope: Scope, expression: Term) -> Operand:
-    """Write the evaluation of an expression whose value becomes a term."""
+    """Write the evaluation of an expression whose value becomes a term, and return its operand."""
     value, kind = number(scope, expression)
     if kind != "any":
         return value, kind
@@ -84,14 +91,15 @@ def _variable(scope: Scope, var: Var) -> Operand:
         _bound(scope, name, target)
         scope.depth -= 1
     else:
-        # What a continuation gets is mostly a variable that the calls before have bound.
+        # In a continuation the value is most often a variable that an earlier call has bound; at entry it is most
+        # often the number itself. Testing the likely case first saves a dereference per operation.
         _bound(scope, name, target)
     scope.numbers[var] = target, "any"
     return target, "any"
 
 
 def _bound(scope: Scope, name: str, target: str) -> None:
-    """Write the evaluation of what is most likely a variable that is bound to a number."""
+    """Write the evaluation of a local that is most likely a variable bound to a number."""
     scope.line(f"{target} = {name}.ref if {name}.__class__ is Var else {name}")
     scope.line(f"if {target}.__class__ is not int and {target}.__class__ is not float:")
     scope.line(f"    {target} = measure({name})")
@@ -101,7 +109,8 @@ def _operation(scope: Scope, expression: CompoundTerm, depth: int) -> Operand:
     key: Functor = expression[0]
     if key in _DIRECT:
         return _direct(scope, key, expression, depth)
-    # The last operand first, as where an expression is evaluated from its term: of two errors the same one is met.
+    # Operands are evaluated from the last to the first, as the interpreter does: an expression with two errors must
+    # raise the same one in both.
     operands = [number(scope, arg, depth + 1) for arg in expression[:0:-1]][::-1]
     names = ", ".join(name for name, _ in operands)
     call = f"{scope.unit.constant(EVALUABLE[key])}({names})"
@@ -112,7 +121,9 @@ def _operation(scope: Scope, expression: CompoundTerm, depth: int) -> Operand:
         test = " and ".join(f"{name}.__class__ is int" for name in unknown) or "True"
         if key in _FLOORED:
             test = f"{operands[1][0]} and {test}"
-        elif key is _TRUNCATED:  # rounded down is truncated there; what is larger may take too long
+        elif key is _TRUNCATED:
+            # Python's // rounds down; for non-negative operands that equals the truncation of ISO Prolog. Division by
+            # longer integers may take long and is left to the evaluator.
             test += f" and {operands[0][0]} >= 0 < {operands[1][0]} < {1 << 64}"
         scope.line(f"{target} = {operands[0][0]} {symbol} {operands[1][0]} if {test} else {call}")
     else:
@@ -124,6 +135,7 @@ def _operation(scope: Scope, expression: CompoundTerm, depth: int) -> Operand:
 
 def _direct(scope: Scope, key: Functor, expression: CompoundTerm, depth: int) -> Operand:
     symbol, slow = _DIRECT[key]
+    # A variable plus or minus an integer, the step of most loops, is one conditional expression without a temporary.
     left_term, right_term = deref(expression[1]), deref(expression[2])
     target = scope.temp()
     unknown = _unknown_variable(scope, left_term), _unknown_variable(scope, right_term)
@@ -142,20 +154,24 @@ def _direct(scope: Scope, key: Functor, expression: CompoundTerm, depth: int) ->
     right, right_kind = number(scope, right_term, depth + 1)
     left, left_kind = number(scope, left_term, depth + 1)
     scope.line(f"{target} = {left} {symbol} {right}")
-    if key is _TIMES:  # a product of large integers is refused before it grows beyond use; so are inf and nan
+    if key is _TIMES:
+        # Repeated multiplication grows integers exponentially, so each product is checked against the bounds at once.
+        # The comparison is false for inf and nan as well, which `checked` then rejects.
         scope.line(f"if not LEAST < {target} < LARGEST:")
         scope.line(f"    checked({target})")
         kinds = {left_kind, right_kind}
         return target, "int" if kinds == {"int"} else "float" if "float" in kinds else "num"
+    # A sum is at most one bit longer than its operands, so sums of integers need no check of their size.
     if left_kind == right_kind == "int":
         return target, "int"
-    scope.line(f"if {target} - {target}:")  # not zero for infinities and nan
+    # x - x is 0 for finite numbers and nan (true) for inf and nan: one test for both.
+    scope.line(f"if {target} - {target}:")
     scope.line(f"    checked({target})")
     return target, "float" if "float" in (left_kind, right_kind) else "num"
 
 
 def _unknown_variable(scope: Scope, term: Term) -> "str | None":
-    """Return the name of a variable whose numeric value is not known yet."""
+    """Return the local of a variable whose numeric value is not known yet; None for other terms."""
     if term.__class__ is not Var or term in scope.numbers or not scope.entry:
         return None
     return scope.local(term)

@@ -1,4 +1,13 @@
-"""Code for bodies: inline goals, calls as frames, and control constructs around calls."""
+"""Compilation of clause bodies to functions that return continuation frames.
+
+The machine runs frames ``(code, argument..., next)``, so a body is written in continuation-passing style. Inline
+goals (unification, arithmetic, tests, deterministic built-ins) become Python statements. At the first call of a
+predicate the function returns a frame for the call whose ``next`` runs the remaining goals. Up to `_MAX_FRAME_CALLS`
+calls are nested in one frame expression; goals after them become a continuation, a function of its own whose frame
+carries the live variables, as a WAM environment does. A disjunction or condition whose branches contain calls pushes
+a choice point and joins its branches in a shared continuation. A last call of the predicate itself becomes another
+turn of a loop.
+"""
 
 from typing import FrozenSet, List, Optional, Sequence, Tuple
 
@@ -24,13 +33,13 @@ from .code_scope import ClauseVariables, Scope, Unit
 from .inline_goals import forget, join, write_inline, write_test
 
 _MAX_FRAME_CALLS = 12
-"""Frames of more calls than this are built in several steps."""
+"""Calls nested in one frame expression; goals after them run in a continuation."""
 
 _MAX_FILTERED_ARGUMENTS = 4
-"""Arguments of an event that its gate looks at."""
+"""Arguments of an event that its pushdown filter compares."""
 
 _MAX_GROUND_TESTS = 16
-"""Variables of an event that are looked at to tell whether it has a variable."""
+"""Variables of an event that are tested for groundness; a term with more counts as not ground."""
 
 _OUTPUTS = functor("outputs", 0)
 _EMPTY: FrozenSet[Needed] = frozenset()
@@ -38,16 +47,16 @@ _NO_VALUE = ("", "")
 
 
 class BodyGenerator:
-    """Writes the bodies of one clause: the entry function's part and the continuations that it needs.
+    """Generator of the body of one clause: statements of the entry function, and continuations.
 
     Args:
-        unit: where functions are added.
-        clause: its variables.
-        entry: the height at entry, which cuts of the clause cut to.
+        unit: receives the generated functions.
+        clause: variables of the clause.
+        entry: height of the choice point stack at entry, the target of the clause's cuts.
         interpret: the code that runs a body from its term.
-        title: what tracebacks call the continuations.
+        title: name of the continuations in tracebacks.
         key: functor of the clause, for errors.
-        outputs: code that takes the arguments of the goal ``outputs``, which ends a compiled goal.
+        outputs: code that receives the arguments of the goal ``outputs``, which ends a compiled goal.
     """
 
     def __init__(
@@ -69,7 +78,7 @@ class BodyGenerator:
         self.outputs = outputs
 
     def write(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
-        """Write goals to the end of the function: the last statements return the next frame."""
+        """Write goals up to the end of the function; the last statement returns the next frame."""
         nodes = join(self.unit.database, self.clause.counts, nodes)
         at = 0
         while at < len(nodes):
@@ -80,6 +89,7 @@ class BodyGenerator:
                 node = self._known(scope, nodes[at:])
             scope.later = needed_by(nodes[at + 1 :])
             write_inline(scope, node)
+            # Goals after a failure are unreachable; code for them would only be dead text after a return.
             if isinstance(nodes[at], Fail):
                 return
             at += 1
@@ -97,21 +107,25 @@ class BodyGenerator:
             raise AssertionError(rest[0])
 
     def _is_known(self, scope: Scope, nodes: Sequence[GoalNode], at: int) -> bool:
-        """Tell whether a goal is ``arg/3`` whose number has most likely been given a value."""
+        """Return whether a goal is ``arg/3`` with an argument number that is most likely bound.
+
+        If it is, ``arg/3`` is deterministic and can be written inline.
+        """
         node = nodes[at]
         database = self.unit.database
         if not isinstance(node, CallNode) or node.key is not ARG or database.is_library:
             return False
         if not database.predicate(ARG).library:
-            return False  # the program has one of its own
+            return False  # redefined by the program
         number = deref(node.args[0])
         known = number.__class__ is Var and number in scope.names and number not in scope.fresh
         return known and all(_is_callable(other.source) for other in nodes[at:])
 
     def _known(self, scope: Scope, nodes: Sequence[GoalNode]) -> CallNode:
-        """Write the test that the number of ``arg/3`` is a variable: then the rest is run from its terms.
+        """Write the test whether the number of ``arg/3`` is unbound; if so, the remaining goals are interpreted.
 
-        Return the goal to write for all other numbers.
+        Returns:
+            The inline goal for a bound number.
         """
         goal = nodes[0]
         assert isinstance(goal, CallNode)
@@ -123,6 +137,8 @@ class BodyGenerator:
             return found
         scope.dereference(number)
         scope.line("if k is Var:")
+        # The rare case enumerates arguments by backtracking. Interpreting the rest keeps one copy of its code: a
+        # second compiled copy would double the function with each arg/3 of the clause.
         before = scope.branch()
         scope.depth += 1
         height = scope.names.get(self.entry)
@@ -139,7 +155,8 @@ class BodyGenerator:
     # Leaving the function
 
     def _flush(self, scope: Scope, needed: FrozenSet[Needed] = _EMPTY) -> None:
-        """Write what has to happen before a frame is returned or a choice point pushed."""
+        """Write the statements that must precede returning a frame or pushing a choice point."""
+        # The height is read before the choice point of the other clauses is pushed: a cut removes that one, too.
         if self.entry in needed and self.entry not in scope.names:
             self._enter(scope)
         if scope.pending is not None:
@@ -157,7 +174,8 @@ class BodyGenerator:
         self._flush(scope, needed_by(rest) | needed_by(calls))
         if count == 1 and not rest and self._loops(scope, calls[0]):
             return
-        # New variables are made before the frames that share them.
+        # Variables are created in statements before the frame expression: two calls that share a variable must get
+        # the same object.
         for call in calls:
             for var in sorted(call.vars, key=self.clause.number):
                 if isinstance(var, Var) and var not in scope.names and not self.clause.is_void(var):
@@ -166,6 +184,7 @@ class BodyGenerator:
         if self._at_once(calls[0]):
             self._control(scope, calls, frame, not rest)
             return
+        # Frames nest from the last call outwards, because each one holds its successor.
         for call in reversed(calls):
             frame = self._frame(scope, call, frame)
         first = calls[0]
@@ -174,11 +193,14 @@ class BodyGenerator:
         scope.line(f"return {frame}")
 
     def _at_once(self, call: GoalNode) -> bool:
-        """Tell whether a call is of a control predicate that most often does all at once."""
+        """Return whether a call is of a control predicate that most often finishes within the call."""
         return isinstance(call, CallNode) and call.key is not _OUTPUTS and self.unit.at_once(call.key)
 
     def _control(self, scope: Scope, calls: Sequence[GoalNode], frame: str, last: bool) -> None:
-        """Write the first call in line; where it has done all at once, what follows goes on without a frame."""
+        """Write the first call inline; if it returns its continuation unchanged, no frame is run for it.
+
+        A control predicate returns another frame only if it has left work to the machine.
+        """
         first, others = calls[0], calls[1:]
         assert isinstance(first, CallNode)
         for other in reversed(others):
@@ -200,11 +222,15 @@ class BodyGenerator:
         else:
             scope.line(f"return {call}{frame}{plain})")
         scope.depth = depth
+        # A recursive last call becomes a turn of the loop; without it the frame of the remaining calls is returned.
         if not (last and len(others) == 1 and self._loops(scope, others[0])) and (others or gate is not None):
             scope.line(f"return {frame}")
 
     def _gate(self, scope: Scope, call: CallNode) -> Optional[str]:
-        """Return the condition under which a call can have anything to do, where that can be told beforehand."""
+        """Return the condition under which a call can have an effect; None if every call may.
+
+        This is predicate pushdown: for an event that no listener accepts, the event term is not even built.
+        """
         if not call.args:
             return None
         term = deref(call.args[0])
@@ -214,6 +240,7 @@ class BodyGenerator:
             key: Functor = term[0]
             for at, arg in enumerate(term[1:], 1):
                 arg = deref(arg)
+                # A fresh variable has no value to compare, and a compound argument would have to be built first.
                 is_known = arg.__class__ is Var and arg in scope.names and arg not in scope.fresh
                 if arg.__class__ is Atom or is_known:
                     positions.append(at)
@@ -230,7 +257,7 @@ class BodyGenerator:
 
     @staticmethod
     def _plain(scope: Scope, term: Term) -> str:
-        """Return the condition under which a term that is built has surely no variables."""
+        """Return a condition that is true only if a term has no unbound variables."""
         found = variables(term)
         names = [scope.names.get(var) for var in found]
         if len(names) > _MAX_GROUND_TESTS or None in names or any(var in scope.fresh for var in found):
@@ -250,17 +277,23 @@ class BodyGenerator:
         return f"({', '.join(parts)})"
 
     def _loops(self, scope: Scope, call: GoalNode) -> bool:
-        """Write a last call of the predicate itself as another turn of the loop around it."""
+        """Write a last call of the predicate itself as another turn of the loop around it.
+
+        Returns:
+            Whether the call was written; False if it is no such call.
+        """
         if scope.loop is None or not isinstance(call, CallNode) or scope.after != "after":
             return False
         key, locals_, statement, end = scope.loop
         if call.key is not key:
             return False
         values = [scope.build(arg) for arg in call.args]
+        # Another turn with the base case's constant would only succeed: return at once, without a turn for it.
         if end is not None:
             scope.line(f"if {values[end[0]]} is {end[1]}:")
             scope.line(f"    return {scope.after}")
         changed = [(local, value) for local, value in zip(locals_, values) if local != value]
+        # One tuple assignment, because a new argument may be computed from the old value of another one.
         if changed:
             targets, sources = zip(*changed)
             scope.line(f"{', '.join(targets)} = {', '.join(sources)}")
@@ -277,9 +310,13 @@ class BodyGenerator:
     def _continuation(
         self, scope: Scope, nodes: Sequence[GoalNode], after: str, retried: bool = False
     ) -> str:
-        """Return an expression for the frame that runs ``nodes``; their function is written later.
+        """Return an expression for the frame that runs ``nodes``; their function is written by a job of the unit.
 
-        A frame that is ``retried`` is a choice point: it ends with the length of the trail.
+        Args:
+            scope: the function that builds the frame.
+            nodes: the goals that the frame runs.
+            after: expression for the frame that follows them.
+            retried: whether the frame is a choice point, which ends with the length of the trail.
         """
         live = self._live(scope, needed_by(nodes))
         code, function = self._code()
@@ -287,6 +324,7 @@ class BodyGenerator:
         parts = [code, *[scope.names[var] for var in live], after]
         if retried:
             parts.append("len(trail)")
+        # The frame holds these variables now, so code that runs later may bind them.
         scope.fresh.difference_update(live)
         return f"({', '.join(parts)})"
 
@@ -301,7 +339,7 @@ class BodyGenerator:
             scope = Scope(self.unit, self.clause)
             scope.entry = False
             scope.names = {var: self.clause.local(var) for var in live}
-            # A continuation of a clause whose cut is not needed any more does not know the height.
+            # Only live names are unpacked: the frame of goals without a cut carries no height.
             parts = ["_", *scope.names.values(), "after", *(["_"] if retried else [])]
             scope.line(f"{', '.join(parts)} = frame")
             self.write(scope, nodes)
@@ -310,7 +348,10 @@ class BodyGenerator:
         self.unit.jobs.append(write)
 
     def _share(self, scope: Scope, groups: Sequence[Sequence[GoalNode]]) -> None:
-        """Create the variables that more than one of the parts of a control construct needs."""
+        """Create the variables that several parts of a control construct need.
+
+        Branches and continuation run in different functions and must refer to the same variable.
+        """
         seen: FrozenSet[Needed] = _EMPTY
         twice: FrozenSet[Needed] = _EMPTY
         for group in groups:
@@ -323,15 +364,16 @@ class BodyGenerator:
                 scope.fresh.discard(var)
 
     def _join(self, scope: Scope, rest: Sequence[GoalNode]) -> None:
-        """Make the frame for what follows a control construct; its branches go on with it."""
+        """Write the frame of the goals after a control construct, which all of its branches continue with."""
         if rest:
             frame = self._continuation(scope, rest, scope.after)
             scope.after = scope.temp("after")
             scope.line(f"{scope.after} = {frame}")
 
     def _alternative(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
-        """Write the pushing of a choice point that runs ``nodes``."""
+        """Write a statement that pushes a choice point which runs ``nodes``."""
         if nodes:
+            # The choice point is needed even if it only fails: heights count it, and a cut removes it.
             if isinstance(nodes[0], Fail):
                 scope.push("choose((DEAD, len(trail)))")
             else:
@@ -346,6 +388,7 @@ class BodyGenerator:
         self._flush(scope, needed_by([node, *rest]))
         self._join(scope, rest)
         first, *others = node.branches
+        # The stack is last in, first out: the second branch must be on top.
         for branch in reversed(others):
             self._alternative(scope, branch)
         scope.fail = "return None"
@@ -358,6 +401,8 @@ class BodyGenerator:
             return
         self._flush(scope, needed_by([node, *rest]))
         self._join(scope, rest)
+        # The height is taken below the choice point of the else branch, so that the cut after the test removes both
+        # that one and the choice points of the test.
         height = Height(scope.temp("h"))
         height.name = f"g{self.clause.number(height)}"
         scope.push(f"{height.name} = len(choices)")
@@ -370,9 +415,10 @@ class BodyGenerator:
         self.write(scope, [*node.test, Cut(height, node.soft), *node.then])
 
     def _if(self, scope: Scope, node: IfThenElse, rest: Sequence[GoalNode]) -> None:
-        """Write a condition with an inline test and calls in its branches."""
+        """Write a condition with an inline test and calls in its branches as a Python ``if``."""
         scope.later = needed_by([*node.then, *rest])
         if rest:
+            # Both branches use the joined frame, so what it needs is written before the test.
             self._height(scope, rest)
             self._join(scope, rest)
         missed = write_test(scope, node.test)
@@ -392,7 +438,7 @@ class BodyGenerator:
             self._enter(scope)
 
     def _enter(self, scope: Scope) -> None:
-        """Write the remembering of the height at entry."""
+        """Write the assignment of the height at entry."""
         scope.push(f"{self.entry.name} = len(choices)")
         scope.names[self.entry] = self.entry.name
 

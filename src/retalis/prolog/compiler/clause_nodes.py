@@ -1,6 +1,12 @@
-"""What those who write code know of predicates; the rooms above have them.
+"""Clause bodies as trees of goal nodes, the intermediate representation of the compiler.
 
-Bodies of clauses as nodes: what the generator of Python code walks.
+`BodyParser` turns the body of a clause into a list of nodes. A node records the variables that it needs, whether it
+can be written inline (as Python statements that leave no choice point), and whether it contains a cut of the clause.
+The generators (`body_code`, `inline_goals`, `function_code`) walk the nodes and write code for them.
+
+A cut names a `Height`: the height of the choice point stack at entry of the clause, or of the condition or ``once/1``
+around it. Control constructs nested deeper than `_MAX_CONTROL_DEPTH` and conjunctions that a module call expands to
+become `Interpret` nodes, which run from their term.
 """
 
 from typing import (
@@ -42,7 +48,7 @@ from ..terms.types import (
 )
 
 Finder = Callable[..., Optional[bool]]
-"""A predicate as a function of its arguments: whether there is a solution, None where it cannot tell."""
+"""A predicate as a function of its arguments: whether there is a solution; None if the function cannot decide."""
 
 
 class KnownClause(Protocol):
@@ -58,13 +64,13 @@ class KnownClause(Protocol):
 
 
 class JoinedGoals(NamedTuple):
-    """Goals in a row that one function does; see `joining`.
+    """Consecutive goals that one function evaluates; see `inline_goals`.
 
     Attributes:
-        length: how many goals.
-        function: takes the inputs; returns the output, or None where a goal fails.
+        length: number of goals.
+        function: takes the inputs; returns the output, or None if a goal fails.
         inputs: arguments of the goals.
-        output: the argument that the last goal gives.
+        output: the argument that the last goal computes.
     """
 
     length: int
@@ -74,7 +80,7 @@ class JoinedGoals(NamedTuple):
 
 
 Joins = Callable[[Sequence[CompoundTerm], Mapping[Any, int]], Optional[JoinedGoals]]
-"""Takes goals in a row, the first that of the predicate itself, and how often variables occur in the clause."""
+"""Function that joins consecutive goals; takes the goals and how often each variable occurs in the clause."""
 
 
 class KnownFunction(Protocol):
@@ -234,17 +240,17 @@ TYPE_TESTS = {
 }
 
 CONTROL = {COMMA, SEMICOLON, BAR, ARROW, SOFT_ARROW, NOT, TRUE.functor, functor("!", 0)}
-"""What a program may not define: control constructs."""
+"""Control constructs, which a program may not define."""
 
 ARG, KNOWN_ARG = functor("arg", 3), functor("$arg", 3)
 FUNCTOR = functor("functor", 3)
 _CUT = functor("!", 0)
 _MAX_CONTROL_DEPTH = 40
-"""Control constructs nested deeper than this are run by interpretation."""
+"""Nesting of control constructs that is compiled; deeper ones are interpreted."""
 
 
 class Height:
-    """A remembered height of the stack of choice points: what a cut cuts to."""
+    """Height of the choice point stack that a cut restores."""
 
     __slots__ = ("name",)
 
@@ -253,17 +259,17 @@ class Height:
 
 
 Needed = Union[Var, Height]
-"""What a goal needs to be there."""
+"""Variable or height that a goal needs."""
 
 
 class GoalNode:
-    """A goal of a body.
+    """Goal of a body.
 
     Attributes:
         vars: variables and heights that it needs.
-        inline: it is straight Python: it leaves no choice point and calls no predicate of the program.
-        cuts: it has a cut of the clause in it.
-        source: the goal in the body; None for what stands in none.
+        inline: whether it is compiled to statements that leave no choice point and call no predicate of the program.
+        cuts: whether it contains a cut of the clause.
+        source: the goal as a term; None for nodes that the compiler adds.
     """
 
     __slots__ = ("vars", "inline", "cuts", "source")
@@ -276,10 +282,13 @@ class GoalNode:
 
 
 class CallNode(GoalNode):
-    """Any goal that is one compound term: a call, or a built-in of the kind ``form``.
+    """Call of a predicate.
 
     Attributes:
-        once: of a call of a function, whether its first solution is enough.
+        form: name of the code that is written for it, a key of ``inline_goals._WRITERS``; "call" for a frame.
+        key: functor of the predicate.
+        args: arguments of the call.
+        once: for a call of a function (form "direct"), whether the first solution is enough.
     """
 
     __slots__ = ("form", "key", "args", "once")
@@ -293,19 +302,19 @@ class CallNode(GoalNode):
 
 
 class Succeed(GoalNode):
-    """``true``."""
+    """Goal ``true``, which is dropped."""
 
     __slots__ = ()
 
 
 class Fail(GoalNode):
-    """``fail``."""
+    """Goal ``fail``."""
 
     __slots__ = ()
 
 
 class Cut(GoalNode):
-    """A cut to a height; ``soft`` takes back only the choice point at it."""
+    """Cut to a height; a ``soft`` one disables only the choice point at that height, as ``*->`` requires."""
 
     __slots__ = ("height", "soft")
 
@@ -316,7 +325,13 @@ class Cut(GoalNode):
 
 
 class IfThenElse(GoalNode):
-    """If-then-else (``soft`` for ``*->``); negation has ``then`` fail and ``otherwise`` empty."""
+    """If-then-else (``soft`` for ``*->``).
+
+    Negation is the case whose ``then`` fails and whose ``otherwise`` is empty.
+
+    Attributes:
+        inner: height that cuts in the test cut to; None if there are none.
+    """
 
     __slots__ = ("test", "then", "otherwise", "soft", "inner")
 
@@ -340,7 +355,7 @@ class IfThenElse(GoalNode):
 
 
 class Disjunction(GoalNode):
-    """A disjunction."""
+    """Disjunction."""
 
     __slots__ = ("branches",)
 
@@ -351,7 +366,7 @@ class Disjunction(GoalNode):
 
 
 class Interpret(GoalNode):
-    """A goal that is run from its term, with cuts to a height."""
+    """Goal that is interpreted from its term; its cuts cut to a height."""
 
     __slots__ = ("term", "height")
 
@@ -367,12 +382,12 @@ def needed_by(nodes: Iterable[GoalNode]) -> FrozenSet[Needed]:
 
 
 class BodyParser:
-    """Turns a body into nodes.
+    """Parser that turns a clause body into nodes.
 
     Args:
-        database: tells which predicates are deterministic built-ins, which are called in line.
-        clause: the height at entry of the clause, which its cuts cut to.
-        direct: tells whether a predicate of the program can be called as a function.
+        database: the predicates; deterministic built-ins among them are called inline.
+        clause: the height at entry of the clause, the target of its cuts.
+        direct: returns whether a predicate of the program can be called as a function; by default none is.
     """
 
     def __init__(
@@ -395,7 +410,7 @@ class BodyParser:
         """Return the nodes of a body.
 
         Raises:
-            PrologError: a type error where part of the body is not a goal.
+            PrologError: a type error if part of the body is not a goal.
         """
         cut = self.clause if cut is None else cut
         nodes: List[GoalNode] = []
@@ -420,9 +435,12 @@ class BodyParser:
             if deref(goal[1]).__class__ is Var or deref(goal[2]).__class__ is Var:
                 return CallNode("call", CALL, (goal,), False)
             inner = self._database.modules.goal(goal)
+            # A node stands for one goal, so a module call that expands to a conjunction is interpreted.
             several = inner.__class__ is tuple and inner[0] is COMMA
             return Interpret(inner, cut) if several else self._node(inner, cut, depth)
+        # ignore/1 is the only one of these that a program may redefine.
         if key in _STRUCTURES and (key is not IGNORE or self._database.predicate(IGNORE).library):
+            # The compiler is recursive and Python limits the nesting of blocks.
             if depth > _MAX_CONTROL_DEPTH:
                 return Interpret(goal, cut)
             return self._control(key, goal, cut, depth + 1)
@@ -446,6 +464,7 @@ class BodyParser:
         if key is ARG and deref(args[0]).__class__ is int and self._database.predicate(ARG).library:
             key = KNOWN_ARG
         inline = self._database.is_inline(key)
+        # A nondeterministic built-in may be a function if its first argument is bound at compile time.
         if not inline and args and deref(args[0]).__class__ is not Var:
             known = self._database.predicate(key).known
             if known is not None:
@@ -461,6 +480,7 @@ class BodyParser:
         if key is ARROW or key is SOFT_ARROW:
             return self._condition(goal, None, cut, depth)
         argument = deref(goal[1])
+        # A variable as a goal is opaque to cuts, which call/1 provides.
         if argument.__class__ is Var:
             argument = (CALL, argument)
         inner = self.height()
@@ -474,6 +494,8 @@ class BodyParser:
         left = deref(goal[1])
         if left.__class__ is tuple and (left[0] is ARROW or left[0] is SOFT_ARROW):
             return self._condition(left, goal[2], cut, depth)
+        # Right-nested disjunctions become one node with many branches, which keeps long ones from being nested too
+        # deep.
         branches = [self.parse(left, cut, depth)]
         rest = deref(goal[2])
         while rest.__class__ is tuple and rest[0] is SEMICOLON:
@@ -519,4 +541,4 @@ FIXED = frozenset(
         *(functor("$arg", 3), functor("$no_rule", 2), functor("$within", 3)),
     )
 )
-"""What no program may define: control, unification, comparison and tests of types, which are written in line."""
+"""Predicates that no program may define: control constructs, unification, comparison and type tests."""

@@ -1,4 +1,14 @@
-"""The source being written: units (what one ``exec`` makes) and scopes (one Python function each)."""
+"""Source under construction: compilation units and function scopes.
+
+A `Unit` is the source that one ``exec`` defines: functions, and the constants that they name. A `Scope` is one Python
+function and the knowledge at the current point of it, the compile-time state of an abstract interpretation: which
+variables have a value and in which local, which are certainly unbound and unshared, which locals hold numbers. Both
+branches of a condition start from the same knowledge (`Scope.branch`, `Scope.restore`), and only what holds at the
+end of both may be assumed after it.
+
+Terms never appear in the source as text: each constant is bound to a global name, and only small integers and finite
+floats become literals.
+"""
 
 import math
 from functools import partial
@@ -15,11 +25,11 @@ from .clause_nodes import Height, KnownDatabase, Needed
 
 COMPARE = functor("compare", 3)
 _MAX_EXPRESSION_PARTS = 60
-"""Compound terms with more parts than this are copied from a template, not built by an expression."""
+"""Parts of a compound term that is built by an expression; larger terms are copied from a template."""
 
 
 def fill(template: Term, old: Tuple[Var, ...], *new: Term) -> Term:
-    """Return a template with its variables replaced."""
+    """Return a copy of a template whose variables ``old`` are replaced by ``new``."""
     return copy(template, dict(zip(old, new)))
 
 
@@ -28,7 +38,7 @@ def _compare_numbered(left: Term, right: Term, variables: Callable[[Var, Var], i
 
 
 def base_namespace(machine: Machine) -> Dict[str, Any]:
-    """Return what generated code may name."""
+    """Return the global names of generated code."""
     return {
         "Var": Var,
         "Lazy": Lazy,
@@ -66,13 +76,16 @@ def base_namespace(machine: Machine) -> Dict[str, Any]:
 
 
 class Unit:
-    """Functions that are compiled together, with the constants that they name.
+    """Functions that are compiled together, and the constants that they name.
 
     Args:
         machine: runs the code.
-        database: knows predicates.
-        repeats: whether a goal is run again on the machine where the code cannot tell; what it does until then
-            must leave no trace, so it gives up rather than number variables that it compares.
+        database: the predicates that the code may call.
+        repeats: whether the machine runs the goal again if the code gives up. The code must have no effect then, so
+            comparison of unbound variables, which numbers them, gives up instead.
+
+    Attributes:
+        jobs: functions that write further functions; they run until none is left.
     """
 
     def __init__(self, machine: Machine, database: KnownDatabase, repeats: bool = False):
@@ -90,28 +103,37 @@ class Unit:
     def constant(self, value: Any) -> str:
         """Return an expression for a value: a literal, or the name of a global."""
         kind = value.__class__
+        # Literals save a look-up of a global; longer integers become constants, because the source would grow with
+        # them.
         if kind is int and -(1 << 62) < value < 1 << 62:
             return str(value) if value >= 0 else f"({value})"
         if kind is float and math.isfinite(value):
             return repr(value) if math.copysign(1.0, value) > 0 else f"({value!r})"
-        return self._given.constant(value, id(value))  # which keeps the value alive, so its id stays its own
+        # The namespace keeps the value alive, so its id is not reused.
+        return self._given.constant(value, id(value))
 
     def predicate(self, key: Functor) -> str:
-        """Return the name of a predicate."""
+        """Return the name of the constant for a predicate."""
         return self.constant(self.database.predicate(key))
 
     def at_once(self, key: Functor) -> bool:
-        """Tell whether a predicate is called in line though it may return a frame."""
+        """Return whether a predicate is called inline although it may return a frame."""
         predicate = self.database.predicate(key)
         return predicate.kind == "control" and predicate.function is not None
 
     def gate(self, key: Functor, argument: Functor, positions: Tuple[int, ...]) -> Optional[str]:
-        """Return what tells whether a call can have anything to do, as an expression; see `Predicate.gate`."""
+        """Return an expression for the pushdown filter of a call, or None if the predicate has none.
+
+        Args:
+            key: functor of the predicate.
+            argument: functor of the call's first argument.
+            positions: positions in that argument whose values the filter compares.
+        """
         gate = self.database.predicate(key).gate
         return None if gate is None else f"{self.constant(gate(argument, positions))}.passes"
 
     def builtin(self, key: Functor) -> str:
-        """Return the name of the Python function of a built-in that is called in line."""
+        """Return the name of the Python function of a built-in that is called inline."""
         function = self.database.predicate(key).function
         assert function is not None
         if self.repeats and key is COMPARE:
@@ -119,7 +141,7 @@ class Unit:
         return self.constant(function)
 
     def code(self, name: str, function: str) -> Code:
-        """Return a code object that will run the generated function of this name."""
+        """Return a code object that runs the generated function of this name once the unit is finished."""
         code = Code(name, _unset)
         self._codes.append((code, function))
         return code
@@ -133,7 +155,8 @@ class Unit:
         self._functions.append("\n".join(lines))
 
     def source(self) -> str:
-        """Return the whole source, after all jobs (functions that others asked for) are done."""
+        """Run all jobs and return the whole source."""
+        # A job may add jobs: a continuation asks for the continuations within it.
         while self.jobs:
             self.jobs.pop()()
         return "\n\n\n".join(self._functions) + "\n"
@@ -151,7 +174,7 @@ def _unset(frame: Frame) -> Optional[Frame]:
 
 
 class ClauseVariables:
-    """Names and counts of the variables of the clause that is being compiled."""
+    """Variables of the clause that is being compiled: their Python names, order, and counts of occurrences."""
 
     def __init__(self, parts: Tuple[Term, ...]):
         self.counts: Dict[Var, int] = {}
@@ -170,22 +193,22 @@ class ClauseVariables:
         return var.name if isinstance(var, Height) else f"v{number}"
 
     def number(self, var: Needed) -> int:
-        """Return a number that orders variables."""
+        """Return the number of a variable, in order of first use."""
         return self._numbers.setdefault(var, len(self._numbers))
 
     def is_void(self, var: Var) -> bool:
-        """Tell whether a variable occurs once only."""
+        """Return whether a variable occurs only once in the clause."""
         return self.counts.get(var, 0) == 1
 
 
 class Loop(NamedTuple):
-    """The loop that a clause is in: its last call of the predicate itself is another turn.
+    """Loop around a clause that replaces its recursive last call.
 
     Attributes:
-        key: the predicate.
-        locals: its arguments.
-        statement: what goes to the next turn.
-        end: an argument and the constant with which another turn would just succeed.
+        key: functor of the predicate.
+        locals: names of its arguments.
+        statement: statement that starts the next turn; "" if the end of the block does.
+        end: position of an argument and a constant for which another turn would only succeed; None if there is none.
     """
 
     key: Functor
@@ -195,24 +218,31 @@ class Loop(NamedTuple):
 
 
 ScopeState = Tuple[Dict[Needed, str], Set[Var], Dict[Var, Tuple[str, str]], str, Optional[str], str, bool]
-"""What is known at a point of a function, see `Scope.branch`."""
+"""Knowledge at a point of a function; see `Scope.branch`."""
 
 
 class Scope:
-    """A Python function being written, and what is known at this point of it.
+    """Python function under construction, and the knowledge at the current point of it.
 
     Attributes:
-        names: Python names of the variables that have a value by now.
-        fresh: those that are surely unbound variables which nobody else has seen.
-        numbers: names that hold the numeric value of a variable.
+        lines: the statements so far.
+        depth: indentation of the next statement.
+        names: Python names of the variables that have a value.
+        fresh: variables that are certainly unbound and that no term refers to.
+        numbers: names that hold the numeric value of a variable, with its class (see `arithmetic_code.Operand`).
         fail: the statement that fails.
         cut: the statement that fails after a cut.
-        give_up: the statement that has the goal run on the machine instead, where functions are called.
-        pending: the statement that pushes the choice point for the clauses that follow, until it is written.
+        give_up: the statement that leaves the goal to the machine, in predicates that are called as functions.
+        pending: the statement that pushes the choice point of the following clauses; None once it has been written.
         after: expression for the frame that follows the clause.
-        pushes: whether it deals with the stack of choice points.
-        calls_at_once: the predicate whose last call is done by the function itself, which returns what that gives.
-        at_one_go: whether a pattern was unpacked as a whole, and this is what is done if that did not work.
+        entry: whether the code belongs to the entry function, whose arguments are most often bound.
+        at_one_go: whether the code is the fallback for a pattern whose unpacking as a whole has failed.
+        loop: the loop around the clause, or None.
+        looped: whether a call has been written as a turn of that loop.
+        calls_at_once: the predicate whose last call the function runs itself, returning the frame that it returns.
+        binds: whether the code may bind variables, so that failure has to undo the trail.
+        pushes: whether the code accesses the choice point stack.
+        later: variables and heights that the goals after the current one need.
     """
 
     def __init__(self, unit: Unit, clause: ClauseVariables, fail: str = "return None"):
@@ -243,7 +273,7 @@ class Scope:
         self.lines.append("    " * self.depth + text)
 
     def push(self, text: str) -> None:
-        """Write a line that pushes a choice point, or looks at how many there are."""
+        """Write a line that accesses the choice point stack."""
         self.line(text)
         self.pushes = True
 
@@ -253,7 +283,7 @@ class Scope:
         return f"{stem}{self._temps}"
 
     def branch(self) -> ScopeState:
-        """Return the knowledge at this point, to come back to with `restore`."""
+        """Return the knowledge at this point, for `restore`."""
         return (
             dict(self.names),
             set(self.fresh),
@@ -265,7 +295,7 @@ class Scope:
         )
 
     def restore(self, state: ScopeState) -> None:
-        """Go back to the knowledge that `branch` returned."""
+        """Replace the knowledge by a state that `branch` returned."""
         names, fresh, numbers, self.fail, self.pending, self.after, self.entry = state
         self.names, self.fresh, self.numbers = dict(names), set(fresh), dict(numbers)
 
@@ -278,12 +308,15 @@ class Scope:
         return name
 
     def local(self, var: Var) -> str:
-        """Return the Python name of a variable, creating it where it is new."""
+        """Return the Python name of a variable, after writing its creation if it has no value yet."""
         name = self.names.get(var)
         return self.create(var) if name is None else name
 
     def dereference(self, name: str) -> None:
-        """Write the dereferencing of a local in place; ``k`` is its class afterwards."""
+        """Write the dereferencing of a local in place; afterwards ``k`` is its class.
+
+        The loop is written inline, because a call of `deref` costs more than the rest of most unifications.
+        """
         self.line(f"k = {name}.__class__")
         self.line("while k is Var:")
         self.line(f"    r = {name}.ref")
@@ -299,12 +332,14 @@ class Scope:
             if term not in self.names and self.clause.is_void(term):
                 return "Var()"
             name = self.local(term)
+            # The term that is built refers to the variable, so other code can bind it from here on.
             self.fresh.discard(term)
             return name
         if term.__class__ is not tuple:
             return self.unit.constant(term)
         if is_ground(term):
             return self.unit.constant(resolve(term))
+        # Python limits the nesting of expressions, and its compiler is slow for long ones.
         if is_large(term):
             found = variables(term)
             parts = ", ".join(self.build(var) for var in found)
@@ -314,7 +349,7 @@ class Scope:
 
 
 def is_large(term: Term) -> bool:
-    """Tell whether a term has more than `_MAX_EXPRESSION_PARTS` compound parts."""
+    """Return whether a term has more than `_MAX_EXPRESSION_PARTS` parts or is nested too deeply for an expression."""
     size = 0
     stack = [(term, 0)]
     while stack:

@@ -1,9 +1,13 @@
-"""Predicates as plain Python functions: clauses that leave no choice point, without frames.
+"""Compilation of semideterministic predicates to plain Python functions, without frames or choice points.
 
-A function returns True for a solution, False for none, and None where it cannot tell: another clause might
-have a solution too, or the predicate is not made of what functions can do. Then the caller takes back what was
-bound and runs its goal on the machine. That can be done because nothing in a function has an effect: it is made
-of unification, arithmetic, comparison, pure built-ins, facts, and other such predicates.
+A function returns True for a solution, False for none, and None if it cannot decide: if another clause might have a
+solution as well, or the predicate uses goals that a function cannot run. The caller then undoes the bindings and runs
+its goal on the machine. Running it twice is safe, because a function has no effects: it consists of unification,
+arithmetic, comparison, pure built-ins, facts, and calls of other such predicates.
+
+Each predicate has two functions. ``first`` is used if the first solution is enough (before a cut, in a test) and
+ignores further clauses. ``only`` must prove that the solution is unique: it compares the first-level keys of the
+remaining clauses with the arguments at entry, and gives up if one of them may match.
 """
 
 from typing import Dict, Iterator, List, Optional, Sequence, Tuple
@@ -28,7 +32,7 @@ from .predicate_code import ClauseParts, PredicateGenerator, key_of, title_of
 
 _MAX_FUNCTION_CLAUSES = 8
 _MAX_CLAUSES_VISITED = 100
-"""Clauses that a call may look at, those of the predicates that it calls included."""
+"""Clauses that a call may try, including those of the predicates that it calls."""
 _MAX_NESTED_CALLS = 6
 
 _PURE = frozenset(
@@ -44,15 +48,15 @@ _PURE = frozenset(
     }.items()
     for name in names.split()
 )
-"""Deterministic built-ins without effects that read nothing but their arguments."""
+"""Deterministic built-ins without effects whose result depends on their arguments alone."""
 
 
 class FunctionCode:
-    """A predicate as functions of its arguments, generated with what calls them, or when they are first called.
+    """Functions of one predicate, generated when they are first called or when a caller is compiled.
 
     Attributes:
-        first: tells whether there is a solution, whose bindings stay.
-        only: the same, where there is no other one.
+        first: returns whether there is a solution, and keeps the bindings of the first one.
+        only: returns whether there is exactly one solution, and keeps its bindings; None if it cannot decide.
     """
 
     __slots__ = ("first", "only", "_database", "_key", "_facts", "_missing")
@@ -67,20 +71,28 @@ class FunctionCode:
         self.reset(None)
 
     def reset(self, predicate: Optional[KnownPredicate]) -> None:
-        """Forget the functions; those that look facts up go on as long as there are facts only."""
+        """Discard the functions after a change of the predicate.
+
+        Functions that look facts up read the current clauses, so they stay valid as long as all clauses are facts.
+
+        Args:
+            predicate: the changed predicate; None to discard the functions in any case.
+        """
         if not self._facts or predicate is None or not predicate.ground:
             self._facts = False
             self._missing = {True, False}
+            # Generation is deferred to the first call: a predicate may change many times without being called.
             self.first = lambda *args: self._make(True)(*args)
             self.only = lambda *args: self._make(False)(*args)
 
     def prepare(self, once: bool) -> None:
-        """Generate a function before it is called: `first`, or `only`."""
+        """Generate `first` (if ``once``) or `only` before it is called."""
         if once in self._missing:
             self._make(once)
 
     def _make(self, once: bool) -> Finder:
         database, key = self._database, self._key
+        # Marked as generated first: a caller that is compiled meanwhile must not generate it again.
         self._missing.discard(once)
         predicate = database.predicate(key)
         function: Finder
@@ -105,12 +117,12 @@ def _unknown(*args: Term) -> None:
 
 
 def is_facts(predicate: KnownPredicate) -> bool:
-    """Tell whether a predicate is looked up by its index, not compiled clause by clause."""
+    """Return whether a predicate is a table of ground facts, which is searched through its indexes."""
     return predicate.ground and (predicate.dynamic or len(predicate) > _MAX_FUNCTION_CLAUSES)
 
 
 def rules_of(predicate: KnownPredicate) -> List[ClauseParts]:
-    """Return the clauses of a predicate as the generator takes them."""
+    """Return the clauses of a predicate for the generator."""
     return [
         ClauseParts(clause.head[1:] if clause.head.__class__ is tuple else (), clause.body, clause.place)
         for clause in predicate.live()
@@ -118,10 +130,17 @@ def rules_of(predicate: KnownPredicate) -> List[ClauseParts]:
 
 
 def work(database: KnownDatabase, key: Functor, path: Tuple[Functor, ...] = ()) -> Optional[int]:
-    """Return how many clauses a call of a predicate may look at; None where it cannot be a function."""
+    """Return how many clauses a call of a predicate may try; None if it cannot be a function.
+
+    Args:
+        database: the predicates.
+        key: functor of the predicate.
+        path: predicates whose calls lead to this one.
+    """
     predicate = database.predicate(key)
     if database.interprets or predicate.kind != "user" or predicate.tabled is not None or predicate.library:
         return None
+    # A recursive function would recurse in Python, whose stack is limited, while frames are not.
     if key in path or len(path) >= _MAX_NESTED_CALLS:
         return None
     if is_facts(predicate):
@@ -144,7 +163,7 @@ def work(database: KnownDatabase, key: Functor, path: Tuple[Functor, ...] = ()) 
 def work_of(
     database: KnownDatabase, nodes: Sequence[GoalNode], path: Tuple[Functor, ...] = ()
 ) -> Optional[int]:
-    """Return what the predicates called in a body cost; None where one of its goals cannot be in a function."""
+    """Return how many clauses the calls in a body may try; None if one of its goals cannot be in a function."""
     total = 0
     for goal in goals_of(nodes):
         if goal.form == "direct":
@@ -158,12 +177,12 @@ def work_of(
 
 
 def is_pure(database: KnownDatabase, key: Functor) -> bool:
-    """Tell whether a deterministic built-in has no effect."""
+    """Return whether a deterministic built-in has no effect."""
     return key in _PURE or database.predicate(key).functional is not None
 
 
 def goals_of(nodes: Sequence[GoalNode]) -> Iterator[CallNode]:
-    """Yield all goals of a body, those in conditions included."""
+    """Yield all calls in a body, including those in conditions."""
     for node in nodes:
         if isinstance(node, CallNode):
             yield node
@@ -172,7 +191,7 @@ def goals_of(nodes: Sequence[GoalNode]) -> Iterator[CallNode]:
 
 
 def parser(database: KnownDatabase, entry: Height, path: Tuple[Functor, ...] = ()) -> BodyParser:
-    """Return a parser that takes calls of predicates that can be functions as inline goals."""
+    """Return a parser that treats calls of predicates that can be functions as inline goals."""
     known: Dict[Functor, bool] = {}
 
     def direct(key: Functor) -> bool:
@@ -184,7 +203,12 @@ def parser(database: KnownDatabase, entry: Height, path: Tuple[Functor, ...] = (
 
 
 def choose_functions(nodes: Sequence[GoalNode], once: bool) -> None:
-    """Let goals use their first solution where that is enough: before a cut, at the end of a test, of a goal."""
+    """Mark the calls for which the first solution is enough: before a cut, or last in a test or in a goal.
+
+    Args:
+        nodes: the goals.
+        once: whether the first solution of the whole sequence is enough.
+    """
     for at, node in enumerate(nodes):
         last = once if at == len(nodes) - 1 else isinstance(nodes[at + 1], Cut)
         if isinstance(node, CallNode):
@@ -196,13 +220,14 @@ def choose_functions(nodes: Sequence[GoalNode], once: bool) -> None:
 
 
 class Functions(PredicateGenerator):
-    """Generates the functions of one predicate."""
+    """Generator of the functions of one predicate."""
 
     def function(self, once: bool) -> Finder:
-        """Return the function, for the first solution or for the only one."""
+        """Return the function for the first solution (if ``once``), or for the only one."""
         unit = Unit(self.database.machine, self.database, repeats=True)
         unit.namespace["key_of"] = key_of
         lines = ["    mark = len(trail)"]
+        # Keys are read at entry: the head of a clause binds arguments, which must not influence the test for others.
         keyed = [] if once else self._keyed()
         lines += [f"    x{at + 1} = key_of({self.locals[at]})" for at in keyed]
         for index in range(len(self.rules)):
@@ -215,14 +240,14 @@ class Functions(PredicateGenerator):
         return found
 
     def _keyed(self) -> List[int]:
-        """Return the arguments whose first level tells clauses apart."""
+        """Return the positions of arguments whose first-level keys distinguish clauses."""
         if len(self.rules) == 1:
             return []
         keys = [[key_of(rule.args[at]) for rule in self.rules] for at in range(self.key.arity)]
         return [at for at, found in enumerate(keys) if len(set(found)) > 1]
 
     def _block(self, unit: Unit, index: int, once: bool, keyed: List[int]) -> List[str]:
-        """Return the code of a clause: a block that is left to try the next one."""
+        """Return the code of a clause, a block that ``break`` leaves to try the next clause."""
         rule = self.rules[index]
         rest = self.rules[index + 1 :]
         entry = Height("height")
@@ -234,19 +259,21 @@ class Functions(PredicateGenerator):
         choose_functions(nodes, once)
         self._head(scope, rule, None, self._own_locals(scope, rule, None) if rest else self.locals)
         write_sequence(scope, nodes, frozenset())
+        # After a cut no other clause can have a solution, so the solution is the only one.
         others = [] if once or committed else [self._may_match(unit, other, keyed) for other in rest]
         if others:
             scope.line(f"return None if {' or '.join(others)} else True")
         else:
             scope.line("return True")
         lines = ["    while True:", *scope.lines]
+        # Bindings of a failed head must be undone before the next clause is tried.
         if rest and scope.binds:
             lines += ["    while len(trail) > mark:", "        pop().ref = None"]
         return lines
 
     @staticmethod
     def _may_match(unit: Unit, rule: ClauseParts, keyed: List[int]) -> str:
-        """Return the condition that a clause may match what the arguments were at entry."""
+        """Return the condition under which a clause may match the arguments at entry."""
         tests = []
         for at in keyed:
             key = key_of(rule.args[at])
@@ -256,6 +283,6 @@ class Functions(PredicateGenerator):
 
 
 def give_up(trail: Trail, mark: int) -> object:
-    """Undo bindings and return `BAIL`."""
+    """Undo bindings and return `BAIL`, which leaves the goal to the machine."""
     undo(trail, mark)
     return BAIL

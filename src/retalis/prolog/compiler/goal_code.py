@@ -1,4 +1,10 @@
-"""Code for goals that Python calls: a function of the inputs, or frames that hand the outputs over."""
+"""Compilation of goals that Python calls, with inputs and outputs by position.
+
+A goal is compiled in up to two forms. If it consists of inline goals and of predicates that can be functions, it
+becomes one Python function from inputs to outputs (`GoalGenerator.straight`). Otherwise, or if the function gives up
+at run time, it becomes code for a frame of the machine, whose last goal ``outputs`` passes the outputs to a
+continuation.
+"""
 
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
@@ -19,12 +25,13 @@ _OUTPUTS = functor("outputs", 0)
 
 
 class HandOver(CallNode):
-    """The end of a goal: its outputs go to the continuation."""
+    """Goal node ``outputs`` at the end of a goal, which passes the outputs to the continuation."""
 
     __slots__ = ()
 
 
 def _hand_over(frame: Frame) -> Optional[Frame]:
+    # Outputs are resolved: the bindings are undone before Python reads them.
     collector: Tuple[Takes, ...] = frame[-1]
     return collector[0].take(collector, tuple([resolve(value) for value in frame[1:-1]]))
 
@@ -33,7 +40,16 @@ HAND_OVER = Code("outputs", _hand_over)
 
 
 class GoalGenerator:
-    """Generates the code of one goal."""
+    """Generator of the code of one goal.
+
+    Args:
+        database: the predicates that it may call.
+        term: the goal.
+        inputs: variables that get values, by position.
+        outputs: terms whose values are returned, by position.
+        place: source position of the goal, or None.
+        name: name of the code in tracebacks.
+    """
 
     def __init__(
         self,
@@ -55,18 +71,18 @@ class GoalGenerator:
         self._entry = Height("height")
 
     def parse(self) -> None:
-        """Read the goal with the predicates that are defined by now.
+        """Parse the goal with the predicates that are currently defined.
 
         Raises:
-            PrologError: a type error where it is not a goal.
+            PrologError: a type error if the term is not a goal.
         """
         self._entry = Height("height")
         self._nodes = BodyParser(self._database, self._entry).parse(self._term)
 
     def call(self) -> Optional[KnownPredicate]:
-        """Return the predicate, where the goal is one call of it with the inputs as they are; else None.
+        """Return the predicate if the goal is a single call of it with the inputs as arguments, else None.
 
-        None for a predicate of the system, too: one of the program may take its place.
+        A predicate of the system is excluded, because the program may replace it later.
         """
         if len(self._nodes) != 1:
             return None
@@ -77,7 +93,7 @@ class GoalGenerator:
         return None if predicate.library and predicate.system else predicate
 
     def _scope(self, unit: Unit) -> Scope:
-        # Inputs count as used twice: a value is never void.
+        # Inputs are counted twice: a variable that occurs once is void, and its value would be dropped.
         scope = Scope(unit, ClauseVariables((*self._inputs, self._term, *self._outputs, *self._inputs)))
         for at, var in enumerate(self._inputs):
             scope.names[var] = f"a{at}"
@@ -89,10 +105,10 @@ class GoalGenerator:
         return function
 
     def straight(self) -> Optional[Callable[..., Any]]:
-        """Return the function of the inputs, or None where there can be none.
+        """Return the goal as a function of its inputs, or None if that is impossible.
 
-        Bindings that it makes are undone, also where it fails. It returns `BAIL` where the goal has to be run
-        by frames, also to find an error again with its context; limits that run out are not looked for twice.
+        The function undoes its bindings, whether it succeeds or not. It returns `BAIL` if the goal has to run on the
+        machine, including after an error, which the machine raises again with its context.
         """
         if self._interprets:
             return None
@@ -114,6 +130,8 @@ class GoalGenerator:
         lines = scope.lines
         if scope.binds:
             lines = ["    mark = len(trail)", *lines, f"    result = {result}", "    undo(trail, mark)"]
+            # A limit is exceeded only once: running the goal again would use the same time or memory a second time.
+            # Any other exception is left to the machine, which adds the caller to it.
             if calls:
                 lines = [lines[0], "    try:", *["    " + line for line in lines[1:]]]
                 lines += [
@@ -125,13 +143,18 @@ class GoalGenerator:
                 ]
             result = "result"
         else:
+            # Without bindings there is no mark to undo to.
             lines = [line.replace(_FAIL, "return None") for line in lines]
         parameters = ", ".join(f"a{at}" for at in range(len(self._inputs)))
         unit.add([f"def main({parameters}):", *lines, f"    return {result}"])
         return self._finish(unit)
 
     def enter(self, hands_over: bool) -> Tuple[Step, bool]:
-        """Return the function of the goal's frame, and whether it is steady, see `Code.steady`."""
+        """Return the function of the goal's frame, and whether it is steady (see `Code.steady`).
+
+        Args:
+            hands_over: whether the frame passes its outputs to a collector instead of returning to a frame.
+        """
         if self._interprets:
             return self._interpreted(hands_over), False
         unit = Unit(self._database.machine, self._database)
@@ -151,7 +174,7 @@ class GoalGenerator:
         return self._finish(unit), not scope.pushes
 
     def _interpreted(self, hands_over: bool) -> Step:
-        """Return a function that runs the goal from its term."""
+        """Return a function of the frame that interprets the goal."""
         call: Callable[[Term, Frame], Optional[Frame]] = self._database.machine.logic.control.call
         inputs, goal, outputs = self._inputs, self._term, self._outputs
 

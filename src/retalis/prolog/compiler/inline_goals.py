@@ -1,12 +1,12 @@
-"""Goals that are one: built-ins in a row whose values go from one to the next and nowhere else.
+"""Compilation of inline goals: goals that leave no choice point and call no frame of the program.
 
-They are written as one call. What they hand on does not become terms.
+Unification, arithmetic, comparison, type tests, deterministic built-ins and predicates that are functions become
+Python statements that fall through on success and execute the scope's ``fail`` statement otherwise. Conditions whose
+parts are all inline become a Python ``if``.
 
-Code for calls that are straight Python: unification, arithmetic, tests, and built-ins as functions.
-
-Code for goals that are straight Python, alone, in order, and as tests.
-
-They leave no choice point and call no predicate of the program.
+Two optimizations belong here. A unification with a variable that has no value yet writes no code: the variable
+becomes a name for the value. Consecutive built-ins whose intermediate values are used nowhere else become one call of
+a fused function (`join`), so that the intermediate values never become terms.
 """
 
 from typing import Any, Dict, FrozenSet, List, Mapping, Optional, Sequence, Set, Tuple
@@ -35,14 +35,14 @@ from .code_scope import Scope, ScopeState
 from .unification_code import dereferenced, differs, forget_fresh, match, write_argument, write_functor
 
 _MAX_JOINED_GOALS = 4
-"""Goals in a row that are looked at."""
+"""Consecutive goals that one function may evaluate."""
 
 
 class JoinedNode(CallNode):
-    """Goals in a row that one function does.
+    """Consecutive goals that one function evaluates.
 
     Attributes:
-        function: takes the inputs, which are all arguments but the last; returns the output, or None where one fails.
+        function: takes the inputs, all arguments but the last; returns the output, or None if a goal fails.
     """
 
     __slots__ = ("function",)
@@ -54,11 +54,11 @@ class JoinedNode(CallNode):
 
 
 def join(database: KnownDatabase, counts: Mapping[Any, int], nodes: Sequence[GoalNode]) -> Sequence[GoalNode]:
-    """Return goals with those in a row as one that go together.
+    """Return goals with consecutive ones fused to a `JoinedNode` if the first one's predicate offers that.
 
     Args:
-        database: knows predicates; what the first of them computes has `joins`.
-        counts: how often each variable occurs in the clause.
+        database: the predicates; the `FunctionalModes` of the first goal decide through ``joins``.
+        counts: how often each variable occurs in the clause; an intermediate value occurs twice.
         nodes: the goals.
     """
     found: List[GoalNode] = []
@@ -77,7 +77,7 @@ def join(database: KnownDatabase, counts: Mapping[Any, int], nodes: Sequence[Goa
 
 
 def _row(database: KnownDatabase, nodes: Sequence[GoalNode]) -> List[CallNode]:
-    """Return the goals at the beginning that are built-in functions."""
+    """Return the leading goals that are built-in functions."""
     found: List[CallNode] = []
     for node in nodes[:_MAX_JOINED_GOALS]:
         if not isinstance(node, CallNode) or node.form != "builtin":
@@ -89,7 +89,7 @@ def _row(database: KnownDatabase, nodes: Sequence[GoalNode]) -> List[CallNode]:
 
 
 def write_call(scope: Scope, node: CallNode) -> None:
-    """Write an inline call; it fails by the scope's fail statement."""
+    """Write an inline call, which executes the scope's ``fail`` statement if it fails."""
     _WRITERS[node.form](scope, node)
 
 
@@ -100,6 +100,7 @@ def _unify(scope: Scope, node: CallNode) -> None:
     if left.__class__ is not Var:
         _unify_terms(scope, left, right)
         return
+    # A variable without a value is not created: it becomes another name for the value.
     if left not in scope.names:
         if right.__class__ is Var and right not in scope.names:
             scope.names[left] = scope.names[right] = scope.create(right)
@@ -107,6 +108,7 @@ def _unify(scope: Scope, node: CallNode) -> None:
             return
         if left not in variables(right):
             scope.names[left] = scope.build(right)
+            # A compound is stored in a local, so that it is built once however often the variable is used.
             if right.__class__ is not Var:
                 name = scope.clause.local(left)
                 scope.line(f"{name} = {scope.names[left]}")
@@ -123,7 +125,7 @@ def _unify(scope: Scope, node: CallNode) -> None:
 
 
 def _unify_terms(scope: Scope, left: Term, right: Term) -> None:
-    """Unify two terms that are both no variables: argument by argument."""
+    """Write the unification of two terms that are not variables."""
     if left.__class__ is tuple and right.__class__ is tuple:
         if left[0] is not right[0]:
             scope.line(scope.fail)
@@ -180,13 +182,14 @@ def _builtin(scope: Scope, node: CallNode) -> None:
 def _builtin_call(scope: Scope, node: CallNode) -> str:
     scope.binds = True
     args = "".join(f", {scope.build(arg)}" for arg in node.args)
+    # The built-in may bind its arguments or store them, so nothing is known of their variables afterwards.
     for arg in node.args:
         forget_fresh(scope, arg)
     return f"{scope.unit.builtin(node.key)}(M{args})"
 
 
 def _joined(scope: Scope, node: CallNode) -> None:
-    """Write the call of the function of goals that are joined."""
+    """Write the call of the function that evaluates joined goals."""
     assert isinstance(node, JoinedNode)
     *inputs, output = node.args
     result = scope.temp("p")
@@ -204,7 +207,7 @@ def _joined(scope: Scope, node: CallNode) -> None:
 
 
 def _function(scope: Scope, node: CallNode, functional: KnownFunction) -> None:
-    """Write a call for the outputs, and their unification; void variables are left alone."""
+    """Write a call of a function and the unification of its outputs; outputs to void variables are skipped."""
     inputs = [node.args[at] for at in functional.inputs]
     result = scope.temp()
     call = scope.unit.constant(functional.function)
@@ -223,6 +226,7 @@ def _function(scope: Scope, node: CallNode, functional: KnownFunction) -> None:
         value = result if functional.single else f"{result}[{index}]"
         name = scope.temp("p")
         scope.line(f"{name} = {value}" if show is None else f"{name} = {scope.unit.constant(show)}({value})")
+        # arg/3 most often fills variables of a term that was just created, so the unbound case comes first.
         if node.key is KNOWN_ARG and arg.__class__ is Var and arg in scope.names:
             _bind_output(scope, arg, name)
         else:
@@ -230,7 +234,7 @@ def _function(scope: Scope, node: CallNode, functional: KnownFunction) -> None:
 
 
 def _bind_output(scope: Scope, var: Var, value: str) -> None:
-    """Write the unification of a variable that is there already, most likely unbound, with a value."""
+    """Write the unification of a value with a variable that has a name and is most likely unbound."""
     name = scope.names[var]
     scope.binds = True
     scope.fresh.discard(var)
@@ -243,13 +247,14 @@ def _bind_output(scope: Scope, var: Var, value: str) -> None:
 
 
 def _direct(scope: Scope, node: CallNode) -> None:
-    """Write a call of a predicate as a function, see `compiler.direct`."""
+    """Write a call of a predicate as a function; see `function_code`."""
     result = scope.temp()
     scope.binds = True
     args = ", ".join([scope.build(arg) for arg in node.args])
     for arg in node.args:
         forget_fresh(scope, arg)
     direct = scope.unit.database.direct(node.key)
+    # The attribute is read at each call, because a change of the predicate replaces its functions.
     direct.prepare(node.once)
     function = scope.unit.constant(direct)
     scope.line(f"{result} = {function}.{'first' if node.once else 'only'}({args})")
@@ -265,7 +270,7 @@ def _test(scope: Scope, node: CallNode) -> None:
 
 
 def simple_test(scope: Scope, node: GoalNode) -> Optional[str]:
-    """Return the Python condition of a test that binds nothing, after writing what it needs; None for others."""
+    """Return the condition of a test that binds nothing, after writing what it needs; None for other goals."""
     if not isinstance(node, CallNode):
         return None
     if node.form == "arithmetic":
@@ -285,6 +290,7 @@ def _order(scope: Scope, node: CallNode) -> str:
     if operator in ("== 0", "!= 0"):
         if left.__class__ is Atom:
             left, right = right, left
+        # Atoms are interned, so identity decides. Other terms may be equal without being the same object.
         if right.__class__ is Atom:
             name, word = dereferenced(scope, left), "is" if operator == "== 0" else "is not"
             return f"{name} {word} {scope.unit.constant(right)}"
@@ -326,7 +332,7 @@ Missed = Tuple[Set[Needed], Set[Var]]
 
 
 def write_inline(scope: Scope, node: GoalNode) -> None:
-    """Write an inline goal; it fails by the scope's fail statement."""
+    """Write an inline goal, which executes the scope's ``fail`` statement if it fails."""
     if isinstance(node, CallNode):
         write_call(scope, node)
     elif isinstance(node, Cut):
@@ -338,13 +344,15 @@ def write_inline(scope: Scope, node: GoalNode) -> None:
 
 
 def _cut(scope: Scope, node: Cut) -> None:
+    # A soft cut keeps the solutions of the test. The entry is replaced, not deleted: heights above it stay valid.
     if node.soft:
         height = scope.names[node.height]
         scope.line(f"choices[{height}] = (DEAD, choices[{height}][-1])")
         return
     known = scope.names.get(node.height)
     if known is None or (scope.pending is not None and node.cuts):
-        # Nothing has been pushed since the clause was entered: only the clauses that follow are given up.
+        # Nothing has been pushed since the clause was entered, so the cut only drops the pending choice point of the
+        # following clauses, and no statement is needed.
         scope.pending = None
         scope.fail = scope.cut
         return
@@ -352,7 +360,7 @@ def _cut(scope: Scope, node: Cut) -> None:
 
 
 def _condition(scope: Scope, node: IfThenElse) -> None:
-    """Write an if-then-else whose parts are all inline."""
+    """Write an if-then-else whose parts are all inline as a Python ``if``."""
     later = scope.later
     scope.later = later | needed_by(node.then)
     missed = write_test(scope, node.test)
@@ -362,11 +370,14 @@ def _condition(scope: Scope, node: IfThenElse) -> None:
     write_sequence(scope, node.then, later)
     middle, then_state = len(scope.lines), scope.branch()
     scope.restore(before)
+    # The else branch starts without the values that the test would have computed.
     forget(scope, missed)
     scope.depth -= 1
     scope.line("else:")
     scope.depth += 1
     write_sequence(scope, node.otherwise, later)
+    # If one branch always fails, the code after the condition is reached from the other one only, and its knowledge
+    # holds. Otherwise the branches have to agree on names.
     if node.then and isinstance(node.then[-1], Fail):
         if len(scope.lines) == middle + 1:
             scope.line("pass")
@@ -380,7 +391,7 @@ def _condition(scope: Scope, node: IfThenElse) -> None:
 
 
 def write_sequence(scope: Scope, nodes: Sequence[GoalNode], later: FrozenSet[Needed]) -> None:
-    """Write inline goals one after the other; ``later`` is what is needed after them."""
+    """Write consecutive inline goals; ``later`` are the variables and heights needed after them."""
     nodes = join(scope.unit.database, scope.clause.counts, nodes)
     for at, node in enumerate(nodes):
         scope.later = later | needed_by(nodes[at + 1 :])
@@ -389,7 +400,7 @@ def write_sequence(scope: Scope, nodes: Sequence[GoalNode], later: FrozenSet[Nee
 
 
 def forget(scope: Scope, missed: Missed) -> None:
-    """Forget what a failed test may have left unset."""
+    """Remove the knowledge of values that a failed test may not have set."""
     names, numbers = missed
     for var in names:
         scope.names.pop(var, None)
@@ -398,7 +409,18 @@ def forget(scope: Scope, missed: Missed) -> None:
 
 
 def _join(scope: Scope, then_state: ScopeState, later: FrozenSet[Needed], start: int, middle: int) -> None:
-    """Give the variables that are needed later the same names at the ends of both branches."""
+    """Give each variable that is needed later the same name at the ends of both branches.
+
+    This is the merge of two control flow paths: names that differ are assigned to the variable's canonical name in
+    each branch, and a variable that one branch has not bound is created there.
+
+    Args:
+        scope: the function, at the end of the else branch.
+        then_state: the knowledge at the end of the then branch.
+        later: variables and heights that are needed later.
+        start: index of the first line of the then branch.
+        middle: index of the line after the then branch, ``else:``.
+    """
     then_lines: List[str] = []
     indent = "    " * scope.depth
     else_names, then_names = scope.names, then_state[0]
@@ -419,6 +441,7 @@ def _join(scope: Scope, then_state: ScopeState, later: FrozenSet[Needed], start:
         then_lines.append(f"{indent}pass")
     scope.lines[middle:middle] = then_lines
     scope.names = merged
+    # A variable is fresh, and a number known, only if that holds after both branches.
     scope.fresh &= then_state[1]
     numbers = then_state[2]
     scope.numbers = {
@@ -427,12 +450,12 @@ def _join(scope: Scope, then_state: ScopeState, later: FrozenSet[Needed], start:
 
 
 def write_test(scope: Scope, test: List[GoalNode]) -> Missed:
-    """Write an ``if`` line that is true where a test (a list of inline goals) succeeds.
+    """Write an ``if`` line whose condition is true if a test (a list of inline goals) succeeds.
 
-    Bindings of a test that fails are undone.
+    Bindings of a failed test are undone.
 
     Returns:
-        What may have no value where it fails, for `forget`.
+        Variables that may lack a name or a number if the test fails, for `forget`.
     """
     known, numbers = set(scope.names), dict(scope.numbers)
     if len(test) == 1:
@@ -440,10 +463,12 @@ def write_test(scope: Scope, test: List[GoalNode]) -> Missed:
         if condition is not None:
             scope.line(f"if {condition}:")
             return set(), set()
+    # Python has no labelled exit: the test is the body of a loop that runs once, and ``break`` is its failure.
     flag, mark = scope.temp("ok"), scope.temp("m")
     fail, scope.fail = scope.fail, "break"
     scope.line(f"{flag} = False")
-    # The test works on copies: what it finds by following its own bindings must not outlive them.
+    # The test works on copies of the locals: dereferencing replaces a local by its value, which must not outlive a
+    # binding that the failed test undoes.
     outer = scope.names
     scope.names = dict(outer)
     for var in sorted(needed_by(test), key=scope.clause.number):
@@ -458,6 +483,7 @@ def write_test(scope: Scope, test: List[GoalNode]) -> Missed:
     scope.line(f"{flag} = True")
     scope.line("break")
     scope.depth -= 1
+    # Only now is it known whether the test binds anything that needs a mark.
     if scope.binds:
         scope.lines.insert(at, "    " * scope.depth + f"{mark} = len(trail)")
         scope.line(f"if not {flag}:")

@@ -1,14 +1,19 @@
-"""First-level keys of terms, which indexes and compiled clauses compare.
+"""Compilation of predicates to Python functions, with clause indexing as in the WAM.
 
-Code that looks for a matching fact among many: one function for each arity and indexed argument.
+The function of a predicate switches on the first-level key of one argument (constant or functor, as
+``switch_on_term``, ``switch_on_constant`` and ``switch_on_structure`` do). Unlike the WAM it may choose an argument
+other than the first: the one whose keys distinguish the clauses best. Each case runs its chain of clauses in order. A
+clause with others after it pushes a choice point for them unless the keys of other arguments exclude them; the code
+for retrying is generated when backtracking first needs it. If the switched argument is unbound, a second switch on
+another argument may be used.
 
-Code for clauses that build a list (or another chain of terms) while they recurse.
+A recursive last call is a turn of a loop. A clause that builds a list while it recurses gets a loop of its own:
+``app([H|T], L, [H|R]) :- app(T, L, R)`` with an unbound third argument would create and bind a variable for each
+cell. The loop collects the items and builds the cells from the last to the first, without variables in between (the
+effect of last call modulo cons).
 
-``app([H|T], L, [H|R]) :- app(T, L, R)`` called with an unbound third argument makes one cell a turn, each
-ending in a variable that the next turn binds. The loop written here collects the items instead and makes
-the cells in one go, from the last to the first, so that no variable is needed in between.
-
-Code for predicates: the switch on an argument, and the clauses that are left one after the other.
+Predicates with many facts are not compiled but searched: `fact_search` generates one search function for each arity
+and indexed argument.
 """
 
 from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Tuple
@@ -25,7 +30,7 @@ from .unification_code import match, take_apart
 
 
 def key_of(term: Any) -> object:
-    """Return the first-level key of a term for indexes: constant, functor, or None for a variable."""
+    """Return the first-level key of a term for indexes: its constant or functor; None for a variable."""
     kind = term.__class__
     if kind is tuple:
         return term[0]
@@ -37,6 +42,7 @@ def key_of(term: Any) -> object:
     if kind is Lazy:
         found = term.functor
         return found if found.arity else key_of(term.term())
+    # As keys of a dictionary, 1.0 would equal 1, and 0.0 would equal -0.0; the text tells them apart.
     if kind is float:
         return float, term.hex()
     return term
@@ -47,13 +53,13 @@ def fact_search(
 ) -> Callable[..., Optional[Frame]]:
     """Return ``search(frame, clauses, at, end, generation, keys)``, which tries ground facts in order.
 
-    It returns the frame to go on with, after pushing a choice point where another fact may match.
+    The search returns the next frame, after pushing a choice point if another fact may match; None if none matches.
 
     Args:
-        arity: of the predicate.
-        indexed: the argument (from 0) that the index has compared already: facts agree in its first level.
-        namespace: what `search` names: ``Var``, ``Code``, ``unify``, ``undo``, ``trail``, ``push``, ``choose``,
-            ``may_match``.
+        arity: arity of the predicate.
+        indexed: position (from 0) of the argument that an index has compared: its first level agrees in all facts.
+        namespace: global names of the search: ``Var``, ``Code``, ``unify``, ``undo``, ``trail``, ``push``,
+            ``choose``, ``may_match``.
     """
     source = "\n".join(_search(arity, indexed)) + "\n"
     found: Callable[..., Optional[Frame]] = codegen.shared_function(
@@ -70,7 +76,7 @@ def _search(arity: int, indexed: Optional[int]) -> List[str]:
 
 
 def _next(indent: str) -> List[str]:
-    """Return the lines that go on to the next fact that is there and may match."""
+    """Return the lines that advance to the next fact that is not retracted and may match."""
     lines = [
         "while at < end:",
         "    other = clauses[at]",
@@ -82,7 +88,7 @@ def _next(indent: str) -> List[str]:
 
 
 def _tries(arity: int, indexed: Optional[int]) -> List[str]:
-    """Return the lines that try facts, from one on that may match."""
+    """Return the lines that try facts, beginning with one that may match."""
     lines = [
         f"    _, {''.join(f'a{at}, ' for at in range(arity))}after = frame",
         "    while at < end:",
@@ -90,6 +96,8 @@ def _tries(arity: int, indexed: Optional[int]) -> List[str]:
         "        at += 1",
         *_next("        "),
     ]
+    # The next candidate is found before the current fact is unified: if there is none, no choice point is left
+    # behind, and the caller stays deterministic.
     for at in range(arity):
         lines += _argument(at, at == indexed)
     return [
@@ -102,7 +110,7 @@ def _tries(arity: int, indexed: Optional[int]) -> List[str]:
 
 
 def _argument(at: int, indexed: bool) -> List[str]:
-    """Return the lines that unify argument ``at`` with the fact's."""
+    """Return the lines that unify the argument at a position with that of the fact."""
     lines = [
         f"        b = a{at}",
         f"        if b is not c{at}:",
@@ -120,13 +128,19 @@ def _argument(at: int, indexed: bool) -> List[str]:
         "                undo(trail, mark)",
         "                continue",
     ]
+    # The index has compared constants completely, and of compounds the functor only.
     if indexed:
         return [f"        if c{at}.__class__ is tuple:", *["    " + line for line in lines]]
     return lines
 
 
 class Shape(NamedTuple):
-    """What makes a clause build: position of the argument that is built, and of the hole in its cell."""
+    """Shape of a clause that builds a chain of cells.
+
+    Attributes:
+        position: position of the argument that is built.
+        hole: position of the recursive variable in its cell.
+    """
 
     position: int
     hole: int
@@ -135,14 +149,15 @@ class Shape(NamedTuple):
 def shape_of(
     clause: ClauseVariables, args: Sequence[Term], nodes: Sequence[GoalNode], key: Functor, switch: int
 ) -> Optional[Shape]:
-    """Return the shape of a clause whose last goal calls its own predicate, or None where it does not fit.
+    """Return the shape of a clause that builds cells while it recurses, or None for other clauses.
 
     Args:
-        clause: counts of its variables.
-        args: of its head.
-        nodes: its body; inline goals may be arithmetic only, which cannot notice when a cell is made.
+        clause: variables of the clause.
+        args: arguments of its head.
+        nodes: its body. Inline goals before the recursive call may be arithmetic only, which cannot observe that a
+            cell is built later.
         key: functor of the predicate.
-        switch: the argument that the predicate switches on, a compound term.
+        switch: position of the argument that the predicate switches on, a compound term.
     """
     call = nodes[-1] if nodes else None
     if not isinstance(call, CallNode) or call.inline or call.key is not key:
@@ -154,6 +169,7 @@ def shape_of(
         arg = deref(arg)
         if arg.__class__ is not tuple or at == switch:
             continue
+        # The hole must occur once in the cell and once in the call: any other goal could observe it unbound.
         hole = deref(call.args[at])
         places = [number for number, item in enumerate(arg) if number and deref(item) is hole]
         if found is not None or hole.__class__ is not Var or len(places) != 1 or clause.counts[hole] != 2:
@@ -170,7 +186,7 @@ def write_building(
     shape: Shape,
     switch: int,
 ) -> None:
-    """Write the loop for an unbound argument; afterwards the general code of the clause follows."""
+    """Write the loop for an unbound argument; the general code of the clause follows it."""
     call = nodes[-1]
     assert isinstance(call, CallNode)
     source, built = locals_[switch], locals_[shape.position]
@@ -184,6 +200,8 @@ def write_building(
     scope.line("items = []")
     scope.line("for _ in LOOP:")
     scope.depth += 1
+    # No choice point exists within the loop, so a failure in any turn fails the whole call, and the items are
+    # dropped.
     for at, arg in enumerate(args):
         arg = deref(arg)
         if arg.__class__ is Var and at != shape.position:
@@ -209,6 +227,7 @@ def write_building(
     _cells(scope, cell, shape)
     scope.line(f"{built}.ref = last")
     scope.line(f"push({built})")
+    # After a long list the machine gets control, so that it can check limits and interrupts.
     again = [*locals_]
     again[shape.position] = "hole"
     scope.line("if len(items) > 255:")
@@ -221,7 +240,7 @@ def write_building(
 
 
 def _advance(scope: Scope, locals_: Sequence[str], call: CallNode, shape: Shape) -> None:
-    """Write the arguments of the next turn."""
+    """Write the assignment of the arguments of the next turn."""
     changed: List[Tuple[str, str]] = []
     for at, arg in enumerate(call.args):
         if at != shape.position:
@@ -234,7 +253,7 @@ def _advance(scope: Scope, locals_: Sequence[str], call: CallNode, shape: Shape)
 
 
 def _cells(scope: Scope, cell: CompoundTerm, shape: Shape) -> None:
-    """Write the making of the cells, from the last to the first."""
+    """Write the construction of the cells, from the last to the first."""
     count = len(cell) - 2
     parts = []
     number = 0
@@ -250,11 +269,11 @@ def _cells(scope: Scope, cell: CompoundTerm, shape: Shape) -> None:
 
 
 _TOGETHER = 4
-"""Clauses of a chain that are tried in one function; the rest is another function."""
+"""Clauses of a chain in one function; the following ones are in another function, generated on demand."""
 
 
 class ClauseParts:
-    """What the generator needs of a clause: arguments of its head, body, where it is from."""
+    """Clause as the generator reads it: arguments of the head, body, and source position."""
 
     __slots__ = ("args", "body", "place")
 
@@ -265,14 +284,14 @@ class ClauseParts:
 
 
 class PredicateGenerator:
-    """Generates the functions of one predicate.
+    """Generator of the functions of one predicate.
 
     Args:
-        database: knows predicates and the machine.
-        key: name and arity.
+        database: the predicates, with their machine.
+        key: functor of the predicate.
         rules: its clauses in order.
-        code: the code object that calls of it go through.
-        unbound: arguments that are unbound in the calls that it is for, as far as that is known.
+        code: the code object that runs its calls.
+        unbound: positions of arguments that are known to be unbound.
     """
 
     def __init__(
@@ -294,11 +313,12 @@ class PredicateGenerator:
         self.steady = False
 
     def main(self) -> Step:
-        """Return the function of the predicate; `steady` then tells whether it is as `Code.steady` says."""
+        """Return the function of the predicate, and set `steady` (see `Code.steady`)."""
         unit = Unit(self.database.machine, self.database)
         body = self._switch(unit)
         self.steady = not body.pushes
         head = self._unpack("")
+        # LOOP bounds the turns. When it is exhausted the budget is charged, and a new frame continues the call.
         if body.looped:
             loop = ["    for _ in LOOP:", *["    " + line for line in body.lines]]
             again = ", ".join([unit.constant(self.code), *self.locals, "after"])
@@ -309,7 +329,7 @@ class PredicateGenerator:
         return self._finish(unit, "main", "")
 
     def single(self, index: int) -> Step:
-        """Return the function of one clause; its frame ends with the height that its cuts cut to."""
+        """Return the function of one clause; the last item of its frame is the height that its cuts restore."""
         unit = Unit(self.database.machine, self.database)
         scope = self._clause(unit, index, None, height="height")
         unit.add(["def main(frame):", self._unpack(", height"), *scope.lines])
@@ -336,6 +356,7 @@ class PredicateGenerator:
         local = self.locals[self.position]
         out.dereference(local)
         self._tuple_case(out, groups, local)
+        # An unbound argument distinguishes nothing: switch on another one, or try all clauses.
         out.line("elif k is Var:")
         other = self._other(self.position)
         if other is not None:
@@ -345,6 +366,7 @@ class PredicateGenerator:
             out.line(f"    return ({retry})")
         self._atomic_case(out, groups, local, Atom, "is")
         self._atomic_case(out, groups, local, int, "==")
+        # A lazy term is decoded and dispatched again; it is neither an atom nor an integer before.
         out.line("elif k is Lazy:")
         again = ["None", *self.locals, "after"]
         again[self.position + 1] = f"{local}.term()"
@@ -358,7 +380,7 @@ class PredicateGenerator:
         return out
 
     def _other(self, position: int) -> Optional[Code]:
-        """Return code for calls with an unbound argument at ``position``, if another one tells clauses apart.
+        """Return code for calls whose argument at ``position`` is unbound, or None if no other argument is selective.
 
         Its function is generated when it is first run.
         """
@@ -375,7 +397,11 @@ class PredicateGenerator:
         return code
 
     def _groups(self, position: int) -> Dict[object, List[int]]:
-        """Return the clauses for each first-level key of the switched argument; None for all other keys."""
+        """Return the indexes of the clauses for each first-level key of the switched argument.
+
+        The entry of None has the clauses for all keys without an entry: those with a variable. They belong to every
+        group, in the order of the program.
+        """
         groups: Dict[object, List[int]] = {None: []}
         for at, rule in enumerate(self.rules):
             key = key_of(rule.args[position])
@@ -439,13 +465,13 @@ class PredicateGenerator:
     # Chains of clauses
 
     def _chain(self, out: Scope, chain: Tuple[int, ...], key: object, retried: bool = False) -> None:
-        """Write the clauses of a chain one after the other.
+        """Write the clauses of a chain in order.
 
         Args:
-            out: where to.
-            chain: which clauses.
-            key: what is known of the switched argument: its functor or constant.
-            retried: the function runs on backtracking: ``mark`` is there already.
+            out: the function that is written.
+            chain: indexes of the clauses.
+            key: functor or constant of the switched argument, if known.
+            retried: whether the function runs on backtracking, where ``mark`` is set.
         """
         unit = out.unit
         if len(chain) > 1 and not retried:
@@ -465,11 +491,12 @@ class PredicateGenerator:
             out.line(f"return ({frame})")
 
     def _retry(self, chain: Tuple[int, ...]) -> Code:
-        """Return the code of a choice point for a chain; its function is generated when it is first run."""
+        """Return the code of a choice point for a chain; the function is generated when it first runs."""
         known = self._retries.get(chain)
         if known is not None:
             return known
 
+        # Most choice points are cut or never retried, so their code would be generated in vain.
         def first(frame: Frame) -> Optional[Frame]:
             unit = Unit(self.database.machine, self.database)
             out = Scope(unit, ClauseVariables(()))
@@ -493,7 +520,19 @@ class PredicateGenerator:
         alone: bool = False,
         height: Optional[str] = None,
     ) -> Scope:
-        """Return the code of a clause: head, then body; where others follow, as a block that breaks to fail."""
+        """Return the code of a clause: head, then body.
+
+        Args:
+            unit: receives the functions.
+            index: index of the clause.
+            rest: indexes of the clauses that follow in the chain; if there are any, the code is a block that
+                ``break`` leaves on failure. None for the function of a single clause.
+            key: functor or constant of the switched argument, if known.
+            depth: indentation.
+            loops: whether a recursive last call may become a turn of the loop around the predicate.
+            alone: whether the chain has no other clause.
+            height: local that holds the height at entry, if the frame carries it.
+        """
         rule = self.rules[index]
         clause = ClauseVariables((*rule.args, rule.body))
         entry = Height("height")
@@ -505,8 +544,8 @@ class PredicateGenerator:
         if loops:
             scope.loop = Loop(self.key, self.locals, "" if rest else "continue", self._end(unit))
         elif rest == ():
-            # Backtracking runs the last clause: a call of the predicate itself at once saves a step for each
-            # solution. Such calls do not nest: only backtracking runs this code.
+            # Backtracking runs the last clause. Running a call of the predicate itself directly saves a step for each
+            # solution. Such calls do not nest, because only backtracking runs this code.
             scope.calls_at_once = self.key
         if height is not None:
             scope.names[entry] = height
@@ -522,6 +561,8 @@ class PredicateGenerator:
         bodies.write(scope, nodes)
         if rest:
             indent = "    " * depth
+            # The end of the block starts another turn of the loop around the predicate, and ``break`` means failure.
+            # A for-else tells them apart: its else part runs only if the block was not left by ``break``.
             if scope.looped:
                 scope.lines = [
                     f"{indent}for _ in ONE:",
@@ -534,10 +575,10 @@ class PredicateGenerator:
         return scope
 
     def _guard(self, scope: Scope, index: int, rest: Tuple[int, ...], locals_: Sequence[str]) -> str:
-        """Return the test, with ``if``, that others may match where a clause has matched; nothing where they may.
+        """Return ``if test: `` for pushing the choice point of the following clauses; "" if it is always pushed.
 
-        They do not if they have other keys for an argument that was no variable at the call: it has the key of this
-        clause. That is looked at before the head, which binds variables.
+        Following clauses cannot match if an argument that is bound at the call has the key of this clause, and they
+        all have other keys for it. The test is evaluated before the head, which binds variables.
         """
         tests = []
         for at, (local, arg) in enumerate(zip(locals_, self.rules[index].args)):
@@ -553,7 +594,7 @@ class PredicateGenerator:
         return f"if {unknown}: "
 
     def _end(self, unit: Unit) -> Optional[Tuple[int, str]]:
-        """Return the switched argument and an atom for which the predicate is true whatever the others are."""
+        """Return the position of the switched argument and an atom for which the predicate is true; None if none."""
         if self.position is None:
             return None
         for key, clauses in self._groups(self.position).items():
@@ -566,7 +607,7 @@ class PredicateGenerator:
         return None
 
     def _build(self, scope: Scope, rule: ClauseParts, entry: Height, position: int) -> None:
-        """Write a loop of its own for a clause that builds a list as it recurses."""
+        """Write the loop of a clause that builds a list while it recurses; see `write_building`."""
         nodes = BodyParser(self.database, entry).parse(rule.body)
         shape = shape_of(scope.clause, rule.args, nodes, self.key, position)
         if shape is not None:
@@ -575,8 +616,8 @@ class PredicateGenerator:
     def _own_locals(self, scope: Scope, rule: ClauseParts, key: object) -> List[str]:
         """Copy the arguments for a clause that others follow, and return the names of the copies.
 
-        Dereferencing exchanges a local for what it is bound to; where the clause itself has bound it, the
-        clauses that follow must not see that.
+        Dereferencing replaces a local by its value. If the clause itself has bound the variable, the following
+        clauses must not see that value.
         """
         found = []
         for at, (local, arg) in enumerate(zip(self.locals, rule.args)):
@@ -593,7 +634,7 @@ class PredicateGenerator:
         return found
 
     def _head(self, scope: Scope, rule: ClauseParts, key: object, locals_: Sequence[str]) -> None:
-        """Write the unification of the head: constants, which bind least, then variables, then compound terms."""
+        """Write the unification of the head: first constants, then variables, then compound terms."""
         patterns = [(local, deref(arg), at) for at, (local, arg) in enumerate(zip(locals_, rule.args))]
         for local, arg, _ in patterns:
             if arg.__class__ is Var and arg not in scope.names:
@@ -614,14 +655,17 @@ class PredicateGenerator:
 
 
 def title_of(place: Optional[Place], name: str) -> str:
-    """Return what tracebacks call the code that is generated for something at a place."""
+    """Return the name in tracebacks of the code generated for a clause or goal."""
     return name if place is None else f"{place.source}:{place.line} {name}"
 
 
 def _switch_position(
     rules: Sequence[ClauseParts], arity: int, unbound: FrozenSet[int] = frozenset()
 ) -> Optional[int]:
-    """Return the argument that tells the clauses apart best, the first where it does; None where none does."""
+    """Return the position of the argument whose keys distinguish the clauses best; None if none does.
+
+    The first argument is taken whenever it distinguishes clauses: programmers rely on first-argument indexing.
+    """
     best, position = 0, None
     for at in range(min(arity, 8) if len(rules) > 1 else 0):
         if at in unbound:
@@ -629,6 +673,7 @@ def _switch_position(
         keys = [key_of(rule.args[at]) for rule in rules]
         known = [key for key in keys if key is not None]
         distinct = len(set(known))
+        # A clause with a variable belongs to every case, which makes the switch less selective.
         score = distinct * 4 - (len(keys) - len(known)) * 3
         if known and score > best:
             best, position = score, at

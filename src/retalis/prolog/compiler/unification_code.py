@@ -1,6 +1,11 @@
-"""Code that unifies a local with a term that is known when the clause is compiled.
+"""Compilation of head unification and of term inspection (``arg/3``, ``functor/3``).
 
-Code that looks into compound terms: arguments by number, names and arities.
+Code that unifies a local with a term known at compile time follows the WAM: for a compound pattern the generated code
+has a write mode, which binds an unbound variable to a new term, and a read mode, which takes an existing term apart.
+The first occurrence of a variable becomes a name for the argument; later occurrences are unified.
+
+Patterns of several compounds with distinct variables, typical for events made from messages, are first unpacked in
+one tuple assignment; only a term that does not fit takes the general code.
 """
 
 from typing import List, Tuple
@@ -12,16 +17,16 @@ from .clause_nodes import CallNode
 from .code_scope import Scope, is_large
 
 _FEWEST, _MOST = 3, 40
-"""How many compounds a pattern may have that is unpacked at one go; deeper than 90 levels Python takes none."""
+"""Least and greatest number of compounds of a pattern that is unpacked as a whole; Python allows 90 nested levels."""
 
 _NESTING = 4
-"""Patterns nested deeper than this are unified by the general routine."""
+"""Nesting of patterns that are unified by generated code; deeper ones are left to `unify`."""
 
 
 def match(scope: Scope, name: str, pattern: Term, depth: int = 0) -> None:
     """Write the unification of the value in local ``name`` with ``pattern``.
 
-    New variables of the pattern become names for what they stand for; others are bound as needed.
+    Variables of the pattern that have no value become names for the corresponding part; others are unified.
     """
     pattern = deref(pattern)
     if pattern.__class__ is Var:
@@ -42,7 +47,7 @@ def match(scope: Scope, name: str, pattern: Term, depth: int = 0) -> None:
 
 
 def _known(scope: Scope, known: str, name: str) -> None:
-    """Write the unification of two locals, of which one is most likely an unbound variable."""
+    """Write the unification of two locals; one of them is most likely an unbound variable."""
     scope.line(f"if {known} is not {name}:")
     scope.line(f"    if {name}.__class__ is Var and {name}.ref is None and {known}.__class__ is not Var:")
     scope.line(f"        {name}.ref = {known}")
@@ -62,7 +67,7 @@ def _either_mode(scope: Scope, name: str, pattern: CompoundTerm, depth: int) -> 
 
 
 def _is_one_shape(scope: Scope, pattern: Term) -> bool:
-    """Tell whether a pattern is of several compounds, in which there are but atoms and variables new and single."""
+    """Return whether a pattern has several compounds and otherwise only atoms and distinct new variables."""
     compounds = 0
     seen = set()
     stack = [pattern]
@@ -81,9 +86,9 @@ def _is_one_shape(scope: Scope, pattern: Term) -> bool:
 
 
 def _at_one_go(scope: Scope, name: str, pattern: CompoundTerm, depth: int) -> None:
-    """Write the unpacking of a whole pattern in one statement; what it does not fit is looked at part by part.
+    """Write the unpacking of a whole pattern in one statement, with the general code for terms that do not fit.
 
-    That is how messages come: deep, and without a variable anywhere.
+    Events made from messages are deep and ground, so that the statement fits them.
     """
     tests = []
 
@@ -99,6 +104,8 @@ def _at_one_go(scope: Scope, name: str, pattern: CompoundTerm, depth: int) -> No
 
     unpacked = target(pattern)
     slow = scope.temp("q")
+    # A variable or a lazy term within the term, or another arity, raises TypeError or ValueError; another functor or
+    # atom fails the tests. In all these cases the general code decides.
     scope.line(f"{slow} = True")
     scope.line(f"if {name}.__class__ is tuple and {name}[0] is {scope.unit.constant(pattern[0])}:")
     scope.line("    try:")
@@ -143,7 +150,10 @@ def _constant(scope: Scope, name: str, value: Term) -> None:
 
 
 def differs(value: Term, name: str, const: str) -> str:
-    """Return the test that a dereferenced local (``k`` its class) is not a constant that is not an atom."""
+    """Return the condition that a dereferenced local (``k`` is its class) differs from a constant other than an atom.
+
+    Floats need care: 0.0 and -0.0 are equal in Python and different terms, and nan equals itself as a term only.
+    """
     kind = value.__class__
     if kind is int:
         return f"k is not int or {name} != {const}"
@@ -160,7 +170,7 @@ def _bind(scope: Scope, name: str, value: str) -> None:
 
 
 def _compound(scope: Scope, name: str, pattern: CompoundTerm, depth: int) -> None:
-    """Write both modes: binding an unbound variable to a new term, taking a compound term apart."""
+    """Write both modes: binding of an unbound variable to a new term, and taking a compound term apart."""
     scope.dereference(name)
     scope.line("if k is Var:")
     before = scope.branch()
@@ -173,12 +183,13 @@ def _compound(scope: Scope, name: str, pattern: CompoundTerm, depth: int) -> Non
     scope.restore(before)
     scope.line("else:")
     scope.depth += 1
+    # A lazy term knows its functor without being decoded, so a mismatch costs nothing.
     scope.line("if k is not tuple:")
     scope.line(f"    if k is not Lazy or {name}.functor is not {scope.unit.constant(pattern[0])}:")
     scope.line(f"        {scope.fail}")
     scope.line(f"    {name} = {name}.term()")
     take_apart(scope, name, pattern, depth)
-    # Variables that came up in both modes have to go by the same name afterwards.
+    # Variables that got a value in both modes must have the same name afterwards.
     for var, here in list(scope.names.items()):
         other = created.get(var)
         if other is not None and other != here:
@@ -192,7 +203,7 @@ def _compound(scope: Scope, name: str, pattern: CompoundTerm, depth: int) -> Non
 
 
 def take_apart(scope: Scope, name: str, pattern: CompoundTerm, depth: int, check: bool = True) -> None:
-    """Write the read mode: ``name`` holds a compound term (of the right functor unless ``check``)."""
+    """Write the read mode: ``name`` holds a compound term, whose functor is tested if ``check``."""
     if check:
         scope.line(f"if {name}[0] is not {scope.unit.constant(pattern[0])}:")
         scope.line(f"    {scope.fail}")
@@ -205,7 +216,7 @@ def take_apart(scope: Scope, name: str, pattern: CompoundTerm, depth: int, check
                 targets.append("_")
                 continue
             if item not in scope.names:
-                # Canonical names: the write mode gives the variable the same one.
+                # The canonical name, which the write mode uses as well.
                 target = scope.clause.local(item)
                 scope.names[item] = target
                 targets.append(target)
@@ -214,12 +225,13 @@ def take_apart(scope: Scope, name: str, pattern: CompoundTerm, depth: int, check
         targets.append(target)
         later.append((target, item))
     used = [(at, target) for at, target in enumerate(targets, 1) if target != "_"]
+    # Unpacking is faster than indexing unless few of many parts are used.
     if len(used) == 1 or len(used) * 3 < len(targets):
         for at, target in used:
             scope.line(f"{target} = {name}[{at}]")
     elif used:
         scope.line(f"_, {', '.join(targets)} = {name}")
-    # Cheap tests first: constants, then known variables, then nested patterns.
+    # Cheap tests first, so that a mismatch is found early: constants, then known variables, then nested patterns.
     for target, item in sorted(later, key=_cost):
         match(scope, target, item, depth + 1)
 
@@ -230,7 +242,7 @@ def _cost(entry: Tuple[str, Term]) -> int:
 
 
 def forget_fresh(scope: Scope, term: Term) -> None:
-    """Note that the variables of a term may be bound or shared from here on."""
+    """Record that the variables of a term may be bound or shared from this point on."""
     stack = [term]
     while stack:
         item = deref(stack.pop())
@@ -244,7 +256,7 @@ _BLANK = functor("$blank", 3)
 
 
 def dereferenced(scope: Scope, term: Term) -> str:
-    """Return a local that holds a term, dereferenced and made."""
+    """Return a local that holds a dereferenced and decoded term, after writing its assignment."""
     term = deref(term)
     if term.__class__ is not Var:
         name = scope.temp("p")
@@ -259,7 +271,15 @@ def dereferenced(scope: Scope, term: Term) -> str:
 
 
 def write_argument(scope: Scope, result: str, otherwise: str, number: Term, whole: Term) -> None:
-    """Write the look-up of an argument; what is not a compound term and an integer is left to the built-in."""
+    """Write the look-up of an argument of a compound term.
+
+    Args:
+        scope: the function.
+        result: the local that receives the argument.
+        otherwise: the built-in, which handles all other cases and raises the errors.
+        number: position of the argument, from 1.
+        whole: the compound term.
+    """
     at, term = scope.build(number), dereferenced(scope, whole)
     tests = [f"{term}.__class__ is tuple", f"0 < {at} < len({term})"]
     if deref(number).__class__ is not int:
@@ -273,7 +293,7 @@ def write_argument(scope: Scope, result: str, otherwise: str, number: Term, whol
 
 
 def write_functor(scope: Scope, node: CallNode) -> None:
-    """Write ``functor/3``; a term that is new is made, of others name and arity are looked up."""
+    """Write ``functor/3``: construction for a variable without a value, otherwise both modes."""
     whole, name, arity = (deref(arg) for arg in node.args)
     functional = scope.unit.database.predicate(_BLANK).functional
     assert functional is not None
@@ -288,6 +308,7 @@ def write_functor(scope: Scope, node: CallNode) -> None:
         match(scope, made, whole)
     else:
         term, named, size = dereferenced(scope, whole), scope.temp("p"), scope.temp("p")
+        # An unbound variable is bound to a new term first; then name and arity are read in either case.
         scope.line(f"if {term}.__class__ is Var:")
         scope.line(f"    {named} = {blank}({_given(scope, name)}, {_given(scope, arity)})")
         scope.line(f"    {term}.ref = {named}")
@@ -305,6 +326,9 @@ def write_functor(scope: Scope, node: CallNode) -> None:
 
 
 def _given(scope: Scope, term: Term) -> str:
-    """Return an expression for what a variable was given; one that is new stays so."""
+    """Return an expression for an argument of ``functor/3``; a variable without a value stays without one.
+
+    It gets its value from the unification with the name or arity that follows.
+    """
     new = term.__class__ is Var and term not in scope.names
     return "Var()" if new else scope.build(term)

@@ -1,12 +1,16 @@
-"""Clauses as predicates keep them, and what tells whether a call matches one.
+"""Clauses and their indexes: selection of the clauses that a call may match.
 
-Indexes of clauses: by the key of one argument, those that a call may match, in their order.
+A call is compared with clause heads by first-level keys (`key_of`): the constant or functor of an argument. A
+predicate with many clauses gets hash indexes on single arguments, built when a call first has that argument bound
+(just-in-time indexing as in SWI-Prolog and YAP). Clauses with a variable in the indexed argument match under any key.
+They are stored once and merged with the clauses of a key when that key is looked up, so the cost of adding a clause
+does not depend on the number of keys.
 
-Calls of a predicate with many clauses: straight to the only clause that the key of an argument leaves.
+Retracted clauses stay in indexes and lists. Each records the generation that retracted it, and a call sees the
+clauses that were alive when it began (the logical update view).
 
-Of most tables of facts and rules one argument is known in most calls, and leaves one clause.
-
-Predicates that are functions of some of their arguments.
+`FunctionalModes` describes built-ins that are functions of some of their arguments, which compiled clauses call
+without unifying the outputs.
 """
 
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
@@ -21,17 +25,22 @@ from ..terms.types import TRUE, Atom, Frame, Step, Term, Trail, Var
 from ..terms.unification import unify
 
 NEVER = 1 << 62
-"""A generation that does not come."""
+"""Generation of clauses that have not been retracted."""
 
 
 class Clause:
-    """A clause of a predicate.
+    """Clause of a predicate.
 
     Attributes:
-        head, body: its term; the variables are its own and never bound.
-        died: the generation that retracted it.
+        predicate: the predicate that it belongs to.
+        head, body: its terms; their variables are its own and never bound.
+        died: the generation that retracted it; `NEVER` if it has not been retracted.
         keys: first-level key of each argument, None for variables.
-        place: where it was read.
+        ground: whether it is a fact without variables.
+        fact: whether its body is ``true``.
+        code: its compiled code, or None.
+        uses: number of interpreted calls, which decides when it is compiled.
+        place: source position, or None.
     """
 
     __slots__ = ("head", "body", "died", "keys", "ground", "fact", "code", "uses", "place", "predicate")
@@ -50,12 +59,12 @@ class Clause:
 
     @property
     def is_large(self) -> bool:
-        """Whether it is so large that it is interpreted always; see `codegen.LARGEST`."""
+        """True if the clause is too large to be compiled; see `MAX_TERM_ARGUMENTS`."""
         return is_larger((None, self.head, self.body), MAX_TERM_ARGUMENTS)
 
 
 def may_match(keys: Sequence[object], others: Tuple[object, ...]) -> bool:
-    """Tell whether the first-level keys of a call and of a clause's head agree."""
+    """Return whether the first-level keys of a call and of a clause's head agree; None agrees with any key."""
     for key, other in zip(keys, others):
         if key is not other and key is not None and other is not None and key != other:
             return False
@@ -63,7 +72,12 @@ def may_match(keys: Sequence[object], others: Tuple[object, ...]) -> bool:
 
 
 def keys_of(frame: Frame, position: Optional[int]) -> Optional[List[object]]:
-    """Return the keys of a call's arguments; None where only that at ``position`` has one."""
+    """Return the keys of a call's arguments, or None if no argument but the indexed one has a key.
+
+    Args:
+        frame: the call.
+        position: position of the argument that an index has compared, or None.
+    """
     for at in range(1, len(frame) - 1):
         if at - 1 != position and key_of(frame[at]) is not None:
             return [key_of(arg) for arg in frame[1:-1]]
@@ -71,10 +85,16 @@ def keys_of(frame: Frame, position: Optional[int]) -> Optional[List[object]]:
 
 
 def match_head(frame: Frame, clause: Clause, fresh: Dict[Var, Term], trail: Trail) -> bool:
-    """Unify a call with a clause's head; ``fresh`` gets what the clause's variables stand for.
+    """Unify a call with a clause's head, and return whether that succeeds.
 
-    A variable of the clause becomes a name for the argument, as in compiled clauses: the caller's variable
-    is bound to nothing, and stays the older one.
+    The first occurrence of a clause variable becomes a name for the argument, as in compiled clauses. No variable is
+    created, and the caller's variable stays unbound.
+
+    Args:
+        frame: the call.
+        clause: the clause.
+        fresh: receives the values of the clause's variables.
+        trail: receives the variables that are bound.
     """
     head: Any = clause.head
     for at in range(1, len(frame) - 1):
@@ -93,23 +113,23 @@ def match_head(frame: Frame, clause: Clause, fresh: Dict[Var, Term], trail: Trai
 
 
 _FROM = 8
-"""Clauses from which on an index is made."""
+"""Clauses from which on a predicate is indexed; a scan of fewer is faster."""
 
 _ARGUMENTS = 4
-"""How many arguments, the first ones, may be indexed by."""
+"""Number of leading arguments that may be indexed."""
 
 _MAX_COPIES = 1_000_000
-"""Entries of clauses with a variable, under all keys that were asked for, from which on they are made anew."""
+"""Limit for copies of clauses with a variable in all merged lists; past it the merged lists are dropped."""
 
 
 class Index:
-    """The clauses of a predicate by the key of one argument; those with a variable there match under any key.
+    """Index of a predicate's clauses by the key of one argument.
 
-    What has a variable is entered once, and joined with the clauses of a key only when that is asked for: the
-    time to add clauses and ask for them grows with what is asked for, not with the number of keys.
+    A clause with a variable in that argument matches under any key. It is stored once, and merged with the clauses of
+    a key when that key is looked up, so the cost follows the look-ups and not the number of keys.
 
     Attributes:
-        own: by key, the clauses with that key.
+        own: for each key, the clauses with that key.
         others: the clauses with a variable.
     """
 
@@ -123,11 +143,13 @@ class Index:
         self._copies = 0
 
     def add(self, key: object, clause: Clause) -> None:
-        """Add the last clause; the key is None where it has a variable."""
+        """Append a clause; the key is None if the argument is a variable."""
         if key is None:
             self.others.append(clause)
             return
         own = self.own.setdefault(key, [])
+        # For each clause with a key, the number of clauses with a variable before it: enough to merge both lists in
+        # the order of the program, and nothing is stored as long as there are no variables.
         if self.others:
             before = self._before.get(key)
             if before is None:
@@ -136,9 +158,9 @@ class Index:
         own.append(clause)
 
     def joined(self, key: object) -> List[Clause]:
-        """Return all clauses that may match under a key, in their order; to be called where there are `others`.
+        """Return all clauses that may match a key, in order. Call it only if there are `others`.
 
-        The list is only added to from then on.
+        The list is never shortened, so a choice point may keep a position in it.
         """
         own, others = self.own.get(key), self.others
         if own is None:
@@ -146,6 +168,7 @@ class Index:
         found, of_own, of_others = self._joined.get(key) or ([], 0, 0)
         if of_own == len(own) and of_others == len(others):
             return found
+        # The merged list is extended by the clauses that were added since the last look-up.
         before = self._before.get(key, ())
         self._copies += len(others) - of_others
         for at in range(of_own, len(own)):
@@ -162,15 +185,16 @@ class Index:
         return found
 
     def __len__(self) -> int:
-        """Return how many entries of clauses are held, those of joined lists included."""
+        """Return the number of stored references to clauses, including those of merged lists."""
         joined = sum(len(found) for found, _, _ in self._joined.values())
         return sum(map(len, self.own.values())) + len(self.others) + joined
 
 
 class Indexes:
-    """The indexes of a predicate, made as calls come with arguments that tell its clauses apart.
+    """Indexes of a predicate, built when calls arrive with arguments that distinguish its clauses.
 
-    How many clauses there were when an argument did not is kept, so that it is not tried for each call.
+    For an argument that does not distinguish them, the number of clauses at that time is recorded. It is tried again
+    only after the predicate has doubled.
     """
 
     __slots__ = ("_positions", "_made", "_poor")
@@ -181,10 +205,10 @@ class Indexes:
         self._poor: Dict[int, int] = {}
 
     def select(self, clauses: List[Clause], frame: Frame) -> Tuple[List[Clause], Optional[int]]:
-        """Return a list that holds all clauses that a call may match, and the argument that it is indexed by.
+        """Return a list of clauses that contains all that a call may match, and the position of the index used.
 
         Args:
-            clauses: all of the predicate, those included that were removed.
+            clauses: all clauses of the predicate, including retracted ones.
             frame: the call.
         """
         size = len(clauses)
@@ -207,11 +231,13 @@ class Indexes:
             candidates = found.joined(key) if others else found.own.get(key, others)
             if len(candidates) < len(best):
                 best, by = candidates, position
+                # A better index would not save more than the search for it costs.
                 if len(best) <= 2:
                     break
         return best, by
 
     def _make(self, position: int, clauses: Iterable[Clause]) -> Optional[Index]:
+        # An index is useless if most clauses match any key, or if there is one key only.
         index = Index()
         clauses = [clause for clause in clauses if clause.died == NEVER]
         keys = [clause.keys[position] for clause in clauses]
@@ -226,27 +252,27 @@ class Indexes:
         return index
 
     def add(self, clause: Clause) -> None:
-        """Add the last clause."""
+        """Append a clause."""
         for position, index in self._made.items():
             index.add(clause.keys[position], clause)
 
     def clear(self) -> None:
-        """Forget all: clauses have gone, or not come as the last."""
+        """Drop all indexes, after clauses were removed or added in front."""
         self._made.clear()
 
     def make_anew(self, clauses: Iterable[Clause]) -> None:
-        """Make those that there are anew, of nothing but these clauses."""
+        """Rebuild the existing indexes from the given clauses."""
         positions = list(self._made)
         self._made.clear()
         for position in positions:
             self._make(position, clauses)
 
     def complete(self) -> List[Tuple[int, Index]]:
-        """Return the positions and indexes of arguments that no clause has a variable for, in order."""
+        """Return the positions and indexes of arguments in which no clause has a variable, in order."""
         return [(position, index) for position, index in sorted(self._made.items()) if not index.others]
 
     def __len__(self) -> int:
-        """Return how many entries of clauses are held."""
+        """Return the number of stored references to clauses."""
         return sum(map(len, self._made.values()))
 
 
@@ -257,17 +283,21 @@ def by_key(
     search: Callable[..., Optional[Frame]],
     otherwise: Step,
 ) -> Step:
-    """Return a function that does a call while the predicate does not change.
+    """Return a step that runs a call through an index, valid as long as the predicate does not change.
+
+    In most tables of facts or rules one argument is bound in most calls and selects a single clause. The step goes to
+    that clause without selecting candidates and without a choice point.
 
     Args:
-        position: of the argument, from 0; no clause has a variable there.
+        position: position of the indexed argument, from 0; no clause has a variable there.
         own: the clauses by the key of that argument.
-        choices: those of the machine.
-        search: finds a ground fact, see `fact_search`.
-        otherwise: does a call where several clauses are left, or one that has not been compiled yet.
+        choices: the choice point stack of the machine.
+        search: finds a ground fact; see `fact_search`.
+        otherwise: step for calls that leave several clauses, or one that has not been compiled yet.
     """
     at = position + 1
 
+    # Dereferencing and the key are written inline: the step is the hot path of every call of the predicate.
     def run(frame: Frame) -> Optional[Frame]:
         arg: Any = frame[at]
         kind = arg.__class__
@@ -292,18 +322,18 @@ def by_key(
 
 
 class FunctionalModes(NamedTuple):
-    """A deterministic predicate given by a function from input arguments to the other, output arguments.
+    """Deterministic predicate that is given by a function from input arguments to output arguments.
 
-    Compiled clauses unify the outputs in line: what no goal looks at is never made, and a variable that
-    is new there becomes a name for the value, without a binding.
+    Compiled clauses unify the outputs inline: an output that no goal uses is never converted, and a new variable
+    becomes a name for the value, without a binding.
 
     Attributes:
-        function: takes the inputs; returns the only output, or a tuple of all, or None where it fails.
+        function: takes the inputs; returns the output, or a tuple of several, or None if the predicate fails.
         inputs: positions of the inputs among the arguments.
         outputs: positions of the outputs.
-        shows: what makes the term of each output from what the function returned, None where it is the term.
-        single: whether there is one output, which is returned as such.
-        joins: what tells which goals after one of it go together with it, see `compiler.joining`.
+        shows: for each output, the conversion of the returned value to a term; None if it is a term.
+        single: whether there is one output, which is returned without a tuple.
+        joins: joins consecutive goals that begin with this predicate to one function, or None; see `inline_goals`.
     """
 
     function: Callable[..., Any]
@@ -314,7 +344,7 @@ class FunctionalModes(NamedTuple):
     joins: Optional[Joins] = None
 
     def predicate(self) -> Callable[..., bool]:
-        """Return the predicate as `Logic.define` takes it."""
+        """Return the predicate as a function for `PredicateTable.define`."""
         function, inputs, single = self.function, self.inputs, self.single
         outputs = tuple(zip(self.outputs, self.shows))
 
@@ -336,7 +366,7 @@ def functional(
     outputs: Tuple[int, ...] = (),
     shows: Tuple[Optional[Callable[..., Term]], ...] = (),
 ) -> FunctionalModes:
-    """Return the description of a function; without ``outputs`` the last argument is the only one."""
+    """Return the modes of a function; without ``outputs`` the last argument is the only output."""
     single = not outputs
     outputs = outputs or (arity - 1,)
     inputs = tuple(at for at in range(arity) if at not in outputs)

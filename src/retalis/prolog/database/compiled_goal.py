@@ -1,4 +1,10 @@
-"""Goals that Python code calls: compiled once, with inputs and outputs by position."""
+"""Goals that Python code calls, compiled once with inputs and outputs by position.
+
+A goal has up to three forms, each generated when it is first needed: a Python function from inputs to outputs, code
+for a frame that passes its outputs to a collector, and code for a frame without outputs. The function is tried first.
+If it cannot decide, it returns `BAIL` and the frame runs instead; after `_MAX_BAILS` such attempts it is not tried
+again.
+"""
 
 from typing import Any, List, Optional, Sequence, Union
 
@@ -12,19 +18,25 @@ from ..terms.unification import undo
 from .database import Database
 
 _MAX_BAILS = 20
+"""Attempts of the function that end in `BAIL` after which the goal only runs on the machine."""
 
 
 class CompiledGoal:
-    """A goal compiled with inputs and outputs; made by `Logic.compile_goal`.
+    """Goal compiled with inputs and outputs; created by `PrologSystem.compile_goal`.
+
+    Args:
+        database: the predicates that it may call.
+        term: the goal.
+        inputs: variables that get values, by position.
+        outputs: terms whose values are returned, by position.
+        place: source position of the goal, or None.
+        name: name of the caller, for errors.
+        from_outside: whether the goal comes from a client and not from the program; such goals may not change flags.
 
     Attributes:
-        straight: a Python function of the inputs that returns the outputs of the first solution or None;
-            `BAIL` where it cannot tell, and None where the goal needs the machine.
+        straight: Python function of the inputs that returns the outputs of the first solution, None if there is none,
+            or `BAIL` if it cannot decide; None if the goal needs the machine.
         code: runs the goal without its outputs, by frames ``(code, inputs..., next)``.
-        name: who asks, for errors.
-        term: the goal.
-        place: where it was read.
-        from_outside: whether others than the program have given it: then it may not change flags.
     """
 
     def __init__(
@@ -51,7 +63,7 @@ class CompiledGoal:
         database.goals.add(self)
 
     def _compile(self) -> None:
-        """Set up code that is generated when it is first run."""
+        """Install stubs that generate the code when they first run."""
         source = self._source
         self.straight: Any = self._first_straight
         self._bailed = 0
@@ -62,33 +74,35 @@ class CompiledGoal:
         )
 
     def forget(self) -> None:
-        """Drop code whose references to predicates are out of date."""
+        """Drop generated code, whose references to predicates are out of date."""
         self._source.parse()
         self.straight = self._first_straight
         self._handing_over.run = self._first_enter
         code: Any = self.code
-        if code.__class__ is Code:  # others may have it
+        # Frames and compiled clauses may hold the code object, so it is reset and not replaced.
+        if code.__class__ is Code:
             code.run, code.steady = self._first_plain, False
         else:
             self.code = self._source.call() or Code(self.name, self._first_plain)
 
     def _first_straight(self, *values: Term) -> Any:
-        # Not before it is first called: the predicates that it calls may be defined after it. A goal from outside has
-        # none: an attempt that calls the function does not tell the budget which goal is at work.
+        # Generated at the first call, because the predicates that the goal calls may be defined after it. A goal from
+        # a client has no function: while a function runs, the budget does not know which goal it belongs to.
         self.straight = None if self.from_outside else self._source.straight()
         return BAIL if self.straight is None else self.straight(*values)
 
     def prepare(self) -> None:
-        """Make the function before the goal is first asked, where all that it calls is there."""
+        """Generate the function before the first call, if all predicates that it calls are defined."""
         if self.straight != self._first_straight or self.from_outside:
             return
         try:
             self.straight = self._source.straight() or self._first_straight
-        except (PrologError, RecursionError):  # whoever asks the goal gets the error
+        except (PrologError, RecursionError):
+            # The first call raises the same error, with its caller as context.
             return
 
     def bail(self) -> None:
-        """Note that the function could not tell; where that happens often it is not asked any more."""
+        """Count an attempt in which the function could not decide; after `_MAX_BAILS` of them drop the function."""
         self._bailed += 1
         if self._bailed > _MAX_BAILS:
             self.straight = None
@@ -104,28 +118,28 @@ class CompiledGoal:
         return self.code.run(frame)
 
     def enter(self, values: Values, collector: Frame) -> Frame:
-        """Return the frame that runs the goal and hands its resolved outputs over.
+        """Return the frame that runs the goal and passes its resolved outputs to a collector.
 
-        For each solution it calls ``collector[0].take(collector, outputs)``, which returns the frame to go
-        on with.
+        For each solution it calls ``collector[0].take(collector, outputs)``, which returns the next frame.
         """
         return (self._handing_over, *values, collector)
 
     def test(self, values: Values) -> Optional[Values]:
-        """Run the goal at once.
+        """Run the goal for its first solution.
 
         Args:
-            values: of the inputs, by position.
+            values: values of the inputs, by position.
 
         Returns:
-            The resolved outputs of the first solution, or None. No bindings are left.
+            The resolved outputs, or None if there is no solution. No bindings remain.
 
         Raises:
-            PrologError: what the goal threw.
+            PrologError: if the goal raises it.
         """
         budget = self._machine.budget
         if budget.closed:
             budget.admit()
+        # The budget names the goal in errors about limits; a nested goal must not stay named after it has ended.
         asked = budget.goal
         budget.goal = self
         try:
@@ -143,6 +157,7 @@ class CompiledGoal:
         mark = len(machine.trail)
         if not self._outputs:
             frame = (self.code, *values, machine.done)
+            # A steady step pushes no choice point, so it may run without setting up a run of the machine.
             if self.code.steady:
                 return () if machine.check(frame, self) else None
             succeeded = machine.run(frame)
@@ -155,7 +170,7 @@ class CompiledGoal:
         return found[0]
 
     def _ask_straight(self, values: Values) -> Any:
-        """Return what the function says, with the errors and under the limits of a run."""
+        """Return the result of the function, with the errors and limits of a run on the machine."""
         machine = self._machine
         budget = machine.budget
         limited = budget.limited
@@ -174,7 +189,7 @@ class CompiledGoal:
                 budget.leave(saved)
 
     def all(self, values: Values) -> List[Values]:
-        """Run the goal at once and return the resolved outputs of all its solutions."""
+        """Return the resolved outputs of all solutions."""
         machine = self._machine
         mark = len(machine.trail)
         found: List[Values] = []
@@ -187,7 +202,7 @@ class CompiledGoal:
 
 
 class _KeepOne:
-    """Continuation that keeps the outputs and goes on."""
+    """Collector that stores the outputs and continues with the next frame."""
 
     def take(self, frame: Frame, outputs: Values) -> Frame:
         frame[1].append(outputs)
@@ -195,7 +210,7 @@ class _KeepOne:
 
 
 class _KeepAll:
-    """Continuation that keeps the outputs and asks for the next solution."""
+    """Collector that stores the outputs and fails, so that the machine backtracks into the next solution."""
 
     def take(self, frame: Frame, outputs: Values) -> None:
         frame[1].append(outputs)

@@ -1,10 +1,14 @@
-"""Bodies that are interpreted, and in which so much time is spent that they are compiled while they run.
+"""Interpretation of goals on the machine: control constructs, ``call/N``, exceptions, and solution collection.
 
-What is called seldom is not compiled; but a body that is run once may go over its goals a million times by
-backtracking. The machine shows what it is about to interpret once in a slice of steps, see `Machine.meet`: what is
-met again is compiled, with its variables as arguments, and from then on run that way when it is gone on with.
+`Control.solve` turns a goal term into the frame that runs it. A conjunction becomes a chain of frames, a disjunction
+pushes a choice point, and a cut shortens the choice point stack to the height at which its clause was entered.
+``catch/3`` pushes a choice point of its own kind; while the goal runs, the machine searches the stack for it after an
+exception.
 
-Control on the machine: running a goal from its term, and the built-ins that decide what runs next.
+Rarely called bodies are interpreted, but a body that is called once may run its goals a million times by
+backtracking. `JustInTimeBodies` finds those by sampling: the machine reports the goal that it is about to interpret
+once per slice of steps (`Machine.meet`). A body that is reported twice is compiled, with its variables as arguments,
+and the compiled code runs from then on.
 """
 
 from typing import Any, Callable, Dict, List, Optional, Set, Tuple
@@ -38,17 +42,19 @@ from .database import Database
 from .module_system import Modules
 
 _MAX_BODY_PARTS = 400
-"""Larger bodies are not compiled; what they have are most likely terms that were passed to them."""
+"""Size limit of bodies that are compiled; larger ones most likely contain data that was passed to them."""
 
 _MAX_BODIES = 16
+"""Bodies that are observed at a time; the oldest one is dropped."""
+
 STRUCTURES = {COMMA, SEMICOLON, BAR, ARROW, SOFT_ARROW, NOT}
 
 
 class JustInTimeBodies:
-    """The bodies that were met and those that are compiled, by the identity of their terms.
+    """Just-in-time compiler of interpreted bodies, by the identity of their terms.
 
     Attributes:
-        compiled: what runs a body, its variables, and the body, whose identity it keeps from being used again.
+        compiled: for each identity the code, the variables of the body, and the body, which keeps its ``id`` in use.
     """
 
     def __init__(self, database: Database):
@@ -58,21 +64,22 @@ class JustInTimeBodies:
         self._refused: Set[int] = set()
 
     def __len__(self) -> int:
-        """Return how many bodies are held."""
+        """Return the number of stored bodies."""
         return len(self._met) + len(self.compiled)
 
     def clear(self) -> None:
-        """Forget all: the bodies are over, or what they call has been redefined."""
+        """Drop all bodies, at the end of a goal or after a redefinition of a predicate."""
         self.compiled.clear()
         self._met.clear()
         self._refused.clear()
 
     def meet(self, body: Term) -> None:
-        """Note that a body is about to be interpreted; compile it where that has been noted before."""
+        """Record that a body is about to be interpreted, and compile it if that was recorded before."""
         if body.__class__ is not tuple or self._database.interprets:
             return
         if body[0] not in STRUCTURES and not self._database.is_inline(body[0]):
             return
+        # An id may be reused by another term, so the identity is compared as well.
         if self._met.get(id(body)) is not body:
             if len(self._met) >= _MAX_BODIES:
                 self._forget(next(iter(self._met)))
@@ -98,7 +105,8 @@ class JustInTimeBodies:
             key = functor("$body", len(names))
             rule = ClauseParts(tuple(names.values()), source)
             step = PredicateGenerator(self._database, key, [rule], Code("body", _unused)).single(0)
-        except (PrologError, RecursionError):  # where the goal with the error is reached it is thrown
+        except (PrologError, RecursionError):
+            # The interpreter raises the error when it reaches the goal, or never if it does not.
             return None
         return step, tuple(names), body
 
@@ -108,7 +116,10 @@ def _unused(frame: Frame) -> Optional[Frame]:
 
 
 def _calls_what_is_bound(body: Term) -> bool:
-    """Tell whether a variable that is bound is one of the goals: a cut that it stands for is that of the body."""
+    """Return whether a bound variable occurs as a goal of a body.
+
+    A cut in its value cuts the body, which compiled code (``call/1`` of the variable) would not do.
+    """
     left = [body]
     while left:
         goal = left.pop()
@@ -120,14 +131,17 @@ def _calls_what_is_bound(body: Term) -> bool:
 
 
 class _Copied:
-    """Copies a body as it was written: variables that are bound now may be bound to something else next time."""
+    """Copier of a body as it was written.
+
+    Bound variables are copied as variables, because they may have other values the next time.
+    """
 
     def __init__(self, names: Dict[Var, Term]):
         self._names = names
         self._left = _MAX_BODY_PARTS
 
     def term(self, term: Any) -> Optional[Term]:
-        """Return the copy; None where the body is too large, or has a term that is not made yet."""
+        """Return the copy; None if the body is too large or contains a term that has not been decoded."""
         if term.__class__ is Var:
             return self._names.setdefault(term, Var())
         if term.__class__ is Lazy:
@@ -153,15 +167,16 @@ _NECK = functor(":-", 2)
 
 
 Controls = Callable[[Machine, Values, Frame], Optional[Frame]]
-"""A control built-in: takes the machine, the arguments and the frame that follows."""
+"""Control built-in: takes the machine, the arguments and the next frame; returns the frame to run."""
 
 
 class Control:
-    """Runs goals from their terms as frames of a database's machine.
+    """Interpreter of goal terms on the machine of a database.
 
     Attributes:
-        code: the code of a frame that runs a goal from its term.
-        bodies: those of them that are compiled while they run.
+        machine: the machine.
+        code: code of frames ``(code, goal, height, next)`` that run a goal from its term.
+        bodies: the bodies that are compiled while they run.
     """
 
     def __init__(self, database: Database):
@@ -192,10 +207,16 @@ class Control:
         database.interpret = self.code
         database.solve = self.solve
 
-    def solve(  # noqa: C901 -- runs each goal of what is interpreted: its tests in one place cost least
+    def solve(  # noqa: C901 -- runs every interpreted goal; calls of helpers would slow it
         self, goal: Any, height: int, after: Frame
     ) -> Optional[Frame]:
-        """Return the frame that runs a goal and then ``after``; cuts in it cut to ``height``."""
+        """Return the frame that runs a goal and then ``after``; None if the goal fails at once.
+
+        Args:
+            goal: the goal.
+            height: height of the choice point stack that cuts in the goal restore.
+            after: the next frame.
+        """
         while True:
             kind = goal.__class__
             if kind is Var or kind is Lazy:
@@ -229,7 +250,7 @@ class Control:
             raise type_error("callable", goal)
 
     def call(self, goal: Term, after: Frame) -> Optional[Frame]:
-        """Return the frame of ``call/1``: cuts in the goal are local to it."""
+        """Return the frame of ``call/1``, in which cuts are local to the goal."""
         if goal.__class__ is not tuple:
             goal = deref(goal)
         if goal.__class__ is tuple and goal[0] in STRUCTURES:
@@ -242,6 +263,7 @@ class Control:
         return self.call(goal, (self._cut_code, height, after))
 
     def _run(self, frame: Frame) -> Optional[Frame]:
+        # Most programs have no such body: the test of the empty dictionary is all that they pay.
         if self._compiled:
             compiled = self._compiled.get(id(frame[1]))
             if compiled is not None:
@@ -261,6 +283,7 @@ class Control:
         if left.__class__ is tuple and left[0] is SOFT_ARROW:
             here = len(self._choices)
             self._choices.append((self.code, goal[2], height, after, len(self._trail)))
+            # The first solution of the test disables the else branch; the choice points of the test stay.
             then = (self._soft_code, here, (self.code, left[2], height, after))
             return self.solve(left[1], here + 1, then)
         self._choices.append((self.code, goal[2], height, after, len(self._trail)))
@@ -272,6 +295,7 @@ class Control:
         return self.solve(test, here + 1, (self._cut_code, here, (self.code, then, height, after)))
 
     def _then(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
+        # Without an else branch no choice point is needed: if the test fails, the goal fails.
         here = len(self._choices)
         return self.solve(goal[1], here, (self._cut_code, here, (self.code, goal[2], height, after)))
 
@@ -279,11 +303,13 @@ class Control:
         return self.solve(goal[1], len(self._choices), (self.code, goal[2], height, after))
 
     def _soft_run(self, frame: Frame) -> Frame:
+        # Replaced by an entry that fails, because entries above it cannot move.
         here = frame[1]
         self._choices[here] = (DEAD, self._choices[here][-1])
         return frame[2]  # type: ignore[no-any-return]
 
     def _not(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
+        # If the goal fails, its failure resumes ``after``; if it succeeds, the rejection removes that choice point.
         here = len(self._choices)
         self._choices.append((RESUME, after, len(self._trail)))
         return self.solve(goal[1], here + 1, (self._reject_code, here, after))
@@ -318,6 +344,8 @@ class Control:
         if len(self._choices) == here + 1:
             self._choices.pop()  # the goal left no choice points
         else:
+            # The goal may be retried, so its entry must stay but be inactive outside. The mark is on the trail:
+            # backtracking into the goal resets it, which activates the catch again.
             mark.ref = True
             self._trail.append(mark)
         return after
@@ -327,10 +355,14 @@ class Control:
     def collect(
         self, goal: Term, template: Term, then: Callable[[List[Term]], Optional[Frame]]
     ) -> Optional[Frame]:
-        """Return the frame that runs a goal for all its solutions, then goes on with ``then(copies)``.
+        """Return the frame that runs a goal for all solutions and continues with ``then(copies)``.
 
-        ``copies`` are copies of ``template``, one for each solution; the bindings are undone.
+        Args:
+            goal: the goal.
+            template: the term that is copied for each solution.
+            then: takes the copies, in order of the solutions, after all bindings are undone; returns the next frame.
         """
+        # The choice point runs after the last solution, when backtracking has undone all bindings.
         found: List[Term] = []
         self._choices.append((self._collected_code, then, found, len(self._trail)))
         return self.call(goal, (self._collect_code, found, template, (RESUME, None)))
@@ -346,11 +378,15 @@ class Control:
 
 
 def check_body(goal: Term) -> Term:
-    """Return a goal as a body: variables that stand as goals in it are called (cuts in them are local).
+    """Return a goal as a body, with variables as goals replaced by ``call/1`` (cuts in their values are local).
 
     Raises:
-        PrologError: type_error(callable, whole goal) where part of a control construct can be no goal.
+        PrologError: ``type_error(callable, Goal)`` with the whole goal if part of a control construct is not
+            callable.
+        TermTooLarge: if the goal has too many parts.
     """
+    # Rounds of bounded loops: between them the work can be cancelled, and after many of them the term is tested for
+    # cycles, in which the traversal would not end.
     stack = [goal]
     open_goals = False
     for done in ROUNDS:
@@ -372,7 +408,7 @@ def check_body(goal: Term) -> Term:
 
 
 def _called(goal: Term) -> Term:
-    """Return a body with its variables called; no recursion along conjunctions."""
+    """Return a body with its variables wrapped in ``call/1``; conjunctions are traversed without recursion."""
     before = []
     goal = deref(goal)
     while goal.__class__ is tuple and goal[0] in STRUCTURES and len(goal) == 3:
@@ -388,10 +424,10 @@ def _called(goal: Term) -> Term:
 
 
 def check_partial_list(term: Term) -> None:
-    """Raise a type error for what is neither a list nor may become one.
+    """Require a list or a partial list.
 
     Raises:
-        PrologError: a type error.
+        PrologError: a type error for any other term.
     """
     _, tail = list_parts(term)
     if tail.__class__ is not Var and tail is not NIL:
@@ -399,7 +435,7 @@ def check_partial_list(term: Term) -> None:
 
 
 def add_arguments(goal: Term, extra: Values, modules: Optional[Modules] = None) -> Term:
-    """Return a goal with more arguments, as ``call/N`` makes it."""
+    """Return a closure with the arguments of ``call/N`` appended."""
     found: Any = deref(goal)
     kind = found.__class__
     if kind is tuple:
@@ -415,7 +451,11 @@ def add_arguments(goal: Term, extra: Values, modules: Optional[Modules] = None) 
 
 
 def thrown(ball: Term) -> PrologError:
-    """Return the exception of ``throw/1``."""
+    """Return the exception of ``throw/1``.
+
+    Raises:
+        PrologError: an instantiation error if the ball is unbound.
+    """
     ball = deref(ball)
     if ball.__class__ is Var:
         raise instantiation_error()
@@ -423,7 +463,7 @@ def thrown(ball: Term) -> PrologError:
 
 
 def control_predicates(control: Control) -> Dict[Tuple[str, int], Controls]:
-    """Return the control built-ins: functions ``(machine, args, next) -> frame``."""
+    """Return the control built-ins, functions ``(machine, args, next) -> frame``, by name and arity."""
 
     def call(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
         if len(args) == 1:
@@ -476,7 +516,7 @@ def _repeat(machine: Machine) -> Controls:
 
 
 def functor_of(head: Term) -> Functor:
-    """Return the functor of an atom or a compound: of a clause's head, of an event."""
+    """Return the functor of an atom or compound term, such as a clause head or an event."""
     if head.__class__ is tuple:
         key: Functor = head[0]
         return key
@@ -485,10 +525,10 @@ def functor_of(head: Term) -> Functor:
 
 
 def split_clause(term: Term) -> Tuple[Term, Term]:
-    """Return head and body of a clause.
+    """Return head and body of a clause; a module before the head is dropped.
 
     Raises:
-        PrologError: instantiation and type errors where the term is not a clause.
+        PrologError: an instantiation or type error if the term is not a clause.
     """
     head: Term = term
     body: Term = TRUE

@@ -1,6 +1,12 @@
-"""The standard's own predicates, as far as programs may define them anew: in files, not by asserting a clause.
+"""Predicate database: the predicates of a program and of the system, by functor.
 
-All predicates of a program and of the system.
+Several versions of a predicate may exist under one name. A program that defines a predicate of the library gets its
+own; the clauses of the library keep calling theirs, which `Library` resolves. Predicates of ISO Prolog (`STANDARD`)
+may be redefined in files but not by asserting a clause, which is most likely an accident.
+
+A call of an unknown functor creates an undefined predicate. Programs that construct functors could create them
+without limit, so undefined predicates are moved to a weak dictionary from time to time (`put_aside`) and live only as
+long as a frame or a clause refers to them.
 """
 
 from typing import Any, Callable, Dict, Iterable, Optional, Set
@@ -37,23 +43,32 @@ _NAMES = (
 )
 
 STANDARD = frozenset(map(_key, _NAMES.split()))
-"""What a clause that a goal asserts does not replace: that would be an accident."""
+"""Predicates of ISO Prolog that a program may redefine in a file but not by asserting a clause."""
 
 
 _SPARE = 1000
-"""Predicates from which on, and then at twice as many, it is looked which of them are none."""
+"""Predicates beyond twice those in use after which undefined ones are moved to the weak dictionary."""
 
 
 class Database:
-    """All predicates, by functor; the system's and the program's.
+    """Predicates of the system and of the program, by functor.
+
+    Args:
+        machine: runs the predicates.
+        compile_after: calls of an unchanged predicate after which it is compiled.
 
     Attributes:
-        machine: runs them.
-        generation: counts retracted clauses, for the logical update view.
-        changes: counts clauses that came or went.
-        compile_after: calls of an unchanged predicate after which it is compiled.
-        is_library: whether these are the predicates as the library sees them.
-        interprets: whether that is `NEVER`: nothing of the program is compiled, and goals are run from their terms.
+        generation: number of retracted clauses, which the logical update view compares.
+        changes: number of changes of clauses.
+        is_library: False; `Library` shows the same predicates to the clauses of the library.
+        interprets: whether ``compile_after`` is `NEVER`: nothing of the program is compiled, and goals are
+            interpreted.
+        modules: the modules of the program.
+        library: the predicates as the library resolves them.
+        interpret: code of frames that run a goal from its term.
+        solve: returns the frame that runs a goal from its term, a cut height, and the next frame.
+        on_forget: called when compiled code is dropped.
+        undefined: returns the frame for a call of an undefined predicate, or raises.
     """
 
     is_library = False
@@ -66,25 +81,27 @@ class Database:
         self.interprets = compile_after >= NEVER
         self.predicates: Dict[Functor, Predicate] = {}
         self._unused: WeakValueDictionary[Functor, Predicate] = WeakValueDictionary()
-        """Predicates that nobody has defined: they stay as long as something refers to them."""
+        """Undefined predicates that live only as long as something refers to them."""
         self._many = _SPARE
         self.modules = Modules()
         self.modules.is_there = self._is_there
         self.modules.on_change = self.forget
         self.library = Library(self)
         self.goals: WeakSet[Any] = WeakSet()
-        """The goals that have been compiled for Python code, see `CompiledGoal`."""
+        """Goals that have been compiled for Python code."""
         self.interpret: Optional[Code] = None
         self.solve: Callable[[Term, int, Frame], Optional[Frame]] = lambda goal, height, after: None
         self.on_forget: Callable[[], None] = lambda: None
         self.undefined: Callable[[Predicate, Frame], Optional[Frame]] = lambda predicate, frame: None
 
     def predicate(self, key: Functor) -> Predicate:
-        """Return the predicate of a functor; one that nobody defined yet is undefined."""
+        """Return the predicate of a functor, creating an undefined one if there is none."""
         found = self.predicates.get(key)
         if found is None:
             if len(self.predicates) >= self._many:
                 self.put_aside()
+            # A frame may still refer to the predicate that was put aside; a second one of the name would split its
+            # calls.
             found = self.predicates[key] = self._unused.get(key) or Predicate(self, key)
         return found
 
@@ -93,17 +110,16 @@ class Database:
         return found is not None and not found.is_blank
 
     def put_aside(self) -> None:
-        """Keep predicates that nobody has defined no longer than something refers to them."""
+        """Move undefined predicates to the weak dictionary."""
         for key, predicate in list(self.predicates.items()):
             if predicate.is_blank:
                 self._unused[key] = self.predicates.pop(key)
         self._many = 2 * len(self.predicates) + _SPARE
 
     def compile_named(self, terms: Iterable[Term]) -> None:
-        """Compile the program's predicates that are named in terms, and those that their clauses name.
+        """Compile the program's predicates that occur in terms, and those that their clauses refer to.
 
-        Any of them would be compiled when it has been called often enough; those that events lead to are
-        so from the first event on.
+        They would be compiled after enough calls; predicates that events lead to are ready for the first event.
         """
         seen: Set[Functor] = set()
         stack = list(terms)
@@ -119,20 +135,28 @@ class Database:
                 stack += [clause.body for clause in predicate.live()]
 
     def direct(self, key: Functor) -> FunctionCode:
-        """Return the functions of a predicate."""
+        """Return the functions of a predicate, creating them if there are none."""
         predicate = self.predicate(key)
         if predicate.direct is None:
             predicate.direct = FunctionCode(self, key)
         return predicate.direct
 
     def is_inline(self, key: Functor) -> bool:
-        """Tell whether a predicate is a deterministic built-in, which compiled clauses call in line."""
+        """Return whether a predicate is a deterministic built-in, which compiled clauses call inline."""
         found = self.predicates.get(key)
         return found is not None and found.kind == "builtin"
 
     def define(self, key: Functor, function: Optional[Callable[..., Any]], run: Step, kind: str) -> Predicate:
-        """Define a predicate in Python."""
+        """Define a predicate in Python, replacing any earlier definition.
+
+        Args:
+            key: functor of the predicate.
+            function: Python function that compiled clauses call inline, or None.
+            run: step that runs a call.
+            kind: "builtin" (deterministic) or "control".
+        """
         predicate = self.predicate(key)
+        # Compiled clauses contain inline calls of the former definition.
         if predicate.kind != "undefined":
             self.forget()
         predicate.kind = kind
@@ -147,7 +171,7 @@ class Database:
         return predicate
 
     def forget(self) -> None:
-        """Drop compiled code that may refer to a predicate that is being redefined."""
+        """Drop all compiled code, which may refer to a predicate that is being redefined."""
         for predicate in self.predicates.values():
             predicate.forget()
         for goal in list(self.goals):
@@ -155,15 +179,15 @@ class Database:
         self.on_forget()
 
     def require_writable(self, key: Functor, action: str, asserted: bool = False) -> None:
-        """Check that the program may change the clauses of a predicate.
+        """Require that the program may change the clauses of a predicate.
 
         Args:
-            key: of the predicate.
-            action: what is done, for the error.
-            asserted: whether a goal does it, not a file or a declaration.
+            key: functor of the predicate.
+            action: the action named in the error, such as "modify".
+            asserted: whether a goal changes them, and not a file or a declaration.
 
         Raises:
-            PrologError: a permission error for the system's predicates.
+            PrologError: a permission error for predicates of the system.
         """
         predicate = self.predicate(key)
         locked = predicate.library and (predicate.locked or (asserted and key in STANDARD))
@@ -171,7 +195,7 @@ class Database:
             raise permission_error(action, "static_procedure", indicator(key))
 
     def give_back(self, predicate: Predicate) -> None:
-        """Have the library's predicate be the program's again, in place of one of the program's own."""
+        """Replace the program's own version of a predicate by the library's."""
         key = predicate.functor
         if self.predicates.get(key) is not predicate:
             self.predicates[key] = predicate
@@ -179,7 +203,7 @@ class Database:
             self.forget()
 
     def take_back(self, own: Predicate) -> None:
-        """Have one of the program's own take the place of the library's again, where that was given back."""
+        """Undo `give_back`: replace the library's version of a predicate by the program's own."""
         key = own.functor
         other = self.predicates.get(key)
         if other is not None and other.library:
@@ -190,8 +214,8 @@ class Database:
     def writable(self, key: Functor, action: str, asserted: bool = False) -> Predicate:
         """Return a predicate whose clauses the program may change.
 
-        A program that defines a predicate of the library gets one of its own; the library keeps using its.
-        Arguments and errors are those of `require_writable`.
+        For a predicate of the library a new one is created, which the program uses from then on; the library keeps
+        its own. Arguments and errors are those of `require_writable`.
         """
         self.require_writable(key, action, asserted)
         predicate = self.predicate(key)
@@ -204,7 +228,14 @@ class Database:
 
 
 class Library:
-    """The predicates as the library's own clauses see them: redefinitions by the program do not count."""
+    """Predicates as the clauses of the library resolve them, without redefinitions by the program.
+
+    Args:
+        database: the predicates.
+
+    Attributes:
+        kept: the library's versions of predicates that the program has redefined.
+    """
 
     is_library = True
 
@@ -215,28 +246,29 @@ class Library:
 
     @property
     def modules(self) -> Modules:
-        """The modules of the program."""
+        """Modules of the program."""
         return self._database.modules
 
     @property
     def interpret(self) -> Optional[Code]:
-        """The code that runs a goal from its term."""
+        """Code of frames that run a goal from its term."""
         return self._database.interpret
 
     @property
     def interprets(self) -> bool:
-        """Whether nothing of the program is compiled."""
+        """True if nothing of the program is compiled."""
         return self._database.interprets
 
     def direct(self, key: Functor) -> FunctionCode:
-        """Return the functions of a predicate of the program."""
+        """Return the functions of a predicate."""
         return self._database.direct(key)
 
     def predicate(self, key: Functor) -> Predicate:
-        """Return the library's predicate, else the program's."""
-        found = self.kept.get(key)  # one without clauses, as of Python, counts as false
+        """Return the library's version of a predicate, else the program's."""
+        # Compared with None: a predicate without clauses, such as one in Python, has length 0 and is false.
+        found = self.kept.get(key)
         return self._database.predicate(key) if found is None else found
 
     def is_inline(self, key: Functor) -> bool:
-        """Tell whether the library's predicate is a deterministic built-in."""
+        """Return whether the library's predicate is a deterministic built-in."""
         return self.predicate(key).kind == "builtin"

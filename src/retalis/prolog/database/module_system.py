@@ -1,15 +1,13 @@
-"""Which arguments of predicates are goals, closures, clauses or names of predicates: there a module's names hold.
+"""Modules, implemented by renaming predicates when clauses are loaded.
 
-Names of predicates in modules: what a file calls its own is nobody else's name for it.
+There is one predicate table. Exported predicates of a module have their plain names in it. Every other predicate that
+the module's file defines has a qualified name: ``p/1`` of module ``m`` is stored as ``m:p/1``. If a qualified name is
+called and not defined, the plain one is called instead (`ModuleNames.plain_of`).
 
-There is one table of predicates. Those that a module exports have their plain names in it; every other name that is
-used in a module's file, and not the system's or imported, stands there with the module's in front: ``p/1`` of module
-``m`` is ``m:p/1``. A name of a module that nobody has defined stands for the plain one (`ModuleNames.plain_of`).
-
-Modules: clauses and goals of their files, rewritten when they are added so that they mean the same everywhere.
-
-Running them costs nothing then. What only is a goal at run time, as a variable in ``call/1``, is marked with its
-module, and rewritten when it is called.
+`Modules` rewrites clauses and goals of a module's file when they are added, so running them costs nothing. It has to
+know which arguments of a predicate are goals, closures, clauses, or predicate indicators: `METAS` declares that for
+the system's predicates, ``meta_predicate/1`` for the program's. An argument that becomes a goal only at run time,
+such as a variable in ``call/1``, is wrapped as ``Module:Goal`` and rewritten when it is called.
 """
 
 from contextlib import contextmanager
@@ -34,11 +32,12 @@ from ..terms.types import (
 )
 
 ArgumentKind = Union[int, str]
-"""What an argument is.
+"""Kind of an argument of a predicate.
 
-A number is that of the arguments that are added to it before it is called, 0 for a goal. ``^`` is a goal after
-``Variable^``, ``:`` anything that belongs to a module, ``clause`` a clause to be added, ``match`` one to be found,
-``head`` a head, ``names`` indicators of what is declared, ``named`` of what is there. Anything else is plain.
+A number is a closure to which that many arguments are added before it is called; 0 is a goal. ``^`` is a goal that
+``Variable^`` may precede, ``:`` any term that belongs to a module, ``clause`` a clause to be added, ``match`` a
+clause to be found, ``head`` a clause head, ``names`` indicators of predicates that are declared, ``named`` indicators
+of existing predicates. Any other kind is a plain term.
 """
 
 ArgumentKinds = Tuple[ArgumentKind, ...]
@@ -77,11 +76,11 @@ METAS: Dict[Functor, ArgumentKinds] = _kinds(
     meta_predicate(names) nth_clause(head|?|?) strip_module(:|?|?) listing(named)
     """
 )
-"""Those of the system."""
+"""Argument kinds of the system's predicates."""
 
 
 def declared_kinds(args: Tuple[object, ...]) -> ArgumentKinds:
-    """Return what the arguments of a predicate are, as ``meta_predicate/1`` says by integers and modes."""
+    """Return the argument kinds that the arguments of a ``meta_predicate/1`` declaration stand for."""
     kinds: List[ArgumentKind] = []
     for arg in args:
         if isinstance(arg, int):
@@ -98,14 +97,14 @@ _EVERYBODYS = FIXED | {
     *(functor(name, 2) for name in ("term_expansion", "goal_expansion")),
     *(functor("portray", 1), functor("message_hook", 3)),
 }
-"""What no module has for itself: what is fixed, and what the system asks the program for."""
+"""Predicates that belong to no module: fixed ones, and hooks that the system calls."""
 
 KeptModule = Tuple[List[Functor], List[Functor], List[str], List[str]]
-"""What a module exports and imports, the names of its own, and what those that it imports are called."""
+"""Module as plain data: exports, imports, names of its own predicates, names of the imported predicates."""
 
 
 def indicated(term: CompoundTerm) -> Optional[Functor]:
-    """Return the functor that ``Name/Arity`` or ``Name//Arity`` names, None where it names none."""
+    """Return the functor that ``Name/Arity`` or ``Name//Arity`` names; None if it is not a valid indicator."""
     name, arity = deref(term[1]), deref(term[2])
     if not isinstance(name, Atom) or not isinstance(arity, int):
         return None
@@ -113,14 +112,14 @@ def indicated(term: CompoundTerm) -> Optional[Functor]:
 
 
 class Module:
-    """A module.
+    """Module of a program.
 
     Attributes:
-        name: of it.
-        mark: the same as an atom.
-        exports: its predicates that others call by their plain names.
-        hidden: those of them whose plain names another module has had before.
-        imports: those of others that it has asked for, and what these are called.
+        name: its name.
+        mark: its name as an atom, which qualifies goals.
+        exports: predicates that other modules call by their plain names.
+        hidden: exported predicates whose plain names another module exports already.
+        imports: imported predicates, and the functors under which they are stored.
     """
 
     def __init__(self, name: str):
@@ -132,23 +131,23 @@ class Module:
 
 
 EVERYBODY = Module("user")
-"""Stands for no module."""
+"""Context of terms outside of any module."""
 
 
 class ModuleNames:
-    """The modules of a program.
+    """Modules of a program, and resolution of names in them.
 
     Attributes:
-        table: by their names.
-        metas: what arguments of the program's own predicates are, see `metas`.
-        loading: the module whose file is being loaded.
-        last: the name of that whose file was loaded last, "" where that was none.
-        is_there: tells whether the program has a predicate of a functor.
-        is_of_system: tells whether the system has one.
-        shared: predicates that are everybody's for now, wherever they are defined.
+        table: modules by name.
+        metas: argument kinds of the program's own predicates.
+        loading: module whose file is being loaded, or None.
+        last: name of the module whose file was loaded last; "" if that file was no module.
+        is_there: returns whether the program has a predicate with a functor.
+        is_of_system: returns whether the system has one.
+        shared: predicates that currently belong to no module, wherever they are defined.
         on_begin: called with the name of each module whose file begins.
-        on_change: called where there is a new one.
-        on_clash: called with what cannot be imported.
+        on_change: called after a module was added.
+        on_clash: called with a warning about a name that cannot be imported.
     """
 
     def __init__(self) -> None:
@@ -167,11 +166,11 @@ class ModuleNames:
 
     @contextmanager
     def of_file(self, may_be_one: bool = True) -> Iterator[None]:
-        """Load a file meanwhile: a module that it says it is ends with it.
+        """Return a context in which a file is loaded; a module that the file declares ends with it.
 
         Args:
-            may_be_one: whether it may be one, and goes on with that of the file that loads it: not one of event
-                rules, whose goals belong to nobody.
+            may_be_one: whether the file may declare a module, and belongs to the module of the file that loads it
+                otherwise. False for files of event rules, whose goals belong to no module.
         """
         before = self.loading
         if not may_be_one:
@@ -186,10 +185,13 @@ class ModuleNames:
             del self._files[depth - 1 :]
 
     def begin(self, name: str, exports: Iterable[Functor]) -> bool:
-        """Have the rest of the file belong to a module; return whether it may.
+        """Let the rest of the file belong to a module.
+
+        Returns:
+            Whether the file may declare a module.
 
         Raises:
-            PrologError: where no file is being loaded.
+            PrologError: if no file is being loaded.
         """
         if not self._files:
             raise permission_error("load", "module", atom(name), "module/2 is a directive of a file")
@@ -198,17 +200,19 @@ class ModuleNames:
         new = name not in self.table
         module = self.table.setdefault(name, Module(name))
         module.exports = set(exports)
+        # The first module keeps the plain name. A silent replacement would change the meaning of files loaded before.
         module.hidden = module.exports & self._taken(module)
         for key in sorted(module.hidden, key=str):
             self._clash(module, key, "user", key)
         self.loading = module
         self.on_begin(name)
         if new:
-            self.on_change()  # what has been compiled has calls of it without its names
+            # Code compiled so far calls the plain names.
+            self.on_change()
         return True
 
     def bring_in(self, name: str) -> None:
-        """Have the names that a module exports mean its predicates in the file that is being loaded."""
+        """Import the exports of a module into the module of the file that is being loaded."""
         found = self.table.get(name)
         if found is not None and self.loading is not None and found is not self.loading:
             for key in sorted(found.exports, key=str):
@@ -217,7 +221,7 @@ class ModuleNames:
                     self._clash(found, key, self.loading.name, self.loading.imports[key])
 
     def _taken(self, module: Module) -> Set[Functor]:
-        """Return the plain names that other modules have."""
+        """Return the plain names that other modules export."""
         others = (other for other in self.table.values() if other is not module)
         return {key for other in others for key in other.exports - other.hidden}
 
@@ -237,25 +241,25 @@ class ModuleNames:
         )
 
     def mend(self) -> None:
-        """Go back to where no file is being loaded."""
+        """Reset the state of loading, after an interrupt."""
         self.loading = None
         self.shared.clear()
         self._files.clear()
 
     def named(self, term: Term) -> Optional[Module]:
-        """Return the module that a term names, None where there is no such."""
+        """Return the module that a term names; None if there is none of that name."""
         term = deref(term)
         return self.table.get(term.name) if isinstance(term, Atom) else None
 
     # Names
 
     def plain_of(self, key: Functor) -> Optional[Functor]:
-        """Return the plain name of a predicate of a module; None for other predicates."""
+        """Return the plain functor of a qualified predicate; None for other predicates."""
         name = self._plain.get(key.name)
         return None if name is None else functor(name, key.arity)
 
     def shown(self, key: Functor) -> Optional[Term]:
-        """Return the indicator of a predicate of a module, as ``m:(p/1)``; None for other predicates."""
+        """Return the indicator of a qualified predicate, such as ``m:(p/1)``; None for other predicates."""
         name = self._plain.get(key.name)
         if name is None:
             return None
@@ -267,7 +271,7 @@ class ModuleNames:
         return key in _EVERYBODYS or key in self.shared or key.name in self._plain
 
     def own(self, module: Module, key: Functor) -> Functor:
-        """Return the functor of a predicate that a module defines."""
+        """Return the functor under which a predicate that a module defines is stored."""
         if self._is_plain(module, key):
             return key
         name = f"{module.name}:{key.name}"
@@ -275,14 +279,15 @@ class ModuleNames:
         return functor(name, key.arity)
 
     def stored(self, module: Module, key: Functor) -> Functor:
-        """Return the functor of a predicate that clauses are asserted of in a module: its own, or one it imports."""
+        """Return the functor of the predicate to which a module asserts clauses: its own, or an imported one."""
         own = self.own(module, key)
         return module.imports[key] if key in module.imports and not self.is_there(own) else own
 
     def resolve(self, module: Module, key: Functor) -> Functor:
-        """Return the functor of the predicate that a name means in a module."""
+        """Return the functor of the predicate that a name refers to in a module."""
         if self._is_plain(module, key):
             return key
+        # Own definitions take precedence over imported and system predicates, as in SWI-Prolog.
         if (key in module.imports or self.is_of_system(key)) and not self.is_there(
             functor(f"{module.name}:{key.name}", key.arity)
         ):
@@ -290,7 +295,8 @@ class ModuleNames:
         return self.own(module, key)
 
     def restore(self, table: Dict[str, KeptModule]) -> None:
-        """Have the modules that `kept` returned."""
+        """Add the modules that `kept` returned."""
+        # Older states lack the names of imported predicates, which were the plain ones then.
         for name, (exports, imports, own, *called) in table.items():
             module = self.table.setdefault(name, Module(name))
             module.exports.update(exports)
@@ -300,7 +306,7 @@ class ModuleNames:
             self._plain.update({f"{name}:{one}": one for one in own})
 
     def kept(self) -> Dict[str, KeptModule]:
-        """Return what there is, as plain data."""
+        """Return all modules as plain data, for `restore`."""
         return {
             name: (
                 sorted(module.exports, key=str),
@@ -312,7 +318,7 @@ class ModuleNames:
         }
 
     def kinds(self, key: Functor) -> Optional[ArgumentKinds]:
-        """Return what the arguments of a predicate are, None where all are plain."""
+        """Return the argument kinds of a predicate; None if all arguments are plain."""
         found = self.metas.get(key)
         if found is None:
             plain = self.plain_of(key)
@@ -331,10 +337,14 @@ _NOTHING: FrozenSet[Var] = frozenset()
 
 
 class Modules(ModuleNames):
-    """The modules of a program, and what stands in their files."""
+    """Modules of a program, and rewriting of the clauses and goals in their files."""
 
     def goal(self, goal: CompoundTerm) -> Term:
-        """Return what ``Module:Goal`` calls; the goal alone where there is no such module."""
+        """Return the goal that ``Module:Goal`` calls; for an unknown module the goal without it.
+
+        Raises:
+            PrologError: an instantiation or type error if it is not a goal.
+        """
         module = self.named(goal[1])
         if module is None:
             if deref(goal[1]).__class__ is Var:
@@ -348,7 +358,7 @@ class Modules(ModuleNames):
         return self.body(module, inner)
 
     def hatted(self, goal: CompoundTerm) -> Term:
-        """Return what ``Module:Goal`` calls where ``Variable^`` may stand before the goal."""
+        """Return the goal that ``Module:Goal`` calls if ``Variable^`` may precede the goal."""
         module, inner = self.named(goal[1]), deref(goal[2])
         return (
             inner
@@ -357,19 +367,20 @@ class Modules(ModuleNames):
         )
 
     def closure_of(self, goal: CompoundTerm, more: int) -> Term:
-        """Return what ``Module:Closure`` means where so many arguments are added to it."""
+        """Return the closure that ``Module:Closure`` refers to if ``more`` arguments are added to it."""
         module = self.named(goal[1])
         inner = deref(goal[2])
         return inner if module is None or inner.__class__ is Var else self.closure(module, inner, more)
 
     def body(self, module: Module, goal: Term, held: FrozenSet[Var] = _NOTHING) -> Term:
-        """Return a goal that means everywhere what it means in a module.
+        """Return a goal of a module with all names resolved, so that it has the same meaning anywhere.
 
         Args:
-            module: where it was written.
+            module: module in which the goal was written.
             goal: the goal.
-            held: variables whose values have been given their modules already.
+            held: variables whose values carry their modules already.
         """
+        # Iterates along conjunctions, which may be longer than the recursion limit allows.
         chain: List[Tuple[Functor, Term]] = []
         goal = deref(goal)
         while goal.__class__ is tuple and goal[0] in _CHAINS:
@@ -381,6 +392,7 @@ class Modules(ModuleNames):
         return found
 
     def _goal(self, module: Module, goal: Term, held: FrozenSet[Var]) -> Term:
+        # The goal is known only at run time, so the module travels with it.
         if goal.__class__ is Var:
             return goal if goal in held else (COLON, module.mark, goal)
         if goal.__class__ is Atom:
@@ -425,7 +437,7 @@ class Modules(ModuleNames):
         return arg if arg.__class__ is tuple and arg[0] is COLON else (COLON, module.mark, arg)
 
     def closure(self, module: Module, goal: Term, more: int, held: FrozenSet[Var] = _NOTHING) -> Term:
-        """Return what is called with more arguments, as it means the same everywhere; see `body`."""
+        """Return a closure, to which ``more`` arguments are added, with all names resolved; see `body`."""
         goal = deref(goal)
         if goal.__class__ is Var:
             return goal if goal in held else (COLON, module.mark, goal)
@@ -442,6 +454,7 @@ class Modules(ModuleNames):
         inner: Term = deref(goal[-1])
         if goal[0] is SLASH and inner.__class__ is tuple and inner[0] is _LAMBDA:
             return (SLASH, goal[1], self.closure(module, inner, more, held))
+        # The name is resolved with the arity of the call, and the closure keeps its own arity.
         whole = self.resolve(module, functor(goal[0].name, len(goal) - 1 + more))
         key = goal[0] if whole.name == goal[0].name else functor(whole.name, len(goal) - 1)
         return (key, *self._arguments(module, whole, goal[1:], held))
@@ -463,18 +476,20 @@ class Modules(ModuleNames):
         held: FrozenSet[Var] = _NOTHING,
         name: Optional[Callable[[Module, Functor], Functor]] = None,
     ) -> Term:
-        """Return a clause of a module as one of the program.
+        """Return a clause of a module with all names resolved.
 
         Args:
-            module: where it was written.
+            module: module in which the clause was written.
             term: the clause.
-            held: see `body`.
-            name: gives the name of its predicate; that which the module defines by default.
+            held: variables whose values carry their modules already; see `body`.
+            name: returns the functor of the clause's predicate; by default that of the module's own one (`own`).
         """
         name = name or self.own
         term = deref(term)
         if term.__class__ is not tuple or term[0] not in (_NECK, _SINGLE_SIDED, _GRAMMAR, COLON):
             return self._head(module, term, name)
+        # A grammar rule is rewritten after its translation, which adds the arguments that its names are resolved
+        # with.
         if term[0] is _GRAMMAR:
             return (COLON, module.mark, term)
         if term[0] is COLON:
@@ -493,7 +508,7 @@ class Modules(ModuleNames):
         return (term[0], head, self.body(module, term[2], held))
 
     def _held(self, head: Term) -> FrozenSet[Var]:
-        """Return the variables that are goals as arguments of a head: who calls it gives them their modules."""
+        """Return the variables of a head in arguments that are goals: callers pass these with their modules."""
         if head.__class__ is not tuple:
             return _NOTHING
         kinds = self.metas.get(head[0])
@@ -515,14 +530,14 @@ class Modules(ModuleNames):
         return self._head(other, inner, name)
 
     def of_another(self, term: CompoundTerm) -> Term:
-        """Return a clause of no module whose head may name one."""
+        """Return a clause outside of modules with a module in its head resolved."""
         head = deref(term[1])
         if head.__class__ is tuple and head[0] is COLON:
             return (term[0], self._head(EVERYBODY, head, self.own), term[2])
         return term
 
     def looked_for(self, term: Term) -> Term:
-        """Return a clause or head that is looked for, without the module in front of it."""
+        """Return a clause or head that a goal searches, with a module before it resolved."""
         term = deref(term)
         while term.__class__ is tuple and term[0] is COLON:
             module, inner = self.named(term[1]), deref(term[2])
@@ -532,7 +547,7 @@ class Modules(ModuleNames):
         return term
 
     def names_of(self, term: Term) -> Term:
-        """Return what names predicates, without the modules in front of it."""
+        """Return predicate indicators with modules before them resolved."""
         if not self.table:
             return term
         return self.indicators(
@@ -547,7 +562,7 @@ class Modules(ModuleNames):
         return (_NECK, head, body if body.__class__ is Var else self.body(module, body))
 
     def indicators(self, module: Module, term: Term, name: Callable[[Module, Functor], Functor]) -> Term:
-        """Return what names predicates of a module (indicators, heads with modes, lists of them) for everybody."""
+        """Return indicators of a module's predicates (or heads with modes, or lists) with names resolved."""
         term = deref(term)
         if term.__class__ is not tuple:
             return term
@@ -567,12 +582,13 @@ class Modules(ModuleNames):
     # What is shown
 
     def plain(self, term: Term) -> Term:
-        """Return a term with the plain names of predicates of modules, and goals without the marks of `body`."""
+        """Return a term for display: with plain names of predicates, and without the modules that `body` adds."""
         if not self._plain:
             return term
         try:
             return self._shown(term)
         except RecursionError:
+            # For display only: a term that is nested too deeply is shown with its qualified names.
             return term
 
     def _shown(self, term: Term) -> Term:

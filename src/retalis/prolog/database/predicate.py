@@ -1,8 +1,13 @@
-"""Predicates and their clauses.
+"""Predicates: clauses, calls, and the transition from interpretation to compiled code.
 
-A predicate starts out interpreted: its clauses are found through indexes and unified by the general routine,
-which costs nothing to set up and suits facts and predicates that change all the time. One that is called
-again and again without changing is compiled.
+A predicate starts interpreted: clauses are selected through indexes and unified by the general routine. That needs no
+preparation and suits facts and predicates that change often. After `COMPILE_AFTER` calls without a change the
+predicate is compiled to one function, or, if it has many clauses, calls go through its indexes and clauses are
+compiled one by one. A change returns it to interpretation and doubles the number of calls before the next attempt, so
+a predicate that alternates between calls and changes is not compiled over and over.
+
+Changes follow the logical update view: a call sees the clauses that existed when it began. Retracted clauses are
+marked with the generation of their removal and dropped later; lists that running calls may hold are only appended to.
 """
 
 from typing import Any, Callable, Dict, Hashable, Iterator, List, Optional, Protocol, Tuple
@@ -19,16 +24,16 @@ from ..terms.unification import undo, unify
 from .clause_index import NEVER, Clause, FunctionalModes, Indexes, by_key, keys_of, match_head, may_match
 
 COMPILE_AFTER = 12
-"""Calls without a change after which a predicate is compiled."""
+"""Calls without a change of the predicate after which it is compiled."""
 
 _MAX_COMPILED_CLAUSES = 24
-"""Predicates with more clauses keep their indexes; their clauses are compiled one by one."""
+"""Clauses of a predicate that is compiled as a whole; larger ones keep their indexes and compile single clauses."""
 
 _MAX_COMPILED_FACTS = 8
-"""The same for predicates that are facts only."""
+"""The same limit for predicates that consist of facts."""
 
 _SLOW_SEARCH_CLAUSES = 1000
-"""Clauses from which on a search among them may take as long as many inferences."""
+"""Clauses from which on a search may take as long as many inferences and checks for cancellation."""
 
 
 class OwnDatabase(KnownDatabase, Protocol):
@@ -52,23 +57,33 @@ class OwnDatabase(KnownDatabase, Protocol):
 
 
 class Predicate:
-    """A predicate: code that is run by frames ``(predicate, argument..., next)``.
+    """Predicate, the code of frames ``(predicate, argument..., next)``.
 
     Attributes:
-        run: the function that does a call; exchanged as the predicate changes.
-        steady: whether that leaves the stack of choice points alone, see `Code.steady`.
-        kind: "user", "builtin" (deterministic Python), "control" (anything else in Python), or "undefined".
-        function: the Python function of a built-in that compiled clauses call in line.
-        direct: its functions, where something calls it as a function.
-        gate: what tells calls apart that have nothing to do, see `Logic.define_control`.
-        functional: what it computes, where it is a function of some of its arguments.
-        known: the deterministic built-in that it is where its first argument is known, if there is one.
-        dynamic: clauses may be asserted and retracted by the program.
-        library: belongs to the system; programs may redefine it unless it is ``locked``.
-        missed: whether it was warned of a call of it, where nobody has defined it.
-        incremental: tables that depend on it are evaluated anew after it has changed: on its clauses, see `observe`;
-            on its answers, where it is tabled itself.
-        system: a program that looks its clauses up, or changes them one by one, gets an error.
+        database: the database that it belongs to.
+        functor: name and arity.
+        run: step that runs a call; replaced when the predicate changes.
+        steady: whether that step leaves the choice point stack unchanged; see `Code.steady`.
+        kind: "user", "builtin" (deterministic Python), "control" (other Python), or "undefined".
+        function: Python function that compiled clauses call inline, for a built-in.
+        direct: its functions, if it is called as a function.
+        gate: returns the pushdown filter of calls; see `PredicateTable.define_control`.
+        functional: its modes, if it is a function of some of its arguments.
+        known: functor of the deterministic built-in for calls with a bound first argument, or None.
+        dynamic: whether the program may assert and retract clauses.
+        library: whether it belongs to the system; programs may redefine it unless it is ``locked``.
+        missed: whether a warning about calls of the undefined predicate has been issued.
+        compiled: whether `run` is compiled code.
+        tabled: the hidden predicate that owns the clauses, if calls are answered by tables.
+        incremental: whether tables that depend on it are reevaluated after a change: of its clauses (see `observe`),
+            or of its answers if it is tabled itself.
+        system: whether access to its clauses and changes of single clauses are errors.
+        ground: whether all clauses are ground facts.
+        clauses: clauses in order, including retracted ones.
+        dead: number of retracted clauses in `clauses`.
+        calls: calls since the last change.
+        compile_after: calls after which compilation is tried.
+        indexes: indexes of the clauses.
     """
 
     def __init__(self, database: OwnDatabase, functor: Functor):
@@ -109,26 +124,26 @@ class Predicate:
 
     @property
     def defined(self) -> bool:
-        """Tell whether calling it is not an existence error."""
+        """True if a call raises no existence error."""
         return self.kind != "undefined" or self.dynamic
 
     @property
     def is_blank(self) -> bool:
-        """Tell whether nobody has said anything of it but its name."""
+        """True if it has neither a definition nor a declaration."""
         return not (self.defined or self.clauses or self.discontiguous or self.multifile or self.library)
 
     @property
     def is_fixed(self) -> bool:
-        """Tell whether it is the program's and made of clauses that no goal may change."""
+        """True if it consists of clauses of the program that goals may not change."""
         return self.kind == "user" and not self.dynamic and not self.library
 
     @property
     def with_clauses(self) -> "Predicate":
-        """The predicate that has its clauses: for a tabled one the hidden one that its tables call."""
+        """The predicate that owns the clauses: for a tabled predicate the hidden one that evaluates its tables."""
         return self if self.tabled is None else self.tabled
 
     def live(self) -> Iterator[Clause]:
-        """Yield the clauses that are there, in order."""
+        """Yield the clauses that have not been retracted, in order."""
         return (clause for clause in list(self.clauses) if clause.died == NEVER)
 
     def __len__(self) -> int:
@@ -137,9 +152,10 @@ class Predicate:
     # Changes
 
     def add(self, clause: Clause, first: bool = False) -> None:
-        """Add a clause as the last or the first one."""
+        """Add a clause as the last or, if ``first``, as the first one."""
         self.ground = clause.ground and self.functor.arity > 0 and (self.ground or not self.clauses)
         self.changed()
+        # Running calls hold positions in the list, so a clause in front makes a new list.
         if first:
             self.clauses = [clause, *[old for old in self.clauses if old.died == NEVER]]
             self.kind = "user"
@@ -151,38 +167,44 @@ class Predicate:
         self.indexes.add(clause)
 
     def remove(self, clause: Clause) -> bool:
-        """Remove a clause; calls that are under way still see it. Return whether it was there."""
+        """Retract a clause, which running calls still see.
+
+        Returns:
+            Whether it had not been retracted before.
+        """
         if clause.died != NEVER:
             return False
         self.changed()
         self.database.generation += 1
         clause.died = self.database.generation
         self.dead += 1
+        # Sweeping when half of the clauses are dead keeps the cost per retraction constant on average.
         if self.dead == len(self.clauses) or (self.dead > 16 and self.dead * 2 > len(self.clauses)):
             self._sweep()
             self.indexes.clear()
         return True
 
     def _sweep(self) -> None:
-        """Drop the clauses that were removed; the indexes have them still."""
+        """Drop retracted clauses from the list; indexes keep them."""
         self.clauses = list(self.live())
         self.dead = 0
 
     def clear(self) -> None:
-        """Remove all clauses."""
+        """Retract all clauses."""
         for clause in list(self.live()):
             self.remove(clause)
 
     def abolish(self) -> None:
-        """Remove all clauses and what was declared: calling it is an error from now on."""
+        """Remove all clauses and declarations, so that a call is an existence error."""
         self.clear()
-        self.changed()  # also where it had no clauses: a call that failed is an error now
+        # Also without clauses: compiled code that fails must become code that raises the error.
+        self.changed()
         self.dynamic = self.discontiguous = self.multifile = False
         if self.kind == "user":
             self.kind = "undefined"
 
     def changed(self) -> None:
-        """Go back to interpretation: the clauses are not what was compiled."""
+        """Record a change of the clauses and return to interpretation."""
         self.database.changes += 1
         self._revision += 1
         if self.compiled:
@@ -194,7 +216,7 @@ class Predicate:
             self.direct.reset(self)
 
     def mend(self) -> None:
-        """Make all anew that follows from the clauses, which an interrupt may have left half made."""
+        """Rebuild the state derived from the clauses, which an interrupt may have left inconsistent."""
         if self.library or not (self.kind == "user" or self.clauses):
             return
         self.kind = "user"
@@ -204,7 +226,7 @@ class Predicate:
         self.forget()
 
     def table(self, hidden: "Predicate", run: Step) -> None:
-        """Let tables answer the calls; clauses belong to the ``hidden`` predicate from now on."""
+        """Let a step answer calls from tables; clauses belong to the ``hidden`` predicate from then on."""
         self.tabled = hidden
         self.kind = "control"
         self.clauses = []
@@ -213,7 +235,7 @@ class Predicate:
         self.steady = False
 
     def forget(self) -> None:
-        """Drop compiled code whose references to other predicates are out of date."""
+        """Drop compiled code, whose references to other predicates are out of date."""
         if self.direct is not None:
             self.direct.reset(None)
         if self.kind == "user":
@@ -226,9 +248,9 @@ class Predicate:
     # Reads by incremental tables
 
     def observe(self, on_read: "Callable[[Predicate], None]") -> None:
-        """Call ``on_read`` from now on before each call of it and each access to its clauses.
+        """Call ``on_read`` before each call and each access to the clauses from then on.
 
-        Not for functions of compiled goals (see `FunctionCode`): these evaluate no tables.
+        Calls from functions of compiled goals (see `FunctionCode`) are excluded, because these evaluate no tables.
         """
         if self._on_read is not None:
             return
@@ -238,16 +260,16 @@ class Predicate:
         self._run_by(self.run)
 
     def note_read(self) -> None:
-        """Report an access to its clauses."""
+        """Report an access to the clauses to the observer."""
         if self._on_read is not None:
             self._on_read(self)
 
     def version(self, part: Hashable = None) -> int:
-        """Return a number that is another one after each change of its clauses."""
+        """Return a number that differs after each change of the clauses."""
         return self._revision
 
     def _run_by(self, step: Step) -> None:
-        """Have calls done by a function, and reported first where it is observed."""
+        """Set the step that runs calls, preceded by the report of a read if the predicate is observed."""
         on_read = self._on_read
         if on_read is None:
             self.run = step
@@ -269,10 +291,10 @@ class Predicate:
             return self.run(frame)
         clauses, position = self.indexes.select(self.clauses, frame)
         if len(clauses) > _SLOW_SEARCH_CLAUSES:
-            look(0)  # to find a clause among these may take long
+            look(0)  # the search may take long, so check for cancellation first
         generation = self.database.generation
         if self.ground:
-            # The keys tell whether another fact may match, which there is none of.
+            # Keys serve to find out whether another fact may match; for a single candidate they are not needed.
             keys = keys_of(frame, position) if len(clauses) > 1 else None
             search = self._searches.get(position) or self._search(position)
             return search(frame, clauses, 0, len(clauses), generation, keys)
@@ -280,12 +302,17 @@ class Predicate:
         return self._advance(frame, clauses, 0, len(clauses), generation, keys)
 
     def fact_finder(self, once: bool) -> Callable[..., Optional[bool]]:
-        """Return a function of the arguments that looks a ground fact up; see `FunctionCode`."""
+        """Return a function of the arguments that looks up a ground fact (see `FunctionCode`).
+
+        Args:
+            once: whether the first matching fact is enough; otherwise the function returns None if there are several.
+        """
         choices = self.database.machine.choices
 
         def find(*args: Term) -> Optional[bool]:
             if not self.ground:
                 return None
+            # The next frame is never run: any value but None shows that a fact was found.
             frame = (self, *args, True)
             clauses, position = self.indexes.select(self.clauses, frame)
             search = self._searches.get(position) or self._search(position)
@@ -293,6 +320,7 @@ class Predicate:
             keys = keys_of(frame, position)
             if search(frame, clauses, 0, len(clauses), self.database.generation, keys) is None:
                 return False
+            # The search has pushed a choice point, so another fact may match.
             if len(choices) > height:
                 del choices[height:]
                 return True if once else None
@@ -306,13 +334,13 @@ class Predicate:
         return search
 
     def select(self, frame: Frame) -> Tuple[List[Clause], Optional[int]]:
-        """Return a list that holds all clauses that a call may match, and the argument that it is indexed by."""
+        """Return a list with all clauses that a call may match, and the position of the index used, or None."""
         return self.indexes.select(self.clauses, frame)
 
     def _next(self, entry: Frame) -> Optional[Frame]:
         return self._advance(*entry[1:7])
 
-    def _advance(  # noqa: C901 -- the loop of all interpreted calls: another call for each clause would slow it
+    def _advance(  # noqa: C901 -- the loop of all interpreted calls; a call per clause would slow it
         self,
         frame: Frame,
         clauses: List[Clause],
@@ -321,7 +349,16 @@ class Predicate:
         generation: int,
         keys: Optional[List[object]],
     ) -> Optional[Frame]:
-        """Try the clauses from ``at`` on; push a choice point where another one may match."""
+        """Try the clauses from ``at`` up to ``end``, pushing a choice point if another one may match.
+
+        Args:
+            frame: the call.
+            clauses: candidates, including retracted ones.
+            at: position of the first clause to try.
+            end: number of clauses when the call began; later ones are invisible to it.
+            generation: generation when the call began; clauses retracted since then are visible to it.
+            keys: first-level keys of the arguments; None if an index has compared all of them.
+        """
         machine = self.database.machine
         trail = machine.trail
         while at < end:
@@ -329,14 +366,17 @@ class Predicate:
             at += 1
             if clause.died <= generation or keys is not None and not may_match(keys, clause.keys):
                 continue
-            while at < end:  # look for the next clause that may match, to leave no choice point for nothing
+            # The next candidate is searched first: without one no choice point is pushed, and the call is
+            # deterministic.
+            while at < end:
                 other = clauses[at]
                 if other.died > generation and (keys is None or may_match(keys, other.keys)):
                     break
                 at += 1
             height = len(machine.choices)
             mark = len(trail)
-            # What is surely the last one to try goes the way of rules, which has it compiled.
+            # Facts need neither a frame for the body nor compilation. A static non-ground fact that is the last
+            # candidate is treated as a rule instead, so that it gets compiled.
             if clause.fact and (at < end or clause.ground or self.dynamic):
                 if match_head(frame, clause, {}, trail):
                     if at < end:
@@ -366,16 +406,17 @@ class Predicate:
     # Compilation
 
     def prepare(self) -> None:
-        """Compile it before it is called, unless it has been compiled and has changed since."""
+        """Compile the predicate before it is called, unless a compiled version has been invalidated by a change."""
         if self.compiled or self.compile_after != self.database.compile_after or self.database.interprets:
             return
         try:
             self._compile()
-        except (PrologError, RecursionError):  # who calls it gets the error
+        except (PrologError, RecursionError):
+            # The first call raises the error, with its caller as context.
             self.compiled = False
 
     def _compile(self) -> bool:
-        """Compile all clauses as one function if that suits the predicate."""
+        """Compile the predicate as a whole, or let calls go through its indexes; return whether either was done."""
         self.calls = 0
         clauses = list(self.live())
         size = len(clauses)
@@ -394,11 +435,13 @@ class Predicate:
         return True
 
     def _go_by_keys(self) -> bool:
-        """Have calls go by the indexes that calls have asked for by now, if those leave no clause out."""
+        """Let calls go through the existing indexes that have no variables; return whether there are any."""
         if self.dead:
             self._sweep()
             self.indexes.make_anew(self.clauses)
         choices = self.database.machine.choices
+        # Indexes are tried in order of their arguments; each step falls back to the next, the last one to
+        # interpretation.
         run: Step = self._call
         for position, index in reversed(self.indexes.complete()):
             run = by_key(position, index.own, choices, self._search(position), run)
@@ -422,7 +465,7 @@ class Predicate:
 
 
 def fact_names(machine: Machine) -> Dict[str, object]:
-    """Return what the code for facts names."""
+    """Return the global names of the code that searches facts."""
     return {
         "Var": Var,
         "unify": unify,

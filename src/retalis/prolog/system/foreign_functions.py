@@ -12,9 +12,11 @@
 
     engine.add_foreign(distance, near)
 
-The parameters are the first arguments of the predicate; the result is unified with the last.
+The parameters are the first arguments of the predicate; the result is unified with the last one.
 
-Python modules whose functions a program asks for as predicates: ``use_foreign/1``.
+``use_foreign/1`` lets a program load a Python module and defines its marked functions. Loading Python is as powerful
+as any code of the process, so only the program's own files may do it, while they are loaded, and only if the setting
+``allow_foreign`` is on.
 """
 
 import importlib
@@ -58,13 +60,24 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 
 class Caller(Protocol):
-    """What is told which function runs, see `Runner`."""
+    """Executor that reports the callback at work; see `SerialExecutor`.
+
+    Attributes:
+        callback: description of the running callback, or None.
+    """
 
     callback: Optional[Tuple[str]]
 
 
 class _Spec(NamedTuple):
-    """What the decorator was told; kept with the function."""
+    """Arguments of the decorator, stored with the function.
+
+    Attributes:
+        name: name of the predicate.
+        outputs: number of output arguments.
+        readers: for each parameter, the conversion of a term to its argument.
+        many: whether the function is a generator.
+    """
 
     name: str
     outputs: int
@@ -94,10 +107,10 @@ def foreign(
 ) -> Union[Function, Callable[[Function], Function]]:
     """Mark a function as a predicate; `Engine.add_foreign` or ``use_foreign/1`` defines it in a program.
 
-    A parameter with the annotation int, float, str, bool or list takes only that (float takes integers too);
-    with `Term` it gets the term itself, even if that is unbound; any other gets the term's Python value (see
-    `to_python`). The result becomes a term (see `to_term`); None means failure, except of a function without
-    outputs. A generator gives one solution with each value that it yields. What it raises is the error
+    A parameter annotated with int, float, str, bool or list accepts only such values (float accepts integers as
+    well). One annotated with `Term` receives the term itself, which may be unbound; any other receives the term's
+    Python value (see `to_python`). The result becomes a term (see `to_term`); None means failure, except for a
+    function without outputs. A generator yields one solution with each value. An exception becomes the error
     ``python_error(Kind, Message)``, unless it is a `PrologError`.
 
     >>> @foreign
@@ -110,11 +123,10 @@ def foreign(
     ['hall', 'cellar']
 
     Args:
-        function: the function, where the decorator is used without arguments.
-        name: of the predicate; by default the function's.
-        outputs: how many arguments come after the parameters: 1 by default, with more the function returns
-            a tuple, with 0 whether it succeeds. It is 0 by default where the function is said to return
-            bool or None.
+        function: the function, if the decorator is used without arguments.
+        name: name of the predicate; by default that of the function.
+        outputs: number of arguments after the parameters. With more than 1 the function returns a tuple, with 0
+            whether it succeeds. The default is 0 if the function's return annotation is bool or None, else 1.
     """
 
     def mark(function: Function) -> Function:
@@ -145,16 +157,16 @@ def _parameters(function: Callable[..., object]) -> "List[Parameter]":
 
 
 def define_foreign(logic: PrologSystem, runner: Caller, *sources: object) -> List[Functor]:
-    """Define marked functions, and those of modules, in a program; return their functors.
+    """Define marked functions in a program, and return the functors of their predicates.
 
     Args:
-        logic: of the program.
-        runner: is told, by ``callback``, what function runs; see `Runner`.
-        sources: functions and modules.
+        logic: Prolog system of the program.
+        runner: executor whose ``callback`` names the function that runs.
+        sources: functions, and modules with marked functions.
 
     Raises:
-        UsageError: for a function that is not marked, or a module without any.
-        PrologError: where a predicate of the system has that name.
+        UsageError: if a function is not marked, or a module has no marked function.
+        PrologError: if a predicate of the system has that name and arity.
     """
     done = []
     for source in sources:
@@ -201,7 +213,8 @@ def _function(
             if not spec.outputs:
                 return result is not False
             return result is not None and _unify(machine, arguments[count:], result)
-        except Exception as error:  # whatever it is, it is the goal's error and no reason to end the program
+        except Exception as error:
+            # Any exception of a user's function is an error of the goal and must not end the program.
             raise _raised(error, key) from error
         finally:
             runner.callback = outer
@@ -217,6 +230,7 @@ def _generator(
 
     def run(machine: Machine, *arguments: Term) -> Iterator[None]:
         values = [read(term) for read, term in zip(spec.readers, arguments)]
+        # A cut drops the generator of solutions; closing it then runs the function's finally blocks.
         with closing(function(*values)) as solutions:
             while True:
                 outer = runner.callback
@@ -226,7 +240,7 @@ def _generator(
                     solved = not spec.outputs or _unify(machine, arguments[count:], result)
                 except StopIteration:
                     return
-                except Exception as error:  # as above
+                except Exception as error:  # an error of the goal, see `_function`
                     raise _raised(error, key) from error
                 finally:
                     runner.callback = outer
@@ -259,7 +273,7 @@ def _indicator(key: Functor) -> Term:
 
 
 class Opening(Protocol):
-    """What opens files where that is allowed, see `Door`.
+    """Access to files within the allowed folders; see `FileSandbox`.
 
     Attributes:
         is_loading: whether the program's own files are being loaded.
@@ -269,34 +283,35 @@ class Opening(Protocol):
 
     @property
     def output(self) -> str:
-        """The folder of what programs write without saying where."""
+        """Folder of files that programs write without naming a folder."""
 
     def append(self, path: str, text: str) -> None:
-        """Write a text at the end of a file."""
+        """Append a text to a file."""
 
 
 class NamedFiles(Protocol):
-    """The files that a program names, see `Files`."""
+    """Files that a program names; see `Files`."""
 
     @property
     def door(self) -> Opening:
-        """What opens them."""
+        """Access to them."""
 
     def resolve(self, name: str) -> Path:
         """Return the path of a name."""
 
     def is_file(self, path: Path) -> bool:
-        """Tell whether there is a file that may be read."""
+        """Return whether a readable file exists at a path."""
 
 
 def define_use_foreign(logic: PrologSystem, runner: Caller, files: NamedFiles, allowed: bool) -> None:
     """Define ``use_foreign(Module)``, which loads a Python module and defines its predicates.
 
     Args:
-        logic: where they are defined.
-        runner: of the engine, which is told what calls back.
-        files: of the program.
-        allowed: whether its own files may do that, while they are loaded; goals that run later never may.
+        logic: Prolog system in which the predicates are defined.
+        runner: executor of the engine; see `define_foreign`.
+        files: files of the program.
+        allowed: whether the program's own files may load modules while they are loaded. Goals that run later never
+            may.
     """
 
     def use_foreign(machine: Machine, module: Term) -> bool:
@@ -320,15 +335,15 @@ def define_use_foreign(logic: PrologSystem, runner: Caller, files: NamedFiles, a
 
 
 def load_module(name: str, files: NamedFiles) -> ModuleType:
-    """Return a module by its name, or by the path of its file.
+    """Return the module with a name or with the path of its file.
 
     Args:
-        name: ``package.module``, ``file.py`` or ``folder/file.py``; a name without a dot is first looked for
-            as a file beside the file that names it.
-        files: of the program, which knows where relative paths start.
+        name: ``package.module``, ``file.py`` or ``folder/file.py``. A name without a dot is first searched as a file
+            beside the file that names it.
+        files: files of the program, which resolve relative paths.
 
     Raises:
-        UsageError: where there is no such module, or importing it fails.
+        UsageError: if there is no such module, or importing it fails.
     """
     path = files.resolve(name if name.endswith(".py") else f"{name}.py")
     is_file = files.is_file(path)
@@ -341,5 +356,6 @@ def load_module(name: str, files: NamedFiles) -> ModuleType:
             spec.loader.exec_module(module)  # type: ignore[union-attr]
             return module
         return importlib.import_module(name)
-    except Exception as error:  # a module may fail in any way while it is imported
+    except Exception as error:
+        # A module may raise any exception while it is imported.
         raise UsageError(f"cannot load {name}: {type(error).__name__}: {error}") from error

@@ -1,4 +1,9 @@
-"""What a program's logic knows, as data: its clauses, and all that outlives a goal."""
+"""State of a Prolog system as plain data, for snapshots and checkpoints.
+
+`KeptLogic` is the program: operators, declarations of tables, and clauses. `KeptValues` is the data that goals leave
+behind: flags, global variables, counters, records, and answers of tables. Both are taken while no goal runs, and
+contain no code: compiled code is generated again by the system that restores them.
+"""
 
 from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
@@ -15,20 +20,20 @@ from .prolog_system import PrologSystem
 
 _COUNTED = ("counters", "flags", "flag", "gensym", "counters of events", "flags of events")
 _MODULES, _METAS = "modules", "arguments of predicates"
-"""What built-ins keep by name."""
+"""Names of the built-ins' data in `PrologSystem.state` and in `KeptValues.counted`."""
 
 KeptClauses = Tuple[Functor, Tuple[bool, bool, bool, bool], List[Tuple[Term, Term, Optional[Place]]]]
-"""A predicate: whether it is dynamic, discontiguous, multifile, defined; its clauses: heads, bodies, places."""
+"""Predicate: functor; whether it is dynamic, discontiguous, multifile, defined; heads, bodies, places of clauses."""
 
 
 class KeptLogic(NamedTuple):
-    """What the program says: `restore_logic` makes a logic of it.
+    """Program of a Prolog system; `restore_logic` loads it.
 
     Attributes:
         operators: priorities, types and names of all operators.
-        tabled: how tabled predicates were declared.
-        predicates: the program's.
-        incremental: those of them whose clauses incremental tables depend on.
+        tabled: declarations of tabled predicates.
+        predicates: predicates of the program.
+        incremental: predicates whose clauses incremental tables depend on.
     """
 
     operators: Tuple[Sequence[int], Sequence[str], Sequence[str]]
@@ -38,15 +43,15 @@ class KeptLogic(NamedTuple):
 
 
 class KeptValues(NamedTuple):
-    """What goals have left beside clauses; what is being done at the time is no part of it.
+    """Data that goals have left besides clauses, taken while no goal runs.
 
     Attributes:
-        flags: Prolog's.
-        values: the global variables.
-        column: where what the program prints stands in its line.
-        counted: what built-ins keep by name.
-        records: of the recorded database.
-        answers: of tabled predicates, as far as they are known; those of incremental tables are found anew.
+        flags: Prolog flags.
+        values: global variables.
+        column: column of the output at which the next text is printed.
+        counted: data that built-ins store by name, such as counters.
+        records: entries of the recorded database.
+        answers: known answers of tabled predicates; those of incremental tables are computed again.
     """
 
     flags: Dict[str, Term]
@@ -58,7 +63,7 @@ class KeptValues(NamedTuple):
 
 
 def keep_logic(logic: PrologSystem) -> KeptLogic:
-    """Return what a program says."""
+    """Return the program of a Prolog system."""
     tables = tables_of(logic.machine)
     predicates = program_predicates(logic)
     priorities, types, names = zip(*logic.operators)
@@ -71,7 +76,7 @@ def keep_logic(logic: PrologSystem) -> KeptLogic:
 
 
 def keep_values(logic: PrologSystem) -> KeptValues:
-    """Return what goals have left, while none runs."""
+    """Return the data that goals have left. No goal may be running."""
     modules = logic.database.modules
     counted = {name: dict(logic.state[name]) for name in _COUNTED if name in logic.state}
     if modules.table or modules.metas:
@@ -87,7 +92,7 @@ def keep_values(logic: PrologSystem) -> KeptValues:
 
 
 def program_predicates(logic: PrologSystem) -> List[Predicate]:
-    """Return the predicates whose clauses are kept, in their order."""
+    """Return the program's predicates, in the order of their definition."""
     every = logic.database.predicates.values()
     return [one for one in every if not one.library and one.tabled is None and not one.is_blank]
 
@@ -98,13 +103,14 @@ def _kept(one: Predicate) -> KeptClauses:
 
 
 def restore_logic(logic: PrologSystem, kept: KeptLogic) -> None:
-    """Have a new logic have the program of another one.
+    """Load a program into a new Prolog system.
 
     Raises:
-        PrologError: where it says something that no program can.
+        PrologError: if the program is invalid, for instance if it defines a fixed predicate.
     """
     _restore_operators(logic.operators, kept.operators)
     tables = tables_of(logic.machine)
+    # Declarations first: they create the hidden predicates that hold the clauses of tabled ones.
     for declaration in kept.tabled:
         declare_as(logic.machine, declaration)
     for functor in kept.incremental:
@@ -118,7 +124,7 @@ def restore_logic(logic: PrologSystem, kept: KeptLogic) -> None:
 
 
 def restore_values(logic: PrologSystem, kept: KeptValues) -> None:
-    """Have a logic with the program of another one know what goals had left there."""
+    """Load the data of goals into a Prolog system whose program has been restored."""
     logic.flags.update(flags_from(kept.flags))
     logic.globals.update(kept.values)
     logic.column = kept.column
@@ -135,8 +141,9 @@ def restore_values(logic: PrologSystem, kept: KeptValues) -> None:
 def _restore_operators(
     operators: Operators, kept: Tuple[Sequence[int], Sequence[str], Sequence[str]]
 ) -> None:
-    """Have a table have these operators and no others."""
+    """Make an operator table contain exactly the given operators."""
     priorities, types, names = kept
+    # Only differences are applied: each change of the table invalidates what depends on it.
     wanted = dict(zip(zip(types, names), priorities))
     there = {(kind, name): priority for priority, kind, name in operators}
     for kind, name in there:

@@ -1,6 +1,10 @@
-"""The library: predicates written in Prolog, in files that are compiled when one of theirs is first called.
+"""Predicate resolution: predicates of the program, built-ins in Python, and the library in Prolog.
 
-The predicates that goals can call: the program's, those in Python, and those of the library.
+`PredicateTable` sets up a machine with its built-ins and offers four ways to define predicates in Python:
+deterministic functions, functions from inputs to outputs, generators, and control predicates that return frames.
+
+The library consists of Prolog files that list their predicates in comments ``% defines: name/arity ...``. A file is
+loaded when one of its predicates is first called.
 """
 
 import re
@@ -31,7 +35,7 @@ _EXPORTS = re.compile(r"^% defines: (.*)$", re.MULTILINE)
 
 @lru_cache(maxsize=1)
 def library_index() -> Dict[Tuple[str, int], str]:
-    """Return which file defines a predicate: each names its predicates in lines ``% defines: name/arity ...``."""
+    """Return the library file of each predicate, as declared in lines ``% defines: name/arity ...``."""
     found = {}
     for path in sorted(FOLDER.glob("*.pl")):
         for line in _EXPORTS.findall(path.read_text(encoding="utf-8")):
@@ -42,7 +46,7 @@ def library_index() -> Dict[Tuple[str, int], str]:
 
 
 def load_library(database: Database, part: str) -> None:
-    """Load a file of the library; that does not count for the goal that needs it."""
+    """Load a file of the library. The goal that needs it is not charged for the loading."""
     before = watched_by(unwatched)
     try:
         _load(database, part)
@@ -62,7 +66,9 @@ def _load(database: Database, part: str) -> None:
         key = functor_of(head)
         predicate = database.library.predicate(key)
         if not predicate.library:
-            if predicate.kind == "user" or predicate.dynamic:  # the program has one of this name
+            # If the program has defined a predicate of this name before the library was loaded, the library gets its
+            # own.
+            if predicate.kind == "user" or predicate.dynamic:
                 predicate = database.library.kept[key] = Predicate(database, key)
             predicate.library = True
         predicate.add(Clause(predicate, head, body, read.place))
@@ -72,30 +78,31 @@ _END = object()
 
 
 def is_replaceable(key: Functor) -> bool:
-    """Tell whether the Prolog has a predicate that is none of the standard's, so that several facts replace it."""
+    """Return whether a predicate is a built-in outside of ISO Prolog, which facts of a program replace."""
     return (key.name, key.arity) in ENTRIES and key not in STANDARD and key not in FIXED
 
 
 def _close(entry: Frame) -> None:
-    """End the generator of a choice point."""
+    """Close the generator of a choice point."""
     close = getattr(entry[1], "close", None)  # it may be another iterator
     if close is not None:
         close()
 
 
 class PredicateTable:
-    """A machine with predicates.
+    """Machine with its predicates, operators and flags.
 
     Args:
-        operators: the operator table of the program; Prolog's by default.
+        operators: operator table of the program; by default the standard one.
         compile_after: calls of an unchanged predicate after which it is compiled.
 
     Attributes:
         machine: runs frames.
         database: predicates by functor.
+        control: interpreter of goal terms.
         operators: operator table, changed by ``op/3``.
         flags: Prolog flags by name, as terms.
-        message: called with kind (error, warning, informational, ...) and text of ``print_message/2``.
+        message: called with the kind (error, warning, informational, ...) and the text of ``print_message/2``.
     """
 
     message: Callable[[str, str], None]
@@ -128,12 +135,12 @@ class PredicateTable:
         predicate.locked = predicate.functor in FIXED
 
     def define(self, name: str, arity: int, function: Callable[..., bool]) -> Predicate:
-        """Define a deterministic predicate: ``function(machine, *args)`` says whether it succeeds.
+        """Define a deterministic predicate by ``function(machine, *args)``, which returns whether it succeeds.
 
-        Arguments may be bound variables or lazy (`deref` them); results are unified by ``machine.unify``.
-        Bindings of a call that fails are undone.
+        Arguments may be bound variables or lazy terms (use `deref`); results are unified by ``machine.unify``.
+        Bindings of a failed call are undone.
         """
-        # Taking the frame apart by position is faster than passing a slice of it on.
+        # Unpacking the frame by position is faster than passing a slice of it.
         args = "".join(f", a{at}" for at in range(arity))
         source = f"def made(frame):\n    _{args}, after = frame\n"
         source += f"    return after if function(machine{args}) else None\n"
@@ -149,15 +156,15 @@ class PredicateTable:
         outputs: Tuple[int, ...] = (),
         shows: Tuple[Optional[Callable[..., Term]], ...] = (),
     ) -> Predicate:
-        """Define a deterministic predicate by a function of its input arguments; see `Functional`.
+        """Define a deterministic predicate by a function of its input arguments; see `FunctionalModes`.
 
         Args:
-            name: of the predicate.
-            arity: of the predicate.
-            function: takes the inputs; returns the outputs, or None where it fails.
-            outputs: positions of the output arguments, whose values are returned as a tuple; without them
-                the last argument is the only output, and its value is what is returned.
-            shows: for each output what makes its term, where the function returns something else.
+            name: name of the predicate.
+            arity: arity of the predicate.
+            function: takes the inputs; returns the outputs, or None if the predicate fails.
+            outputs: positions of the output arguments, whose values are returned as a tuple. By default the last
+                argument is the only output, and its value is returned without a tuple.
+            shows: for each output, the conversion of its value to a term; None if the value is a term.
         """
         form = functional(function, arity, outputs, shows)
         predicate = self.define(name, arity, form.predicate())
@@ -173,18 +180,17 @@ class PredicateTable:
     ) -> Predicate:
         """Define a predicate by a generator ``function(machine, *args)`` that yields at each solution.
 
-        It unifies before each yield; the bindings are undone before it goes on. What it binds for a
-        solution that does not work out it has to undo itself: `Machine.unify_all` does. Yielding `LAST`
-        says that there are no more solutions. A function that is not a generator may return a bool instead of
-        one, as a deterministic predicate does, where the arguments leave at most one solution: that costs a
-        fraction of a generator.
+        The generator unifies before each yield; the bindings are undone before it resumes. Bindings of a solution
+        that fails halfway it has to undo itself, as `Machine.unify_all` does. Yielding `LAST` declares the last
+        solution. If the arguments leave at most one solution, a function that is not a generator may return a bool
+        instead, as a deterministic predicate does; that costs a fraction of a generator.
 
         Args:
-            name: of the predicate.
-            arity: of the predicate.
+            name: name of the predicate.
+            arity: arity of the predicate.
             function: the generator.
-            known: for a predicate that is a function of its other arguments where the first is known: gives
-                the last one, or None where it fails. Then ``function`` is called for a variable only.
+            known: for a predicate that is a function of its other arguments if the first one is bound: returns the
+                last argument, or None if it fails. Then ``function`` is called only with an unbound first argument.
         """
         machine = self.machine
         choices, trail = machine.choices, machine.trail
@@ -197,6 +203,7 @@ class PredicateTable:
             value = next(solutions, _END)
             if value is _END:
                 return None
+            # After LAST no choice point is pushed: the call ends deterministically, and its generator is released.
             if value is not LAST:
                 choices.append((retry, solutions, after, mark))
             return after
@@ -233,19 +240,18 @@ class PredicateTable:
         at_once: bool = False,
         gate: Optional[Callable[[Functor, Tuple[int, ...]], object]] = None,
     ) -> Predicate:
-        """Define a predicate that decides what runs next: ``function(machine, args, next)`` returns a frame.
-
-        One that most often does all ``at_once`` and returns ``next`` is called in line by compiled clauses.
+        """Define a control predicate by ``function(machine, args, next)``, which returns the frame to run.
 
         Args:
-            name: of the predicate.
-            arity: of the predicate.
-            function: does a call.
-            at_once: whether it most often does all at once.
-            gate: for a predicate that often has nothing to do: takes the functor of a first argument and positions
-                in that; returns an object whose ``passes``, called with the other arguments and those at
-                the positions, is false where a call would do nothing, so that compiled clauses make none. Then
-                ``function`` is called with whether the first argument has surely no variables as well.
+            name: name of the predicate.
+            arity: arity of the predicate.
+            function: runs a call.
+            at_once: whether a call most often finishes within the function, which then returns ``next``. Compiled
+                clauses call such predicates inline.
+            gate: pushdown filter, for a predicate whose calls often have no effect. Takes the functor of the first
+                argument and positions in it, and returns an object whose ``passes`` takes the other arguments and the
+                values at the positions, and returns False if a call would have no effect. Compiled clauses omit such
+                calls, and pass ``function`` one more argument: whether the first one is certainly ground.
         """
         machine = self.machine
 
@@ -257,7 +263,7 @@ class PredicateTable:
         return predicate
 
     def lookup(self, key: Functor) -> Optional[Predicate]:
-        """Return the predicate of a functor if it is defined, loading the library where it defines it."""
+        """Return the predicate of a functor, after loading the library file that defines it; None if undefined."""
         predicate = self.database.predicates.get(key)
         if (predicate is None or predicate.kind == "undefined") and (key.name, key.arity) in self._library:
             self._load_library(self._library[key.name, key.arity])
@@ -265,19 +271,19 @@ class PredicateTable:
         return predicate if predicate is not None and predicate.defined else None
 
     def defines(self, key: Functor) -> bool:
-        """Tell whether there is such a predicate."""
+        """Return whether a predicate is defined."""
         predicate = self.database.predicates.get(key)
         return (predicate is not None and predicate.defined) or (key.name, key.arity) in self._library
 
     def is_of_system(self, key: Functor) -> bool:
-        """Tell whether a predicate is the system's, not one that a program has put in its place."""
+        """Return whether a predicate belongs to the system and the program has not redefined it."""
         predicate = self.database.predicates.get(key)
         if predicate is not None and predicate.defined:
             return bool(predicate.library)
         return (key.name, key.arity) in self._library
 
     def is_added(self, key: Functor) -> bool:
-        """Tell whether a predicate is the system's and none of Prolog's: those above have defined it."""
+        """Return whether a predicate belongs to the system but not to Prolog, such as those of the event language."""
         known = (key.name, key.arity)
         return self.is_of_system(key) and known not in ENTRIES and known not in self._library
 
@@ -290,5 +296,5 @@ class PredicateTable:
             yield functor(name, arity)
 
     def _load_library(self, part: str) -> None:
-        """Load the part of the library that defines a predicate."""
+        """Load a file of the library."""
         load_library(self.database, part)

@@ -1,12 +1,14 @@
-"""Tracing a goal by its ports: call, exit, redo, fail and exception.
+"""Prolog system: the interface of a Prolog to Python.
 
-Goals traced by their ports.
+`PrologSystem` adds clauses, runs directives and goals, compiles goals for Python, and prints terms. The module also
+contains three services of a running system:
 
-Calls of procedures that nobody defined: an error that names the caller and what may have been meant.
-
-Going back to where a machine was before an interrupt, wherever that has come.
-
-The façade of the logic room: a machine, its predicates, flags and operators.
+* `Tracer` runs goals in the box model of Byrd: it interprets clauses and reports each port (call, exit, redo, fail,
+  exception) that a goal passes.
+* `undefined` raises the existence error of an unknown procedure, with the clauses that may have called it and with
+names
+  that may have been meant.
+* `state_of`, `go_back` and `mend` return a machine to an earlier state after an interrupt at any point.
 """
 
 import sys
@@ -73,7 +75,7 @@ _CONTROL = frozenset(
 
 
 class _TracedCall:
-    """One call: its goal, its depth, and whether it has exited with choices left."""
+    """Traced call: its goal, its depth, and whether it has exited and can be retried."""
 
     __slots__ = ("goal", "depth", "exited")
 
@@ -84,13 +86,13 @@ class _TracedCall:
 
 
 class Tracer:
-    """Runs goals from their terms and tells of each port that they pass.
+    """Tracer that interprets goals and reports each port that they pass.
 
-    The program's own clauses are interpreted while it is on; predicates of the system are one call each,
-    but the goals that they call are traced.
+    Clauses of the program are interpreted while it is on. A predicate of the system is a single call, but the goals
+    that it calls are traced.
 
     Args:
-        logic: whose goals.
+        logic: the predicates.
         tell: called with a line for each port.
     """
 
@@ -109,7 +111,7 @@ class Tracer:
 
     @contextmanager
     def on(self) -> Iterator[None]:
-        """Trace the goals that are run meanwhile."""
+        """Return a context in which goals are traced."""
         self.start()
         try:
             yield
@@ -117,20 +119,21 @@ class Tracer:
             self.stop()
 
     def start(self) -> None:
-        """Trace what is run from now on."""
+        """Start tracing."""
+        # An instance attribute hides the method, so that without tracing no call pays for a test.
         control = self._control
         self._plain = control.solve
         control.solve = self._logic.database.solve = self.solve  # type: ignore[method-assign]
 
     def stop(self) -> None:
-        """Trace no more."""
+        """Stop tracing."""
         control = self._control
         if control.solve == self.solve:
             del control.solve
             self._logic.database.solve = control.solve
 
     def solve(self, goal: Term, height: int, after: Frame) -> Optional[Frame]:
-        """Do what `Control.solve` does, by ports."""
+        """Return the frame that runs a goal with reports of its ports; see `Control.solve`."""
         goal = deref(goal)
         while goal.__class__ is tuple and goal[0] is COMMA:
             after = (self._control.code, goal[2], height, after)
@@ -146,6 +149,8 @@ class Tracer:
         self._depth += 1
         call = _TracedCall(goal, self._depth)
         self._port("Call", call)
+        # The guard lies below the choice points of the call: backtracking reaches it when the call has failed, and an
+        # exception unwinds it.
         here = len(self._choices)
         self._choices.append((self._guard, call, len(self._trail)))
         leave = (self._exit, call, here, after)
@@ -157,7 +162,7 @@ class Tracer:
         return self._plain(goal, here + 1, leave)
 
     def _next_clause(self, entry: Frame) -> Optional[Frame]:
-        """Try the clauses of a call from one on."""
+        """Try the remaining clauses of a call."""
         _, arguments, clauses, at, leave, call, _ = entry
         self._depth = call.depth
         trail = self._trail
@@ -184,6 +189,7 @@ class Tracer:
         if len(self._choices) == here + 1:
             self._choices.pop()
         else:
+            # On top of the call's choice points: backtracking into the call passes its redo port first.
             call.exited = True
             self._choices.append((self._again, call, len(self._trail)))
         return after
@@ -220,10 +226,12 @@ def _key(goal: Term) -> Optional[Functor]:
 
 @control("trace/1")
 def trace(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Call a goal and write a line for each port that it passes to the error output."""
+    """Call a goal and write a line to the error output for each port that it passes."""
     logic = machine.logic
     tracer = Tracer(logic, lambda line: logic.error_output(f"{line}\n"))
     tracer.start()
+    # Tracing must stop when the goal fails, exits or raises, and start again when it is retried: the guard and the
+    # codes below do that at the corresponding points of the choice point stack.
     height = len(machine.choices)
     machine.choices.append((_TRACED, tracer, len(machine.trail)))
     return tracer.solve(args[0], height + 1, (_LEFT, machine, tracer, height, after))
@@ -248,11 +256,18 @@ _AGAIN = Code("trace", lambda entry: entry[1].start())
 
 
 _COMPARED = 200
-"""Characters of a name that are compared with those of other names."""
+"""Characters of a name that are compared with other names; the comparison is quadratic."""
 
 
 def undefined(logic: PredicateTable, predicate: Predicate, frame: Frame) -> Optional[Frame]:
-    """Raise the existence error of a procedure, or fail, as the flag ``unknown`` says; with a first warning."""
+    """Handle a call of an undefined procedure as the flag ``unknown`` says.
+
+    Returns:
+        None, which fails, if the flag is ``fail`` or ``warning``; the first such call logs a warning.
+
+    Raises:
+        PrologError: an existence error that names callers and similar procedures, if the flag is ``error``.
+    """
     flag = deref(logic.flags["unknown"])
     if flag is atom("fail") or flag is FALSE:
         return None
@@ -275,10 +290,11 @@ def undefined(logic: PredicateTable, predicate: Predicate, frame: Frame) -> Opti
 
 
 def _callers(logic: PredicateTable, predicate: Predicate, frame: Frame) -> List[str]:
-    """Return the clauses that may have made a call, at most three.
+    """Return descriptions of the clauses that may have made a call, at most three.
 
-    A last call leaves no trace of its clause, so these are the clauses with a goal that the call is an instance
-    of; where the frame that the call returns to belongs to one of their predicates, only that one's.
+    A last call leaves no frame of its clause. The candidates are therefore the clauses with a goal that the call is
+    an instance of. If the frame that the call returns to belongs to the predicate of some of them, only those are
+    returned.
     """
     key = predicate.functor
     call = (key, *frame[1:-1])
@@ -291,7 +307,8 @@ def _callers(logic: PredicateTable, predicate: Predicate, frame: Frame) -> List[
         if not clause.fact
     ]
     found = [clause for clause in clauses if _may_call(clause, call, len(call))]
-    if not found:  # a goal that others add arguments to, as maplist/3 does
+    # A closure, to which maplist/3 and others add arguments, has fewer of them in the clause.
+    if not found:
         found = [clause for clause in clauses if _may_call(clause, call, 1)]
     returned_to = [clause for clause in found if clause.predicate.functor is after]
     return [_described(clause) for clause in (returned_to or found)[:3]]
@@ -303,7 +320,13 @@ def _described(clause: Clause) -> str:
 
 
 def _may_call(clause: Clause, call: CompoundTerm, least: int) -> bool:
-    """Tell whether a goal that may make a call stands in a clause's body, if only with its first arguments."""
+    """Return whether a clause's body contains a goal that may have made a call.
+
+    Args:
+        clause: the clause.
+        call: functor and arguments of the call.
+        least: least number of items of a goal; arguments that it lacks may have been added when it was called.
+    """
     stack = [clause.body]
     while stack:
         item = deref(stack.pop())
@@ -317,7 +340,7 @@ def _may_call(clause: Clause, call: CompoundTerm, least: int) -> bool:
 
 
 def _agree(goal: CompoundTerm, call: CompoundTerm) -> bool:
-    """Tell whether a goal, which may lack the last arguments, unifies with a call."""
+    """Return whether a goal, which may lack the last arguments, unifies with a call."""
     trail: Trail = []
     pairs = zip(copy(goal)[1:], call[1:])
     agree = all(unify(one, other, trail) for one, other in pairs)
@@ -326,7 +349,7 @@ def _agree(goal: CompoundTerm, call: CompoundTerm) -> bool:
 
 
 def similar(logic: PredicateTable, key: Functor) -> List[str]:
-    """Return indicators of defined procedures whose name is the same or nearly so."""
+    """Return indicators of defined procedures with the same name or a similar one, at most three."""
     names: Dict[str, List[Functor]] = {}
     for other in logic.names():
         if other is not key and not other.name.startswith("$"):
@@ -336,7 +359,13 @@ def similar(logic: PredicateTable, key: Functor) -> List[str]:
 
 
 class MachineState(NamedTuple):
-    """Where a machine is: what a run that begins now leaves as it is."""
+    """Position of a machine, to which `go_back` returns it.
+
+    Attributes:
+        height: height of the choice point stack.
+        mark: length of the trail.
+        budget: state of the budget.
+    """
 
     height: int
     mark: int
@@ -344,16 +373,18 @@ class MachineState(NamedTuple):
 
 
 def state_of(machine: Machine) -> MachineState:
-    """Return where a machine is."""
+    """Return the current position of a machine."""
     return MachineState(len(machine.choices), len(machine.trail), machine.budget.state())
 
 
 def go_back(machine: Machine, state: Optional[MachineState]) -> None:
-    """Go back to a state, or with None to where the machine is while nothing runs; guards are told."""
+    """Return a machine to an earlier position, or to its idle one if it is None, and unwind the guards above it."""
     height, mark = machine.idle if state is None else state[:2]
     budget, choices = machine.budget, machine.choices
     while len(choices) > height:
         entry = choices[-1]
+        # The entry is deleted after its guard has run: an interrupt in between repeats the guard and does not lose
+        # it.
         if entry[0].__class__ is Guard:
             entry[0].unwind(entry)
         del choices[-1:]
@@ -362,7 +393,7 @@ def go_back(machine: Machine, state: Optional[MachineState]) -> None:
 
 
 def mend(logic: Any) -> None:
-    """Put right what may have been left half done among what outlives a goal; nothing runs."""
+    """Restore the invariants of data that outlives a goal after an interrupt; no goal may be running."""
     end_captures(logic)
     logic.new_goals = None
     logic.database.modules.mend()
@@ -375,9 +406,6 @@ def mend(logic: Any) -> None:
             part.mend()
 
 
-# noqa: F401  (they register themselves)
-
-
 _DIRECTIVE = functor(":-", 1)
 _QUERY = functor("?-", 1)
 _ARROW = functor("-->", 2)
@@ -385,10 +413,10 @@ _FLAGS_LOCKED = "goals of services and the dashboard may not change flags: set t
 
 
 class UserStream:
-    """``user_output`` or ``user_error``: what people and logs get, with escapes for what these would act on.
+    """Stream ``user_output`` or ``user_error``, which escapes control characters that terminals and logs interpret.
 
     Args:
-        budget: limits what an entry may write.
+        budget: limits the output of an entry.
         write: prints a text.
     """
 
@@ -400,9 +428,11 @@ class UserStream:
         """Write a text.
 
         Raises:
-            LimitError: past the limit of output; nothing of the text is written then.
+            LimitError: if the text exceeds the limit of output; none of it is written.
         """
-        self._budget.count_output(len(text))  # before anything is made of a text that is too long
+        # Counted before it is processed, so that a text that is too long costs nothing. Escapes and multibyte
+        # characters are added once they are known.
+        self._budget.count_output(len(text))
         shown = printable(text)
         more = len(shown.encode()) - len(text)
         if more:
@@ -411,25 +441,27 @@ class UserStream:
 
 
 class PrologSystem(PredicateTable):
-    """A Prolog: clauses, predicates in Python, goals.
+    """Prolog system: clauses, predicates in Python, and goals.
 
     Args:
-        operators: the operator table of the program; Prolog's by default.
+        operators: operator table of the program; by default the standard one.
         compile_after: calls of an unchanged predicate after which it is compiled.
 
     Attributes:
         output: called with text that the program prints.
-        column: where that stands in its line.
-        now: gives the present in nanoseconds.
+        column: column at which the next text is printed.
+        now: returns the current time in nanoseconds.
         error_output: called with text printed to ``user_error``, and with warnings.
-        swi_files: what the program has had SWI-Prolog load, by their names.
-        foreign_modules: the Python modules that the program has asked for, names or paths.
-        files: opens the files that goals may open; None where there are none.
-        ask: gives the next line that the user types, None at the end; None where nobody is there.
-        environment: the variables of the process's environment; None where the program may not know them.
-        from_outside: whether the work at hand is done for others than the program, see `for_others`.
-        allow_flags: whether such work, and goals that it has added to the program, may change flags.
-        new_goals: what has been compiled since `preparing` began; None outside of that.
+        globals: global variables by name.
+        state: data that built-ins store by name, such as counters and tables.
+        swi_files: files that the program has loaded into SWI-Prolog, by name.
+        foreign_modules: names or paths of the Python modules that the program has loaded.
+        files: opens files for goals; None if goals may open none.
+        ask: returns the next line that the user types, None at the end of input; None if there is no user.
+        environment: environment variables of the process; None if the program may not read them.
+        from_outside: whether the current work is done for a client and not for the program; see `for_others`.
+        allow_flags: whether goals of clients, including those that they add to the program, may change flags.
+        new_goals: goals compiled since `preparing` began; None outside of it.
     """
 
     def __init__(self, operators: Optional[Operators] = None, compile_after: int = COMPILE_AFTER):
@@ -457,18 +489,18 @@ class PrologSystem(PredicateTable):
 
     @property
     def limits(self) -> Limits:
-        """What a goal may use."""
+        """Resource limits of goals."""
         return self.machine.budget.limits
 
     @limits.setter
     def limits(self, limits: Limits) -> None:
         self.machine.budget.allow(limits)
 
-    # Others than the program
+    # Clients
 
     @contextmanager
     def for_others(self) -> Iterator[None]:
-        """Work meanwhile for others than the program: services and the dashboard."""
+        """Return a context in which work is done for clients: services and the dashboard."""
         before, self.from_outside = self.from_outside, True
         try:
             yield
@@ -476,13 +508,14 @@ class PrologSystem(PredicateTable):
             self.from_outside = before
 
     def require_flags(self, flag: Term) -> None:
-        """Require that the goal at work may change a flag.
+        """Require that the running goal may change a flag.
 
         Raises:
-            PrologError: a permission error where others than the program have given the goal.
+            PrologError: a permission error if the goal comes from a client.
         """
         if self.allow_flags:
             return
+        # A compiled goal records its origin: a client may have added it to the program, which runs it later.
         goal = self.machine.budget.goal
         if goal.from_outside if isinstance(goal, CompiledGoal) else self.from_outside:
             raise permission_error("modify", "flag", flag, _FLAGS_LOCKED)
@@ -492,16 +525,16 @@ class PrologSystem(PredicateTable):
     def add_clause(
         self, term: Term, place: Optional[Place] = None, first: bool = False, asserted: bool = False
     ) -> Clause:
-        """Add a clause (its variables are copied); DCG rules and single-sided rules are translated.
+        """Add a copy of a clause; grammar rules and single-sided unification rules are translated.
 
         Args:
             term: the clause.
-            place: where it was read.
-            first: whether it comes before the others.
-            asserted: whether a goal adds it, not a file.
+            place: source position, or None.
+            first: whether it is added before the existing clauses.
+            asserted: whether a goal adds it, and not a file.
 
         Raises:
-            PrologError: where the term is not a clause, or belongs to a predicate of the system.
+            PrologError: if the term is not a clause, or the predicate belongs to the system.
         """
         term = self._of_module(deref(term), asserted)
         if term.__class__ is tuple and term[0] is SINGLE_SIDED:
@@ -511,7 +544,11 @@ class PrologSystem(PredicateTable):
     def _add_single_sided(
         self, rule: CompoundTerm, place: Optional[Place], first: bool, asserted: bool
     ) -> Clause:
-        """Add a rule; the clause behind all rules of its predicate stays the last one."""
+        """Add a single-sided unification rule.
+
+        Such a predicate raises an error if no rule matches. A last clause does that, and it must stay behind all
+        rules.
+        """
         term, behind = translate_single_sided(rule)
         clause = self._add(term, place, first, asserted)
         predicate = self.database.writable(clause.predicate.functor, "modify")
@@ -531,7 +568,7 @@ class PrologSystem(PredicateTable):
         return clause
 
     def _of_module(self, term: Term, asserted: bool) -> Term:
-        """Return a clause as it is added: of the module that it names, or whose file is being loaded."""
+        """Return a clause with names resolved in the module that it names, or in the one that is being loaded."""
         modules = self.database.modules
         module = None if asserted else modules.loading
         while term.__class__ is tuple and term[0] is COLON:
@@ -546,7 +583,7 @@ class PrologSystem(PredicateTable):
         return term
 
     def of_file(self, goal: Term) -> Term:
-        """Return a goal of the file that is being loaded as it means the same everywhere; see `Modules.body`."""
+        """Return a goal of the file that is being loaded with names resolved in its module; see `Modules.body`."""
         modules = self.database.modules
         return goal if modules.loading is None else modules.body(modules.loading, goal)
 
@@ -556,8 +593,9 @@ class PrologSystem(PredicateTable):
         """Add clauses and run directives in order; ``initialization/1`` goals run at the end.
 
         Args:
-            terms: clauses and directives with their places.
-            problem: called for directives that fail or raise, and clauses that cannot be added.
+            terms: clauses and directives with their source positions.
+            problem: called with message and position of each directive that fails or raises, and of each invalid
+                clause.
         """
         late: List[Tuple[Term, Optional[Place]]] = []
         for term, place in terms:
@@ -579,7 +617,11 @@ class PrologSystem(PredicateTable):
     def run_directive(
         self, goal: Term, place: Optional[Place], problem: Callable[[str, Optional[Place]], None]
     ) -> bool:
-        """Run a directive; tell ``problem`` where it fails or raises. Return whether it succeeded."""
+        """Run a directive, and call ``problem`` if it fails or raises.
+
+        Returns:
+            Whether it succeeded.
+        """
         try:
             if self.once(self.of_file(goal)):
                 return True
@@ -602,15 +644,15 @@ class PrologSystem(PredicateTable):
         """Compile a goal for Python code.
 
         Args:
-            goal: its term.
+            goal: the goal as a term.
             inputs: variables that get values, by position.
-            outputs: variables (or terms) whose values are wanted.
-            place: where it was read, for tracebacks.
-            name: who asks, for tracebacks.
-            from_outside: whether others than the program have given it; by default, whether it is compiled for them.
+            outputs: variables (or terms) whose values are returned, by position.
+            place: source position, for tracebacks.
+            name: name of the caller, for tracebacks.
+            from_outside: whether the goal comes from a client; by default that of the system (`from_outside`).
 
         Raises:
-            PrologError: where the term can be no goal.
+            PrologError: if the term is not a goal.
         """
         goal = deref(goal)
         if goal.__class__ is not Var:
@@ -624,10 +666,10 @@ class PrologSystem(PredicateTable):
 
     @contextmanager
     def preparing(self, terms: Callable[[], Iterable[Term]]) -> Iterator[None]:
-        """Have what is compiled meanwhile be ready at the end, so that the first events need not wait for it.
+        """Return a context at whose end the goals compiled in it are ready, so that the first events do not wait.
 
         Args:
-            terms: returns, at the end, the terms whose predicates will be called.
+            terms: called at the end; returns the terms whose predicates will be called.
         """
         outer = self.new_goals
         new = self.new_goals = []
@@ -640,17 +682,21 @@ class PrologSystem(PredicateTable):
             goal.prepare()
 
     def once(self, goal: Term, asked_for: Optional[Term] = None) -> bool:
-        """Run a goal for its first solution, whose bindings stay. Return whether there is one.
+        """Run a goal for its first solution, whose bindings remain.
 
         Args:
             goal: the goal.
-            asked_for: what reports show in its place.
+            asked_for: the term that reports show in place of the goal.
+
+        Returns:
+            Whether there is a solution.
 
         Raises:
-            PrologError: what the goal threw.
+            PrologError: if the goal raises it.
         """
         budget = self.machine.budget
-        budget.ended(1)  # many short ones may lie in each other, and none of them comes to look at the limits
+        # Each goal is charged as a step: nested short goals would otherwise end before any of them checks the limits.
+        budget.ended(1)
         if budget.closed:
             budget.admit()
         asked = budget.goal
@@ -662,16 +708,16 @@ class PrologSystem(PredicateTable):
             budget.goal = asked
 
     def solutions(self, goal: Term) -> Generator[None, None, None]:
-        """Run a goal; yield at each solution, with its bindings in place. Closing drops what is left."""
+        """Run a goal and yield at each solution with its bindings in place; closing the generator ends the goal."""
         return self.machine.solutions((self.control.code, (CALL, goal), 0, self.machine.done), goal)
 
     def print_to(self, write: Callable[[str], None], write_error: Callable[[str], None]) -> None:
-        """Set what prints the texts of ``user_output`` and ``user_error``; no goal runs."""
+        """Set the functions that print ``user_output`` and ``user_error``. No goal may be running."""
         budget = self.machine.budget
         self.output, self.error_output = UserStream(budget, write), UserStream(budget, write_error)
 
     def write(self, text: str) -> None:
-        """Write to the current output."""
+        """Write to the current output, and track its column."""
         newline = text.rfind("\n")
         self.column = self.column + len(text) if newline < 0 else len(text) - newline - 1
         self.output(text)
@@ -691,10 +737,10 @@ class PrologSystem(PredicateTable):
 
         Args:
             term: any term.
-            quoted: whether atoms and strings are quoted where they have to be.
-            names: of variables.
-            made: whether the term is made and not matched, see `ReadFlags`.
-            longest: characters after which the text ends with ``...``.
+            quoted: whether atoms and strings are quoted if necessary.
+            names: names of variables.
+            made: whether the term is constructed and not matched; see `ReadFlags`.
+            longest: length in characters after which the text ends with ``...``.
         """
         options = {"quoted": quoted, "numbervars": True, "variable_names": names, "longest": longest}
         named = [var for var, name in (names or {}).items() if name != "_"]
@@ -702,13 +748,13 @@ class PrologSystem(PredicateTable):
         return write_term(term, self.operators, portray=portray, **options)
 
     def brief(self, term: Term, names: Optional[Mapping[Var, str]] = None, made: bool = False) -> str:
-        """Return the beginning of a term's text, as reports show it."""
+        """Return the text of a term, shortened for reports."""
         return self.show(term, names=names, made=made, longest=SHOWN)
 
     # Internals
 
     def _undefined(self, predicate: Predicate, frame: Frame) -> Optional[Frame]:
-        """Load the part of the library that defines a predicate, or raise its existence error."""
+        """Run a call of an undefined predicate: through the plain name, the library, or the existence error."""
         key = predicate.functor
         if predicate.dynamic:
             return None
@@ -723,7 +769,7 @@ class PrologSystem(PredicateTable):
         return undefined(self, predicate, frame)
 
     def similar(self, key: Functor) -> List[str]:
-        """Return the predicates that may have been meant by the name of one that is not there."""
+        """Return indicators of predicates with a similar name, for "did you mean" hints."""
         return similar(self, key)
 
 

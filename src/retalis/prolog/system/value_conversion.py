@@ -1,6 +1,8 @@
-"""Terms as Python values, and Python values as terms.
+"""Conversion between terms, Python values, and JSON.
 
-Terms as JSON, for those who ask from outside.
+Terms from a program may be deep or huge, so all conversions of terms are iterative, check for cancellation regularly,
+and are bounded: `to_python` by the number of parts, `to_json` by the length of the text, which services send to
+clients.
 """
 
 import json
@@ -36,7 +38,7 @@ _MASK = len(BULK) - 1
 
 
 class Compound(NamedTuple):
-    """A compound term for Python code: a name and arguments, which are Python values.
+    """Compound term as a Python value: a name and arguments, which are Python values.
 
     >>> @foreign
     ... def corner(width: float, height: float) -> Compound:
@@ -69,8 +71,9 @@ def to_python(term: Term) -> Any:
     ['a', 1, True, Compound(name='point', args=[2, 3.5])]
 
     Raises:
-        PrologError: an instantiation error for an unbound variable in it.
+        PrologError: an instantiation error if the term contains an unbound variable.
     """
+    # Postorder traversal without recursion: a pending entry below the parts of a term joins their values afterwards.
     values: List[object] = []
     stack: List[Union[Term, _PendingParts]] = [term]
     steps = 0
@@ -86,6 +89,7 @@ def to_python(term: Term) -> Any:
             continue
         item = deref(top)
         if item.__class__ is tuple:
+            # A term that only begins like a list, such as [a|b], is a compound.
             items = list_items(item) if item[0] is CONS else None
             parts = list(item[1:]) if items is None else items
             stack.append(_PendingParts(len(parts), None if items is not None else item[0].name))
@@ -96,7 +100,7 @@ def to_python(term: Term) -> Any:
 
 
 class _PendingParts:
-    """On the stack of `to_python` after the parts of a list (without a name) or compound term."""
+    """Stack entry of `to_python` below the parts of a compound term, or of a list (without a name)."""
 
     __slots__ = ("count", "name")
 
@@ -105,7 +109,7 @@ class _PendingParts:
         self.name = name
 
     def join(self, values: List[object]) -> object:
-        """Return the value of the whole."""
+        """Return the value of the term from the values of its parts."""
         return values if self.name is None else Compound(self.name, values)
 
 
@@ -124,17 +128,18 @@ def _constant(item: Term) -> object:
 def to_term(value: object) -> Term:
     """Return a Python value as a term.
 
-    The other way of `to_python`; str becomes an atom (a `retalis.String` stays a string), tuple and any
-    other iterable but str become a list, dict a list of ``Key-Value``. Terms stay what they are.
+    The inverse of `to_python`: str becomes an atom (a `retalis.String` remains a string), a tuple or any other
+    iterable except str becomes a list, and a dict becomes a list of ``Key-Value``. Terms are returned unchanged.
 
     >>> Engine().show(to_term({"kitchen": [21.5, True]}))
     '[kitchen-[21.5,true]]'
 
     Raises:
-        UsageError: for a value that is none of these.
+        UsageError: if the value has another type.
     """
     if value is None:
         raise UsageError("None is not a term")
+    # bool is a subclass of int, so it is tested before the numbers.
     if isinstance(value, bool):
         return TRUE if value else FALSE
     if isinstance(value, (Atom, String, Var, Lazy)):
@@ -149,11 +154,12 @@ def to_term(value: object) -> Term:
 
 
 def _to_compound(value: Any) -> Term:
-    """Return what is neither a constant nor a variable as a term."""
+    """Return a collection or a `Compound` as a term."""
     if isinstance(value, Compound):
         if not value.args:
             return atom(value.name)
         return (functor(value.name, len(value.args)), *[to_term(item) for item in value.args])
+    # Compound terms are tuples that begin with a functor; any other tuple is a list.
     if isinstance(value, tuple) and value and isinstance(value[0], Functor):
         return value
     if isinstance(value, dict):
@@ -173,7 +179,7 @@ def _to_compound(value: Any) -> Term:
 
 
 def reader_of(hint: object) -> Callable[[Term], object]:
-    """Return what makes the argument for a parameter with an annotation."""
+    """Return the conversion of a term to the argument of a parameter with an annotation."""
     if hint in (Any, Term, Var):
         return deref
     return _READERS.get(hint, to_python)
@@ -184,6 +190,7 @@ def _typed(
 ) -> Callable[[Term], object]:
     def read(term: Term) -> object:
         value = to_python(term)
+        # The atoms true and false are texts for a parameter of type str, and bool must not pass as an integer.
         if isinstance(value, bool) and bool not in accepts:
             value = "true" if value else "false"
         if not isinstance(value, accepts) or isinstance(value, Compound):
@@ -203,7 +210,7 @@ _READERS: Dict[object, Callable[[Term], object]] = {
 
 
 class _ReadyText(str):
-    """On the stack of `to_json`: text that is written as it is."""
+    """Stack entry of `to_json`: text that is written unchanged."""
 
     __slots__ = ()
 
@@ -224,11 +231,11 @@ def to_json(term: Term, names: Dict[Var, str], most: int) -> str:
 
     Args:
         term: the term.
-        names: of variables; those that it lacks are added.
-        most: characters that it may have.
+        names: names of variables; missing ones are added.
+        most: maximum length in characters.
 
     Raises:
-        UsageError: where it is longer.
+        UsageError: if the text would be longer.
     """
     written: List[str] = []
     stack: List[Union[Term, _ReadyText]] = [term]
@@ -243,6 +250,7 @@ def to_json(term: Term, names: Dict[Var, str], most: int) -> str:
         else:
             item = deref(top)
             if item.__class__ is tuple:
+                # Each entry of the stack becomes at least one character.
                 if length + len(stack) > most:
                     raise _too_long(most)
                 stack.extend(_parts(item, most))
@@ -256,12 +264,12 @@ def to_json(term: Term, names: Dict[Var, str], most: int) -> str:
 
 
 def _too_long(most: int) -> UsageError:
-    """Return the error of a solution that is too long to be answered."""
+    """Return the error for a solution whose JSON is too long."""
     return UsageError(f"a solution has more than {most} characters")
 
 
 def _parts(item: CompoundTerm, most: int) -> List[Union[Term, _ReadyText]]:
-    """Return what is to be written of a list or compound term, the last first."""
+    """Return the parts and punctuation of a list or compound term, in reverse order."""
     items = list_items(item) if item[0] is CONS else None
     parts = list(item[1:]) if items is None else items
     if len(parts) > most:
@@ -290,6 +298,7 @@ def _json_constant(item: Term, names: Dict[Var, str], most: int) -> str:
         return json.dumps(text, ensure_ascii=False)
     if isinstance(item, float) and not math.isfinite(item):
         return f'"{item}"'
+    # Conversion of a long integer to decimal takes quadratic time, so its length is estimated from its bits.
     if isinstance(item, int) and item.bit_length() > 4 * most:
         raise _too_long(most)
     return writeq(item)
