@@ -12,9 +12,9 @@ PAGE = ROOT / "docs" / "architecture.md"
 QUOTED = re.compile(r"`([^`\n]+)`")
 NO_NAMES = {
     *("float", "int", "struct"),  # Python's
-    *("ar_marker(...)", "split_tf", "new_event(tf(Parent, Child, V, Q), Sec, NSec)"),  # the example's
+    *("split_tf", "new_event(tf(Parent, Child, V, Q), Sec, NSec)"),  # the example's
     *("synchronized(Event, Query, Conditions)", "geometry_msgs__0__PoseStamped"),
-    *("tf", "retalisInputEvents", "embedded", "receive_once", "retalis"),  # ROS's
+    *("tf", "retalisInputEvents", "receive_once", "RETALIS_TEST_FUSED=1", "retalis"),  # ROS's
 }
 """What the page quotes besides."""
 
