@@ -10,12 +10,12 @@ become `Interpret` nodes, which run from their term.
 """
 
 from typing import (
+    TYPE_CHECKING,
     Any,
     Callable,
     Dict,
     FrozenSet,
     Iterable,
-    Iterator,
     List,
     Mapping,
     NamedTuple,
@@ -26,7 +26,6 @@ from typing import (
     Union,
 )
 
-from ...foundation.errors import Place
 from ..machine.errors import type_error
 from ..machine.machine import Machine
 from ..terms.list_terms import conjuncts
@@ -40,27 +39,19 @@ from ..terms.types import (
     CompoundTerm,
     Functor,
     Lazy,
-    Step,
     Term,
     Var,
     deref,
     functor,
 )
 
+if TYPE_CHECKING:
+    from ..database.module_system import Modules
+    from ..database.predicate import Predicate
+    from .function_code import FunctionCode
+
 Finder = Callable[..., Optional[bool]]
 """A predicate as a function of its arguments: whether there is a solution; None if the function cannot decide."""
-
-
-class KnownClause(Protocol):
-    """A clause."""
-
-    head: Term
-    body: Term
-    place: Optional[Place]
-
-    @property
-    def is_large(self) -> bool:
-        """Whether it is so large that it is interpreted always."""
 
 
 class JoinedGoals(NamedTuple):
@@ -83,118 +74,34 @@ Joins = Callable[[Sequence[CompoundTerm], Mapping[Any, int]], Optional[JoinedGoa
 """Function that joins consecutive goals; takes the goals and how often each variable occurs in the clause."""
 
 
-class KnownFunction(Protocol):
-    """What a predicate computes that is a function of some of its arguments; see `Functional`."""
-
-    @property
-    def function(self) -> Callable[..., Any]:
-        """Takes the inputs, returns the outputs."""
-
-    @property
-    def inputs(self) -> Tuple[int, ...]:
-        """Positions of the inputs."""
-
-    @property
-    def outputs(self) -> Tuple[int, ...]:
-        """Positions of the outputs."""
-
-    @property
-    def shows(self) -> Tuple[Optional[Callable[..., Term]], ...]:
-        """What makes the terms of the outputs."""
-
-    @property
-    def single(self) -> bool:
-        """Whether there is one output."""
-
-    @property
-    def joins(self) -> Optional[Joins]:
-        """What tells which goals after one of it go together with it."""
-
-
-class KnownFinders(Protocol):
-    """The functions of a predicate; see `Direct`."""
-
-    first: Finder
-    only: Finder
-
-    def prepare(self, once: bool) -> None:
-        """Generate a function before it is called."""
-
-
-class KnownPredicate(Protocol):
-    """A predicate; see `Predicate`."""
-
-    functor: Functor
-    kind: str
-    function: Optional[Callable[..., Any]]
-    gate: Optional[Callable[[Functor, Tuple[int, ...]], object]]
-    known: Optional[Functor]
-    compiled: bool
-    steady: bool
-    dynamic: bool
-    library: bool
-    system: bool
-    ground: bool
-
-    @property
-    def run(self) -> Step:
-        """The function that does a call."""
-
-    @property
-    def functional(self) -> Optional[KnownFunction]:
-        """What it computes."""
-
-    @property
-    def tabled(self) -> object:
-        """The predicate that its clauses belong to where tables answer its calls."""
-
-    def live(self) -> Iterator[KnownClause]:
-        """Yield its clauses."""
-
-    def fact_finder(self, once: bool) -> Finder:
-        """Return a function of the arguments that looks a ground fact up."""
-
-    def __len__(self) -> int: ...
-
-
-class KnownModules(Protocol):
-    """The modules of a program; see `Modules`."""
-
-    def named(self, term: Term, /) -> Optional[object]:
-        """Return the module that a term names."""
-
-    def goal(self, goal: CompoundTerm, /) -> Term:
-        """Return what ``Module:Goal`` calls."""
-
-
-class KnownDatabase(Protocol):
-    """All predicates; see `Database` and `Library`."""
+class PredicateResolver(Protocol):
+    """Predicates as the compiler reads them: those of the program (`Database`) or of the library (`Library`)."""
 
     machine: Machine
 
     @property
-    def modules(self) -> KnownModules:
-        """The modules of the program."""
+    def modules(self) -> "Modules":
+        """Modules of the program."""
 
     @property
     def is_library(self) -> bool:
-        """Whether these are the predicates as the library sees them."""
+        """True if names are resolved as the library's clauses do."""
 
     @property
     def interprets(self) -> bool:
-        """Whether nothing of the program is compiled."""
+        """True if nothing of the program is compiled."""
 
     @property
     def interpret(self) -> object:
-        """The code that runs a goal from its term."""
+        """Code of frames that run a goal from its term."""
 
-    def predicate(self, key: Functor, /) -> KnownPredicate:
+    def predicate(self, key: Functor, /) -> "Predicate":
         """Return the predicate of a functor."""
 
     def is_inline(self, key: Functor, /) -> bool:
-        """Tell whether a predicate is a deterministic built-in."""
+        """Return whether a predicate is a deterministic built-in."""
 
-    def direct(self, key: Functor, /) -> KnownFinders:
+    def direct(self, key: Functor, /) -> "FunctionCode":
         """Return the functions of a predicate."""
 
 
@@ -392,7 +299,7 @@ class BodyParser:
 
     def __init__(
         self,
-        database: KnownDatabase,
+        database: PredicateResolver,
         clause: Height,
         direct: Optional[Callable[[Functor], bool]] = None,
     ):

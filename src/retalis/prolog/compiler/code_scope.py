@@ -21,7 +21,7 @@ from ..machine.resource_limits import LOOP
 from ..terms.term_traversal import ATOMIC, copy, is_ground, resolve, variables
 from ..terms.types import Atom, Frame, Functor, Lazy, String, Term, Var, deref, functor
 from ..terms.unification import by_number, compare, same_constant, undo, unify, unlike
-from .clause_nodes import Height, KnownDatabase, Needed
+from .clause_nodes import Height, Needed, PredicateResolver
 
 COMPARE = functor("compare", 3)
 _MAX_EXPRESSION_PARTS = 60
@@ -88,7 +88,7 @@ class Unit:
         jobs: functions that write further functions; they run until none is left.
     """
 
-    def __init__(self, machine: Machine, database: KnownDatabase, repeats: bool = False):
+    def __init__(self, machine: Machine, database: PredicateResolver, repeats: bool = False):
         self.database = database
         self._given = codegen.BoundNames(base_namespace(machine))
         self.namespace = self._given.values

@@ -10,7 +10,7 @@ ignores further clauses. ``only`` must prove that the solution is unique: it com
 remaining clauses with the arguments at entry, and gives up if one of them may match.
 """
 
-from typing import Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from ..machine.machine import BAIL
 from ..terms.types import Functor, Term, Trail, functor
@@ -23,12 +23,14 @@ from .clause_nodes import (
     GoalNode,
     Height,
     IfThenElse,
-    KnownDatabase,
-    KnownPredicate,
+    PredicateResolver,
 )
 from .code_scope import ClauseVariables, Scope, Unit
 from .inline_goals import write_sequence
 from .predicate_code import ClauseParts, PredicateGenerator, key_of, title_of
+
+if TYPE_CHECKING:
+    from ..database.predicate import Predicate
 
 _MAX_FUNCTION_CLAUSES = 8
 _MAX_CLAUSES_VISITED = 100
@@ -64,13 +66,13 @@ class FunctionCode:
     first: Finder
     only: Finder
 
-    def __init__(self, database: KnownDatabase, key: Functor):
+    def __init__(self, database: PredicateResolver, key: Functor):
         self._database = database
         self._key = key
         self._facts = False
         self.reset(None)
 
-    def reset(self, predicate: Optional[KnownPredicate]) -> None:
+    def reset(self, predicate: "Optional[Predicate]") -> None:
         """Discard the functions after a change of the predicate.
 
         Functions that look facts up read the current clauses, so they stay valid as long as all clauses are facts.
@@ -116,12 +118,12 @@ def _unknown(*args: Term) -> None:
     return None
 
 
-def is_facts(predicate: KnownPredicate) -> bool:
+def is_facts(predicate: "Predicate") -> bool:
     """Return whether a predicate is a table of ground facts, which is searched through its indexes."""
     return predicate.ground and (predicate.dynamic or len(predicate) > _MAX_FUNCTION_CLAUSES)
 
 
-def rules_of(predicate: KnownPredicate) -> List[ClauseParts]:
+def rules_of(predicate: "Predicate") -> List[ClauseParts]:
     """Return the clauses of a predicate for the generator."""
     return [
         ClauseParts(clause.head[1:] if clause.head.__class__ is tuple else (), clause.body, clause.place)
@@ -129,7 +131,7 @@ def rules_of(predicate: KnownPredicate) -> List[ClauseParts]:
     ]
 
 
-def work(database: KnownDatabase, key: Functor, path: Tuple[Functor, ...] = ()) -> Optional[int]:
+def work(database: PredicateResolver, key: Functor, path: Tuple[Functor, ...] = ()) -> Optional[int]:
     """Return how many clauses a call of a predicate may try; None if it cannot be a function.
 
     Args:
@@ -161,7 +163,7 @@ def work(database: KnownDatabase, key: Functor, path: Tuple[Functor, ...] = ()) 
 
 
 def work_of(
-    database: KnownDatabase, nodes: Sequence[GoalNode], path: Tuple[Functor, ...] = ()
+    database: PredicateResolver, nodes: Sequence[GoalNode], path: Tuple[Functor, ...] = ()
 ) -> Optional[int]:
     """Return how many clauses the calls in a body may try; None if one of its goals cannot be in a function."""
     total = 0
@@ -176,7 +178,7 @@ def work_of(
     return total
 
 
-def is_pure(database: KnownDatabase, key: Functor) -> bool:
+def is_pure(database: PredicateResolver, key: Functor) -> bool:
     """Return whether a deterministic built-in has no effect."""
     return key in _PURE or database.predicate(key).functional is not None
 
@@ -190,7 +192,7 @@ def goals_of(nodes: Sequence[GoalNode]) -> Iterator[CallNode]:
             yield from goals_of([*node.test, *node.then, *node.otherwise])
 
 
-def parser(database: KnownDatabase, entry: Height, path: Tuple[Functor, ...] = ()) -> BodyParser:
+def parser(database: PredicateResolver, entry: Height, path: Tuple[Functor, ...] = ()) -> BodyParser:
     """Return a parser that treats calls of predicates that can be functions as inline goals."""
     known: Dict[Functor, bool] = {}
 

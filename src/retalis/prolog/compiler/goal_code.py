@@ -6,7 +6,7 @@ at run time, it becomes code for a frame of the machine, whose last goal ``outpu
 continuation.
 """
 
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ...foundation.codegen import MAX_TERM_ARGUMENTS
 from ...foundation.errors import Place
@@ -15,11 +15,14 @@ from ..machine.resource_limits import LimitError
 from ..terms.term_traversal import copy, is_larger, resolve, variables
 from ..terms.types import Frame, Step, Term, Var, deref, functor
 from .body_code import BodyGenerator
-from .clause_nodes import BodyParser, CallNode, GoalNode, Height, KnownDatabase, KnownPredicate, needed_by
+from .clause_nodes import BodyParser, CallNode, GoalNode, Height, PredicateResolver, needed_by
 from .code_scope import ClauseVariables, Scope, Unit
 from .function_code import choose_functions, give_up, goals_of, parser, work_of
 from .inline_goals import write_sequence
 from .predicate_code import title_of
+
+if TYPE_CHECKING:
+    from ..database.predicate import Predicate
 
 _OUTPUTS = functor("outputs", 0)
 
@@ -53,7 +56,7 @@ class GoalGenerator:
 
     def __init__(
         self,
-        database: KnownDatabase,
+        database: PredicateResolver,
         term: Term,
         inputs: Tuple[Var, ...],
         outputs: Tuple[Term, ...],
@@ -79,7 +82,7 @@ class GoalGenerator:
         self._entry = Height("height")
         self._nodes = BodyParser(self._database, self._entry).parse(self._term)
 
-    def call(self) -> Optional[KnownPredicate]:
+    def call(self) -> "Optional[Predicate]":
         """Return the predicate if the goal is a single call of it with the inputs as arguments, else None.
 
         A predicate of the system is excluded, because the program may replace it later.

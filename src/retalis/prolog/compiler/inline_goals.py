@@ -9,7 +9,7 @@ becomes a name for the value. Consecutive built-ins whose intermediate values ar
 a fused function (`join`), so that the intermediate values never become terms.
 """
 
-from typing import Any, Dict, FrozenSet, List, Mapping, Optional, Sequence, Set, Tuple
+from typing import TYPE_CHECKING, Any, Dict, FrozenSet, List, Mapping, Optional, Sequence, Set, Tuple
 
 from ..terms.list_terms import conjunction
 from ..terms.term_traversal import variables
@@ -26,13 +26,15 @@ from .clause_nodes import (
     GoalNode,
     IfThenElse,
     JoinedGoals,
-    KnownDatabase,
-    KnownFunction,
     Needed,
+    PredicateResolver,
     needed_by,
 )
 from .code_scope import Scope, ScopeState
 from .unification_code import dereferenced, differs, forget_fresh, match, write_argument, write_functor
+
+if TYPE_CHECKING:
+    from ..database.clause_index import FunctionalModes
 
 _MAX_JOINED_GOALS = 4
 """Consecutive goals that one function may evaluate."""
@@ -53,7 +55,9 @@ class JoinedNode(CallNode):
         self.source = conjunction([goal.source for goal in goals if goal.source is not None])
 
 
-def join(database: KnownDatabase, counts: Mapping[Any, int], nodes: Sequence[GoalNode]) -> Sequence[GoalNode]:
+def join(
+    database: PredicateResolver, counts: Mapping[Any, int], nodes: Sequence[GoalNode]
+) -> Sequence[GoalNode]:
     """Return goals with consecutive ones fused to a `JoinedNode` if the first one's predicate offers that.
 
     Args:
@@ -76,7 +80,7 @@ def join(database: KnownDatabase, counts: Mapping[Any, int], nodes: Sequence[Goa
     return found
 
 
-def _row(database: KnownDatabase, nodes: Sequence[GoalNode]) -> List[CallNode]:
+def _row(database: PredicateResolver, nodes: Sequence[GoalNode]) -> List[CallNode]:
     """Return the leading goals that are built-in functions."""
     found: List[CallNode] = []
     for node in nodes[:_MAX_JOINED_GOALS]:
@@ -206,7 +210,7 @@ def _joined(scope: Scope, node: CallNode) -> None:
         match(scope, result, output)
 
 
-def _function(scope: Scope, node: CallNode, functional: KnownFunction) -> None:
+def _function(scope: Scope, node: CallNode, functional: "FunctionalModes") -> None:
     """Write a call of a function and the unification of its outputs; outputs to void variables are skipped."""
     inputs = [node.args[at] for at in functional.inputs]
     result = scope.temp()

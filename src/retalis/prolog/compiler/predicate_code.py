@@ -23,7 +23,7 @@ from ...foundation.errors import Place
 from ..machine.machine import Code
 from ..terms.types import TRUE, Atom, CompoundTerm, Frame, Functor, Lazy, Runs, Step, Term, Var, deref
 from .body_code import BodyGenerator
-from .clause_nodes import BodyParser, CallNode, GoalNode, Height, KnownDatabase, needed_by
+from .clause_nodes import BodyParser, CallNode, GoalNode, Height, PredicateResolver, needed_by
 from .code_scope import ClauseVariables, Loop, Scope, Unit
 from .inline_goals import write_inline
 from .unification_code import match, take_apart
@@ -296,7 +296,7 @@ class PredicateGenerator:
 
     def __init__(
         self,
-        database: KnownDatabase,
+        database: PredicateResolver,
         key: Functor,
         rules: Sequence[ClauseParts],
         code: Runs,

@@ -13,16 +13,19 @@ clauses that were alive when it began (the logical update view).
 without unifying the outputs.
 """
 
-from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...foundation.codegen import MAX_TERM_ARGUMENTS
 from ...foundation.errors import Place
-from ..compiler.clause_nodes import Joins, KnownPredicate
+from ..compiler.clause_nodes import Joins
 from ..compiler.predicate_code import key_of
 from ..machine.machine import Machine
 from ..terms.term_traversal import copy, is_ground, is_larger
 from ..terms.types import TRUE, Atom, Frame, Step, Term, Trail, Var
 from ..terms.unification import unify
+
+if TYPE_CHECKING:
+    from .predicate import Predicate
 
 NEVER = 1 << 62
 """Generation of clauses that have not been retracted."""
@@ -45,7 +48,7 @@ class Clause:
 
     __slots__ = ("head", "body", "died", "keys", "ground", "fact", "code", "uses", "place", "predicate")
 
-    def __init__(self, predicate: KnownPredicate, head: Term, body: Term, place: Optional[Place]):
+    def __init__(self, predicate: "Predicate", head: Term, body: Term, place: Optional[Place]):
         self.predicate = predicate
         self.head = head
         self.body = body

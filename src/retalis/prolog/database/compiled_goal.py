@@ -9,13 +9,13 @@ again.
 from typing import Any, List, Optional, Sequence, Union
 
 from ...foundation.errors import Place
-from ..compiler.clause_nodes import KnownPredicate
 from ..compiler.goal_code import GoalGenerator
 from ..machine.errors import PrologError, from_python
 from ..machine.machine import BAIL, Code
 from ..terms.types import Frame, Term, Values, Var
 from ..terms.unification import undo
 from .database import Database
+from .predicate import Predicate
 
 _MAX_BAILS = 20
 """Attempts of the function that end in `BAIL` after which the goal only runs on the machine."""
@@ -69,9 +69,7 @@ class CompiledGoal:
         self._bailed = 0
         self._handing_over = Code(self.name, self._first_enter)
         called = source.call()
-        self.code: Union[Code, KnownPredicate] = (
-            Code(self.name, self._first_plain) if called is None else called
-        )
+        self.code: Union[Code, Predicate] = Code(self.name, self._first_plain) if called is None else called
 
     def forget(self) -> None:
         """Drop generated code, whose references to predicates are out of date."""

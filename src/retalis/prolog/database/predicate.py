@@ -10,10 +10,10 @@ Changes follow the logical update view: a call sees the clauses that existed whe
 marked with the generation of their removal and dropped later; lists that running calls may hold are only appended to.
 """
 
-from typing import Any, Callable, Dict, Hashable, Iterator, List, Optional, Protocol, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Dict, Hashable, Iterator, List, Optional, Tuple
 
 from ...foundation.cancellation import look
-from ..compiler.clause_nodes import KnownDatabase
+from ..compiler.clause_nodes import PredicateResolver
 from ..compiler.function_code import FunctionCode
 from ..compiler.predicate_code import ClauseParts, PredicateGenerator, fact_search
 from ..machine.errors import PrologError
@@ -22,6 +22,9 @@ from ..terms.term_traversal import copy
 from ..terms.types import Frame, Functor, Step, Term, Trail, Values, Var
 from ..terms.unification import undo, unify
 from .clause_index import NEVER, Clause, FunctionalModes, Indexes, by_key, keys_of, match_head, may_match
+
+if TYPE_CHECKING:
+    from .database import Database
 
 COMPILE_AFTER = 12
 """Calls without a change of the predicate after which it is compiled."""
@@ -34,26 +37,6 @@ _MAX_COMPILED_FACTS = 8
 
 _SLOW_SEARCH_CLAUSES = 1000
 """Clauses from which on a search may take as long as many inferences and checks for cancellation."""
-
-
-class OwnDatabase(KnownDatabase, Protocol):
-    """The `Database` that predicates belong to, as they know it."""
-
-    generation: int
-    changes: int
-    compile_after: int
-
-    @property
-    def library(self) -> KnownDatabase:
-        """The predicates as the library sees them."""
-
-    @property
-    def solve(self) -> Callable[[Term, int, Frame], Optional[Frame]]:
-        """Runs a goal from its term."""
-
-    @property
-    def undefined(self) -> "Callable[[Predicate, Frame], Optional[Frame]]":
-        """Takes a call of a predicate that nobody has defined."""
 
 
 class Predicate:
@@ -86,7 +69,7 @@ class Predicate:
         indexes: indexes of the clauses.
     """
 
-    def __init__(self, database: OwnDatabase, functor: Functor):
+    def __init__(self, database: "Database", functor: Functor):
         self.database = database
         self.functor = functor
         self.kind = "undefined"
@@ -460,7 +443,7 @@ class Predicate:
         clause.code = PredicateGenerator(self._view(), self.functor, [rule], self).single(0)
         return clause.code
 
-    def _view(self) -> KnownDatabase:
+    def _view(self) -> PredicateResolver:
         return self.database.library if self.library else self.database
 
 

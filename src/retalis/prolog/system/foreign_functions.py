@@ -22,7 +22,6 @@ as any code of the process, so only the program's own files may do it, while the
 import importlib
 import importlib.util
 from contextlib import closing
-from pathlib import Path
 from types import ModuleType
 from typing import (
     TYPE_CHECKING,
@@ -33,9 +32,7 @@ from typing import (
     List,
     NamedTuple,
     Optional,
-    Protocol,
     Sequence,
-    Tuple,
     TypeVar,
     Union,
     get_type_hints,
@@ -52,21 +49,14 @@ from .value_conversion import reader_of, to_term
 if TYPE_CHECKING:
     from inspect import Parameter
 
+    from ...engine.runtime.serial_executor import SerialExecutor
+    from ...events.program.source_files import SourceFiles
+
 _ERROR = functor("error", 2)
 _PYTHON_ERROR = functor("python_error", 2)
 _MARK = "__retalis_foreign__"
 
 Function = TypeVar("Function", bound=Callable[..., object])
-
-
-class Caller(Protocol):
-    """Executor that reports the callback at work; see `SerialExecutor`.
-
-    Attributes:
-        callback: description of the running callback, or None.
-    """
-
-    callback: Optional[Tuple[str]]
 
 
 class _Spec(NamedTuple):
@@ -156,7 +146,7 @@ def _parameters(function: Callable[..., object]) -> "List[Parameter]":
     return found
 
 
-def define_foreign(logic: PrologSystem, runner: Caller, *sources: object) -> List[Functor]:
+def define_foreign(logic: PrologSystem, runner: "SerialExecutor", *sources: object) -> List[Functor]:
     """Define marked functions in a program, and return the functors of their predicates.
 
     Args:
@@ -186,7 +176,9 @@ def _is_marked(value: object) -> bool:
     return isinstance(getattr(value, _MARK, None), _Spec)
 
 
-def _define(logic: PrologSystem, runner: Caller, function: Callable[..., Any], spec: _Spec) -> Functor:
+def _define(
+    logic: PrologSystem, runner: "SerialExecutor", function: Callable[..., Any], spec: _Spec
+) -> Functor:
     key = functor(spec.name, spec.arity)
     known = logic.database.predicates.get(key)
     if known is not None and (known.locked or known.library and known.system):
@@ -199,7 +191,7 @@ def _define(logic: PrologSystem, runner: Caller, function: Callable[..., Any], s
 
 
 def _function(
-    runner: Caller, function: Callable[..., object], spec: _Spec, key: Functor
+    runner: "SerialExecutor", function: Callable[..., object], spec: _Spec, key: Functor
 ) -> Callable[..., bool]:
     count = len(spec.readers)
     what = f"the foreign predicate {key}"
@@ -223,7 +215,10 @@ def _function(
 
 
 def _generator(
-    runner: Caller, function: Callable[..., Generator[object, None, None]], spec: _Spec, key: Functor
+    runner: "SerialExecutor",
+    function: Callable[..., Generator[object, None, None]],
+    spec: _Spec,
+    key: Functor,
 ) -> Callable[..., Iterator[None]]:
     count = len(spec.readers)
     what = f"the foreign predicate {key}"
@@ -272,38 +267,9 @@ def _indicator(key: Functor) -> Term:
     return (SLASH, atom(key.name), key.arity)
 
 
-class Opening(Protocol):
-    """Access to files within the allowed folders; see `FileSandbox`.
-
-    Attributes:
-        is_loading: whether the program's own files are being loaded.
-    """
-
-    is_loading: bool
-
-    @property
-    def output(self) -> str:
-        """Folder of files that programs write without naming a folder."""
-
-    def append(self, path: str, text: str) -> None:
-        """Append a text to a file."""
-
-
-class NamedFiles(Protocol):
-    """Files that a program names; see `Files`."""
-
-    @property
-    def door(self) -> Opening:
-        """Access to them."""
-
-    def resolve(self, name: str) -> Path:
-        """Return the path of a name."""
-
-    def is_file(self, path: Path) -> bool:
-        """Return whether a readable file exists at a path."""
-
-
-def define_use_foreign(logic: PrologSystem, runner: Caller, files: NamedFiles, allowed: bool) -> None:
+def define_use_foreign(
+    logic: PrologSystem, runner: "SerialExecutor", files: "SourceFiles", allowed: bool
+) -> None:
     """Define ``use_foreign(Module)``, which loads a Python module and defines its predicates.
 
     Args:
@@ -334,7 +300,7 @@ def define_use_foreign(logic: PrologSystem, runner: Caller, files: NamedFiles, a
     logic.define("use_foreign", 1, use_foreign).locked = True
 
 
-def load_module(name: str, files: NamedFiles) -> ModuleType:
+def load_module(name: str, files: "SourceFiles") -> ModuleType:
     """Return the module with a name or with the path of its file.
 
     Args:
