@@ -1,4 +1,4 @@
-"""Lists and conjunctions."""
+"""Conversion between Python sequences and Prolog lists or conjunctions."""
 
 from typing import Iterable, Iterator, List, Optional, Tuple
 
@@ -7,10 +7,11 @@ from ...foundation.errors import TermTooLarge
 from .term_traversal import LATE_ROUND, ROUNDS, refuse_cycles
 from .types import COMMA, CONS, NIL, TRUE, Term, deref
 
-_CELL = 64
-"""Bytes of a list cell."""
-_LONG = 1 << 14
-"""Items from which on there is a check for room before a list is made."""
+_CELL_BYTES = 64
+"""Memory of a list cell in bytes."""
+
+_CHECKED_LENGTH = 1 << 14
+"""Items above which `make_list` checks the memory limit before it allocates."""
 
 
 def make_list(items: Iterable[Term], tail: Term = NIL) -> Term:
@@ -19,21 +20,23 @@ def make_list(items: Iterable[Term], tail: Term = NIL) -> Term:
     >>> Engine().show(make_list([1, atom("b")]))
     '[1,b]'
     """
-    left = list(items)
-    if len(left) > _LONG:
-        look(size=_CELL * len(left))
-    while len(left) > len(BULK):
-        for item in reversed(left[-len(BULK) :]):
+    remaining = list(items)
+    if len(remaining) > _CHECKED_LENGTH:
+        look(size=_CELL_BYTES * len(remaining))
+    # Long lists are built in blocks from the end, with a check of the limits after each block. Deleting the items of
+    # a block frees them early, so that the Python list and the cells do not both exist in full.
+    while len(remaining) > len(BULK):
+        for item in reversed(remaining[-len(BULK) :]):
             tail = (CONS, item, tail)
-        del left[-len(BULK) :]
+        del remaining[-len(BULK) :]
         look()
-    for item in reversed(left):
+    for item in reversed(remaining):
         tail = (CONS, item, tail)
     return tail
 
 
 def list_items(term: Term) -> Optional[List[Term]]:
-    """Return the items of a proper list, or None where ``term`` is none (partial lists included).
+    """Return the items of a proper list, or None for any other term, partial lists included.
 
     >>> (solution,) = Engine().query("X = [1, 2], Y = [1|_]")
     >>> list_items(solution["X"]), list_items(solution["Y"])
@@ -44,7 +47,7 @@ def list_items(term: Term) -> Optional[List[Term]]:
 
 
 def list_parts(term: Term) -> Tuple[List[Term], Term]:
-    """Return the items of a list, proper or partial, and its tail."""
+    """Return the items of a proper or partial list, and its tail."""
     items: List[Term] = []
     term = deref(term)
     for done in ROUNDS:
@@ -62,12 +65,14 @@ def list_parts(term: Term) -> Tuple[List[Term], Term]:
 
 
 def _refuse_endless(term: Term) -> None:
-    """Raise an error where the tail of a list is a part of itself; its items are not looked at.
+    """Raise an error if the tail of a list is cyclic. Items are not checked, as they may be cyclic terms.
 
-    The cell that the walk compares with is set anew after 1, 2, 4, ... steps: once it is in the cycle, the walk comes
-    back to it (Brent's algorithm).
+    Raises:
+        TermTooLarge: if the list has no end.
     """
-    marked, steps, turn = term, 0, 1
+    # Brent's algorithm (BIT 20, 1980): the cell to compare with moves forward after 1, 2, 4, ... steps. Once it
+    # lies in the cycle, the walk returns to it. Unlike a set of visited cells it needs no memory.
+    marked, steps, next_mark = term, 0, 1
     while term.__class__ is tuple and term[0] is CONS:
         term = term[2]
         if term.__class__ is not tuple:
@@ -75,8 +80,8 @@ def _refuse_endless(term: Term) -> None:
         if term is marked:
             raise TermTooLarge
         steps += 1
-        if steps == turn:
-            marked, turn = term, 2 * turn
+        if steps == next_mark:
+            marked, next_mark = term, 2 * next_mark
             look()
 
 
@@ -99,7 +104,7 @@ def conjuncts(term: Term) -> Iterator[Term]:
 
 
 def conjunction(goals: Iterable[Term]) -> Term:
-    """Return the goals as one goal; ``true`` for none."""
+    """Return the goals as one conjunction, ``true`` if there are none."""
     goals = list(goals)
     if not goals:
         return TRUE

@@ -1,10 +1,17 @@
-"""How far walks over terms go.
+"""Traversal of terms: variables, groundness, copies, cycle detection and dictionary keys.
 
-Terms that contain themselves: found after many steps of a walk, so that others cost nothing more.
+Every walk uses an explicit stack, so the depth of a term is not limited by Python's recursion limit. A walk is
+divided into rounds of `BULK` steps. After each round it calls `look`, which counts the work as inferences and raises
+if the goal has exceeded a limit, and `MAX_STEPS` bounds the walk as a whole.
 
-Walks over terms: variables, copies, keys.
+Unification without occurs check can build cyclic terms (``X = f(X)``), on which a plain walk does not end. Checking
+every term for cycles would double the cost of all walks, so a walk checks only after `LATE` steps, which few terms
+need. Unification, comparison and the search for variables then continue with `MetPairs`, which visits each part once,
+as in the unification of rational trees (Colmerauer 1982). The other walks raise `TermTooLarge`.
 
-Dictionary keys of terms: for shared variables, and for telling identical events.
+Keys: `freeze` and `variant_key` flatten a term in prefix order into a tuple of functors and constants. The arity in
+each functor makes the flat form unambiguous, so equal keys mean identical terms, or variants of each other. Keys are
+used by shared variables of joins, by tables, and by the detection of duplicate events.
 """
 
 from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Set, Tuple, overload
@@ -14,81 +21,89 @@ from ...foundation.errors import TermTooLarge
 from .types import Atom, CompoundTerm, Lazy, String, Term, Var, deref
 
 MAX_STEPS = 5_000_000
-"""Steps after which walking a term is given up."""
+"""Steps after which a walk over a term raises `TermTooLarge`."""
 
 ROUNDS = range(MAX_STEPS // len(BULK))
-"""Rounds of `BULK` steps in a walk; after each there is a look at the limits of the goal that walks."""
+"""Rounds of `BULK` steps in a walk. After each round, the walk checks the limits of the goal that runs it."""
 
 MASK = len(BULK) - 1
-"""Steps at which this is zero end a round."""
+"""Bit mask of step counts: a round ends at each step whose masked count is zero."""
 
 
 def check_steps(steps: int) -> None:
-    """Look at the limits of the goal that walks; give up a walk of too many steps."""
+    """Check the limits of the running goal.
+
+    Raises:
+        TermTooLarge: if the walk has taken more than `MAX_STEPS` steps.
+    """
     look()
     if steps > MAX_STEPS:
         raise TermTooLarge
 
 
 LATE = 1 << 16
-"""Steps of a walk after which it looks whether the term contains itself; as many parts are looked at, at most."""
+"""Steps after which a walk checks whether the term is cyclic, and the number of parts that the check visits at
+most."""
 
 LATE_ROUND = LATE // (MASK + 1) - 1
-"""The round of a walk in which these steps are done."""
+"""The round in which a walk reaches `LATE` steps."""
 
 
 def contains_itself(term: Term) -> bool:
-    """Tell whether a term contains itself; of a term with many parts only the first are looked at."""
+    """Return whether a term is cyclic. Only the first `LATE` parts of a large term are checked."""
     path: Set[int] = set()
     seen: Set[int] = set()
     stack: List[Any] = [term]
     while stack:
-        item = stack.pop()
-        if item.__class__ is int:  # all parts of the term of this identity are done
-            path.discard(item)
+        part = stack.pop()
+        # An int on the stack is the identity of a term whose parts have all been visited: the depth-first search
+        # leaves it. `path` holds the ancestors of the current part only; `seen` alone would report shared subterms.
+        if part.__class__ is int:
+            path.discard(part)
             continue
-        while item.__class__ is Var and item.ref is not None:
-            item = item.ref
-        if item.__class__ is not tuple:
+        while part.__class__ is Var and part.ref is not None:
+            part = part.ref
+        if part.__class__ is not tuple:
             continue
-        key = id(item)
+        key = id(part)
         if key in path:
             return True
         if key in seen:
             continue
-        if len(seen) + len(item) > LATE:
+        if len(seen) + len(part) > LATE:
             return False
         seen.add(key)
         path.add(key)
         stack.append(key)
-        for part in item:
-            if part.__class__ is tuple or part.__class__ is Var:
-                stack.append(part)
+        for argument in part:
+            if argument.__class__ is tuple or argument.__class__ is Var:
+                stack.append(argument)
     return False
 
 
 def refuse_cycles(term: Term) -> None:
-    """Give up a walk over a term that contains itself, which would go on for ever.
+    """Raise an error for a cyclic term, on which a walk would not end.
 
     Raises:
-        TermTooLarge: where it does.
+        TermTooLarge: if the term contains itself.
     """
     if contains_itself(term):
         raise TermTooLarge
 
 
 class MetPairs:
-    """Pairs of compound terms that a walk over two terms has met: what holds for all others holds for them."""
+    """Pairs of compound terms that a walk over two cyclic terms has visited; a pair is not compared twice."""
 
     __slots__ = ("_met", "_steps")
 
     def __init__(self) -> None:
+        # Keys are object identities. The values keep the terms alive: the identity of a deleted term may be reused
+        # by another one, which would then count as visited.
         self._met: Dict[Tuple[int, int], Tuple[Term, Term]] = {}
-        """The terms are kept, because the identity of one that is gone may be that of another."""
         self._steps = 0
 
     def is_new(self, left: Term, right: Term) -> bool:
-        """Tell whether a pair is met for the first time; of too many pairs this is no more known."""
+        """Return whether a pair is visited for the first time; always true once `LATE` pairs are recorded."""
         self._steps += 1
         if not self._steps & MASK:
             check_steps(self._steps)
@@ -101,7 +116,7 @@ class MetPairs:
 
 
 def variables(term: Term) -> List[Var]:
-    """Return the unbound variables of a term, each once, in the order they are met from left to right."""
+    """Return the unbound variables of a term, each once, from left to right."""
     seen: Dict[Var, None] = {}
     stack: List[Term] = []
     item: Any = term
@@ -127,7 +142,7 @@ def variables(term: Term) -> List[Var]:
 
 
 def _variables_met(stack: List[Term], seen: Dict[Var, None]) -> List[Var]:
-    """Go on with what is left of a term that contains itself: each part once."""
+    """Continue the search for variables in a cyclic term: visit each part once."""
     met = MetPairs()
     while stack:
         item = _follow(stack.pop())
@@ -138,27 +153,27 @@ def _variables_met(stack: List[Term], seen: Dict[Var, None]) -> List[Var]:
     return list(seen)
 
 
-def positions(names: Sequence[Var]) -> Dict[Var, int]:
-    """Return where each variable stands among others."""
-    return {var: at for at, var in enumerate(names)}
+def positions(sequence: Sequence[Var]) -> Dict[Var, int]:
+    """Return the position of each variable in a sequence."""
+    return {var: position for position, var in enumerate(sequence)}
 
 
-def is_larger(term: Term, most: int) -> bool:
-    """Tell whether the compounds of a term have more arguments than ``most``, all together."""
+def is_larger(term: Term, limit: int) -> bool:
+    """Return whether the compound terms within a term have more than ``most`` arguments in total."""
     size = 0
     stack = [term]
     while stack:
         item = deref(stack.pop())
         if item.__class__ is tuple:
             size += len(item) - 1
-            if size > most:
+            if size > limit:
                 return True
             stack.extend(item[1:])
     return False
 
 
 def is_ground(term: Term) -> bool:
-    """Tell whether a term has no unbound variable (a lazy term has none, and is not looked into)."""
+    """Return whether a term has no unbound variable. A lazy term is ground by definition and is not built."""
     stack = [term]
     for done in ROUNDS:
         for _ in BULK:
@@ -172,6 +187,7 @@ def is_ground(term: Term) -> bool:
                 if kind is Var:
                     return False
             if kind is tuple:
+                # One step may push a whole argument list: a wide term counts by its arguments, not as one step.
                 if len(item) > MASK:
                     look(len(item))
                 stack.extend(item[1:])
@@ -182,11 +198,11 @@ def is_ground(term: Term) -> bool:
 
 
 ATOMIC = frozenset((Atom, int, float, String))
-"""Classes of terms that are constants, with nothing inside and no variable."""
+"""Classes of constants: they have no parts and no variables."""
 
 
 def are_ground(values: Sequence[Term]) -> bool:
-    """Tell whether terms have no variables, not even bound ones at their tops."""
+    """Return whether terms have no variables; a bound variable at the top of a term counts as one."""
     for value in values:
         kind = value.__class__
         if kind not in ATOMIC and (kind is Var or (kind is tuple and not is_ground(value))):
@@ -195,14 +211,14 @@ def are_ground(values: Sequence[Term]) -> bool:
 
 
 def is_plain(term: Term) -> bool:
-    """Tell whether there is no variable in a term, bound or not: then it is as it is shown."""
+    """Return whether a term has no variable at all, bound or unbound, so that it need not be resolved."""
     if term.__class__ is not tuple:
         return term.__class__ is not Var
     pending = [term]
-    for done, compound in enumerate(pending, 1):
-        if not done & MASK:
-            check_steps(done)
-            if done == LATE:
+    for count, compound in enumerate(pending, 1):
+        if not count & MASK:
+            check_steps(count)
+            if count == LATE:
                 refuse_cycles(term)
         for item in compound:
             kind = item.__class__
@@ -216,10 +232,10 @@ def is_plain(term: Term) -> bool:
 def rebuild(  # noqa: C901 -- the loop of copying: a call for each argument would double its time
     term: Term, leaf: Callable[[Var], Term]
 ) -> Term:
-    """Return ``term`` with bound variables followed and each unbound one replaced by ``leaf`` of it.
+    """Return ``term`` with bound variables replaced by their values and each unbound one by ``leaf(variable)``.
 
-    Parts without variables are shared with ``term``, not copied; lazy terms are left as they are
-    (a lazy term is ground).
+    Parts without variables are shared with ``term``, not copied. Lazy terms are kept unbuilt, because they are
+    ground.
     """
     if term.__class__ is Var:
         term = _follow(term)
@@ -227,18 +243,19 @@ def rebuild(  # noqa: C901 -- the loop of copying: a call for each argument woul
             return leaf(term)
     if term.__class__ is not tuple:
         return term
-    # One entry for each compound term on the way down: the term, its arguments so far, changed or not.
+    # One entry for each compound term on the path from the root: the term, the arguments that are finished, and
+    # whether any of them differs from the original. Only changed terms are allocated anew.
     stack: List[List[Any]] = [[term, [term[0]], False]]
     steps = 0
     while True:
         entry = stack[-1]
-        source, done, changed = entry
-        at = len(done)
+        source, arguments, changed = entry
+        position = len(arguments)
         size = len(source)
-        if size > MASK and at == 1:
+        if size > MASK and position == 1:
             look(size)
-        while at < size:
-            item: Any = source[at]
+        while position < size:
+            item: Any = source[position]
             kind = item.__class__
             if kind is Var:
                 changed = True
@@ -254,10 +271,10 @@ def rebuild(  # noqa: C901 -- the loop of copying: a call for each argument woul
                 if not steps & MASK:
                     _check_path(stack, steps)
                 break
-            done.append(item)
-            at += 1
+            arguments.append(item)
+            position += 1
         else:
-            result = tuple(done) if changed else source
+            result = tuple(arguments) if changed else source
             stack.pop()
             if not stack:
                 return result
@@ -268,9 +285,11 @@ def rebuild(  # noqa: C901 -- the loop of copying: a call for each argument woul
 
 
 def _check_path(stack: List[List[Any]], steps: int) -> None:
-    """Raise an error where a term on the way down stands in itself, or there have been too many steps."""
+    """Raise an error if a term on the path from the root contains itself, or if the walk is too long."""
     look()
     depth = len(stack)
+    # The path is compared at powers of two only, so that a deep term costs linear time in total. A cycle makes the
+    # path grow for ever and is found at the next power of two.
     if steps > MAX_STEPS or (steps & (steps - 1) == 0 and len({id(entry[0]) for entry in stack}) < depth):
         raise TermTooLarge
 
@@ -282,7 +301,7 @@ def _follow(term: Term) -> Term:
 
 
 def resolve(term: Term) -> Term:
-    """Return ``term`` with all bound variables replaced by what they stand for."""
+    """Return ``term`` with all bound variables replaced by their values."""
     return term if is_plain(term) else rebuild(term, _same)
 
 
@@ -290,23 +309,25 @@ def _same(var: Var) -> Term:
     return var
 
 
-_SMALL, _SHALLOW = 8, 3
-"""Items of the largest compound term that is copied by `_small_copy`, and its depth."""
+_MAX_SMALL_ITEMS, _MAX_SMALL_DEPTH = 8, 3
+"""Limits of `_small_copy`: items of a compound term, functor included, and nesting depth."""
 
 
 def _small_copy(  # noqa: C901 -- runs for each solution: a call to follow a variable would cost a tenth
-    term: CompoundTerm, fresh: Dict[Var, Term], depth: int = _SHALLOW
+    term: CompoundTerm, fresh: Dict[Var, Term], depth: int = _MAX_SMALL_DEPTH
 ) -> Optional[CompoundTerm]:
-    """Return a copy of a small term, None where it is not small; see `copy`.
+    """Return a copy of a small term, or None if it exceeds the limits; see `copy`.
 
-    Solutions are such terms mostly. `rebuild` copies all others, and takes three times as long for these.
+    Most solutions are small terms, for which `rebuild` takes three times as long.
     """
-    if len(term) > _SMALL or not depth:
+    # Recursion is safe here only because the depth is bounded. None makes the caller use `rebuild` for the whole
+    # term; `fresh` then contains some variables already, which is why both use the same mapping.
+    if len(term) > _MAX_SMALL_ITEMS or not depth:
         return None
     items: Any = None
-    at = -1
+    position = -1
     for item in term:
-        at += 1
+        position += 1
         kind = item.__class__
         if kind is Var:
             while kind is Var:
@@ -322,17 +343,17 @@ def _small_copy(  # noqa: C901 -- runs for each solution: a call to follow a var
                 if item is None:
                     return None
         elif kind is tuple:
-            part = _small_copy(item, fresh, depth - 1)
-            if part is item:
+            copied = _small_copy(item, fresh, depth - 1)
+            if copied is item:
                 continue
-            if part is None:
+            if copied is None:
                 return None
-            item = part
+            item = copied
         else:
             continue
         if items is None:
             items = list(term)
-        items[at] = item
+        items[position] = item
     return term if items is None else tuple(items)
 
 
@@ -345,7 +366,12 @@ def copy(term: Term, fresh: Optional[Dict[Var, Term]] = None) -> Term: ...
 
 
 def copy(term: Term, fresh: Optional[Dict[Var, Term]] = None) -> Term:
-    """Return ``term`` with new variables for its unbound ones; ``fresh`` maps old to new, and is filled."""
+    """Return ``term`` with new variables for its unbound ones.
+
+    Args:
+        term: the term to copy.
+        fresh: maps old variables to new ones; extended by the call.
+    """
     kind = term.__class__
     while kind is Var:
         ref: Any = term.ref  # type: ignore[union-attr]
@@ -376,10 +402,10 @@ def _large_copy(term: Term, fresh: Dict[Var, Term]) -> Term:
 
 
 def freeze(term: Term) -> Hashable:
-    """Return a hashable key: equal for two ground terms exactly when they are the same term.
+    """Return a hashable key of a ground term. Two keys are equal if and only if the terms are identical.
 
     Raises:
-        ValueError: where the term has an unbound variable.
+        ValueError: if the term has an unbound variable.
     """
     kind = term.__class__
     if kind is Atom or kind is int or kind is String:
@@ -399,6 +425,7 @@ def freeze(term: Term) -> Hashable:
                 flat.append(item[0])
                 stack.extend(item[:0:-1])
             elif kind is float:
+                # 1 == 1.0 and 0.0 == -0.0 in Python, and nan differs from itself; as terms they are the reverse.
                 flat.append((float, item.hex()))
             elif kind is Var:
                 raise ValueError("a key of a term with variables")
@@ -411,11 +438,11 @@ def freeze(term: Term) -> Hashable:
 
 
 PLAIN = frozenset((Atom, int, String))
-"""The classes of terms that are their own keys."""
+"""Classes of terms that are their own keys."""
 
 
 def term_key(term: Term) -> Hashable:
-    """Return a hashable key: equal for two terms exactly when they are variants of each other."""
+    """Return a hashable key of any term. Two keys are equal if and only if the terms are variants of each other."""
     if term.__class__ in PLAIN:
         return term
     if term.__class__ is tuple:
@@ -425,7 +452,7 @@ def term_key(term: Term) -> Hashable:
                     return variant_key(term)
                 break
         else:
-            return term
+            return term  # a tuple of atoms, integers and strings is its own key; most messages' fields are like that
     try:
         return freeze(term)
     except ValueError:
@@ -433,7 +460,8 @@ def term_key(term: Term) -> Hashable:
 
 
 def variant_key(term: Term) -> Hashable:
-    """Return the key of a term with variables: they count by the order in which they are met."""
+    """Return the key of a term with variables, which are numbered in the order of their first occurrence."""
+    # The class `Var` at the front separates these keys from those of ground terms, which begin with a functor.
     flat: List[Hashable] = [Var]
     numbers: Dict[Var, int] = {}
     stack = [term]

@@ -1,14 +1,17 @@
-"""Instants as integer nanoseconds since the epoch (UTC), and their terms.
+"""Instants as integer nanoseconds since the Unix epoch (UTC), and their terms.
 
-Inside, an instant is an ``int`` of nanoseconds, so comparisons are exact. What a program sees is a term:
-``datime(Year,Month,Day,Hour,Minute,Second,Nanosecond)``, the same without the last field, or a number
-of seconds. An instant keeps the form that it came in:
+Inside the engine an instant is an ``int`` of nanoseconds, so comparisons are exact. Programs see a term:
+``datime(Year,Month,Day,Hour,Minute,Second,Nanosecond)``, the same without the last field, or a number of seconds. An
+instant keeps the form in which it was given:
 
-* a plain ``int`` shows as ``datime/7`` with float seconds, as ``new_event/3`` makes them;
-* a `WholeSeconds` shows as ``datime/7`` with integer seconds, as the clock makes them;
-* a `Stamp` shows as the very term it was read from.
+* a plain ``int`` is shown as ``datime/7`` with float seconds, as ``new_event/3`` creates them;
+* a `WholeSeconds` is shown as ``datime/7`` with integer seconds, as the clock creates them;
+* a `Stamp` is shown as the term that it was read from.
 
-All three are integers: they compare and subtract by the instant they name, whatever their form.
+All three are integers. They compare and subtract by the instant that they denote, in whatever form they are shown.
+
+Terms of instants are lazy (`shown`): most of them are only converted back by `from_term`, which then returns the
+instant without building the term.
 """
 
 from calendar import isleap
@@ -29,9 +32,11 @@ DATIME6: Functor = functor("datime", 6)
 _DAY = 86_400
 _EPOCH_DAY = date(1970, 1, 1).toordinal()
 FIRST, LAST = (1 - _EPOCH_DAY) * _DAY * SECOND, (date.max.toordinal() + 1 - _EPOCH_DAY) * _DAY * SECOND
-"""The first instant of those that have a datime, and the first after them."""
+"""Range of instants that have a datime, in ns: the first one (year 1), and the first one after the range (year
+10000)."""
 
 _FIELD_LIMITS = ((1, 9999), (1, 12), (1, 31), (0, 23), (0, 59))
+"""Lowest and highest value of year, month, day, hour and minute."""
 
 
 class WholeSeconds(int):
@@ -41,30 +46,30 @@ class WholeSeconds(int):
 
 
 class Stamp(int):
-    """An instant that keeps the term it was read from."""
+    """An instant that keeps the term from which it was read."""
 
     term: Term
 
     @classmethod
     def of(cls, nanoseconds: int, term: Term) -> "Stamp":
-        """Return the stamp of an instant (ns) that shows as ``term``."""
+        """Return the stamp of an instant in ns that is shown as ``term``."""
         stamp = cls(nanoseconds)
         stamp.term = term
         return stamp
 
 
 def from_parts(seconds: int, nanoseconds: int) -> int:
-    """Return the instant of a ROS time, in the form that ``new_event/3`` gives."""
+    """Return the instant of a ROS time (s, ns), in the form that ``new_event/3`` uses."""
     return seconds * SECOND + nanoseconds
 
 
 def to_parts(instant: int) -> Tuple[int, int]:
-    """Return an instant as ROS seconds and nanoseconds."""
+    """Return an instant as a ROS time: seconds and nanoseconds."""
     return divmod(int(instant), SECOND)
 
 
 def from_seconds(seconds: float) -> int:
-    """Return a number of seconds (int or float) as nanoseconds, to the nearest one.
+    """Return a number of seconds as nanoseconds, rounded to the nearest.
 
     Raises:
         UsageError: for ``nan`` and the infinities.
@@ -75,31 +80,34 @@ def from_seconds(seconds: float) -> int:
         whole = int(seconds)
     except (ValueError, OverflowError):
         raise UsageError(f"{seconds} is not a number of seconds") from None
+    # Whole seconds are split off first: `seconds * 1e9` has more than 53 significant bits for a present-day time.
     return whole * SECOND + round((seconds - whole) * 1e9)
 
 
 def to_seconds(nanoseconds: int) -> float:
-    """Return nanoseconds as float seconds, rounded the way ``Sec + NSec * 1e-9`` is."""
+    """Return nanoseconds as float seconds, rounded as ``Sec + NSec * 1e-9`` is."""
     whole, rest = divmod(int(nanoseconds), SECOND)
     return whole + rest * 1e-9
 
 
 @lru_cache(maxsize=64)
 def first_reaching(seconds: float) -> int:
-    """Return the first instant whose `to_seconds` is at least ``seconds``.
+    """Return the first instant (ns) whose `to_seconds` is at least ``seconds``.
 
-    A double near the present is coarse (2.4e-7 s), so an instant and its float seconds do not name the
-    same nanosecond; this is the bound that makes ``Z is Sec + NSec * 1e-9`` equal to the instant itself.
+    The spacing of doubles near the present is 2.4e-7 s, so an instant and its float seconds do not denote the same
+    nanosecond. With this bound, a comparison with ``Z is Sec + NSec * 1e-9`` gives the same result as one of
+    instants.
     """
-    # What rounds to it begins half of the last binary place below; the search is for what rounding leaves open.
+    # The instants that round to `seconds` begin half a unit in the last place below it. The estimate may be off by
+    # the rounding of `to_seconds` itself, so a galloping and then a binary search find the exact bound.
     guess = from_seconds(seconds) - int(ldexp(SECOND, frexp(seconds)[1] - 54))
-    low, high, reach = guess - 1, guess + 1, 1
+    low, high, step = guess - 1, guess + 1, 1
     while to_seconds(low) >= seconds:
-        low -= reach
-        reach *= 2
+        low -= step
+        step *= 2
     while to_seconds(high) < seconds:
-        high += reach
-        reach *= 2
+        high += step
+        step *= 2
     while high - low > 1:
         middle = (low + high) // 2
         if to_seconds(middle) >= seconds:
@@ -111,13 +119,17 @@ def first_reaching(seconds: float) -> int:
 
 @lru_cache(maxsize=64)
 def _day_fields(day: int) -> Tuple[int, int, int]:
-    found = date.fromordinal(day + _EPOCH_DAY)
-    return found.year, found.month, found.day
+    calendar_day = date.fromordinal(day + _EPOCH_DAY)
+    return calendar_day.year, calendar_day.month, calendar_day.day
 
 
 @lru_cache(maxsize=64)
 def _day_number(year: int, month: int, day: int) -> int:
-    """Return days since the epoch; ValueError where there is no such day."""
+    """Return the number of days since the epoch.
+
+    Raises:
+        ValueError: if there is no such day.
+    """
     return date(year, month, day).toordinal() - _EPOCH_DAY
 
 
@@ -138,7 +150,7 @@ def fields(instant: int) -> Tuple[int, int, int, int, int, int, int]:
 
 
 def in_range(instant: int) -> bool:
-    """Tell whether an instant lies in the years 1 to 9999, which alone have a datime."""
+    """Return whether an instant lies in the years 1 to 9999, for which a datime exists."""
     return FIRST <= instant < LAST
 
 
@@ -148,12 +160,12 @@ def datime(instant: int) -> Term:
 
 
 def datime6(instant: int) -> Term:
-    """Return an instant as ``datime/6``; parts of a second are cut off."""
+    """Return an instant as ``datime/6``; fractions of a second are truncated."""
     return (DATIME6, *fields(instant)[:6])
 
 
 def to_term(instant: int) -> Term:
-    """Return the term of an instant, in the form it came in."""
+    """Return the term of an instant, in the form in which it was given."""
     kind = instant.__class__
     if kind is int:
         year, month, day, hour, minute, second, nanosecond = fields(instant)
@@ -164,7 +176,7 @@ def to_term(instant: int) -> Term:
 
 
 def shown(instant: int) -> Term:
-    """Return the term of an instant as a lazy one: most are handed on to `from_term` and never looked at."""
+    """Return the term of an instant, lazily: most such terms are only passed to `from_term` and never built."""
     if instant.__class__ is Stamp:
         return instant.term  # type: ignore[attr-defined, unused-ignore]  # on Python 3.8 only
     return Lazy(DATIME7, to_term, instant)
@@ -176,35 +188,36 @@ def interval_term(start: int, end: int) -> Term:
 
 
 def from_term(term: Term) -> int:
-    """Return the instant that a term names, keeping its form.
+    """Return the instant that a term denotes, keeping its form.
 
-    Takes ``datime/7`` (seconds integer or float), ``datime/6``, and numbers, which are seconds.
+    Accepted are ``datime/7`` (integer or float seconds), ``datime/6``, and numbers, which are seconds.
 
     Raises:
-        UsageError: where the term names no instant.
+        UsageError: if the term denotes no instant.
     """
     while term.__class__ is Var and term.ref is not None:
         term = term.ref
+    # A term from `shown` that nobody has built still holds its instant. `deref` would build it here.
     if term.__class__ is Lazy and term.make is to_term and term.made is None:
         return term.source  # type: ignore[no-any-return]
-    found: Any = deref(term)
-    kind = found.__class__
+    value: Any = deref(term)
+    kind = value.__class__
     if kind is int or kind is float:
-        return Stamp.of(from_seconds(found), found)
+        return Stamp.of(from_seconds(value), value)
     if kind is tuple:
-        if found[0] is DATIME7:
-            instant, exact = _from_fields(found)
+        if value[0] is DATIME7:
+            instant, exact = _from_fields(value)
             if exact is not None:
                 return WholeSeconds(instant) if exact is int else instant
-        elif found[0] is DATIME6:
-            instant, exact = _from_fields(found)
+        elif value[0] is DATIME6:
+            instant, exact = _from_fields(value)
             if exact is not None:
-                return Stamp.of(instant, found)
+                return Stamp.of(instant, value)
     raise UsageError("expected datime(Year,Month,Day,Hour,Minute,Second,Nanosecond), datime/6 or a number")
 
 
 def is_instant(term: Term) -> bool:
-    """Tell whether `from_term` takes a term."""
+    """Return whether `from_term` accepts a term."""
     try:
         from_term(term)
     except UsageError:
@@ -213,13 +226,14 @@ def is_instant(term: Term) -> bool:
 
 
 def _from_fields(term: CompoundTerm) -> Tuple[int, Optional[type]]:
-    """Return the instant of a datime term and the class of its seconds field; None where it is wrong."""
+    """Return the instant of a datime term and the class of its seconds; the class is None if a field is invalid."""
     values: List[Any] = [deref(value) for value in term[1:]]
     second = values[5]
     nanosecond = values[6] if len(values) == 7 else 0
     for value, (low, high) in zip(values, _FIELD_LIMITS):
         if value.__class__ is not int or not low <= value <= high:
             return 0, None
+    # Seconds from 60 up to 61 are valid: a leap second has no other notation.
     if second.__class__ not in (int, float) or not 0 <= second < 61 or nanosecond.__class__ is not int:
         return 0, None
     try:
@@ -234,10 +248,10 @@ def _from_fields(term: CompoundTerm) -> Tuple[int, Optional[type]]:
 
 
 def from_any(term: Term) -> int:
-    """Return the instant of a stamp term or of a ROS time ``[Sec,NSec]``.
+    """Return the instant of a timestamp term or of a ROS time ``[Sec,NSec]``.
 
     Raises:
-        UsageError: where the term is neither.
+        UsageError: if the term is neither.
     """
     term = deref(term)
     if term.__class__ is tuple and term[0] is CONS:
@@ -251,7 +265,7 @@ def from_any(term: Term) -> int:
 
 
 def month_days(year: int, month: int) -> int:
-    """Return the number of days of a month of the (proleptic Gregorian) calendar."""
+    """Return the number of days of a month in the proleptic Gregorian calendar."""
     if month == 2:
         return 29 if isleap(year) else 28
     return 30 if month in (4, 6, 9, 11) else 31

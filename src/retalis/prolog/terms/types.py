@@ -1,21 +1,28 @@
-"""The kinds of terms, the types that all floors share, and the few terms that everybody names.
+"""Term classes, the atom and functor tables, and the shared type aliases.
 
 =============== =============================================================================
-type            what it is
+type            meaning
 =============== =============================================================================
-`Term`          anything that programs, events and messages are made of
+`Term`          any term: what programs, events and messages consist of
 `CompoundTerm`  a term with arguments: a tuple whose first item is its `Functor`
-`Values`        arguments of a goal, or what the variables of a clause or a rule stand for
-`Trail`         what was bound, to be taken back
-`Frame`         a step with what it needs, and the frame that follows it
-`Step`          the function that does a step
-`Runs`          what a frame begins with
-`EventAction`   what is done with an event that fits a pattern
+`Values`        the arguments of a goal, or the values of the variables of a clause or rule
+`Trail`         the bindings to undo on backtracking
+`Frame`         a continuation: a step, its arguments, and the frame that follows
+`Step`          the function that executes a frame
+`Runs`          the first item of a frame
+`EventAction`   the action for an event that matches a pattern
 =============== =============================================================================
 
-The last four stand here, though no term is a frame, because they are written in terms of the first ones and of one
-another, and because every room above names them: the machine runs frames, listeners and nodes return them. They name
-nothing of those rooms; what does is described where it is used.
+Representation: numbers are Python numbers, a compound term is a tuple, and every other term has a class of its own.
+Atoms and functors are interned, so identity tests replace comparisons of names. The intern tables hold weak
+references: the texts of messages become atoms, and they must not accumulate for the life of the process.
+
+Walks over terms never recurse in Python, because a term can be nested deeper than Python's stack. They test
+``term.__class__`` instead of calling ``isinstance``: no term class has subclasses, and the test is the innermost
+operation of the system.
+
+`Frame`, `Step`, `Runs` and `EventAction` are defined here because every higher package refers to them: the machine
+executes frames, and event listeners and network nodes return them. They depend on nothing above this module.
 """
 
 import sys
@@ -27,19 +34,19 @@ from ...foundation.python_interpreter import remove_dead
 
 
 class Bound(Protocol):
-    """What stands on a trail: a variable, or something else that is taken back by setting its ``ref`` to None."""
+    """An entry of a trail: a variable, or an object that is undone by setting its ``ref`` to None."""
 
     ref: Any
 
 
 Trail = List[Bound]
-"""What was bound since the choice points were pushed, oldest first."""
+"""Bindings since the oldest choice point, oldest first."""
 
 
 class Atom:
-    """A constant; made by `atom`, which gives the same object for the same name.
+    """A constant. `atom` returns the same object for the same name.
 
-    ``functor`` is the `Functor` of the name and arity 0, made when it is asked for.
+    ``functor`` is the `Functor` of the name with arity 0, created on first access.
 
     >>> (solution,) = Engine().query("X = red")
     >>> solution["X"].name, isinstance(solution["X"], Atom), solution["X"] is atom("red")
@@ -54,8 +61,8 @@ class Atom:
     def __getattr__(self, attribute: str) -> "Functor":
         if attribute != "functor":
             raise AttributeError(attribute)
-        made = self.functor = functor(self.name, 0)
-        return made
+        own_functor = self.functor = functor(self.name, 0)
+        return own_functor
 
     def __repr__(self) -> str:
         return f"atom({self.name!r})"
@@ -65,16 +72,16 @@ class Atom:
 
 
 class Functor:
-    """Name and arity of a compound term; made by `functor`, one object for each pair.
+    """The name and arity of a compound term. `functor` returns one object for each pair.
 
-    Call it to build a term. The term is a tuple that begins with it:
+    Call a functor to build a term, a tuple that begins with the functor:
 
     >>> point = functor("point", 2)
     >>> term = point(1, 2)
     >>> term[0] is point, term[0].name, term[1:]
     (True, 'point', (1, 2))
 
-    ``atom`` is the `Atom` of its name, made when it is asked for.
+    ``atom`` is the `Atom` of the functor's name, created on first access.
     """
 
     __slots__ = ("name", "arity", "atom", "__weakref__")
@@ -86,13 +93,15 @@ class Functor:
     def __getattr__(self, attribute: str) -> Atom:
         if attribute != "atom":
             raise AttributeError(attribute)
-        made = atom(self.name)
-        if self.arity:  # an atom holds the functor without arguments
-            self.atom = made
-        return made
+        own_atom = atom(self.name)
+        # An atom refers to its functor of arity 0. If that functor referred back, the cycle would keep both alive
+        # until the garbage collector runs, and the intern tables would grow with every text of a message.
+        if self.arity:
+            self.atom = own_atom
+        return own_atom
 
     def __call__(self, *args: "Term") -> "CompoundTerm":
-        """Return the compound term with these arguments (as many as the arity says)."""
+        """Return the compound term with these arguments; their number must equal the arity."""
         return (self, *args)
 
     def __repr__(self) -> str:
@@ -106,7 +115,7 @@ class Functor:
 
 
 class String:
-    """A Prolog string: text that is not an atom. Equal strings are equal terms.
+    """A Prolog string: text that is not an atom. Strings with equal text are equal terms.
 
     >>> Engine().show(String("two words"))
     '"two words"'
@@ -128,7 +137,7 @@ class String:
 
 
 class Var:
-    """A logic variable: ``ref`` is None while it is unbound, the term it stands for afterwards.
+    """A logic variable: ``ref`` is None while it is unbound, and the term that it is bound to otherwise.
 
     >>> engine = Engine()
     >>> engine.load(rules="near(kitchen, hall). near(garden, hall).")
@@ -150,12 +159,12 @@ class Var:
 
 
 class Lazy:
-    """A term that is made when it is looked at, once; its functor is known before.
+    """A term that is built on first access, once; its functor is known in advance.
 
     Attributes:
-        functor: the `Functor` that the term will have; of the empty name and arity 0 where the term will be
-            an atom whose name is not known yet.
-        make: called with ``source`` to make the term.
+        functor: the `Functor` of the term. It has the empty name and arity 0 if the term will be an atom whose name
+            is not known yet.
+        make: builds the term from ``source``.
     """
 
     __slots__ = ("functor", "make", "source", "made")
@@ -167,10 +176,12 @@ class Lazy:
         self.made: Optional[Term] = None
 
     def term(self) -> "Term":
-        """Return the compound term (its arguments may be lazy in turn)."""
+        """Return the term, and build it on the first call; its arguments may be lazy as well."""
         made = self.made
         if made is None:
-            source, made = self.source, self.made  # in this order: another thread may be making it
+            # Read `source` before `made`: another thread may build the term between the two reads, and it stores
+            # `made` before it clears `source`. In the other order this thread could call `make(None)`.
+            source, made = self.source, self.made
             if made is None:
                 made = self.made = self.make(source)
                 self.source = None
@@ -181,11 +192,11 @@ class Lazy:
 
 
 CompoundTerm = Tuple[Any, ...]
-"""A functor and its arguments. How many there are says the functor, so a type checker cannot tell what they are."""
+"""A functor and its arguments. The functor determines their number, so a type checker cannot verify it."""
 
 if not TYPE_CHECKING or sys.version_info >= (3, 9):
     Term = Union[int, float, Atom, String, Var, Lazy, CompoundTerm]
-else:  # the last mypy for Python 3.8 cannot tell the kind of a term by its class
+else:  # the last mypy for Python 3.8 cannot narrow a term by its class
     Term = Any
 """What programs, events and messages are made of.
 
@@ -198,35 +209,36 @@ What callbacks and queries get is looked at through `deref`, which makes what is
 """
 
 Values = Tuple[Term, ...]
-"""Arguments of a goal, or what the variables of a clause or a rule stand for."""
+"""The arguments of a goal, or the values of the variables of a clause or rule."""
 
 Frame = Tuple[Any, ...]
-"""A tuple ``(runs, argument..., next)``: a step with what it needs, and the frame that follows it.
+"""A continuation, ``(runs, argument..., next)``: a step with its arguments, and the frame that follows it.
 
-The first item is a `Runs`, the last one a frame (None in the frame that ends a run); of what kinds those between are
-is up to the first. A choice point has one more item, the length of the trail. Where a step fails there is no next
-frame: what may fail returns ``Optional[Frame]``. A class for each step would say more and cost time in all of them.
+The first item is a `Runs`, which defines the types of the arguments. The last item is a frame, or None in the frame
+that ends a run. A choice point is a frame with one more item, the length of the trail. A step that fails has no next
+frame, so functions that can fail return ``Optional[Frame]``. Classes for frames would be more explicit, and would
+make every step slower.
 """
 
 Step = Callable[[Frame], Optional[Frame]]
-"""What does a step, as a function: what a `Runs` has as its ``run``."""
+"""The function that executes a frame, the ``run`` of a `Runs`."""
 
 
 class Runs(Protocol):
-    """What frames begin with: a `Code`, a predicate, or whatever else does steps."""
+    """The first item of a frame: a `Code`, a predicate, or any other object that executes steps."""
 
     @property
     def run(self) -> Step:
-        """What does the step."""
+        """The function that executes the frame."""
 
 
 EventAction = Callable[[Term, Values, int, int, Frame], Frame]
-"""Takes an event, the values of the variables of the pattern that it fits, its start, its end and the next frame;
-gives a frame that goes on with that one, or that one itself where there is nothing left to do."""
+"""Takes an event, the values of the pattern's variables, the event's start and end (ns), and the next frame.
+Returns a frame that continues with the next frame, or the next frame itself if there is nothing to do."""
 
 
 class _AtomRef(ref):  # type: ignore[type-arg]
-    """The table's reference to an atom: it goes when the last term with the atom goes."""
+    """The weak reference to an atom in the intern table; removed with the last term that contains the atom."""
 
     __slots__ = ("name",)
 
@@ -234,7 +246,7 @@ class _AtomRef(ref):  # type: ignore[type-arg]
 
 
 class _FunctorRef(ref):  # type: ignore[type-arg]
-    """The same of a functor."""
+    """The weak reference to a functor in the intern table."""
 
     __slots__ = ("key",)
 
@@ -246,35 +258,35 @@ _functors: Dict[Tuple[str, int], "_FunctorRef"] = {}
 _serials = count(1)
 
 NUMBERED: List[bool] = []
-"""Holds something once any variable has a number: many processes never give one."""
+"""Not empty if any variable has a number. Many processes never number one, so `unify` tests this first."""
 
 
 def functor(name: str, arity: int) -> Functor:
-    """Return the one `Functor` of this name and arity; as atoms, those that nothing holds are forgotten.
+    """Return the unique `Functor` of a name and arity. Functors that nothing refers to are forgotten.
 
     >>> Engine().show(functor("point", 2)(1, 2))
     'point(1,2)'
     """
     try:
-        found: Optional[Functor] = _functors[name, arity]()
+        interned: Optional[Functor] = _functors[name, arity]()
     except KeyError:
         return _new_functor((name, arity))
-    return found or _new_functor((name, arity))
+    return interned or _new_functor((name, arity))
 
 
 def _new_functor(key: Tuple[str, int]) -> Functor:
-    """Put a functor into the table; see `_new_atom`."""
-    made = Functor()
-    made.name, made.arity = key
-    reference = _FunctorRef(made, _forget_functor)
+    """Add a functor to the table, or return the one that another thread has added; see `_new_atom`."""
+    new = Functor()
+    new.name, new.arity = key
+    reference = _FunctorRef(new, _forget_functor)
     reference.key = key
     while True:
-        known = _functors.setdefault(key, reference)
-        if known is reference:
-            return made
-        found: Optional[Functor] = known()
-        if found is not None:
-            return found
+        entry = _functors.setdefault(key, reference)
+        if entry is reference:
+            return new
+        existing: Optional[Functor] = entry()
+        if existing is not None:
+            return existing
         remove_dead(_functors, key)
 
 
@@ -283,33 +295,35 @@ def _forget_functor(reference: "_FunctorRef") -> None:
 
 
 def atom(name: str) -> Atom:
-    """Return the one `Atom` of this name.
+    """Return the unique `Atom` of a name.
 
-    Atoms that no term holds any more are forgotten: texts of messages do not pile up.
+    Atoms that no term contains are forgotten, so the texts of messages do not accumulate.
 
     >>> atom("kitchen") is atom("kitchen")
     True
     """
     try:
-        found: Optional[Atom] = _atoms[name]()
+        interned: Optional[Atom] = _atoms[name]()
     except KeyError:
         return _new_atom(name)
-    return found or _new_atom(name)
+    return interned or _new_atom(name)
 
 
 def _new_atom(name: str) -> Atom:
-    """Put an atom into the table, or return the one that got there first; no lock, each step is one."""
-    made = Atom()
-    made.name = name
-    reference = _AtomRef(made, _forget)
+    """Add an atom to the table, or return the one that another thread has added."""
+    new = Atom()
+    new.name = name
+    reference = _AtomRef(new, _forget)
     reference.name = name
+    # No lock: `setdefault` and `remove_dead` are atomic, and the loop ends as soon as the table holds a live
+    # reference. The atom of a reference may die between the look-up and the call, therefore the retry.
     while True:
-        known = _atoms.setdefault(name, reference)
-        if known is reference:
-            return made
-        found: Optional[Atom] = known()
-        if found is not None:
-            return found
+        entry = _atoms.setdefault(name, reference)
+        if entry is reference:
+            return new
+        existing: Optional[Atom] = entry()
+        if existing is not None:
+            return existing
         remove_dead(_atoms, name)
 
 
@@ -318,7 +332,7 @@ def _forget(reference: _AtomRef) -> None:
 
 
 def serial(var: Var) -> int:
-    """Return the number of a variable: it names it in output and orders it; given out at first need."""
+    """Return the number of a variable, which names it in output and orders it; assign one on the first call."""
     try:
         return var.serial
     except AttributeError:
@@ -340,7 +354,7 @@ COLON = functor(":", 2)
 
 
 def deref(term: Term) -> Term:
-    """Follow bound variables and make a lazy term: the result is neither, or an unbound variable.
+    """Follow bound variables and build lazy terms. The result is neither lazy nor a bound variable.
 
     >>> definitions = Definitions()
     >>> scan = definitions.add("my_robot/Scan", "float32[] ranges")

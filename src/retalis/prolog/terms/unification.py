@@ -1,6 +1,15 @@
-"""Unification.
+"""Unification and the standard order of terms.
 
-The standard order of terms.
+`unify` is the general algorithm without occurs check (ISO 13211-1, 7.3.2) with an explicit stack. Bindings are pushed
+on the trail, and `undo` removes them on backtracking (WAM, chapter 5). The arguments of a pair are compared from left
+to right in two groups: constants and variables first, compound arguments afterwards. Constants differ more often and
+cost less, so most failures are found without descending.
+
+Terms may be cyclic. After `LATE` steps both algorithms check for cycles, and continue with a set of visited pairs if
+there is one: two cyclic terms unify, or are equal, if no visited pair contradicts it (rational trees).
+
+The standard order is that of ISO 13211-1, 7.2, with SWI-Prolog's extensions: variables, numbers by value, strings,
+atoms, compound terms by arity, name and arguments.
 """
 
 from typing import Any, Callable, List, Optional
@@ -14,10 +23,12 @@ from .types import NUMBERED, Atom, Lazy, String, Term, Trail, Var, deref, serial
 def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look at a class
     left: Any, right: Any, trail: Trail
 ) -> bool:
-    """Make two terms equal by binding variables; each bound variable is pushed on ``trail``.
+    """Make two terms equal by binding variables; push each bound variable on ``trail``.
 
-    Of two variables the one stays that is the older one in the order of terms.
-    Returns False where they do not unify; then some variables may be bound, and the caller undoes the trail.
+    If both terms are variables, the one that is older in the standard order remains unbound.
+
+    Returns:
+        Whether the terms unify. If not, some variables may be bound, and the caller must undo the trail.
     """
     if left is right:
         return True
@@ -38,9 +49,11 @@ def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look 
     if left is right:
         return True
     if kind is Var:
+        # Bind the younger variable to the older one: in the other direction, the older one would move behind
+        # variables that it precedes. Only variables that have a number have an observable order.
         if other is Var and NUMBERED and hasattr(left, "serial") and _is_older(left, right):
             left, right = right, left
-        left.ref = right  # a lazy term stays lazy
+        left.ref = right  # a lazy term is bound unbuilt
         trail.append(left)
         return True
     if other is Var:
@@ -59,6 +72,8 @@ def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look 
         return left is right or (kind is not Atom and same_constant(left, right))
     if left[0] is not right[0]:
         return False
+    # From here on, both terms are compound with the same functor. The loop repeats the code above for the arguments:
+    # a call for each argument would double the time of unification.
     stack: List[Any] = []
     steps = 0
     while True:
@@ -66,20 +81,24 @@ def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look 
         steps += 1
         if not steps & MASK:
             check_steps(steps)
+            # The pairs that remain are on the stack; a cycle passes through the current pair or the newest entries.
             if steps == LATE and contains_itself((left[0], left, right, *stack[-4:])):
                 return _unify_met([*stack, right, left], trail)
         if size > MASK:
             look(size)
-        deeper: Any = None  # compound arguments come after the others, which tell sooner that terms differ
+        # The first pair of compound arguments is kept in two variables, further ones on the stack: a chain such as a
+        # list then needs no stack operations.
+        deeper: Any = None
         beside: Any = None
         compound, partner = left, right
-        at = 0
-        while True:  # most terms have few arguments: setting up `zip` takes more time than it saves
-            at += 1
-            if at == size:
+        position = 0
+        # Most terms have few arguments: setting up `zip` takes more time than it saves.
+        while True:
+            position += 1
+            if position == size:
                 break
-            left = compound[at]
-            right = partner[at]
+            left = compound[position]
+            right = partner[position]
             if left is right:
                 continue
             kind = left.__class__
@@ -101,7 +120,7 @@ def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look 
             if kind is Var:
                 if other is Var and NUMBERED and hasattr(left, "serial") and _is_older(left, right):
                     left, right = right, left
-                left.ref = right  # a lazy term stays lazy
+                left.ref = right  # a lazy term is bound unbuilt
                 trail.append(left)
                 continue
             if other is Var:
@@ -138,7 +157,7 @@ def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look 
 
 
 def _unify_met(stack: List[Any], trail: Trail) -> bool:
-    """Go on with what is left of a unification, where a term contains itself: each pair once."""
+    """Continue the unification of cyclic terms: compare each pair once."""
     met = MetPairs()
     while stack:
         left = deref(stack.pop())
@@ -149,43 +168,44 @@ def _unify_met(stack: List[Any], trail: Trail) -> bool:
         elif left[0] is not right[0]:
             return False
         elif left is not right and met.is_new(left, right):
-            for at in range(len(left) - 1, 0, -1):
-                stack.append(right[at])
-                stack.append(left[at])
+            for position in range(len(left) - 1, 0, -1):
+                stack.append(right[position])
+                stack.append(left[position])
     return True
 
 
 def _is_older(left: Var, right: Var) -> bool:
-    """Tell whether a variable that has a number comes before another one, which may have none yet."""
+    """Return whether a numbered variable precedes another one, which may have no number yet."""
     return not hasattr(right, "serial") or left.serial < right.serial
 
 
 def same_constant(left: Any, right: Any) -> bool:
-    """Tell whether two constants of one class are the same term (``nan`` is itself; 0.0 is not -0.0)."""
+    """Return whether two constants of one class are identical terms: ``nan`` equals itself, 0.0 differs from -0.0."""
     if left.__class__ is float:
         return right.__class__ is float and left.hex() == right.hex()
     return bool(left == right)
 
 
 def undo(trail: Trail, length: int) -> None:
-    """Unbind what was bound since ``trail`` had this length, newest first."""
+    """Unbind the entries of ``trail`` above ``length``, newest first."""
     while len(trail) > length:
         trail.pop().ref = None
 
 
-def may_unify(one: Term, other: Term) -> bool:
-    """Tell whether two terms unify, each with variables of its own; nothing is bound."""
+def may_unify(left: Term, right: Term) -> bool:
+    """Return whether two terms without common variables unify; neither is changed."""
     trail: Trail = []
-    found = unify(copy(one), copy(other), trail)
+    unifies = unify(copy(left), copy(right), trail)
     undo(trail, 0)
-    return found
+    return unifies
 
 
 _RANK = {Var: 0, float: 1, int: 1, String: 3, Atom: 4, tuple: 5}
+"""Position of each class in the standard order. Numbers share a position, as they are compared by value."""
 
 
 def by_age(left: Var, right: Var) -> int:
-    """Compare two different variables; they are numbered where they have no numbers yet."""
+    """Compare two different variables by age; assign numbers to those that have none."""
     return -1 if serial(left) < serial(right) else 1
 
 
@@ -193,23 +213,25 @@ def by_number(left: Var, right: Var) -> int:
     """Compare two different variables that have numbers.
 
     Raises:
-        AttributeError: one of them has none yet.
+        AttributeError: if a variable has no number yet.
     """
     return -1 if left.serial < right.serial else 1
 
 
 def unlike(left: Var, right: Var) -> int:
-    """Return something but 0: for telling terms apart, which numbers no variables."""
+    """Return a non-zero result, for tests of identity that must not number variables."""
     return 1
 
 
 def compare(  # noqa: C901 -- the loop of sorting: a call for each pair of terms would double its time
     left: Term, right: Term, variables: Callable[[Var, Var], int] = by_age
 ) -> int:
-    """Compare in the standard order of terms: -1, 0 or 1.
+    """Compare two terms in the standard order: return -1, 0 or 1.
 
-    Variables by age (or as ``variables`` says), then numbers by value (a float before an integer of the same
-    value), strings and atoms alphabetically, compound terms by arity, name and arguments.
+    Args:
+        left: a term.
+        right: another term.
+        variables: compares two different variables; by age if not given.
     """
     left, right = deref(left), deref(right)
     if left is right:
@@ -221,35 +243,35 @@ def compare(  # noqa: C901 -- the loop of sorting: a call for each pair of terms
     if left.__class__ is not tuple or right.__class__ is not tuple:
         return _compare_simple(left, right, variables)
     stack: List[Any] = [right, left]
-    met: Optional[MetPairs] = None
+    met: Optional[MetPairs] = None  # set once one of the terms has proved to be cyclic
     for done in ROUNDS:
         for _ in BULK:
             if not stack:
                 return 0
-            one: Any = stack.pop()
-            two: Any = stack.pop()
-            if one is two:
+            first: Any = stack.pop()
+            second: Any = stack.pop()
+            if first is second:
                 continue
-            one = deref(one)
-            two = deref(two)
-            if one is two:
+            first = deref(first)
+            second = deref(second)
+            if first is second:
                 continue
-            if one.__class__ is not tuple or two.__class__ is not tuple:
-                result = _compare_simple(one, two, variables)
+            if first.__class__ is not tuple or second.__class__ is not tuple:
+                result = _compare_simple(first, second, variables)
                 if result:
                     return result
                 continue
-            if len(one) != len(two):
-                return -1 if len(one) < len(two) else 1
-            if one[0] is not two[0]:
-                return -1 if one[0].name < two[0].name else 1
-            if met is not None and not met.is_new(one, two):
+            if len(first) != len(second):
+                return -1 if len(first) < len(second) else 1
+            if first[0] is not second[0]:
+                return -1 if first[0].name < second[0].name else 1
+            if met is not None and not met.is_new(first, second):
                 continue
-            if len(one) > len(BULK):
-                look(len(one))
-            for at in range(len(one) - 1, 0, -1):
-                stack.append(two[at])
-                stack.append(one[at])
+            if len(first) > len(BULK):
+                look(len(first))
+            for position in range(len(first) - 1, 0, -1):
+                stack.append(second[position])
+                stack.append(first[position])
         look()
         if done == LATE_ROUND and (contains_itself(left) or contains_itself(right)):
             met = MetPairs()
@@ -257,11 +279,11 @@ def compare(  # noqa: C901 -- the loop of sorting: a call for each pair of terms
 
 
 def _compare_simple(left: Any, right: Any, variables: Callable[[Var, Var], int]) -> int:
-    """Compare two terms that are not one object, of which one is not compound at least."""
+    """Compare two different objects of which at least one is not compound."""
     kind = left.__class__
-    rank, other = _RANK[kind], _RANK[right.__class__]
-    if rank != other:
-        return -1 if rank < other else 1
+    rank, other_rank = _RANK[kind], _RANK[right.__class__]
+    if rank != other_rank:
+        return -1 if rank < other_rank else 1
     if kind is Var:
         return variables(left, right)
     if kind is Atom:
@@ -272,18 +294,19 @@ def _compare_simple(left: Any, right: Any, variables: Callable[[Var, Var], int])
         return -1
     if left > right:
         return 1
+    # The values are equal or one is nan. Standard order: nan first, and a float before the equal integer.
     if kind is right.__class__:
         return _compare_same_floats(left, right) if kind is float else 0
-    if left != left or right != right:  # nan comes before all other numbers
+    if left != left or right != right:
         return -1 if left != left else 1
     return -1 if kind is float else 1
 
 
 def _compare_same_floats(left: float, right: float) -> int:
-    """Order two floats that are neither less nor greater: nan first, then -0.0 before 0.0."""
-    one, two = (left == left, left.hex()), (right == right, right.hex())
-    if one == two:
+    """Order two floats of which neither is less: nan first, then -0.0 before 0.0."""
+    left_key, right_key = (left == left, left.hex()), (right == right, right.hex())
+    if left_key == right_key:
         return 0
-    if one[0] != two[0]:
-        return -1 if not one[0] else 1
-    return -1 if one[1] == "-0x0.0p+0" else 1
+    if left_key[0] != right_key[0]:
+        return -1 if not left_key[0] else 1
+    return -1 if left_key[1] == "-0x0.0p+0" else 1
