@@ -1,19 +1,15 @@
-"""Stamps as numbers: what arithmetic works with where an operand is a ``datime`` or ``[Sec,NSec]``.
+"""Arithmetic: evaluation of expressions, and the evaluable functions.
 
-They are numbers of seconds since the epoch like any other, and remember the instant, as the resolution of a double
-near the present is 2.4e-7 s: two of them subtract and compare to the nanosecond. They live within one evaluation
-only: `plain` makes the number that a program sees.
+`evaluate` computes the value of a term at run time; the compiler calls the same functions for expressions that it
+translates to Python. Integers are unbounded up to `MAX_INTEGER_BITS`. The quotient ``/`` of integers is an integer if
+it is exact, and a float otherwise. A float operation whose result is not finite raises an evaluation error. These are
+the defaults of SWI-Prolog 9 (``prefer_rationals`` false, ``float_overflow`` error).
 
-Arithmetic: the evaluable functions, and the evaluation of an expression that is known only at run time.
-
-Integers are unbounded; `/` of integers is an integer where it is exact and a float otherwise; an operation
-on floats whose result is not a finite number raises, as SWI-Prolog does with its default flags.
-
-Evaluable functions of the bits of integers.
-
-Evaluable functions from floats to integers and back.
-
-Evaluable functions beyond the integers: powers, trigonometry, constants, random numbers.
+Timestamps: an operand can be a ``datime`` or a ROS time ``[Sec,NSec]``. Its value is a number of seconds since the
+epoch. The resolution of a double near the present is 2.4e-7 s, so a plain float would lose the nanoseconds.
+`WholeInstant` and `SplitInstant` are numbers that also carry the exact instant: the difference or comparison of two
+of them is exact to the nanosecond. They exist within one evaluation only; `plain` returns the number that a program
+sees.
 """
 
 import math
@@ -33,42 +29,42 @@ from .errors import domain_error, evaluation_error, indicator, instantiation_err
 
 
 class _InstantNumber:
-    """What both kinds of numbers have in common."""
+    """Base class of numbers that carry an instant."""
 
     __slots__ = ()
 
     instant: int
     plain: Union[int, float]
 
-    def _beside(self, other: Any) -> Tuple[Any, Any]:
-        """Return what to compare: instants of two stamps, else numbers."""
+    def _comparable(self, other: Any) -> Tuple[Any, Any]:
+        """Return the values to compare: the instants of two timestamps, otherwise numbers."""
         if isinstance(other, _InstantNumber):
             return self.instant, other.instant
         return self.plain, other
 
     def __lt__(self, other: Any) -> Any:
-        one, another = self._beside(other)
-        return one < another
+        left, right = self._comparable(other)
+        return left < right
 
     def __le__(self, other: Any) -> Any:
-        one, another = self._beside(other)
-        return one <= another
+        left, right = self._comparable(other)
+        return left <= right
 
     def __gt__(self, other: Any) -> Any:
-        one, another = self._beside(other)
-        return one > another
+        left, right = self._comparable(other)
+        return left > right
 
     def __ge__(self, other: Any) -> Any:
-        one, another = self._beside(other)
-        return one >= another
+        left, right = self._comparable(other)
+        return left >= right
 
     def __eq__(self, other: Any) -> Any:
-        one, another = self._beside(other)
-        return one == another
+        left, right = self._comparable(other)
+        return left == right
 
     def __ne__(self, other: Any) -> Any:
-        one, another = self._beside(other)
-        return one != another
+        left, right = self._comparable(other)
+        return left != right
 
     def __hash__(self) -> int:
         return hash(self.plain)
@@ -76,6 +72,7 @@ class _InstantNumber:
     def __sub__(self, other: Any) -> Any:
         if isinstance(other, _InstantNumber):
             return (self.instant - other.instant) / SECOND
+        # Whole seconds minus an integer is an integer, as in Prolog; all other differences are floats.
         if self.plain.__class__ is int and other.__class__ is int:
             return self.plain - other
         try:
@@ -88,11 +85,11 @@ class _InstantNumber:
 
 
 class WholeInstant(_InstantNumber, int):
-    """A stamp of whole seconds: an integer."""
+    """A timestamp of whole seconds: an integer."""
 
     @property
     def plain(self) -> int:  # type: ignore[override]
-        """The number itself."""
+        """The number that programs see."""
         return int(self)
 
     @property
@@ -107,18 +104,18 @@ class WholeInstant(_InstantNumber, int):
 
 
 class SplitInstant(_InstantNumber, float):
-    """A stamp with parts of a second: a float, and the instant that it is nearest to."""
+    """A timestamp with fractions of a second: the nearest float, and the exact instant in ns."""
 
     instant: int
 
     @property
     def plain(self) -> float:  # type: ignore[override]
-        """The number itself."""
+        """The number that programs see."""
         return float(self)
 
 
 def of_instant(instant: int) -> Union[int, float]:
-    """Return an instant as a number of seconds since the epoch that remembers it."""
+    """Return an instant in ns as a number of seconds since the epoch that carries the instant."""
     whole, rest = divmod(int(instant), SECOND)
     if not rest:
         return WholeInstant(whole)
@@ -128,12 +125,12 @@ def of_instant(instant: int) -> Union[int, float]:
 
 
 def is_instant_number(value: object) -> bool:
-    """Tell whether a number is one that remembers an instant."""
+    """Return whether a number carries an instant."""
     return isinstance(value, _InstantNumber)
 
 
 def plain(value: Any) -> Any:
-    """Return a number as programs see it."""
+    """Return a number as programs see it, without an instant."""
     return value.plain if isinstance(value, _InstantNumber) else value
 
 
@@ -141,20 +138,20 @@ Number = Union[int, float]
 F = TypeVar("F", bound=Callable[..., Number])
 
 EVALUABLE: Dict[Functor, Callable[..., Number]] = {}
-"""Functions of numbers, by name and arity."""
+"""Evaluable functions by name and arity."""
 
 MAX_INTEGER_BITS = 1 << 20
-"""Bits of the largest integer that an operation may make (315,653 digits): a product takes 30 ms."""
+"""Bits of the largest integer that an operation may return (315,653 decimal digits): one product takes 30 ms."""
 
 MAX_INTEGER = 1 << MAX_INTEGER_BITS
 MIN_INTEGER = -MAX_INTEGER
 
 SLOW_BIT_PRODUCT = 1 << 35
-"""Product of the bits of two integers from which on an operation that is quadratic in them takes more than 50 ms."""
+"""Product of the operands' bits from which an operation of quadratic complexity takes more than 50 ms."""
 
 
 def evaluable(name: str, arity: int) -> Callable[[F], F]:
-    """Register a Python function of ``arity`` numbers as the evaluable ``name/arity``."""
+    """Register a Python function of ``arity`` numbers as the evaluable functor ``name/arity``."""
 
     def register(function: F) -> F:
         EVALUABLE[functor(name, arity)] = function
@@ -164,7 +161,7 @@ def evaluable(name: str, arity: int) -> Callable[[F], F]:
 
 
 def evaluate(term: Any) -> Number:
-    """Return the value of an arithmetic expression, as a program sees it.
+    """Return the value of an arithmetic expression, as programs see it.
 
     Raises:
         PrologError: instantiation, type or evaluation errors.
@@ -174,7 +171,7 @@ def evaluate(term: Any) -> Number:
 
 
 def measure(term: Any) -> Number:
-    """Return the value of an arithmetic expression for subtraction or comparison: a stamp remembers its instant.
+    """Return the value of an arithmetic expression for subtraction or comparison: timestamps carry their instant.
 
     Raises:
         PrologError: instantiation, type or evaluation errors.
@@ -190,7 +187,7 @@ def measure(term: Any) -> Number:
     if kind is tuple and len(term) <= 3:
         function = EVALUABLE.get(term[0])
         if function is not None:
-            # Most expressions are one operation on numbers.
+            # Most expressions are one operation on numbers, and need no stack. Nested ones fall through.
             left: Any = deref(term[1])
             kind = left.__class__
             if kind is int or kind is float:
@@ -204,7 +201,9 @@ def measure(term: Any) -> Number:
 
 
 def _evaluate_deep(term: Term) -> Number:
-    """Evaluate with a stack of its own: the last operand first, a function once its operands have values."""
+    """Evaluate an expression of any depth with an explicit stack."""
+    # A compound term pushes an `_Apply` below its arguments. The arguments are popped from last to first, so when the
+    # `_Apply` is reached, their values are the last ones on `values`, in reverse order.
     values: List[Number] = []
     stack: List[Union[Term, _Apply]] = [term]
     steps = 0
@@ -225,7 +224,7 @@ def _evaluate_deep(term: Term) -> Number:
             values.append(item)
         elif kind is tuple:
             if item[0] is CONS:
-                values.append(_listed(item))
+                values.append(_list_value(item))
                 continue
             stack.append(_Apply(item[0]))
             if len(stack) > MAX_STEPS:
@@ -237,7 +236,7 @@ def _evaluate_deep(term: Term) -> Number:
 
 
 class _Apply:
-    """An operation whose operands are on the stack of values."""
+    """A function whose operands will be on the stack of values."""
 
     __slots__ = ("functor", "arity")
 
@@ -246,16 +245,17 @@ class _Apply:
         self.arity = key.arity
 
     def apply(self, *operands: Number) -> Number:
-        """Return the value of the function."""
+        """Return the value of the function for its operands."""
         function = EVALUABLE.get(self.functor)
         if function is None:
             raise type_error("evaluable", indicator(self.functor))
         return function(*operands)
 
 
-def _listed(item: CompoundTerm) -> Number:
-    """Return the code that a list of one character, or of its code, is; a ROS time ``[Sec,NSec]`` is a stamp."""
+def _list_value(item: CompoundTerm) -> Number:
+    """Return the value of a list: a character or code in a one-element list, or a ROS time ``[Sec,NSec]``."""
     first, rest = deref(item[1]), deref(item[2])
+    # ISO has no two-element lists here, so ROS times cannot change the meaning of a standard program.
     if first.__class__ is int and rest.__class__ is tuple and rest[0] is CONS and deref(rest[2]) is NIL:
         part = deref(rest[1])
         if part.__class__ is int and 0 <= part < SECOND:
@@ -293,7 +293,12 @@ def _constant(item: Term) -> Number:
 
 
 def checked(value: Number) -> Number:
-    """Return a result, unless it is infinite or nan, or an integer too large to go on with."""
+    """Return a result if it is finite and not too large.
+
+    Raises:
+        PrologError: an evaluation error for infinity or nan, a resource error for an integer above `MAX_INTEGER`.
+    """
+    # The difference is nan for infinity and nan: one test for both, and for integers as well.
     if value - value == 0:
         if value.__class__ is int and not MIN_INTEGER < value < MAX_INTEGER:
             raise resource_error("memory")
@@ -302,7 +307,7 @@ def checked(value: Number) -> Number:
 
 
 def integer(value: Any) -> int:
-    """Return an operand that has to be an integer."""
+    """Return an operand that must be an integer."""
     if value.__class__ is not int:
         if value.__class__ is WholeInstant:
             return int(value)
@@ -311,24 +316,27 @@ def integer(value: Any) -> int:
 
 
 def not_less(least: int, value: Number) -> int:
-    """Return an operand that has to be an integer and not less than 0, or 1."""
+    """Return an operand that must be an integer of at least ``least``, which is 0 or 1."""
     if integer(value) < least:
         raise domain_error(f"not_less_than_{'one' if least else 'zero'}", value)
     return value  # type: ignore[return-value]
 
 
 def bounded(left: int, right: int) -> None:
-    """Refuse an operation on two integers that is quadratic in their sizes where it would take too long."""
+    """Raise a resource error if an operation of quadratic complexity on two integers would take too long."""
     if left.bit_length() * right.bit_length() > SLOW_BIT_PRODUCT:
         raise resource_error("integer_size")
 
 
-def _divisible(left: Number, right: Number) -> None:
-    """Check the operands of an integer division."""
+def _check_division(left: Number, right: Number) -> None:
+    """Validate the operands of an integer division."""
     size = integer(right).bit_length()
     if not size:
+        # The type error of a left operand takes precedence over the zero divisor.
         integer(left)
         raise evaluation_error("zero_divisor")
+    # Long division takes time in proportion to the bits of the quotient times those of the divisor. A divisor of one
+    # machine word is linear.
     if size > 64 and (integer(left).bit_length() - size) * size > SLOW_BIT_PRODUCT:
         raise resource_error("integer_size")
 
@@ -340,25 +348,26 @@ def _to_float(value: Number) -> float:
         raise evaluation_error("float_overflow") from None
 
 
-# The four operations, also called by generated code with terms that may not be numbers yet.
+# The basic operations. Compiled clauses call them with terms, whose values may not be known to be numbers: each
+# function therefore evaluates its operands, unlike those below.
 
 
 def add(left: Term, right: Term) -> Number:
-    """Evaluate both sides and return their sum."""
+    """Return the sum of two expressions."""
     left, right = measure(left), measure(right)
     value = left + right
     return value if value - value == 0 else checked(value)
 
 
 def subtract(left: Term, right: Term) -> Number:
-    """Evaluate both sides and return their difference."""
+    """Return the difference of two expressions."""
     left, right = measure(left), measure(right)
     value = left - right
     return value if value - value == 0 else checked(value)
 
 
 def multiply(left: Term, right: Term) -> Number:
-    """Evaluate both sides and return their product."""
+    """Return the product of two expressions."""
     left, right = measure(left), measure(right)
     value = left * right
     return value if MIN_INTEGER < value < MAX_INTEGER else checked(value)
@@ -371,9 +380,9 @@ EVALUABLE[functor("*", 2)] = multiply
 
 @evaluable("/", 2)
 def divide(left: Number, right: Number) -> Number:
-    """Return the quotient: an integer where both are and it is exact, else a float."""
+    """Return the quotient: an integer if both operands are integers and it is exact, otherwise a float."""
     if left.__class__ is int and right.__class__ is int:
-        _divisible(left, right)
+        _check_division(left, right)
         quotient, rest = divmod(left, right)
         if rest == 0:
             return quotient
@@ -390,25 +399,26 @@ def divide(left: Number, right: Number) -> Number:
 def truncated_quotient(left: Number, right: Number) -> int:
     """Return the integer quotient, truncated towards zero."""
     integer(left)
-    _divisible(left, right)
+    _check_division(left, right)
+    # Python's `//` rounds down; ISO's default is truncation, so the sign is applied afterwards.
     quotient = abs(left) // abs(right)
     return quotient if (left >= 0) == (right > 0) else -quotient  # type: ignore[return-value]
 
 
 @evaluable("rem", 2)
 def remainder(left: Number, right: Number) -> int:
-    """Return the rest of truncated division; it has the sign of ``left``."""
+    """Return the remainder of truncated division, with the sign of ``left``."""
     integer(left)
-    _divisible(left, right)
+    _check_division(left, right)
     rest = abs(left) % abs(right)
     return rest if left >= 0 else -rest  # type: ignore[return-value]
 
 
 @evaluable("mod", 2)
 def modulo(left: Number, right: Number) -> int:
-    """Return the rest of floored division; it has the sign of ``right``."""
+    """Return the remainder of floored division, with the sign of ``right``."""
     integer(left)
-    _divisible(left, right)
+    _check_division(left, right)
     return left % right  # type: ignore[return-value]
 
 
@@ -416,7 +426,7 @@ def modulo(left: Number, right: Number) -> int:
 def floored_quotient(left: Number, right: Number) -> int:
     """Return the integer quotient, rounded down."""
     integer(left)
-    _divisible(left, right)
+    _check_division(left, right)
     return left // right  # type: ignore[return-value]
 
 
@@ -427,7 +437,7 @@ def _plus(value: Number) -> Number:
 
 @evaluable("-", 1)
 def negate(value: Number) -> Number:
-    """Return the negative."""
+    """Return the negation."""
     return -value
 
 
@@ -445,15 +455,16 @@ def _sign(value: Number) -> Number:
 
 @evaluable("max", 2)
 def maximum(left: Number, right: Number) -> Number:
-    """Return the greater one; of equal ones the float."""
+    """Return the larger number; the float if an integer and a float are equal."""
     if left == right:
         return right if right.__class__ is float else left
+    # Comparisons with nan are false: the result is the other operand.
     return left if left > right or right != right else right
 
 
 @evaluable("min", 2)
 def minimum(left: Number, right: Number) -> Number:
-    """Return the lesser one; of equal ones the float."""
+    """Return the smaller number; the float if an integer and a float are equal."""
     if left == right:
         return right if right.__class__ is float else left
     return left if left < right or right != right else right
@@ -484,17 +495,18 @@ def _lcm(left: Number, right: Number) -> int:
 
 @evaluable(">>", 2)
 def shift_right(left: Number, right: Number) -> int:
-    """Return ``left`` shifted right."""
+    """Return ``left`` shifted right by ``right`` bits."""
     left, right = integer(left), integer(right)
     return left >> right if right >= 0 else shift_left(left, -right)
 
 
 @evaluable("<<", 2)
 def shift_left(left: Number, right: Number) -> int:
-    """Return ``left`` shifted left."""
+    """Return ``left`` shifted left by ``right`` bits."""
     left, right = integer(left), integer(right)
     if right < 0:
         return left >> -right
+    # Checked before the shift, which would allocate the result. Zero may be shifted by any number of bits.
     if left and right + left.bit_length() > MAX_INTEGER_BITS:
         raise resource_error("memory")
     return left << right if left else 0
@@ -502,13 +514,13 @@ def shift_left(left: Number, right: Number) -> int:
 
 @evaluable("/\\", 2)
 def bit_and(left: Number, right: Number) -> int:
-    """Return the bitwise and."""
+    """Return the bitwise conjunction."""
     return integer(left) & integer(right)
 
 
 @evaluable("\\/", 2)
 def bit_or(left: Number, right: Number) -> int:
-    """Return the bitwise or."""
+    """Return the bitwise disjunction."""
     return integer(left) | integer(right)
 
 
@@ -547,13 +559,15 @@ def _rounded(function: Callable[[float], int]) -> Callable[[Number], int]:
     def apply(value: Any) -> int:
         if value.__class__ is int:
             return value
+        # Infinity and nan have no integer value, and are returned unchanged.
         return function(value) if value - value == 0 else value
 
     return apply
 
 
 def round_half_away(value: float) -> int:
-    """Round to the nearest integer, halves away from zero."""
+    """Return the nearest integer, with halves rounded away from zero."""
+    # Python's `round` rounds halves to even, and `floor(x + 0.5)` is wrong for 0.49999999999999994.
     whole = math.floor(abs(value))
     whole += abs(value) - whole >= 0.5
     return whole if value >= 0 else -whole
@@ -581,8 +595,8 @@ def _fractional_part(value: Number) -> Number:
     return 0 if value.__class__ is int else math.fmod(value, 1.0) if value - value == 0 else value
 
 
-def _real(name: str, function: Callable[[float], float]) -> None:
-    """Register a function of one float; a value outside its domain is undefined."""
+def _register_real(name: str, function: Callable[[float], float]) -> None:
+    """Register a function of one float; a value outside its domain is an undefined result."""
 
     def apply(value: Number) -> float:
         try:
@@ -611,23 +625,24 @@ for _name in (
     "acosh",
     "atanh",
 ):
-    _real(_name, getattr(math, _name))
+    _register_real(_name, getattr(math, _name))
 for _name in ("erf", "erfc", "lgamma"):
-    _real(_name, getattr(math, _name))
+    _register_real(_name, getattr(math, _name))
 
 
-def _logarithm(name: str, function: Callable[[Number], float]) -> None:
+def _register_logarithm(name: str, function: Callable[[Number], float]) -> None:
     def apply(value: Number) -> float:
         if value <= 0:
             raise evaluation_error("undefined")
+        # An integer is not converted: the logarithm of one beyond the largest float is finite.
         return checked(function(value if value.__class__ is int else checked(value)))
 
     EVALUABLE[functor(name, 1)] = apply
 
 
-_logarithm("log", math.log)
-_logarithm("log2", math.log2)
-_logarithm("log10", math.log10)
+_register_logarithm("log", math.log)
+_register_logarithm("log2", math.log2)
+_register_logarithm("log10", math.log10)
 
 
 @evaluable("log", 2)
@@ -659,6 +674,8 @@ def _nexttoward(value: Number, target: Number) -> float:
         return value
     if value == 0:
         return math.copysign(sys.float_info.min * sys.float_info.epsilon, target)
+    # The bit patterns of IEEE 754 doubles of one sign are ordered like their magnitudes, so the neighbour is one
+    # pattern away. (`math.nextafter` exists from Python 3.9 on.)
     bits = unpack("<q", pack("<d", value))[0]
     bits += 1 if (target > value) == (value > 0) else -1
     return float(unpack("<d", pack("<q", bits))[0])
@@ -671,7 +688,7 @@ def _hypot(x: Number, y: Number) -> float:
 
 @evaluable("^", 2)
 def power(base: Number, exponent: Number) -> Number:
-    """Return the power; of integers it is an integer, unless the exponent is negative."""
+    """Return the power: an integer for integers, unless the exponent is negative."""
     if exponent.__class__ is int:
         if exponent == 0:
             return 1
@@ -681,8 +698,8 @@ def power(base: Number, exponent: Number) -> Number:
 
 
 @evaluable("**", 2)
-def _power2(base: Number, exponent: Number) -> Number:
-    """Return the power."""
+def _power_operator(base: Number, exponent: Number) -> Number:
+    """Return the power, as ``^`` does."""
     return power(base, exponent)
 
 
@@ -694,6 +711,7 @@ def _integer_power(base: Any, exponent: Any) -> int:
         if base == 0:
             raise evaluation_error("zero_divisor")
         return base if exponent % 2 else 1
+    # Checked before the power is computed: 7^7^7^7 would take all memory.
     if base.bit_length() * exponent > MAX_INTEGER_BITS:
         raise resource_error("memory")
     power: int = base**exponent
@@ -715,7 +733,7 @@ def _float_power(base: Number, exponent: Number) -> float:
 @evaluable("powm", 3)
 def _powm(base: Number, exponent: Number, modulus: Number) -> int:
     size = not_less(1, modulus).bit_length()
-    # A bit of the exponent costs a product of the modulus's size, and as much again as one of 400 bits.
+    # Each bit of the exponent costs one product of the modulus's size, plus the time of a product of 400 bits.
     if not_less(0, exponent).bit_length() * (size * size + 400 * 400) > SLOW_BIT_PRODUCT:
         raise resource_error("integer_size")
     return pow(integer(base), integer(exponent), integer(modulus))
@@ -762,9 +780,9 @@ def _rational(value: Number) -> Number:
     return value
 
 
-def _seconds(key: Functor) -> Callable[..., Number]:
+def _datime_function(key: Functor) -> Callable[..., Number]:
     def seconds(*fields: Number) -> Number:
-        """Return the seconds since the epoch of a stamp, which is as good a number as the others that stamps are."""
+        """Return the seconds since the epoch of a datime, as a number that carries the instant."""
         try:
             return of_instant(timestamps.from_term((key, *fields)))
         except UsageError:
@@ -774,10 +792,10 @@ def _seconds(key: Functor) -> Callable[..., Number]:
 
 
 for _key in (timestamps.DATIME6, timestamps.DATIME7):
-    EVALUABLE[_key] = _seconds(_key)
+    EVALUABLE[_key] = _datime_function(_key)
 
 
-def _constants() -> None:
+def _register_constants() -> None:
     constant: Callable[[Number], Callable[[], Number]] = lambda value: lambda: value  # noqa: E731
     for name, value in (
         ("pi", math.pi),
@@ -798,4 +816,4 @@ def _constants() -> None:
     EVALUABLE[functor("realtime", 0)] = lambda: int(time.time())
 
 
-_constants()
+_register_constants()

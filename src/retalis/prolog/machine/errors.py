@@ -1,6 +1,11 @@
-"""Text of error terms, for logs and exceptions.
+"""Prolog errors: ISO error terms carried by a Python exception, and their text.
 
-Errors of Prolog goals: ISO error terms carried by a Python exception.
+`PrologError` carries any thrown term (the *ball*); ISO errors have the form ``error(Formal, Context)`` (ISO 13211-1,
+7.12). One function for each kind of formal term creates the exception. `from_python` converts Python exceptions that
+a program may catch, and `describe` writes a ball as a sentence, with the wording of SWI-Prolog where it has one.
+
+Texts are cut off at `MAX_MESSAGE_CHARACTERS`: an error can contain a term of any size, and writing all of it could
+take longer than the goal that failed.
 """
 
 from typing import Optional
@@ -14,17 +19,18 @@ CONTEXT = functor("context", 2)
 
 
 def describe(ball: Term) -> str:
-    """Return an error term as one sentence in English."""
+    """Return a ball as one English sentence."""
     ball = deref(ball)
     if ball.__class__ is not tuple or ball[0] is not ERROR:
         return f"Unhandled exception: {_shown(ball)}"
     text = _formal(deref(ball[1]))
-    # An unknown procedure is where its error comes from: that is said already.
+    # The context of an unknown procedure is usually the procedure itself, which the text names already.
     text += _context(deref(ball[2])).replace(f" (in {text[len(_UNKNOWN) :]})", "", text.startswith(_UNKNOWN))
     return beginning(text, MAX_MESSAGE_CHARACTERS)
 
 
 _UNKNOWN = "Unknown procedure: "
+"""Beginning of the text for a missing procedure."""
 
 
 def _formal(formal: Term) -> str:
@@ -42,6 +48,7 @@ def _formal(formal: Term) -> str:
     if name == "system_error":
         return _name(args[0])  # a sentence
     template = _TEMPLATES.get(name)
+    # A program can throw a formal term of its own, or an ISO one with another number of arguments.
     if template is None or template.count("{}") != len(args):
         return f"Unknown error: {_shown(formal)}"
     return template.format(*[_name(arg) for arg in args[:-1]], _shown(args[-1]))
@@ -60,6 +67,7 @@ _TEMPLATES = {
     "format": "Format error: {}",
     "uninstantiation_error": "Cannot unify `{}': it has to be unbound",
 }
+"""Texts of ISO errors by the functor of the formal term; all arguments but the last one are names."""
 
 
 def _name(term: Term) -> str:
@@ -104,7 +112,7 @@ _INSTANTIATION_ERROR = atom("instantiation_error")
 
 
 class PrologError(RetalisError):
-    """An error of a goal, or anything else that ``throw/1`` threw.
+    """An error of a goal, or any other term that ``throw/1`` threw.
 
     >>> engine = Engine()
     >>> try:
@@ -124,7 +132,7 @@ class PrologError(RetalisError):
 
     @property
     def message(self) -> str:  # type: ignore[override]
-        """What went wrong, as text.
+        """The text of the error.
 
         >>> PrologError(atom("too_hot")).message
         'Unhandled exception: too_hot'
@@ -133,16 +141,16 @@ class PrologError(RetalisError):
 
 
 class Halt(RetalisError):
-    """``halt/0,1`` was called: a program inside a robot's node may not end it."""
+    """Raised by ``halt/0,1``: a program cannot end the ROS node that runs it."""
 
 
 def error(formal: Term, context: Optional[Term] = None) -> PrologError:
-    """Return the exception for ``error(formal, context)``; the context is filled in later by default."""
+    """Return the exception for ``error(formal, context)``; the machine adds the context if it is None."""
     return PrologError((ERROR, formal, Var() if context is None else context))
 
 
 def instantiation_error() -> PrologError:
-    """Return the error for an argument that has to be bound and is not."""
+    """Return the error for an unbound argument that must be bound."""
     return error(_INSTANTIATION_ERROR)
 
 
@@ -152,7 +160,7 @@ def type_error(kind: str, culprit: Term) -> PrologError:
 
 
 def domain_error(domain: str, culprit: Term, reason: Optional[str] = None) -> PrologError:
-    """Return the error for a term of the right type outside the values that are allowed."""
+    """Return the error for a term of the right type whose value is not allowed."""
     return error((_DOMAIN_ERROR, atom(domain), culprit), _because(reason))
 
 
@@ -161,22 +169,22 @@ def _because(reason: Optional[str]) -> Optional[Term]:
 
 
 def existence_error(kind: str, culprit: Term, context: Optional[Term] = None) -> PrologError:
-    """Return the error for something that is not there."""
+    """Return the error for an object that does not exist."""
     return error((_EXISTENCE_ERROR, atom(kind), culprit), context)
 
 
 def no_argument(number: int, term: Term) -> PrologError:
-    """Return the error for an argument that a compound term does not have."""
+    """Return the error for an argument number that a compound term does not have."""
     return error((_NO_ARGUMENT, atom("argument"), number, term))
 
 
 def no_matching_rule(module: str, goal: Term) -> PrologError:
-    """Return the error for arguments that no clause of a predicate of single-sided rules takes."""
+    """Return the error for a goal that matches no single-sided rule (``=>``) of its predicate."""
     return existence_error("matching_rule", (_QUALIFIED, atom(module), goal))
 
 
 def permission_error(action: str, kind: str, culprit: Term, reason: Optional[str] = None) -> PrologError:
-    """Return the error for something that may not be done."""
+    """Return the error for an operation that is not allowed."""
     return error((_PERMISSION_ERROR, atom(action), atom(kind), culprit), _because(reason))
 
 
@@ -186,17 +194,17 @@ def representation_error(limit: str, reason: Optional[str] = None) -> PrologErro
 
 
 def evaluation_error(what: str) -> PrologError:
-    """Return the error for an arithmetic function without a value."""
+    """Return the error for an arithmetic function without a result."""
     return error((_EVALUATION_ERROR, atom(what)))
 
 
 def resource_error(what: str, context: Optional[Term] = None, reason: Optional[str] = None) -> PrologError:
-    """Return the error for a limit that was reached."""
+    """Return the error for a limit that has been reached."""
     return error((_RESOURCE_ERROR, atom(what)), _because(reason) if context is None else context)
 
 
 def syntax_error(what: str) -> PrologError:
-    """Return the error for a text that does not read."""
+    """Return the error for invalid syntax."""
     return error((_SYNTAX_ERROR, atom(what)))
 
 
@@ -206,7 +214,7 @@ def system_error(message: str) -> PrologError:
 
 
 def uninstantiation_error(culprit: Term) -> PrologError:
-    """Return the error for an argument that has to be unbound and is not."""
+    """Return the error for a bound argument that must be unbound."""
     return error((_UNINSTANTIATION_ERROR, culprit))
 
 
@@ -216,10 +224,11 @@ def indicator(key: Functor) -> Term:
 
 
 _BODIES = {COMMA, functor(";", 2), functor("->", 2), functor("*->", 2)}
+"""Control constructs whose first goal runs first."""
 
 
 def first_called(goal: Term) -> Optional[Functor]:
-    """Return the functor of a goal, in a body of its first; None where it is nothing that can be called."""
+    """Return the functor of the goal that a body calls first, or None if the term is not callable."""
     goal = deref(goal)
     while goal.__class__ is tuple and goal[0] in _BODIES:
         goal = deref(goal[1])
@@ -227,20 +236,21 @@ def first_called(goal: Term) -> Optional[Functor]:
 
 
 def from_python(exc: BaseException) -> Optional[PrologError]:
-    """Return the Prolog error that stands for a Python exception, or None where it is not to be caught."""
+    """Return the Prolog error for a Python exception, or None if programs must not catch it."""
     if isinstance(exc, PrologError):
         return exc
-    found: Optional[PrologError] = None
+    error: Optional[PrologError] = None
     if isinstance(exc, ZeroDivisionError):
-        found = evaluation_error("zero_divisor")
+        error = evaluation_error("zero_divisor")
     elif isinstance(exc, OverflowError):
-        found = evaluation_error("float_overflow")
+        error = evaluation_error("float_overflow")
     elif isinstance(exc, MemoryError):
-        found = resource_error("memory")
+        error = resource_error("memory")
     elif isinstance(exc, (TermTooLarge, RecursionError)):
-        found = resource_error("term_size")
+        error = resource_error("term_size")
+    # `Halt` must reach the host, so no program may catch it. Other exceptions are defects of built-ins.
     elif isinstance(exc, RetalisError) and not isinstance(exc, Halt):
-        found = system_error(exc.message)
-    if found is not None:
-        found.__cause__ = exc
-    return found
+        error = system_error(exc.message)
+    if error is not None:
+        error.__cause__ = exc
+    return error

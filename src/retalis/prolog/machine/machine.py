@@ -1,13 +1,23 @@
-"""Steps and choice points: what frames run. See `machine`.
+"""The abstract machine: frames, choice points, the trail, and exceptions.
 
-The trail of a long run: what of it need not be remembered.
+A *frame* is a continuation, a tuple ``(code, argument..., next)``: ``code.run(frame)`` executes one step and returns
+the next frame, or None for failure. A *choice point* is a frame with one more item, the length of the trail when it
+was pushed. On failure the newest choice point is popped, the bindings above that length are undone, and the frame is
+executed. A cut removes choice points from the end of the list. These are the environment, choice point and trail of
+the WAM (Warren 1983; Ait-Kaci, "Warren's Abstract Machine"), with continuations on the heap in place of an
+environment stack.
 
-The machine: frames, choice points, trail and exceptions.
+The machine does not recurse: the depth of a program is the length of a chain of frames, limited by memory only. A
+frame that nothing refers to is freed by Python, so last-call optimisation needs no extra code: a last call passes its
+own continuation on.
 
-A *frame* is a tuple ``(code, argument..., next)``: ``code.run(frame)`` does one step and returns the next
-frame, or None for failure. A *choice point* is a frame with one more item, the length of the trail when it
-was pushed; on failure the newest one is popped, the trail is undone to that length, and the frame is run.
-There is no recursion: the depth of a program is the length of a chain of frames.
+``catch/3``, cleanup handlers and the limits of sub-goals are choice points, too. `Machine._recover` pops choice
+points until one of them handles the error. A deterministic loop can run for ever without a choice point, and its
+trail would grow without bound; `compact` removes the entries that no other object refers to.
+
+Python calls the machine in three ways: `Machine.run` (first solution, bindings kept), `Machine.check` (a test,
+bindings undone) and `Machine.solutions` (all solutions, one at a time). `Machine.attempt` runs a goal once within a
+run, without a nested loop.
 """
 
 from typing import Any, Callable, Generator, List, Optional, Protocol, Tuple
@@ -23,46 +33,49 @@ from .resource_limits import SLICE, Budget
 
 
 class Takes(Protocol):
-    """What a frame begins with that a goal hands its outputs to."""
+    """A continuation that receives the outputs of a goal."""
 
     def take(self, frame: Frame, outputs: Values, /) -> Optional[Frame]:
-        """Take the outputs of a solution; return the frame to go on with, or None for the next solution."""
+        """Receive the outputs of a solution; return the next frame, or None to ask for the next solution."""
 
 
 class Asked(Protocol):
-    """A `CompiledGoal`, as far as the machine knows it."""
+    """The part of a `CompiledGoal` that the machine uses."""
 
     @property
     def straight(self) -> Optional[Callable[..., Any]]:
-        """Its function, which returns its outputs, None, or `BAIL`; None where there is none."""
+        """The goal as a Python function, or None if there is none.
+
+        The function returns the outputs, None for failure, or `BAIL`.
+        """
 
     def bail(self) -> None:
-        """Note that its function could not tell."""
+        """Record that the function returned `BAIL`."""
 
     def enter(self, values: Values, collector: Frame, /) -> Frame:
-        """Return the frame that runs it and hands its outputs to a `Takes`."""
+        """Return the frame that runs the goal and passes its outputs to a `Takes`."""
 
 
 BAIL = object()
-"""What the function of a `CompiledGoal` returns where the goal has to be run by frames after all."""
+"""Result of the function of a `CompiledGoal` if the goal must be executed by frames instead."""
 
 LAST = object()
-"""What a nondeterministic built-in yields at a solution after which there is surely none."""
+"""Yielded by a nondeterministic built-in at a solution that is known to be the last one."""
 
 
 class Code:
-    """A step given by a Python function.
+    """A step implemented by a Python function.
 
     Attributes:
-        name: for errors.
-        run: does the step.
-        functor: of what is run, for errors.
-        steady: whether the step leaves the stack of choice points alone, so that it may be done before a run,
-            see `Machine.check`.
-        closes: whether it is that of a choice point below a goal whose solutions are taken together, or which is
-            over when it has one: a call in the goal cannot go on after that.
-        dropped: called with a choice point that is cut, where the interpreter does not end by itself what it alone
-            holds.
+        name: the name in error messages.
+        run: executes the step.
+        functor: the functor of the executed goal, for error messages.
+        steady: whether the step leaves the choice points unchanged, so that it can be executed outside of a run; see
+            `Machine.check`.
+        closes: whether a choice point with this code closes the goal above it, because its solutions are collected or
+            only the first one is used. A call inside the goal cannot continue after that.
+        dropped: called with a choice point that is cut, on interpreters that do not finalise its contents
+            immediately.
     """
 
     __slots__ = ("name", "run", "functor", "steady", "closes", "dropped")
@@ -80,11 +93,11 @@ class Code:
 
 
 class Guard(Code):
-    """A choice point that has to be told when it goes, by failure or by an exception.
+    """A choice point that is notified when it is removed by failure or by an exception.
 
     Args:
-        name: for errors.
-        unwind: called with the choice point. Where a goal exits, whoever cuts the choice point calls it.
+        name: the name in error messages.
+        unwind: called with the choice point. If the goal exits, the code that cuts the choice point calls it.
     """
 
     __slots__ = ("unwind",)
@@ -95,29 +108,30 @@ class Guard(Code):
 
 
 def drop(entry: Frame) -> None:
-    """End what only a choice point has held that was cut."""
-    dropped = getattr(entry[0], "dropped", None)  # of a `Code`; whatever else does steps holds nothing
+    """Finalise the objects that only a removed choice point refers to."""
+    # Only a `Code` has the attribute; other objects with a `run` hold nothing that must be finalised.
+    dropped = getattr(entry[0], "dropped", None)
     if dropped is not None:
         dropped(entry)
 
 
 def fail(frame: Frame) -> None:
-    """Fail: what a choice point without another solution does."""
+    """Fail, as a choice point without further solutions does."""
     return
 
 
 STOP = Code("stop", fail, True)
-"""Choice point below a run: reached when the run has no (more) solution."""
+"""Choice point below a run, reached when the run has no further solution."""
 
 DEAD = Code("dead", fail)
-"""Choice point that was taken back where the stack could not be cut."""
+"""Choice point that was invalidated in place, because the list could not be cut there."""
 
 RESUME = Code("resume", lambda frame: frame[1], True)
-"""Choice point that goes on with the frame that it holds."""
+"""Choice point that continues with the frame in its second item."""
 
 
 class CatchMark:
-    """State of a ``catch/3``; goes on the trail when its goal has exited, so that backtracking reopens it."""
+    """State of a ``catch/3``, pushed on the trail when its goal exits: backtracking activates it again."""
 
     __slots__ = ("ref",)
 
@@ -126,37 +140,41 @@ class CatchMark:
 
 
 def compact(trail: Trail, low: int) -> None:
-    """Drop entries above the newest choice point, which is at ``low``, that nothing else can see any more.
+    """Remove trail entries above ``low`` that no other object refers to; ``low`` belongs to the newest choice point.
 
-    A deterministic loop leaves nothing but such entries behind: variables that only the trail still
-    holds. Their unbinding could not be noticed, so they need not be remembered.
+    A deterministic loop leaves only such entries: variables that are reachable from the trail alone. Nobody can
+    observe whether they are unbound, so the trail need not restore them.
     """
+    # The entries are moved, not copied: `seen_elsewhere` counts references, and the trail must not be one of them.
+    # Entries below the newest choice point are kept, as backtracking restores the trail to their positions.
     entries = trail[low:]
     del trail[low:]
     trail += seen_elsewhere(entries, Var)
 
 
-_EMPTY_STACK = (None,) * 16
-"""Steps that a run begins with: most events and goals are done with sooner, without setting up the loop."""
+_FIRST_STEPS = (None,) * 16
+"""Steps that a run executes before it enters the main loop; most events and goals finish within them."""
 
 _FINISHED: Frame = (STOP, 1 << 62)
-"""What `Machine.done` pushes before it fails: leaving the loop that way costs its steps no test."""
+"""Choice point that `Machine.done` pushes before it fails. Leaving the loop in this way costs the other steps no
+test."""
 
 _GO_ON = Code("go on", lambda frame: frame[1](frame[2]))
-"""Code of a frame that calls a function for the frame to go on with."""
+"""Code of a frame that calls a function to get the next frame."""
 
 
 class Machine:
-    """Runs frames.
+    """Executes frames.
 
     Attributes:
         trail: variables bound since choice points were pushed; the list object never changes.
         choices: choice points; the list object never changes.
-        done: the frame that ends a run: the continuation of the first frame of each `run`.
+        done: the frame that ends a run, the continuation of the first frame of each `run`.
         goal_code: the code that runs a goal from its term, the first argument of its frame.
-        meet: is shown what is about to be run that way once in a slice of steps, if it is then.
-        budget: what goals may use and have used.
-        idle: how long choices and trail are while nothing runs, see `recovery`.
+        meet: called with the goal that is about to run, at most once in a slice of steps, to find goals worth
+            compiling.
+        budget: resource limits of goals, and their use.
+        idle: lengths of choices and trail while no goal runs; see `recovery`.
     """
 
     def __init__(self) -> None:
@@ -176,7 +194,7 @@ class Machine:
         self.logic: Any = None
 
     def unify(self, left: Term, right: Term) -> bool:
-        """Make two terms equal by binding variables, and say whether they could be; if not, nothing is bound."""
+        """Make two terms equal by binding variables; return whether they unify. If not, nothing is bound."""
         trail = self.trail
         mark = len(trail)
         if unify(left, right, trail):
@@ -185,7 +203,7 @@ class Machine:
         return False
 
     def unify_all(self, *pairs: Tuple[Term, Term]) -> bool:
-        """Unify pairs of terms, all or none."""
+        """Unify pairs of terms; if one pair fails, nothing is bound."""
         trail = self.trail
         mark = len(trail)
         for left, right in pairs:
@@ -195,13 +213,13 @@ class Machine:
         return True
 
     def run(self, frame: Frame) -> bool:
-        """Run a frame that ends in `done` to its first solution; choice points left are dropped.
+        """Run a frame that ends in `done` to its first solution, and drop the remaining choice points.
 
         Returns:
-            Whether there was a solution; its bindings stay.
+            Whether there was a solution; its bindings are kept.
 
         Raises:
-            PrologError: what the program threw and did not catch; then all bindings are undone.
+            PrologError: if the program throws and does not catch; all bindings are undone.
         """
         done = self.done
         if frame is done:
@@ -215,7 +233,9 @@ class Machine:
         choices.append((STOP, mark))
         try:
             try:
-                for _ in _EMPTY_STACK:
+                # Setting up the main loop costs more than these steps. Failure ends them early, too: the loop then
+                # starts with None and backtracks.
+                for _ in _FIRST_STEPS:
                     frame = frame[0].run(frame)
                     if frame is done or frame is None:
                         break
@@ -227,6 +247,7 @@ class Machine:
             undo(self.trail, mark)
             raise
         finally:
+            # The list is shortened, never replaced: frames, built-ins and outer runs refer to this object.
             if len(choices) == base + 1:
                 choices.pop()
             else:
@@ -237,14 +258,18 @@ class Machine:
                 budget.start_anew()
 
     def check(self, frame: Frame, goal: Asked) -> bool:
-        """As `run`, for the frame of a `CompiledGoal` that is steady: most often its step is all there is to do.
+        """Return whether a steady `CompiledGoal` has a solution; keep no bindings.
 
-        No bindings stay.
+        Unlike `run`, it executes the first step without pushing a choice point; most goals finish in that step.
+
+        Args:
+            frame: the first frame of the goal.
+            goal: the goal, to which the use of resources is attributed.
         """
         budget = self.budget
         if budget.closed:
             budget.admit()
-        asked = budget.goal
+        previous_goal = budget.goal
         budget.goal = goal
         limited = budget.limited
         saved = budget.enter() if limited else None
@@ -259,21 +284,21 @@ class Machine:
         finally:
             if len(self.trail) > mark:
                 undo(self.trail, mark)
-            budget.goal = asked
+            budget.goal = previous_goal
             if limited:
                 budget.leave(saved)
 
     def settle(self, frame: Optional[Frame], mark: int) -> bool:
-        """Run what is left after a step outside of a run, and take back the bindings since ``mark``."""
-        found = frame is self.done or (frame is not None and self.run(frame))
+        """Run the rest after a step outside of a run, and undo the bindings above ``mark``."""
+        is_solved = frame is self.done or (frame is not None and self.run(frame))
         if len(self.trail) > mark:
             undo(self.trail, mark)
-        return found
+        return is_solved
 
     def error(self, exc: Exception, frame: Frame, mark: int) -> PrologError:
-        """Return the error of an exception that a step outside of a run raised, and take back its bindings.
+        """Return the error for an exception that a step outside of a run raised, and undo its bindings.
 
-        What is not an error of the program is raised again.
+        Exceptions that are no errors of the program are raised again.
         """
         try:
             self._handle(exc, frame, len(self.choices))
@@ -284,10 +309,14 @@ class Machine:
         raise exc
 
     def solutions(self, frame: Optional[Frame], goal: Optional[Term] = None) -> Generator[None, None, None]:
-        """Run a frame that ends in `done`, of a goal; yield at each solution, with its bindings in place.
+        """Run a frame that ends in `done`; yield at each solution, with its bindings in place.
 
-        Closing the iterator drops what is left and undoes the bindings. Other runs may take place
-        between solutions as long as they are over before the next one is asked for.
+        Closing the generator drops the remaining choice points and undoes the bindings. Other runs may take place
+        between two solutions, if they have ended before the next one is requested.
+
+        Args:
+            frame: the first frame of the goal.
+            goal: the goal, for reports of resource limits.
         """
         choices = self.choices
         base = len(choices)
@@ -295,6 +324,8 @@ class Machine:
         inside = base or budget.running
         budget.running = budget.running or budget.limited
         mark = len(self.trail)
+        # This object marks the position of the run among the choice points: if the caller lets runs overlap, or an
+        # interrupt resets the machine, the position holds another object.
         stop = (STOP, mark)
         choices.append(stop)
         try:
@@ -311,7 +342,8 @@ class Machine:
                     )
                 frame = None
         finally:
-            if len(choices) > base and choices[base] is stop:  # else an interrupt has ended all long ago
+            # Otherwise an interrupt has reset the machine, and newer runs may own the choice points.
+            if len(choices) > base and choices[base] is stop:
                 self._leave(base)
                 del choices[base:]
                 undo(self.trail, mark)
@@ -322,7 +354,7 @@ class Machine:
                     budget.start_anew()
 
     def _leave(self, base: int) -> None:
-        """Tell the guards of a run that it is over, also by what no program can catch, as an interrupt."""
+        """Notify the guards of a run that it has ended, also for exceptions that no program can catch."""
         choices = self.choices
         while len(choices) > base + 1:
             entry = choices[-1]
@@ -330,18 +362,20 @@ class Machine:
                 entry[0].unwind(entry)
             elif entry[0] is self._attempt_code:
                 self.budget.goal = entry[1]
+            # Removed after its notification: an interrupt before it must not lose the entry. `del` and not `pop`,
+            # because the list finalises entries on `del`; see `releasing`.
             del choices[-1:]
 
     def _watched(self, frame: Optional[Frame], goal: Optional[Term]) -> bool:
-        """Go on with an outermost run; long steps in it look at the limits too."""
+        """Continue an outermost run; long steps within it check the limits as well."""
         budget = self.budget
-        asked, budget.goal = budget.goal, goal
+        previous_goal, budget.goal = budget.goal, goal
         before = watched_by(budget.look)
         try:
             return self._loop(frame, 0)
         finally:
             watched_by(before)
-            budget.goal = asked
+            budget.goal = previous_goal
 
     def _loop(  # noqa: C901 -- a call for each step would cost more than the step
         self, frame: Optional[Frame], base: int
@@ -352,24 +386,29 @@ class Machine:
         pop_trail = trail.pop
         if frame is None:
             frame = (DEAD,)
-        left: Any = iter(SLICE)  # also after an exception: what throws again and again is counted too
+        # The iterator counts steps in C. It survives an exception, so that a goal that throws repeatedly is counted.
+        steps: Any = iter(SLICE)
         while True:
             try:
                 while True:
-                    for _ in left:
+                    for _ in steps:
                         frame = frame[0].run(frame)
                         if frame is None:
+                            # Backtrack. `undo` is inlined: it would be the only call here besides the step itself.
                             frame = pop()
                             mark = frame[-1]
                             while len(trail) > mark:
                                 pop_trail().ref = None
+                            # Every run ends here: with its STOP after the last solution, or with `_FINISHED`, which
+                            # `done` has pushed after a solution.
                             if frame[0] is STOP:
-                                self.budget.ended(len(SLICE) - left.__length_hint__())
+                                self.budget.ended(len(SLICE) - steps.__length_hint__())
                                 if frame is _FINISHED:
                                     return True
                                 choices.append(frame)
                                 return False
-                    left = iter(SLICE)
+                    # A slice has ended: a goal that is met here by sampling runs often, and may be compiled.
+                    steps = iter(SLICE)
                     if frame[0] is self.goal_code:
                         self.meet(frame[1])
                     if len(trail) > self._compact_at:
@@ -380,25 +419,28 @@ class Machine:
 
     def _compact(self) -> None:
         compact(self.trail, self.choices[-1][-1] if self.choices else 0)
+        # The next threshold doubles, so that compaction takes amortised constant time for each entry.
         self._compact_at = max(SEEN_AT, 2 * len(self.trail))
 
     # Exceptions
 
     def _handle(self, exc: Exception, frame: Any, base: int) -> Frame:
-        """Return the frame that handles an exception, or raise it where nothing above ``base`` does."""
+        """Return the frame that handles an exception; raise it if no choice point above ``base`` does."""
         error = from_python(exc)
         if error is None:
             raise exc
         return self._recover(error, frame, base)
 
     def _recover(self, error: PrologError, frame: Frame, base: int) -> Frame:
-        """Return the frame that handles an error, or raise it where nothing above ``base`` does."""
+        """Return the frame that handles an error; raise it if no choice point above ``base`` does."""
         choices = self.choices
         error = self._copied(error)
         ball = error.term
         self._add_context(ball, frame)
+        # A final error reports a limit that the entry has exceeded again: a program that catches it would never end.
         is_final = getattr(error, "final", False)
         while len(choices) > base + 1:
+            # Removed before it is handled: the handler may run goals, which push choice points.
             entry = choices[-1]
             del choices[-1:]
             code = entry[0]
@@ -416,23 +458,23 @@ class Machine:
 
     @staticmethod
     def _copied(error: PrologError) -> PrologError:
-        """Return an error with a copy of its term, because bindings are about to be undone."""
+        """Return an error with a copy of its term, because its bindings are about to be undone."""
         try:
             error.term = copy(error.term)
         except TermTooLarge:
             error.term = resource_error("term_size").term
-        except PrologError as limit:  # the copy took too long
+        except PrologError as limit:  # copying has exceeded a limit
             return limit
         return error
 
     def _catches(self, entry: Frame, ball: Term) -> bool:
-        """Undo what a ``catch/3`` has to undo, and tell whether its catcher unifies with the ball."""
+        """Undo the bindings of a ``catch/3``'s goal; return whether its catcher unifies with the ball."""
         trail = self.trail
         undo(trail, entry[-1])
         try:
             if unify(entry[2], ball, trail):
                 return True
-        except (TermTooLarge, PrologError):  # too large to be compared in time: not the error looked for
+        except (TermTooLarge, PrologError):  # a ball too large to compare is not the expected one
             pass
         undo(trail, entry[-1])
         return False
@@ -455,11 +497,18 @@ class Machine:
         otherwise: Optional[Frame],
         on_error: Callable[[PrologError], None],
     ) -> Optional[Frame]:
-        """Run a `CompiledGoal` once behind a barrier, as part of a run: return the frame to go on with.
+        """Run a `CompiledGoal` once as part of a run; return the next frame.
 
-        The first solution's outputs are resolved, its choice points and bindings are dropped, and the run
-        goes on with ``then(outputs)``; if there is none, or ``on_error(error)`` was called, with
+        The outputs of the first solution are resolved, its choice points and bindings are dropped, and the run
+        continues with ``then(outputs)``. If there is no solution, or the goal throws, it continues with
         ``otherwise``.
+
+        Args:
+            goal: the goal.
+            values: its inputs.
+            then: returns the next frame for the outputs.
+            otherwise: the next frame without a solution.
+            on_error: called with an error of the goal.
         """
         straight = goal.straight
         if straight is not None and not self.budget.closed:
@@ -474,10 +523,10 @@ class Machine:
                 on_error(error)
                 return otherwise
             if outputs is not BAIL:
-                # Not called here: it may ask for another attempt, and so on.
+                # `then` is called by the loop, not here: it may make another attempt, which would recurse.
                 return otherwise if outputs is None else (_GO_ON, then, outputs)
             goal.bail()
-        # A frame of its own: an attempt may be asked for before the loop runs that its choice point belongs to.
+        # The choice point is pushed by a frame, as the run that it belongs to may not have started yet.
         return (self._enter_code, goal, values, then, on_error, otherwise)
 
     def _enter_attempt(self, frame: Frame) -> Frame:
@@ -498,7 +547,7 @@ class Machine:
 
 
 class _AttemptExit:
-    """Continuation of an attempt's goal, which hands its outputs over."""
+    """Continuation of an attempt's goal: drops its choice points and bindings, and passes on its outputs."""
 
     __slots__ = ("_machine",)
 

@@ -1,6 +1,24 @@
-"""What an event or a question may use with all that it starts, and the errors of what has used more.
+"""Resource limits of events and queries: seconds, inferences, memory and output.
 
-What an event or a question has used with all that it started.
+An *entry* is a unit of accounting: an event or a query with everything that it starts. Each entry may use what
+`Limits` allows, and `Budget` counts it. An engine announces the entries of its turns (`Budget.count_for`); without an
+engine, each outermost run of the machine is an entry.
+
+The machine counts steps in slices of `SLICE` and checks the limits after each slice, so counting costs nothing for a
+single step. Long steps (sorting, copying a large term) call `look`, which counts their work and checks the limits as
+well.
+
+If an entry exceeds a limit:
+
+1. The goal throws `LimitError`. A program may catch the first one; its handler gets a tenth more inferences, and the
+   other limits once again, to clean up.
+2. The next one is *final*: no program can catch it.
+3. Further goals of the entry are refused (`Budget.admit`), counted, and reported together at the end.
+4. Pattern matching is not interrupted by an exception, which would leave a partial match half joined. It stops at the
+   points where it counts its work (`Budget.meter`).
+
+Limits of a single call (``call_with_time_limit/2`` and similar) are *alarms* (instants) and *ceilings* (counts of
+inferences) in the budget; they throw `LimitPassed`.
 """
 
 import os
@@ -29,45 +47,46 @@ from ..terms.types import Term
 from .errors import PrologError, resource_error
 
 SLICE = (None,) * 1021
-"""Steps between two looks at the limits: a prime, so that no loop is always looked at at the same step of it."""
+"""Steps between two checks of the limits. The number is prime, so that the checks of a loop fall on different
+steps of it."""
 
 LOOP = (None,) * 256
-"""Turns of a loop inside one step."""
+"""Iterations of a loop within one step, between two checks."""
 
 
 MEGABYTE = 1_000_000
-"""Bytes of a megabyte, wherever a limit is given in megabytes."""
+"""Bytes in a megabyte, for all limits that are given in megabytes."""
 
 MAX_LIMIT = 1e9
-"""The largest number of seconds or megabytes that a limit may be: 31 years."""
+"""Largest limit of seconds (31 years) or megabytes."""
 
 MAX_COUNT = 10**20
-"""The largest number of inferences that a limit may be."""
+"""Largest limit of inferences."""
 
 Number = TypeVar("Number", int, float)
 
 
 def checked_number(name: str, value: object, kind: Type[Number]) -> Number:
-    """Return a number of 0 or more that a setting gives.
+    """Return the non-negative number that a setting contains.
 
     Args:
-        name: the setting's, for the error.
+        name: the name of the setting, for the error message.
         value: an ``int`` or a ``float``.
         kind: ``int`` for whole numbers, which may be given as floats (``1e6``).
 
     Raises:
-        UsageError: for anything else: a ``bool``, a text, a negative number, NaN, infinity, or a number that is too
-            large for a time.
+        UsageError: for any other value: a ``bool``, a text, a negative number, NaN, infinity, or a number above the
+            maximum.
     """
     largest = MAX_COUNT if kind is int else MAX_LIMIT
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         if 0 <= value <= largest and kind(value) == value:
             return kind(value)
-        found = str(value) if abs(value) < 1e300 else "a larger number"
+        shown = str(value) if abs(value) < 1e300 else "a larger number"
     else:
-        found = shortened(repr(value))
-    whole = "a whole number" if kind is int else "a number"
-    raise UsageError(f"{name}: expected {whole} from 0 to {largest:.0e}, found {found}")
+        shown = shortened(repr(value))
+    expected = "a whole number" if kind is int else "a number"
+    raise UsageError(f"{name}: expected {expected} from 0 to {largest:.0e}, found {shown}")
 
 
 class _LimitFields(NamedTuple):
@@ -78,7 +97,7 @@ class _LimitFields(NamedTuple):
 
 
 class Limits(_LimitFields):
-    """What an event or a question may use with all that it starts; None means without limit.
+    """What an event or a query may use, with everything that it starts; None means no limit.
 
     >>> engine = Engine(settings=Settings(limits=Limits(inferences=10000)))
     >>> engine.load(rules="forever :- forever.")
@@ -86,14 +105,14 @@ class Limits(_LimitFields):
     True
 
     Attributes:
-        seconds: of wall time.
-        inferences: calls of predicates, and steps of walks over large terms (counted by the thousand).
+        seconds: wall time.
+        inferences: calls of predicates, and steps of walks over large terms (counted in thousands).
         megabytes: growth of the process's resident memory, in 1,000,000 bytes.
-        output_megabytes: what goals write to ``user_output`` and ``user_error`` together, in 1,000,000 bytes; 1 by
+        output_megabytes: output of goals to ``user_output`` and ``user_error`` together, in 1,000,000 bytes; 1 by
             default.
 
     Raises:
-        UsageError: for a limit that is no number from 0 on; it names the limit.
+        UsageError: if a limit is not a number from 0 on; the message names it.
     """
 
     __slots__ = ()
@@ -105,7 +124,7 @@ class Limits(_LimitFields):
         megabytes: Optional[float] = None,
         output_megabytes: Optional[float] = 1.0,
     ) -> "Limits":
-        """Check the limits and keep them."""
+        """Validate the limits and store them."""
         return super().__new__(
             cls,
             None if seconds is None else checked_number("seconds", seconds, float),
@@ -116,7 +135,7 @@ class Limits(_LimitFields):
 
     @classmethod
     def _make(cls, iterable: Iterable[Any]) -> "Limits":  # type: ignore[override]
-        """Return limits of four values; ``_replace`` comes here."""
+        """Return limits from four values; called by ``_replace``."""
         return cls(*iterable)
 
 
@@ -124,20 +143,20 @@ NO_LIMITS = Limits(output_megabytes=None)
 
 
 class Refuses(Protocol):
-    """Whose limit has run out, a `Budget`."""
+    """The budget of a limit that has been exceeded."""
 
     def close(self, error: "LimitError") -> None:
-        """Refuse further goals because of an error."""
+        """Refuse further goals of the entry because of an error."""
 
 
 class LimitError(PrologError):
-    """A limit has run out.
+    """A limit has been exceeded.
 
     Attributes:
-        final: whether no program can catch it.
-        budget: whose limit it is; None for the limit that a program has set for a call.
-        what: what has run out.
-        refused: whether the goal was not begun any more: that is counted by the budget and reported by it.
+        final: whether no program can catch the error.
+        budget: the budget that has the limit; None for a limit that a program has set for a call.
+        what: the name of the exceeded limit.
+        refused: whether the goal was not started at all; the budget counts and reports such goals.
     """
 
     final = False
@@ -147,12 +166,13 @@ class LimitError(PrologError):
 
 
 class LimitPassed(LimitError):
-    """The ball of a call that has a limit of its own.
+    """The error of a call with a limit of its own.
 
     Attributes:
-        kind: what is limited.
-        open: whether the call still runs; then whoever stops for the error is not the one whose limit it was.
-        kept_back: whether somebody inside the call stopped for it and the call went on.
+        kind: the kind of limit.
+        open: whether the call is still running. If it is, the code that receives the error is inside the call, and
+            not the owner of the limit.
+        kept_back: whether code inside the call has caught the error and the call has continued.
     """
 
     def __init__(self, kind: str, term: Term):
@@ -163,29 +183,28 @@ class LimitPassed(LimitError):
 
     @property
     def message(self) -> str:  # type: ignore[override]
-        """What went wrong, as text."""
+        """The text of the error."""
         if self.open:
             return f"the {self.kind} limit of a calling goal has been reached"
         return super().message
 
     def close(self) -> None:
-        """Note that the call is over."""
+        """Record that the call has ended."""
         self.open = False
 
     def deliver(self) -> None:
-        """Throw the ball after all where the call exits and somebody inside had kept it back."""
+        """Throw the error when the call exits, if code inside the call had caught it."""
         if self.kept_back:
             raise self
 
 
 def keep_back(error: Exception) -> bool:
-    """Note that somebody stops for an error and goes on.
+    """Record that the caller catches an error and continues.
 
-    Where it is the limit of a call around, that ends later; where all is used up that the event may use, its
-    further goals are refused.
+    The limit of an outer call ends that call later. If the entry has exceeded a limit, its further goals are refused.
 
     Returns:
-        Whether the error is to be reported: not for a refused goal, see `Budget.admit`.
+        Whether to report the error; false for a refused goal, see `Budget.admit`.
     """
     if isinstance(error, LimitPassed):
         error.kept_back = error.open
@@ -196,65 +215,65 @@ def keep_back(error: Exception) -> bool:
     return True
 
 
-_MEASURE_EVERY = 0.005
-"""Seconds between two looks at the memory in use."""
+_MEMORY_CHECK_INTERVAL_SECONDS = 0.005
+"""Time between two measurements of resident memory."""
 
 
 T = TypeVar("T")
 
 Ask = Optional[Callable[[int, int], None]]
-"""Whom long steps ask, see `Watch`."""
+"""The function that long steps call to check limits; see `foundation.cancellation`."""
 
 
 class Turn(Protocol):
-    """Who tells where entries begin and end."""
+    """An engine's turns, which delimit the entries."""
 
     entry: object
 
     @property
     def thread(self) -> Optional[int]:
-        """The thread in which there is work at hand; None while there is none."""
+        """The thread that processes an entry; None while there is none."""
 
     def follow(self, work: Callable[[], None], /) -> None:
-        """Do something after the work at hand."""
+        """Call ``work`` after the current entry."""
 
 
 Meter = Callable[[int], bool]
-"""Count steps of pattern work (pairs, items, derived events); return True if pattern work has to stop."""
+"""Counts steps of pattern matching (pairs, items, derived events); returns True if pattern matching has to stop."""
 
 BudgetState = Tuple[bool, Ask, object, int, Tuple[int, ...]]
-"""What runs, see `Budget.state`."""
+"""The running goals of a budget; see `Budget.state`."""
 
 
 class Budget:
-    """What an entry, an event or a question with all that it starts, has used and may still use.
+    """Resource use and limits of the current entry: an event or query with everything that it starts.
 
-    Who takes events (the engine) tells by its turns where entries begin and end, see `count_for`. Where nobody
-    does, each outermost run of the machine is an entry.
+    An engine announces the entries of its turns (`count_for`). Without an engine, each outermost run of the machine
+    is an entry.
 
     Attributes:
-        limits: of each entry.
-        limited: whether the machine has to `enter` each run: there are limits, and nobody says where entries end.
-        closed: whether goals have to ask `admit` before they begin.
-        turn: says where entries begin and end: its ``thread`` is that in which one is at work, or None; its ``entry``
-            tells it from others: what came in.
-        goal: what is being asked, a `CompiledGoal` or a term; None while only patterns are at work.
-        inferences: all that were counted.
-        alarms: times (of the monotonic clock) with what is to be thrown then.
-        ceilings: counts of inferences with what is to be thrown past them.
-        used: whether there is anything to forget at the end of the entry.
-        rounds: how often the entry may use its seconds: once more when a program may have caught the first error.
-        refused: how many goals of the entry were refused.
-        metered: whether rules count their pattern work: not in an engine that has no limits.
-        pattern_steps: the number of steps of pattern work until the limits are checked again, negative from then on;
-            one item of a list that never changes, as code has bound it.
-        stopped: the rule that was at work when a limit stopped the pattern work of the entry, and the limit; or None.
-        left_out: steps of pattern work that the entry has not done since then.
-        on_new: called where what an entry has used is forgotten.
-        on_refused: told at the end of an entry how many goals were refused, what had run out, and the entry.
-        on_stopped: called at the end of an entry whose pattern work was stopped, with the rule, the limit, the steps
-            left out, and the entry.
-        running: whether a run is under way that was entered.
+        limits: the limits of each entry.
+        limited: whether the machine must `enter` each run: limits are set, and no engine announces entries.
+        closed: whether goals must call `admit` before they start.
+        turn: announces entries. Its ``thread`` processes one, or is None; its ``entry`` identifies it.
+        goal: the running goal, a `CompiledGoal` or a term; None while only patterns are matched.
+        inferences: inferences since the start.
+        alarms: instants of the monotonic clock (s), with the errors to throw after them.
+        ceilings: counts of inferences, with the errors to throw above them.
+        used: whether there is anything to reset at the end of the entry.
+        rounds: number of times that the entry may use its limits; raised when a program may have caught the first
+            error.
+        refused: number of refused goals of the entry.
+        metered: whether rules count their pattern matching; false in an engine without limits.
+        pattern_steps: steps of pattern matching until the next check of the limits, negative afterwards. The list
+            with one item never changes, because generated code refers to it.
+        stopped: the rule that was active when a limit stopped pattern matching, and the limit; or None.
+        left_out: steps of pattern matching skipped since then.
+        on_new: called when the use of an entry is reset.
+        on_refused: called at the end of an entry with the number of refused goals, the exceeded limit, and the entry.
+        on_stopped: called at the end of an entry whose pattern matching was stopped, with the rule, the limit, the
+            number of skipped steps, and the entry.
+        running: whether a run is active that was entered.
     """
 
     def __init__(self) -> None:
@@ -271,25 +290,26 @@ class Budget:
         self.inferences = 0
         self.alarms: List[Tuple[float, LimitPassed]] = []
         self.ceilings: Dict[int, LimitPassed] = {}
-        self._steps = 0  # that are not counted as inferences yet
+        self._steps = 0  # not yet counted as inferences
         self._measured = 0.0
         self._expired: object = None
-        self._entry: object = None  # that of the turn when it was first used
+        self._entry: object = None  # the turn's entry at the first use
         self.start_anew()
 
     def allow(self, limits: Limits) -> None:
-        """Set what each entry may use."""
+        """Set the limits of each entry."""
         self._spent = 0
         self.limits = limits
-        # what steps look at; output is counted where it is written
+        # Limits that steps check. Output is counted where it is written.
         self._bounded = limits[:3] != NO_LIMITS[:3]
-        # Steps since the last check may be those of earlier entries: a small part of the limit, at most.
-        most = len(SLICE) if limits.inferences is None else int(limits.inferences) // 8
-        self._pattern_slice = self.pattern_steps[0] = min(len(SLICE), max(1, most))
+        # The steps since the last check may belong to earlier entries. A check at least eight times per limit keeps
+        # this error small.
+        steps = len(SLICE) if limits.inferences is None else int(limits.inferences) // 8
+        self._pattern_slice = self.pattern_steps[0] = min(len(SLICE), max(1, steps))
         self.limited = limits != NO_LIMITS and self.turn is None
 
     def count_for(self, turn: Turn) -> None:
-        """Take the pieces of work of a turn (see `turn`) for entries; ``turn.follow`` does something after one."""
+        """Treat the units of work of a turn as entries; ``turn.follow`` schedules the reset after each of them."""
         self.turn = turn
         self.metered = self._bounded
         self.limited = False
@@ -297,20 +317,20 @@ class Budget:
 
     @property
     def at_work(self) -> bool:
-        """Whether an entry of a turn is at work."""
+        """Whether a turn is processing an entry."""
         return self.turn is not None and self.turn.thread is not None
 
     @property
     def runs_here(self) -> bool:
-        """Whether a goal of an entry of a turn runs in this thread."""
+        """Whether this thread runs a goal of a turn's entry."""
         return self.goal is not None and self.turn is not None and self.turn.thread == get_ident()
 
     # Entries
 
     def enter(self) -> "Union[Ask, _Inside]":
-        """Begin a run with limits; return what `leave` needs at its end.
+        """Start a run with limits; return the value that `leave` needs at its end.
 
-        Long steps look at the limits too, see `watching`. A run inside another belongs to that.
+        Long steps check the limits as well; see `watching`. A nested run belongs to the outer one.
         """
         if self.running:
             return _INSIDE
@@ -330,7 +350,7 @@ class Budget:
 
     @contextmanager
     def watching(self) -> Iterator[None]:
-        """Have long work on a solution of a goal count for the goal."""
+        """Count long work on a solution of a goal for that goal."""
         before = WATCH.ask
         WATCH.ask = self._ask
         try:
@@ -339,18 +359,18 @@ class Budget:
             WATCH.ask = before
 
     def start_anew(self) -> None:
-        """Forget what an entry has used."""
+        """Reset the use of resources."""
         self._begin()
         self.alarms.clear()
         self.ceilings.clear()
         self.on_new()
 
     def state(self) -> BudgetState:
-        """Return what runs, for `restore`."""
+        """Return the running goals, for `restore`."""
         return self.running, WATCH.ask, self.goal, len(self.alarms), tuple(self.ceilings)
 
     def restore(self, state: Optional[BudgetState]) -> None:
-        """Go back to what ran, or to nothing that runs with None, whatever an interrupt has left."""
+        """Restore the running goals after an interrupt; None means that nothing was running."""
         if state is None:
             self.running = False
             self.goal = None
@@ -358,9 +378,11 @@ class Budget:
                 WATCH.ask = None
             self.end()
             return
+        # An interrupt may have skipped the cleanup of inner calls: their alarms and ceilings would throw later, in
+        # goals that have no limit.
         self.running, WATCH.ask, self.goal, alarms, ceilings = state
         del self.alarms[alarms:]
-        self.ceilings = {at: error for at, error in self.ceilings.items() if at in ceilings}
+        self.ceilings = {ceiling: error for ceiling, error in self.ceilings.items() if ceiling in ceilings}
 
     def _begin(self) -> None:
         self.used = False
@@ -370,7 +392,7 @@ class Budget:
         self._memory: Optional[int] = None
         self.rounds = 1
         self.refused = 0
-        self._out: Optional[str] = None  # what has run out, so that goals are refused
+        self._out: Optional[str] = None  # the exceeded limit because of which goals are refused
         self.closed = False
         self.stopped: Optional[Tuple[object, str]] = None
         self.left_out = 0
@@ -378,24 +400,26 @@ class Budget:
             self.pattern_steps[0] = self._pattern_slice
 
     def end(self) -> None:
-        """End an entry: report what was refused and left out, and forget what it has used."""
+        """End an entry: report refused goals and skipped pattern matching, and reset the use of resources."""
         self._report()
         self.start_anew()
 
     def _report(self) -> None:
-        """Report the goals of the entry that were refused, and the pattern work that was left out."""
+        """Report the refused goals and the skipped pattern matching of the entry."""
         if self.refused and self._out is not None:
             self.on_refused(self.refused, self._out, self._entry)
         if self.stopped is not None:
             self.on_stopped(*self.stopped, self.left_out, self._entry)
 
     def apart(self, entry: object, work: Callable[[], T]) -> T:
-        """Return what work returns; it is an entry of its own, in the midst of another of a turn."""
+        """Run ``work`` as an entry of its own in the middle of another entry of a turn; return its result."""
         turn = self.turn
         assert turn is not None
         outer = turn.entry, self.goal
-        kept = [getattr(self, name) for name in _OF_ENTRY] if self.used else None
-        if kept is not None:
+        # The use of the outer entry is saved attribute by attribute, because generated code and the machine refer to
+        # this budget object.
+        saved = [getattr(self, name) for name in _ENTRY_ATTRIBUTES] if self.used else None
+        if saved is not None:
             self._begin()
         turn.entry, self.goal = entry, None
         try:
@@ -405,15 +429,16 @@ class Budget:
             if self.used:
                 self._report()
                 self._begin()
-            if kept is not None:
-                for name, value in zip(_OF_ENTRY, kept):
+            if saved is not None:
+                for name, value in zip(_ENTRY_ATTRIBUTES, saved):
                     setattr(self, name, value)
+                # `_begin` has reset the counter. The outer entry must not continue to match patterns.
                 if self.stopped is not None:
                     self.pattern_steps[0] = -1
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Have nothing that the entry at hand waits for meanwhile (a user) count for it; it may use as much again."""
+        """Count nothing for the current entry while it waits for a user; afterwards it may use its limits again."""
         turn = self.turn
         assert turn is not None
         what: Any
@@ -421,13 +446,18 @@ class Budget:
         try:
             yield
         finally:
-            turn.entry = None if what is None else (*what, None)  # another one, of the same name
+            # A new identity with the same name: a watchdog that still times the old entry must not expire this one.
+            turn.entry = None if what is None else (*what, None)
             self._begin()
 
     # Goals of entries
 
     def admit(self) -> None:
-        """Raise an error where all is used up that the entry may use: a goal is not begun then."""
+        """Raise an error if the entry has exceeded a limit, so that the goal does not start.
+
+        Raises:
+            LimitError: with ``refused`` set, if goals are refused.
+        """
         if self._out is not None:
             self.refused += 1
             error = self._error(self._out)
@@ -439,26 +469,27 @@ class Budget:
             raise self._exceeded(past)
 
     def close(self, error: LimitError) -> None:
-        """Refuse further goals of the entry, because of an error that ended one of them."""
+        """Refuse further goals of the entry because of an error that ended one of them."""
         self._use()
         self.closed = True
         if self._out is None:
             self._out = error.what
 
     def expire(self, entry: object) -> None:
-        """Note that an entry has used its seconds, if it is still at work; any thread may call this."""
+        """Record that an entry has used its seconds, if it is still active. Any thread may call this."""
         self._expired = entry
         self.closed = True
-        if self.goal is None:  # else the goal at work is over first
+        # A running goal notices by its own checks, and ends before pattern matching continues.
+        if self.goal is None:
             self.pattern_steps[0] = -1
 
     # Pattern work of entries
 
     def meter(self, rule: object) -> Optional[Meter]:
-        """Return the function that counts the pattern work of a rule; None if nothing is counted.
+        """Return the function that counts the pattern matching of a rule; None if nothing is counted.
 
-        Pattern work is not ended by an error, which would leave matches half joined: wherever it counts it stops by
-        itself when the function returns True, and from then on no rule derives an event from what came in.
+        Pattern matching is not ended by an error, which would leave matches half joined: it stops at the points where
+        it counts, when the function returns True. From then on no rule derives an event from the input of the entry.
         """
         if not self.metered:
             return None
@@ -466,14 +497,15 @@ class Budget:
         pattern_steps = self.pattern_steps
 
         def count(steps: int) -> bool:
-            pattern_steps[0] = left = pattern_steps[0] - steps
-            return left < 0 and self.stops(rule)
+            pattern_steps[0] = remaining = pattern_steps[0] - steps
+            return remaining < 0 and self.stops(rule)
 
         return count
 
     def stops(self, rule: object) -> bool:
-        """Check the limits, the steps until the next check being used up; return True if pattern work has to stop."""
+        """Check the limits after a slice of pattern matching; return True if it has to stop."""
         if self.stopped is None:
+            # The counter is negative here: the difference is the number of steps since the last check.
             self._steps += max(0, self._pattern_slice - self.pattern_steps[0])
             self._count()
             past = self._past(monotonic()) if self._bounded else None
@@ -489,17 +521,18 @@ class Budget:
     # Limits of calls
 
     def warn_at(self, instant: float, error: LimitPassed) -> None:
-        """Have an error thrown past an instant of the monotonic clock."""
+        """Throw an error after an instant of the monotonic clock (s)."""
         self._use()
         self.alarms.append((instant, error))
 
     def warn_past(self, ceiling: int, error: LimitPassed) -> None:
-        """Have an error thrown past a count of inferences."""
+        """Throw an error above a count of inferences."""
         self._use()
         self.ceilings[ceiling] = error
 
     def cap(self, most: int) -> int:
-        """Return a ceiling for some more inferences; no two are the same."""
+        """Return the ceiling for ``most`` further inferences; no two ceilings are equal."""
+        # Ceilings are keys of `ceilings`: two calls with the same limit must not share one.
         ceiling = self.inferences + most
         while ceiling in self.ceilings:
             ceiling += 1
@@ -513,18 +546,18 @@ class Budget:
         self._enforce()
 
     def turned(self) -> None:
-        """Count the turns of a loop inside a step (as many as `LOOP` is long) and enforce the limits."""
+        """Count `LOOP` iterations of a loop within a step, and enforce the limits once per slice."""
         self._steps += len(LOOP)
         if self._steps >= len(SLICE):
             self._enforce()
 
     def look(self, work: int, size: int = 0) -> None:
-        """Count pieces of work inside a step and enforce the limits, with room for so many more bytes."""
+        """Count work within a step and enforce the limits, with ``size`` bytes about to be allocated."""
         self._steps += work
         self._enforce(size)
 
     def ended(self, steps: int) -> None:
-        """Count the steps of a run that is over; past a limit the next goal is not begun."""
+        """Count the steps of a run that has ended. If a limit is exceeded, the next goal does not start."""
         self._steps += steps
         if self._steps >= len(SLICE):
             self._count()
@@ -535,7 +568,7 @@ class Budget:
         """Count bytes that are about to be written to the user's streams.
 
         Raises:
-            LimitError: if the entry may not write as many. A handler may write a tenth more.
+            LimitError: if the entry may not write them. A handler of the first error may write a tenth more.
         """
         most = self.limits.output_megabytes
         if most is None or not (self.running or self.at_work):
@@ -546,10 +579,10 @@ class Budget:
         self._printed += size
 
     def left(self) -> "Optional[Left]":
-        """Return what a step that cannot look at the limits by itself may use; None where nothing is limited.
+        """Return the remaining limits for a step that cannot check them itself; None if nothing is limited.
 
         Raises:
-            PrologError: where a limit has been passed already.
+            PrologError: if a limit has been exceeded already.
         """
         if not (self._bounded or self.alarms or self.ceilings):
             return None
@@ -558,7 +591,7 @@ class Budget:
             self._memory = resident_bytes() + int(self.limits.megabytes * MEGABYTE)
         if not self.alarms and not self.ceilings and self.limits.inferences is None:
             return Left(self._deadline, None, self._memory)
-        times = [at for at, _ in self.alarms]
+        times = [instant for instant, _ in self.alarms]
         if self._deadline is not None:
             times.append(self._deadline)
         inferences = [ceiling - self.inferences for ceiling in self.ceilings]
@@ -567,7 +600,7 @@ class Budget:
         return Left(min(times, default=None), min(inferences, default=None), self._memory)
 
     def _use(self) -> None:
-        """Note that there is something to forget at the end of the entry."""
+        """Record that the entry has used resources, so that they are reset at its end."""
         if not self.used:
             self.used = True
             turn = self.turn
@@ -590,33 +623,37 @@ class Budget:
                     raise error
         if not self._bounded and not self.alarms:
             return
+        # Limits of calls are checked first: an inner limit that is reached at the same time must end the inner call,
+        # and not the whole entry.
         now = monotonic()
-        for at, error in self.alarms:
-            if now > at:
+        for instant, error in self.alarms:
+            if now > instant:
                 raise error
         past = self._past(now, size)
         if past is None:
             return
         if self.goal is None and self.at_work:
-            self.close(self._error(past))  # patterns are at work: they stop where they count
+            # No goal runs: an exception would interrupt pattern matching, which stops where it counts instead.
+            self.close(self._error(past))
             self.pattern_steps[0] = -1
         else:
             raise self._exceeded(past)
 
     def _past(self, now: float, size: int = 0) -> Optional[str]:
-        """Return the limit that the entry is past, or would be with so many more bytes; None for none."""
+        """Return the limit that the entry exceeds, or would exceed with ``size`` more bytes; None if none."""
         self._use()
         limits = self.limits
         if limits.inferences is not None and self._spent > limits.inferences:
             return "inferences"
         if limits.seconds is not None:
+            # Time starts with the first check: entries that end before it never read the clock.
             if self._deadline is None:
                 self._deadline = now + limits.seconds
             elif now > self._deadline:
                 return "seconds"
             if self._expired is not None and self.turn is not None and self._expired is self.turn.entry:
                 return "seconds"
-        if limits.megabytes is not None and (size or now > self._measured + _MEASURE_EVERY):
+        if limits.megabytes is not None and (size or now > self._measured + _MEMORY_CHECK_INTERVAL_SECONDS):
             self._measured = now
             used = resident_bytes()
             if self._memory is None:
@@ -628,10 +665,13 @@ class Budget:
     def _exceeded(self, what: str) -> LimitError:
         error = self._error(what)
         error.final = self.rounds > 1
-        self.closed = self._out is not None  # who gets the error knows by it
-        if error.final:  # whoever looks from now on gets it again: to swallow it gains nothing
+        self.closed = (
+            self._out is not None
+        )  # tells the receiver of the error whether goals are refused already
+        # The use is not reset after a final error, so that every later check throws again: catching it is useless.
+        if error.final:
             return error
-        # A handler gets a tenth more inferences, and as much again of all else, so that it can clean up.
+        # The handler of a first error gets a tenth more inferences, and the other limits once again, to clean up.
         self.rounds = 2
         self._spent -= (self.limits.inferences or 0) // 10
         self._deadline = None
@@ -646,7 +686,7 @@ class Budget:
 
 
 class Left(NamedTuple):
-    """What may still be used: up to an instant of the monotonic clock, inferences, bytes of the whole process."""
+    """The remaining limits: an instant of the monotonic clock (s), inferences, and bytes of the whole process."""
 
     until: Optional[float]
     inferences: Optional[int]
@@ -654,12 +694,12 @@ class Left(NamedTuple):
 
 
 class _Inside:
-    """What `Budget.enter` returns for a run inside another."""
+    """Result of `Budget.enter` for a nested run."""
 
 
 _INSIDE = _Inside()
 
-_OF_ENTRY = (
+_ENTRY_ATTRIBUTES = (
     "rounds",
     "refused",
     "closed",
@@ -673,15 +713,15 @@ _OF_ENTRY = (
     "stopped",
     "left_out",
 )
-"""The attributes of a budget that tell what an entry has used."""
+"""Attributes of a budget that record the use of an entry."""
 
-_PAGE = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
+_PAGE_BYTES = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
 
 
 def resident_bytes() -> int:
-    """Return the bytes of memory that the process has; 0 where the system does not tell."""
+    """Return the resident memory of the process in bytes; 0 if the system does not report it."""
     try:
         with open("/proc/self/statm", "rb") as file:
-            return int(file.read().split()[1]) * _PAGE
+            return int(file.read().split()[1]) * _PAGE_BYTES
     except OSError:  # a system without /proc has no memory limit
         return 0

@@ -1,7 +1,13 @@
-"""The operators of the event language: one entry each, and nowhere else a list of them.
+"""The table of event operators: the only list of the operators of the event language.
 
-From here the reader knows how they are written, the patterns what they mean, explanations why a pair did not fit,
-and `docs/language.md` its rows. A further operator between two patterns is one more entry.
+Each entry tells the reader how the operator is written, the compiler of patterns what it means, explanations why a
+pair did not match, and `docs/language.md` its rows. A further operator between two patterns needs one more entry
+here.
+
+``comparisons`` define when the intervals of a pair match. They are Python expressions over ``s1, e1, s2, e2``, the
+start and end of the left and the right side, with the relations of Allen's interval algebra (CACM 26, 1983). They are
+inserted into the code that is generated for each join node, and determine the range of an interval index in which
+partners are searched.
 """
 
 from enum import Enum
@@ -11,7 +17,7 @@ from ..terms.types import Functor, functor
 
 
 class OperatorKind(Enum):
-    """What an operator is."""
+    """Kinds of event operators; the values describe the arguments."""
 
     RULE = "an arrow or a label"
     ACTION = "a pattern, and a goal to call"
@@ -30,7 +36,7 @@ class OperatorKind(Enum):
 
 
 class OperatorEntry(NamedTuple):
-    """A row of the table of patterns: how it is written, when it is matched, and over which interval."""
+    """A row of the table of patterns in the documentation: notation, condition, and interval of the result."""
 
     form: str
     matched: str
@@ -41,33 +47,31 @@ class EventOperator(NamedTuple):
     """An operator of the event language.
 
     Attributes:
-        name: how rules spell it; capitalised or in capitals it is the same.
-        kind: what it is.
-        priority: 1 to 1200; 0 for what is written as functor and arguments only.
-        type: as ``op/3`` has it.
-        patterns: which of its arguments are patterns, where it is written as functor and arguments.
-        signs: what stands for it in patterns; elsewhere they are Prolog's.
-        functors: the spellings that are it before a bracket, too; None for all.
-        same_as: the operator that it is another name of.
-        names_events: whether events may have its name, with other numbers of arguments and in heads.
-        names_facts: whether a fact of its name is one; else it was meant as a rule.
-        timed: whether ``t1/1`` and ``t2/1`` hold in its goal.
+        name: canonical name; the capitalised and the upper-case spellings are equivalent.
+        kind: the kind.
+        priority: 1 to 1200; 0 for operators in functional notation only.
+        type: the type, as in ``op/3``.
+        patterns: for each argument in functional notation, whether it is a pattern.
+        signs: further names within patterns; elsewhere they are Prolog's operators.
+        functors: spellings that are valid in functional notation, too; None for all.
+        same_as: the operator of which it is another name.
+        names_events: whether events may have its name, with another number of arguments and in heads.
+        names_facts: whether a fact may have its name; otherwise the fact was meant as a rule.
+        timed: whether ``t1/1`` and ``t2/1`` are defined within its goal.
         every: whether its goal is called for all of its solutions.
-        comparisons: of two patterns, when the intervals of a pair fit: all of them have to hold. ``s1, e1`` is the
-            interval of the left side, ``s2, e2`` that of the right one. They are put into the code that is compiled
-            for each node, and into that which says where in time partners are to be looked for.
-        start: where the result of a pair starts.
-        end: where it ends.
-        either: whether the sides may arrive in either order; else only the right side completes a pair (a
-            late left side does so under ``out_of_order``).
-        alone: whether one single event could be both sides if nothing forbade it.
-        everything: whether a right side takes all left sides that fit, under every policy.
-        wrong: what explanations say where no pair fits.
-        between: of an absence, whether it may be one between the two sides of a sequence.
-        form: how it is written, where that is as functor and arguments only.
-        taken_for: words that are no operators, and by which this one is often meant.
+        comparisons: conditions on the intervals of a pair, all of which must hold.
+        start: start of the result of a pair.
+        end: end of the result of a pair.
+        either: whether the sides may arrive in either order; otherwise only the right side completes a pair (a late
+            left side does under ``out_of_order``).
+        alone: whether a single event could be both sides if nothing excluded it.
+        everything: whether a right side matches all left sides that fit, under every consumption policy.
+        wrong: explanation if no pair matches.
+        between: for an absence, whether it may be between the two sides of a sequence.
+        form: the notation, for operators in functional notation only.
+        taken_for: words that are no operators, but are often used in place of this one.
         advice: what to write in place of these words.
-        rows: of the table of patterns.
+        rows: rows of the table of patterns.
     """
 
     name: str
@@ -97,25 +101,25 @@ class EventOperator(NamedTuple):
 
     @property
     def meant(self) -> str:
-        """The name of the operator that it is."""
+        """Name of the operator of which this is a name."""
         return self.same_as or self.name
 
     @property
     def spellings(self) -> Tuple[str, ...]:
-        """How it may be spelled."""
+        """All spellings."""
         if self.functors is not None and self.name not in self.functors and not self.priority:
             return self.functors
         return (self.name, self.name.capitalize(), self.name.title(), self.name.upper())
 
     @property
     def keys(self) -> Tuple[Functor, ...]:
-        """The functors of the terms that it makes, and of those that are it where they are written out."""
+        """Functors of the terms that it builds, and of those that denote it in functional notation."""
         names = self.spellings if self.functors is None else self.functors
         return tuple([functor(name, len(self.patterns)) for name in (*names, *self.signs)])
 
     @property
     def fits(self) -> str:
-        """When the intervals of a pair fit, as an expression."""
+        """The condition on the intervals of a pair, as an expression."""
         return " and ".join(self.comparisons) or "True"
 
 
@@ -376,7 +380,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         ),
     ),
 )
-"""The loosest first, as ``current_op/3`` lists them."""
+"""All event operators, the highest priority first, as ``current_op/3`` lists them."""
 
-EVENT_OPERATOR: Dict[str, EventOperator] = {one.name: one for one in EVENT_OPERATORS}
-"""By their names."""
+EVENT_OPERATOR: Dict[str, EventOperator] = {operator.name: operator for operator in EVENT_OPERATORS}
+"""Event operators by name."""

@@ -1,32 +1,24 @@
-"""The pattern of all texts of a shape: one match takes the numbers and quoted atoms out of a text.
+"""Event text: conversion between the text of the String topics and terms, with a cache of templates.
 
-A text that it matches has the skeleton of the shape, with the same parts in its places as `EventReader` splits out;
-what may be otherwise (a number that only JSON takes for one) is left to the reader. A match takes time in proportion
-to the text: between two runs of numbers there is a character that stands in none.
+The texts on a topic differ in their numbers and quoted atoms and in little else. The reader splits these out; the
+rest, the *skeleton*, is the key of a cache of compiled functions (`Builder`) that build the term from them. A builder
+is compiled by parsing the skeleton once with a unique marker in the place of each part, and finding the markers in
+the resulting term. If a marker does not occur exactly once, as an argument or list item, the skeleton is not cached,
+and its texts are always parsed.
 
-Compiles the functions that build all terms of one shape.
+A template must never give another term than the parser. This holds because
 
-Event text to terms, fast for texts of a shape that was seen before.
+* a number is split out only if it is a whole argument or item: after an opening bracket, comma or bar, and before a
+  comma, bar or closing bracket. Its sign belongs to it there, and nothing else in the text depends on its value;
+* a quoted atom is treated alike (`_ALONE`): as an operand of an operator, its name could matter;
+* numbers, quoted atoms and double-quoted atoms leave different skeletons, and a builder checks their counts.
 
-The texts on a topic differ in their numbers and quoted atoms and in little else. These are split out; what
-is left, the skeleton, is the key of a cache of functions that build the term from them. Such a function is
-made by reading the skeleton once with the full reader, with a marker in the place of each part, and finding
-the markers in the term: where one is not found exactly once as an argument or list item, the shape is not
-cached. So a text is read either as the full reader would, or by it.
+If two successive texts that begin with the same event name have the same skeleton, the next ones are not split. They
+are matched as a whole with a regular expression made from the skeleton (`TextTemplate`), which extracts the same
+parts. A text that does not match, or that contains a number that only JSON accepts, goes through the steps above.
+Matching takes time in proportion to the text: between two runs of numbers there is a character that occurs in none.
 
-What makes that safe:
-
-* a number is split out only where it is a whole argument or item: between an opening bracket, comma or
-  bar and the next comma, bar or closing bracket; its sign belongs to it there, and nothing else in the
-  text can depend on which number it is;
-* a quoted atom likewise (`_ALONE`): as an operand of an operator its name could matter;
-* a number, a quoted atom and a double-quoted one leave different skeletons, and a function takes exactly
-  as many of each as its skeleton has places.
-
-Where events of one name come in the same shape one after the other, a text is not even split: it is matched as a
-whole with the pattern of that shape (``wholetexts.py``), which takes the same parts out of it.
-
-Terms to event text, as the String topics carry it.
+In the other direction, `to_text` and `event_text` write terms as event text.
 """
 
 import re
@@ -48,32 +40,34 @@ from .term_reader import read_term
 from .tokenizer import ReadFlags
 
 MAX_SKELETON_CHARACTERS = 4000
-"""Characters of a skeleton from which on the pattern is not worth its memory."""
+"""Length of the longest skeleton for which a regular expression is worth its memory."""
 
 _PLACES = re.compile(r"(\0(?:,\0)*|'(?:[^\0'\"]*')*)")
-"""Numbers with nothing but commas between them, and quoted atoms with no numbers between them."""
+"""Numbers separated only by commas, or quoted atoms without numbers between them."""
 
-_IN_NUMBERS = "-+.,e0123456789"
-_RUN = "([-+.,e0-9]{1,%d})"
-_SPAN = "'[^'\\\\\n]*'"
-_WIDTH = 32
-"""Characters of a number, on average: as many numbers as `_SHORT` are too short then to be infinite."""
+_NUMBER_CHARACTERS = "-+.,e0123456789"
+_RUN_PATTERN = "([-+.,e0-9]{1,%d})"
+_ATOM_PATTERN = "'[^'\\\\\n]*'"
 
-_SHORT = 9
+_MEAN_NUMBER_CHARACTERS = 32
+"""Longest average length of the numbers in a run; longer runs do not match."""
+
+_MAX_FINITE_NUMBERS = 9
+"""Numbers in a run whose average length excludes an infinite value: a float needs 309 digits to be infinite."""
 
 _EXPONENTS = re.compile(r"(?:[^e]*\.[0-9]+e(?:-[0-9]{1,3}|\+?[0-9]{1,2})(?![0-9]))*[^e]*")
 exponents_fit = _EXPONENTS.fullmatch
-"""Whether all that stands before an exponent has a point, and no exponent is out of range, as the reader wants it."""
+"""Returns whether each exponent follows a decimal point and is in range, as the parser requires."""
 
 
 class TextTemplate(NamedTuple):
-    """How the texts of a shape are matched.
+    """A regular expression for the texts of a skeleton.
 
     Attributes:
         pattern: has a group for each run of numbers and each span of quoted atoms.
-        groups: for each group how many numbers there are in it, 0 for a span.
-        atoms: for each group how many quoted atoms there are in it.
-        infinite: whether a number may be so long that it is infinite as a float.
+        groups: for each group, the count of numbers in it; 0 for a span.
+        atoms: for each group, the count of quoted atoms in it.
+        infinite: whether a number may be long enough to be infinite as a float.
     """
 
     pattern: Pattern[str]
@@ -83,7 +77,7 @@ class TextTemplate(NamedTuple):
 
 
 def whole_text(skeleton: str) -> Optional[TextTemplate]:
-    """Return how texts of a skeleton are matched; None where that is not possible or not worth while."""
+    """Return the template of a skeleton; None if it is impossible or not worthwhile."""
     if len(skeleton) > MAX_SKELETON_CHARACTERS or "\\" in skeleton or "\n" in skeleton or '"' in skeleton:
         return None
     parts = _PLACES.split(skeleton)
@@ -91,51 +85,55 @@ def whole_text(skeleton: str) -> Optional[TextTemplate]:
     atoms: List[int] = []
     source = [re.escape(parts[0])]
     for place, literal in zip(parts[1::2], parts[2::2]):
-        number = place.count("\0")
-        if number and not literal.strip(_IN_NUMBERS):
+        count = place.count("\0")
+        # The literal after a run must contain a character that no number contains: otherwise the border between two
+        # runs would be ambiguous, and matching could take quadratic time.
+        if count and not literal.strip(_NUMBER_CHARACTERS):
             return None
-        groups.append(number)
+        groups.append(count)
         atoms.append(place.count("'"))
-        source.append(_RUN % (_WIDTH * number) if number else _span(place))
+        source.append(_RUN_PATTERN % (_MEAN_NUMBER_CHARACTERS * count) if count else _span(place))
         source.append(re.escape(literal))
-    return TextTemplate(re.compile("".join(source)), groups, atoms, max(groups, default=0) > _SHORT)
+    return TextTemplate(
+        re.compile("".join(source)), groups, atoms, max(groups, default=0) > _MAX_FINITE_NUMBERS
+    )
 
 
 def _span(place: str) -> str:
-    """Return the pattern of quoted atoms and what stands between them; in a skeleton, a quote is an atom."""
-    return f"({_SPAN.join(re.escape(literal) for literal in place.split(chr(39)))})"
+    """Return the pattern of a span of quoted atoms and the text between them; each quote denotes an atom."""
+    return f"({_ATOM_PATTERN.join(re.escape(literal) for literal in place.split(chr(39)))})"
 
 
 def span_texts(span: str) -> Tuple[str, ...]:
-    """Return the texts of the quoted atoms of a span."""
+    """Return the texts of the quoted atoms in a span."""
     return tuple(span.split("'")[1::2])
 
 
 scan = JSONDecoder().scan_once  # type: ignore[attr-defined]
-"""Reads numbers in brackets at a place of a text."""
+"""Parses a JSON value at an offset; used for lists of numbers."""
 
 Spans = Cache[str, Tuple[Atom, ...]]
-"""The atoms of spans of quoted atoms, which come again and again."""
+"""Atoms of spans of quoted atoms, which recur in many texts."""
 
-_UNREAD = (ValueError, StopIteration, KeyError)
-"""What it raises for others; the last one on Python 3.8, which imports its error where nothing may be imported."""
+_SCAN_ERRORS = (ValueError, StopIteration, KeyError)
+"""Exceptions of `scan` for other text; KeyError on Python 3.8, whose decoder imports its error class at that
+moment."""
 
 ReadWhole = Callable[[str], Optional[Term]]
-"""Makes the term of a text of one shape; None for a text that has to be read otherwise."""
+"""Builds the term of a text with a known skeleton; returns None for a text that must be read otherwise."""
 
 _SPAN_COPIES = 2
-"""Texts of the length of a span that are held for it: the span, and the names of its atoms."""
+"""Size of a cached span in multiples of its text: the span itself, and the names of its atoms."""
 
 
 class Builder(NamedTuple):
-    """Builds the terms of a shape.
+    """Builds the terms of a skeleton.
 
     Attributes:
-        build: makes one from its numbers, its quoted and its double-quoted texts; raises ValueError where they are
-            not as many.
-        ground: whether there is no variable in them.
-        whole: returns what makes one from a text of a skeleton, which is the shape's; None where that is not worth
-            while.
+        build: returns the term for lists of numbers, quoted texts and double-quoted texts; raises ValueError if their
+            counts are wrong.
+        ground: whether the terms contain no variables.
+        whole: returns the function that reads whole texts of the skeleton; None if it is not worthwhile.
     """
 
     build: Callable[[List[float], List[str], List[str]], Term]
@@ -143,21 +141,26 @@ class Builder(NamedTuple):
     whole: Callable[[str, Spans], Optional[ReadWhole]]
 
 
-_LINES = 3000
-"""A shape of more compound terms is not worth a function."""
+_MAX_LINES = 3000
+"""Lines, one for each compound term, of the longest function that is compiled."""
 
-_NESTED = 16
-"""A list of more items is made by a loop."""
+_MAX_UNROLLED_ITEMS = 16
+"""Items of the longest list that is built by a nested expression; longer ones are built by a loop."""
 
-_LOCALS = 200
-"""More numbers are taken by index from their list, not unpacked into variables."""
+_MAX_LOCALS = 200
+"""Numbers that are unpacked into variables; if there are more, they are accessed by index."""
 
 
 class TemplateCompiler:
-    """Writes the Python function for a term with marks in it."""
+    """Compiles a Python function that builds a term from its marked parts."""
 
     def __init__(self, marks: Dict[Term, str]):
-        """Take the marks: a constant of the term -> its variable: ``n0``, ... numbers; ``q0``, ``s0``, ... text."""
+        """Store the marks.
+
+        Args:
+            marks: a constant in the term -> the variable for it: ``n0``, ... for numbers; ``q0``, ``s0``, ... for
+                text.
+        """
         self._marks = marks
         self._used: Dict[str, int] = dict.fromkeys(marks.values(), 0)
         self._given = codegen.BoundNames(
@@ -173,7 +176,7 @@ class TemplateCompiler:
         self._lines: List[str] = []
 
     def compile(self, term: Term) -> Optional[Builder]:
-        """Return what builds it; None where a mark is missing, stands twice, or the term is too large."""
+        """Return the builder of a term; None if a mark does not occur exactly once, or if the term is too large."""
         result = self._expression(term)
         if result is None or any(count != 1 for count in self._used.values()):
             return None
@@ -184,46 +187,46 @@ class TemplateCompiler:
         return Builder(function, not self._variables, self._whole)
 
     def _whole(self, skeleton: str, spans: Spans) -> Optional[ReadWhole]:
-        """Return what reads whole texts; see `Builder`."""
-        whole = whole_text(skeleton) if len(self._marks) <= _LOCALS else None
-        if whole is None:
+        """Return the function that reads whole texts; see `Builder`."""
+        template = whole_text(skeleton) if len(self._marks) <= _MAX_LOCALS else None
+        if template is None:
             return None
 
         def learn(span: str) -> Tuple[Atom, ...]:
             return spans.keep(span, tuple(map(atom, span_texts(span))), _SPAN_COPIES * text_size(span))
 
-        given: Dict[str, Any] = {
+        names: Dict[str, Any] = {
             **self._given.values,
-            "match": whole.pattern.fullmatch,
+            "match": template.pattern.fullmatch,
             "known": spans.get,
             "learn": learn,
             "scan": scan,
             "fits": exponents_fit,
             "most": float("inf"),
-            "Unread": _UNREAD,
+            "Unread": _SCAN_ERRORS,
         }
-        body = [*_taking_apart(whole), *self._lines]
+        body = [*_extraction_lines(template), *self._lines]
         lines = ["def read(text):", *(" " + line for line in body)]
-        found: ReadWhole = codegen.function(lines, given, "event text", "read")
-        return found
+        read: ReadWhole = codegen.function(lines, names, "event text", "read")
+        return read
 
     def _unpacking(self) -> List[str]:
         lines = []
-        for kind in "nqs":
-            names = [name for name in self._marks.values() if name[0] == kind]
-            if names and not (kind == "n" and len(names) > _LOCALS):
-                lines.append(f"{', '.join(names)}, = {kind}")
+        for list_name in "nqs":
+            names = [name for name in self._marks.values() if name[0] == list_name]
+            if names and not (list_name == "n" and len(names) > _MAX_LOCALS):
+                lines.append(f"{', '.join(names)}, = {list_name}")
             else:
-                lines.append(f"if len({kind}) != {len(names)}: raise ValueError")
-            if kind == "q":
+                lines.append(f"if len({list_name}) != {len(names)}: raise ValueError")
+            if list_name == "q":
                 lines += [f"{name} = atom({name})" for name in names]
-            elif kind == "s":
+            elif list_name == "s":
                 lines += [f"{name} = atom(f'\"{{{name}}}\"')" for name in names]
         return lines
 
     def _expression(self, term: Term) -> Optional[str]:
-        """Write the lines that build the parts of a term; return the expression of the term."""
-        # An entry is a term to do, or a compound term whose arguments are on top of the results.
+        """Generate the lines that build the subterms of a term; return the expression for the term itself."""
+        # An entry is a term (count -1), or a compound term whose arguments are the last `count` results.
         stack: List[Tuple[Term, int]] = [(term, -1)]
         results: List[str] = []
         while stack:
@@ -238,7 +241,7 @@ class TemplateCompiler:
                 arguments = results[len(results) - count :]
                 del results[len(results) - count :]
                 results.append(self._compound(part, arguments))
-                if len(self._lines) > _LINES:
+                if len(self._lines) > _MAX_LINES:
                     return None
         return results[0]
 
@@ -249,24 +252,24 @@ class TemplateCompiler:
         if mark is None:
             return self._constant(term)
         self._used[mark] += 1
-        return f"n[{mark[1:]}]" if mark[0] == "n" and len(self._marks) > _LOCALS else mark
+        return f"n[{mark[1:]}]" if mark[0] == "n" and len(self._marks) > _MAX_LOCALS else mark
 
     def _constant(self, value: Union[Term, Functor]) -> str:
         key = (value.__class__, value.hex() if isinstance(value, float) else value)
         return self._given.constant(value, key)
 
     def _compound(self, term: CompoundTerm, arguments: List[str]) -> str:
-        found: Functor = term[0]
-        if found is not CONS:
-            return self._temporary(f"({self._constant(found)}, {', '.join(arguments)})")
+        key: Functor = term[0]
+        if key is not CONS:
+            return self._temporary(f"({self._constant(key)}, {', '.join(arguments)})")
         *items, tail = arguments
-        if len(items) > _NESTED:
+        if len(items) > _MAX_UNROLLED_ITEMS:
             first = items[0]
-            run = [f"n[{at}]" for at in range(_index(first), _index(first) + len(items))]
-            several = (
+            run = [f"n[{index}]" for index in range(_index(first), _index(first) + len(items))]
+            values = (
                 f"n[{run[0][2:-1]}:{int(run[-1][2:-1]) + 1}]" if run == items else f"({', '.join(items)})"
             )
-            return self._temporary(f"make_list({several}, {tail})")
+            return self._temporary(f"make_list({values}, {tail})")
         for item in reversed(items):
             tail = f"(C, {item}, {tail})"
         return self._temporary(tail)
@@ -276,25 +279,25 @@ class TemplateCompiler:
         return f"t{len(self._lines) - 1}"
 
 
-def _taking_apart(whole: TextTemplate) -> List[str]:
-    """Return the lines that take the numbers and atoms out of a text, or return None for one that is otherwise."""
-    groups = [f"g{at}" for at in range(len(whole.groups))]
+def _extraction_lines(template: TextTemplate) -> List[str]:
+    """Return the lines that extract numbers and atoms from a text, and return None if it does not match."""
+    groups = [f"g{index}" for index in range(len(template.groups))]
     lines = ["found = match(text)", "if found is None: return None"]
     if groups:
         lines.append(f"{', '.join(groups)}, = found.groups()")
     runs: List[List[str]] = []
     numbers: List[str] = []
     atoms = 0
-    for group, number, span in zip(groups, whole.groups, whole.atoms):
-        if number:
-            runs.append([f"n{len(numbers) + at}" for at in range(number)])
+    for group, count, span in zip(groups, template.groups, template.atoms):
+        if count:
+            runs.append([f"n{len(numbers) + index}" for index in range(count)])
             numbers += runs[-1]
         else:
-            names = [f"q{atoms + at}" for at in range(span)]
+            names = [f"q{atoms + index}" for index in range(span)]
             atoms += span
             lines.append(f"{', '.join(names)}, = known({group}) or learn({group})")
     if numbers:
-        texts = [f"[{{{group}}}]" for group, number in zip(groups, whole.groups) if number]
+        texts = [f"[{{{group}}}]" for group, count in zip(groups, template.groups) if count]
         places = "".join(f"({', '.join(run)},), " for run in runs)
         lines += [
             f'numbers = f"[{",".join(texts)}]"',
@@ -303,14 +306,15 @@ def _taking_apart(whole: TextTemplate) -> List[str]:
             f" {places} = scan(numbers, 0)[0]",
             "except Unread: return None",
         ]
-    if whole.infinite:
+    # JSON reads 1e999 or a number of 400 digits as infinity, which event text writes as `inf`.
+    if template.infinite:
         values = ", ".join(numbers)
         lines.append(f"if most in ({values},) or -most in ({values},): return None")
     return lines
 
 
 def _items(term: CompoundTerm) -> List[Term]:
-    """Return the arguments of a compound term; of a list, its items and its tail."""
+    """Return the arguments of a compound term; for a list, its items and its tail."""
     if term[0] is not CONS:
         return list(term[1:])
     items = []
@@ -327,7 +331,7 @@ def _index(name: str) -> int:
 
 
 Parts = Tuple[str, List[str], List[str], List[str]]
-"""Skeleton, numbers, quoted atoms, double-quoted atoms."""
+"""Skeleton, numbers, quoted atoms, and double-quoted atoms of a text."""
 
 EVENT_TEXT = ReadFlags(event_text=True)
 
@@ -336,56 +340,71 @@ _NUMBER = re.compile(
     r"(-?(?:[0-9]{1,200}(?:\.[0-9]{1,200}(?:[eE](?:-[0-9]{1,3}|\+?[0-9]{1,2}))?)?|inf|nan))"
     r"(?=[,)\]|])"
 )
+"""A number that is a whole argument or item."""
 _QUOTE = re.compile("['\"]")
 _ALONE = re.compile(r"(?:^|[(\[{,|])\s*(?:'|\"\")\s*(?=$|[)\]},|])")
+"""A quoted atom that is a whole argument, item or text."""
 _PLACE = re.compile('[\0\']|""')
-_JOINTS = re.compile("\0([(,\\[|] *)\0")
+"""A place in a skeleton: of a number, a quoted atom, or a double-quoted atom."""
+_ADJACENT_NUMBERS = re.compile("\0([(,\\[|] *)\0")
+"""Adjacent numbers in a skeleton, which `_NUMBER` has split one by one."""
 
-_SHAPES = 512
-_MAX_SHAPE_CHARACTERS = 50_000
+_MAX_SKELETONS = 512
+"""Skeletons with a cached builder."""
+
+_MAX_BUILDER_CHARACTERS = 50_000
+"""Length of the longest skeleton with a builder."""
+
 _TEMPLATE_COST = 32
-"""Bytes of a function for each character of its skeleton, as measured."""
+"""Memory of a builder in bytes for each character of its skeleton, as measured."""
+
 _MARK = 10**40
+"""The first integer that marks the place of a number: too large to occur in a message."""
 
 _EVENT = "event("
 
 _WHOLE, _WHOLE_COST = 4000, 32
-"""Bytes of what reads whole texts: of each, and for each character of their skeleton, as measured."""
+"""Memory of a function for whole texts in bytes: for each, and for each character of its skeleton, as measured."""
 
-_HEADS = 256
-"""Names of events whose texts are read as a whole, at most."""
+_MAX_EVENT_NAMES = 256
+"""Event names whose texts are read as a whole."""
 
 
 class EventReader:
-    """Reads event text; keeps what it learns of the shapes of texts, in bounded memory.
+    """Reads event text; caches templates in bounded memory.
 
-    Event text is Prolog text with `ReadFlags.event_text`: ``nan``, ``inf`` and ``-inf`` are floats, and
-    ``"text"`` is the atom ``'"text"'``. Not for use by two threads at once.
+    Event text is Prolog text with `ReadFlags.event_text`: ``nan``, ``inf`` and ``-inf`` are floats, and ``"text"`` is
+    the atom ``'"text"'``. Not thread-safe.
     """
 
     def __init__(self, operators: Optional[Operators] = None):
-        """Take the operators that hold in the texts; Prolog's by default. They must not change later."""
+        """Create a reader.
+
+        Args:
+            operators: the operators in the texts, Prolog's by default. They must not change later.
+        """
         self._operators = Operators.prolog() if operators is None else operators
         self._builders: Cache[str, Optional[Builder]] = Cache(
-            _SHAPES, _TEMPLATE_COST * 256_000, _TEMPLATE_COST * 60_000
+            _MAX_SKELETONS, _TEMPLATE_COST * 256_000, _TEMPLATE_COST * 60_000
         )
-        self._wholes: Cache[str, Optional[ReadWhole]] = Cache(_SHAPES, 8 << 20)
-        """What reads whole texts, by their skeleton."""
-        self._whole: Cache[str, Optional[ReadWhole]] = Cache(_HEADS, 1 << 18)
-        """What reads the texts of an event's name that have the shape of the last ones; None where that failed."""
-        self._last: Cache[str, str] = Cache(_HEADS, 1 << 20)
-        """The skeleton of the last text of an event's name."""
+        self._wholes: Cache[str, Optional[ReadWhole]] = Cache(_MAX_SKELETONS, 8 << 20)
+        """Functions for whole texts, by skeleton."""
+        self._whole: Cache[str, Optional[ReadWhole]] = Cache(_MAX_EVENT_NAMES, 1 << 18)
+        """Functions for whole texts, by event name; None if the last text did not match."""
+        self._last: Cache[str, str] = Cache(_MAX_EVENT_NAMES, 1 << 20)
+        """Skeleton of the last text, by event name."""
         self._spans: Spans = Cache(2048, 1 << 20, 4096)
         self.ground: Optional[bool] = None
-        """Whether the term that was read last has no variables; None where that is not known."""
+        """Whether the term that was read last has no variables; None if unknown."""
 
     def read(self, text: str) -> Term:
         """Return the term of a text.
 
         Raises:
-            SyntaxFault: where the text is not exactly one term.
+            SyntaxFault: if the text is not exactly one term.
         """
         self.ground = None
+        # The text up to the event's bracket identifies the event name; other texts have no such prefix and are split.
         head = text[: text.find("(", len(_EVENT))] if text.startswith(_EVENT) else ""
         whole = self._whole.get(head)
         if whole is not None:
@@ -394,6 +413,7 @@ class EventReader:
                 self.ground = True
                 return term
             self._whole[head] = None
+        # Without escapes and doubled quotes, every quote opens or closes an atom, and splitting at quotes is enough.
         if "\\" in text or "''" in text or "\n" in text:
             parts = _split_escaped(text)
         else:
@@ -404,7 +424,7 @@ class EventReader:
         try:
             builder = self._builders[skeleton]
         except KeyError:
-            builder = self._learn(skeleton)
+            builder = self._compile_builder(skeleton)
         if builder is None:
             return self._read_fully(text)
         try:
@@ -413,32 +433,32 @@ class EventReader:
             values = [_number(number) for number in numbers]
         try:
             term = builder.build(values, quoted, strings)
-        except ValueError:  # the text has a character that marks places in skeletons
+        except ValueError:  # the text itself contains the character that marks numbers in skeletons
             return self._read_fully(text)
         self.ground = builder.ground
         if head and builder.ground:
-            self._note(head, skeleton, builder)
+            self._record_skeleton(head, skeleton, builder)
         return term
 
-    def _note(self, head: str, skeleton: str, builder: Builder) -> None:
-        """Note the shape of a text; where the last one had it too, have the next ones read as a whole."""
+    def _record_skeleton(self, head: str, skeleton: str, builder: Builder) -> None:
+        """Record the skeleton of a text; if the last text had the same one, read the next ones as a whole."""
         if self._last.get(head) != skeleton:
             self._last.keep(head, skeleton, len(head) + len(skeleton))
             return
         try:
             whole = self._wholes[skeleton]
         except KeyError:
-            made = builder.whole(_plain(skeleton), self._spans)
-            whole = self._wholes.keep(skeleton, made, _WHOLE + _WHOLE_COST * len(skeleton))
+            function = builder.whole(_join_marks(skeleton), self._spans)
+            whole = self._wholes.keep(skeleton, function, _WHOLE + _WHOLE_COST * len(skeleton))
         if self._whole.get(head) is not whole:
             self._whole.keep(head, whole, len(head))
 
     def _read_fully(self, text: str) -> Term:
         return read_term(text, self._operators, "event text", EVENT_TEXT, positions=False).term
 
-    def _learn(self, skeleton: str) -> Optional[Builder]:
-        """Return the function that builds the terms of a skeleton, or None where there can be none."""
-        if len(skeleton) > _MAX_SHAPE_CHARACTERS:
+    def _compile_builder(self, skeleton: str) -> Optional[Builder]:
+        """Return a new builder for a skeleton; None if there cannot be one."""
+        if len(skeleton) > _MAX_BUILDER_CHARACTERS:
             return None
         return self._builders.keep(
             skeleton, _builder(skeleton, self._operators), _TEMPLATE_COST * len(skeleton)
@@ -446,7 +466,8 @@ class EventReader:
 
 
 def _split(text: str) -> Optional[Parts]:
-    """Split a text in which every quote opens or closes a quoted atom, so that they can be counted off."""
+    """Split a text in which every quote opens or closes a quoted atom."""
+    # Odd pieces are inside of quotes. In an unbalanced text they are wrong, and the skeleton does not parse.
     pieces = text.split("'")
     quoted = pieces[1::2]
     rest = "'".join(pieces[::2])
@@ -464,19 +485,19 @@ def _split(text: str) -> Optional[Parts]:
 
 
 def _split_escaped(text: str) -> Optional[Parts]:
-    """Split a text that has escapes, doubled quotes or several lines."""
+    """Split a text with escapes, doubled quotes or several lines."""
     quoted: List[str] = []
     strings: List[str] = []
     rest: List[str] = []
     end = 0
-    found = _QUOTE.search(text)
-    while found is not None:
-        start = found.start()
+    quote_match = _QUOTE.search(text)
+    while quote_match is not None:
+        start = quote_match.start()
         rest.append(text[end:start])
-        closed = closing(text, start)
-        if closed is None:
+        closing_at = closing(text, start)
+        if closing_at is None:
             return None
-        end = closed
+        end = closing_at
         quote = text[start]
         try:
             body = unquote(text[start + 1 : end - 1], quote)
@@ -488,7 +509,7 @@ def _split_escaped(text: str) -> Optional[Parts]:
         else:
             rest.append('""')
             strings.append(body)
-        found = _QUOTE.search(text, end)
+        quote_match = _QUOTE.search(text, end)
     rest.append(text[end:])
     pieces = _NUMBER.split("".join(rest))
     numbers = pieces[2::3]
@@ -500,14 +521,14 @@ def _number(text: str) -> float:
     return int(text) if text.lstrip("-").isdigit() else float(text)
 
 
-def _plain(skeleton: str) -> str:
-    """Return a skeleton with one mark for each number."""
-    return _JOINTS.sub(r"\1\0", skeleton)
+def _join_marks(skeleton: str) -> str:
+    """Return a skeleton without the separate marks that adjacent numbers have."""
+    return _ADJACENT_NUMBERS.sub(r"\1\0", skeleton)
 
 
 def _builder(skeleton: str, operators: Operators) -> Optional[Builder]:
-    """Compile the function that builds the terms of a skeleton; None where a part is not a plain argument."""
-    skeleton = _plain(skeleton)
+    """Compile the builder of a skeleton; None if a part is not a whole argument."""
+    skeleton = _join_marks(skeleton)
     if len(_ALONE.findall(skeleton)) != skeleton.count("'") + skeleton.count('""'):
         return None
     text, marks = _marked(skeleton)
@@ -519,12 +540,12 @@ def _builder(skeleton: str, operators: Operators) -> Optional[Builder]:
 
 
 def _marked(skeleton: str) -> Tuple[str, Dict[Term, str]]:
-    """Return the skeleton with a mark in each place, and the variable that stands for each mark."""
+    """Return the skeleton with a unique constant in each place, and the variable for each constant."""
     marks: Dict[Term, str] = {}
     counts = {"\0": 0, "'": 0, '""': 0}
 
-    def mark(found: "Match[str]") -> str:
-        place = found.group()
+    def mark(place_match: "Match[str]") -> str:
+        place = place_match.group()
         number = counts[place]
         counts[place] = number + 1
         if place == "\0":
@@ -541,10 +562,10 @@ def _marked(skeleton: str) -> Tuple[str, Dict[Term, str]]:
 def to_text(  # noqa: C901 -- the loop of all events that go out: a call for each part would cost as much
     term: Term,
 ) -> str:
-    """Return a term as event text: quoted, without operators and blanks.
+    """Return a term as event text: quoted, in functional notation, without spaces.
 
-    Floats are written as Python's shortest text that reads back; ``nan``, ``inf`` and ``-inf`` bare (the
-    atoms of these names are quoted).
+    Floats are written as the shortest text that reads back; ``nan``, ``inf`` and ``-inf`` are written bare, and the
+    atoms of these names are quoted.
     """
     out: List[str] = []
     put = out.append
@@ -580,10 +601,10 @@ def to_text(  # noqa: C901 -- the loop of all events that go out: a call for eac
 
 
 def event_text(event: str, instant: int) -> str:
-    """Return the goal that makes an event, from the event's text and its instant.
+    """Return the goal that creates an event, from the event's text and its instant (ns).
 
     Raises:
-        UsageError: where the instant lies outside the years 1 to 9999.
+        UsageError: if the instant is outside the years 1 to 9999.
     """
     seconds, nanoseconds = divmod(instant, SECOND)
     stamp = f"{_second_text(seconds)}{nanoseconds})"
@@ -592,7 +613,7 @@ def event_text(event: str, instant: int) -> str:
 
 @lru_cache(maxsize=64)
 def _second_text(seconds: int) -> str:
-    """Return the text of a datime up to its nanoseconds; many events fall into one second."""
+    """Return the text of a datime up to its nanoseconds; cached, because many events occur in one second."""
     return to_text(datime(seconds * SECOND))[:-2]
 
 
@@ -614,8 +635,9 @@ def _name(name: str) -> str:
 
 
 def float_text(value: float) -> str:
-    """Return a float as event text has it."""
+    """Return a float as event text."""
     text = repr(value)
+    # The parser requires a decimal point before an exponent, which `repr` omits for 1e+20.
     if "e" in text and "." not in text:
         text = text.replace("e", ".0e")
     return text

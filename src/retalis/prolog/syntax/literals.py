@@ -1,9 +1,11 @@
-"""How atoms, strings and numbers look in text.
+"""Text of atoms, quoted text and numbers, and conversion of numbers from text.
 
-Numbers and their text, in both directions.
+Atoms are quoted if they would not be read back as the same atom (ISO 13211-1, 7.10.5). Floats are written as the
+shortest decimal text that reads back, which is what Python's ``repr`` returns.
 
-Python refuses to convert long decimal texts (4,300 digits, a guard against slow conversion), so long
-integers are converted here in halves, which is also faster.
+Long integers: Python refuses to convert decimal texts of more than 4,300 digits, because its conversion takes
+quadratic time. The conversions here divide a number into halves, which is faster and needs no change of Python's
+limit.
 """
 
 import re
@@ -16,25 +18,28 @@ from ...foundation.cancellation import look
 from ...foundation.python_interpreter import LONG_DECIMALS
 
 _PLAIN = re.compile(r"[^\W\d_]\w*\Z|[-+*/\\^<>=~:.?@#&$]+\Z|\[\]\Z|\{\}\Z|[!;]\Z")
+"""Names that need no quotes: words, symbol characters, and solo atoms."""
 _ESCAPED = re.compile(r"""[^ -&(-\[\]-~]|[\\'"`]""")
-_LONG = 1 << 14
-"""Characters that are escaped between two looks at the limits of a goal."""
+"""Characters that may need an escape within quotes."""
+_CHUNK_CHARACTERS = 1 << 14
+"""Characters that are escaped between two checks of the goal's limits."""
 _NAMED = {"\a": "\\a", "\b": "\\b", "\f": "\\f", "\n": "\\n", "\t": "\\t", "\v": "\\v", "\r": "\\r"}
 
 
 def needs_quotes(name: str) -> bool:
-    """Tell whether an atom of this name has to be quoted to be read back."""
+    """Return whether an atom of this name must be quoted to be read back."""
     if _PLAIN.match(name) is None:
         return len(name) != 1 or ord(name) < 128 or unicodedata.category(name)[0] != "S"
     first = name[0]
+    # Title-case letters (category Lt) begin variables, too. `.` would end the clause, and `/*` begin a comment.
     return first.isupper() or first.istitle() or name == "." or name[:2] == "/*"
 
 
 def quote(text: str, mark: str) -> str:
-    """Return a text between quotes, escaped so that it is read back."""
+    """Return a text in quotes, with the escapes that reading it back requires."""
 
-    def escape(found: "Match[str]") -> str:
-        char = found.group()
+    def escape(match: "Match[str]") -> str:
+        char = match.group()
         if char in "'\"`":
             return "\\" + char if char == mark else char
         if char == "\\":
@@ -44,12 +49,12 @@ def quote(text: str, mark: str) -> str:
             return named
         return char if char.isprintable() else f"\\x{ord(char):X}\\"
 
-    if len(text) <= _LONG:
+    if len(text) <= _CHUNK_CHARACTERS:
         return f"{mark}{_ESCAPED.sub(escape, text)}{mark}"
     look(size=len(text))
     pieces = []
-    for start in range(0, len(text), _LONG):
-        pieces.append(_ESCAPED.sub(escape, text[start : start + _LONG]))
+    for start in range(0, len(text), _CHUNK_CHARACTERS):
+        pieces.append(_ESCAPED.sub(escape, text[start : start + _CHUNK_CHARACTERS]))
         look()
     look(size=sum(map(len, pieces)))
     return f"{mark}{''.join(pieces)}{mark}"
@@ -60,34 +65,40 @@ def _atom_text(name: str) -> str:
 
 
 atom_text: Callable[[str], str] = Texts(_atom_text, 8192, 4 << 20, 2048).__getitem__
-"""Return an atom as `writeq` shows it."""
+"""Return an atom as ``writeq/1`` writes it; cached."""
 
 
-_SAFE = 4000
+_SAFE_DIGITS = 4000
 """Decimal digits that every Python version converts."""
 
 _SAFE_BITS = 4096
+"""Bits of an integer that `Decimal` converts quickly."""
 
 _MAX_DIGITS = 315_653
-"""Digits of the longest number that is read: those of the largest integer that arithmetic makes."""
+"""Digits of the longest number that is read: as many as the largest integer of arithmetic has."""
 
-_SAFE_MAX = 10**_SAFE
+_SAFE_MAX = 10**_SAFE_DIGITS
 _SAFE_MIN = -_SAFE_MAX
 
 
 def integer(text: str, radix: int = 10) -> int:
-    """Return the integer that a text of digits names.
+    """Return the integer that a text of digits denotes.
 
     Raises:
-        ValueError: where a digit is none in this radix, or there are too many.
+        ValueError: if a character is not a digit in this radix, or there are too many digits.
     """
     if len(text) > _MAX_DIGITS:
         raise ValueError(f"a number of {len(text)} digits is too long (at most {_MAX_DIGITS} are allowed)")
-    if len(text) <= _SAFE or radix in (2, 4, 8, 16, 32):
+    # Python converts radices that are powers of two in linear time, without a limit.
+    if len(text) <= _SAFE_DIGITS or radix in (2, 4, 8, 16, 32):
         return int(text, radix)
-    values = [int(text[max(0, at - _SAFE) : at], radix) for at in range(len(text), 0, -_SAFE)]
-    scale = radix**_SAFE
-    while len(values) > 1:  # least significant first; neighbours are joined until one is left
+    ends = range(len(text), 0, -_SAFE_DIGITS)
+    values = [int(text[max(0, end - _SAFE_DIGITS) : end], radix) for end in ends]
+    scale = radix**_SAFE_DIGITS
+    # The blocks are in order of significance, lowest first. Adjacent blocks are combined until one is left: the
+    # number of multiplications is logarithmic in the number of blocks, and Python multiplies large numbers in
+    # n^1.58 (Karatsuba).
+    while len(values) > 1:
         look()
         if len(values) % 2:
             values.append(0)
@@ -103,7 +114,7 @@ def integer_text(value: int) -> str:
     if value < 0:
         return "-" + integer_text(-value)
     if not LONG_DECIMALS:
-        return _divided(value)
+        return _text_by_division(value)
     with localcontext() as context:
         context.prec, context.Emax = MAX_PREC, MAX_EMAX
         context.traps[Inexact] = True
@@ -111,15 +122,14 @@ def integer_text(value: int) -> str:
 
 
 def _decimal(value: int) -> Decimal:
-    """Return an integer as a decimal number, whose products take little more than linear time.
-
-    The bits are halved until Python converts them quickly; the halves are put together as decimals.
-    """
+    """Return an integer as a `Decimal`."""
+    # The bits are halved until `Decimal` converts them quickly, and the halves are combined as decimals. libmpdec
+    # multiplies with a number-theoretic transform, in little more than linear time.
     sizes = [value.bit_length()]
     while sizes[-1] > _SAFE_BITS:
         sizes.append((sizes[-1] + 1) // 2)
     parts = [value]
-    for size in sizes[1:]:  # most significant first
+    for size in sizes[1:]:  # parts are in order of significance, highest first
         look()
         mask = (1 << size) - 1
         parts = [half for part in parts for half in (part >> size, part & mask)]
@@ -131,26 +141,26 @@ def _decimal(value: int) -> Decimal:
     return numbers[0]
 
 
-def _divided(value: int) -> str:
-    """Return the text of an integer of more than `_SAFE` digits by divisions, which take longer."""
+def _text_by_division(value: int) -> str:
+    """Return the text of an integer of more than `_SAFE_DIGITS` digits by repeated division, which is slower."""
     scales = [_SAFE_MAX]
     while scales[-1] <= value:
         look()
         scales.append(scales[-1] ** 2)
     parts = [value]
-    for scale in reversed(scales[:-1]):  # most significant first
+    for scale in reversed(scales[:-1]):  # parts are in order of significance, highest first
         halves = []
         for part in parts:
             look()
             halves += divmod(part, scale)
         parts = halves
-    return "".join(str(part).zfill(_SAFE) for part in parts).lstrip("0")
+    return "".join(str(part).zfill(_SAFE_DIGITS) for part in parts).lstrip("0")
 
 
 def float_text(value: float) -> str:
-    """Return a float as SWI-Prolog 9 writes it: shortest text that reads back, always with a point.
+    """Return a float as SWI-Prolog 9 writes it: the shortest text that reads back, always with a decimal point.
 
-    Whole numbers from 1e15 on have an exponent, as there; infinities and nan are ``1.0Inf`` and ``1.5NaN``.
+    Whole numbers from 1e15 on have an exponent. Infinities and nan are ``1.0Inf`` and ``1.5NaN``.
     """
     text = repr(value)
     if "e" in text:
@@ -173,10 +183,10 @@ def _exponent_form(text: str) -> str:
 
 
 def float_value(text: str) -> float:
-    """Return the float that a text names.
+    """Return the float that a text denotes.
 
     Raises:
-        ValueError: where the number is too large for a double.
+        ValueError: if the number is too large for a double.
     """
     if text.endswith("Inf"):
         return float("inf")
@@ -192,7 +202,7 @@ def radix_integer(text: str) -> int:
     """Return the integer of a text such as ``16'FF``, ``0xFF``, ``0o17`` or ``0b11``.
 
     Raises:
-        ValueError: where the radix is not 2 to 36, or a digit is none in it.
+        ValueError: if the radix is not 2 to 36, or a character is not a digit in it.
     """
     if "'" in text:
         radix, digits = text.split("'")

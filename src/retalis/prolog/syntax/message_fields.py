@@ -1,9 +1,15 @@
-"""Slots by name: ``std_msgs__0__Header{frame_id: F}`` is that message with a variable for each slot not named.
+"""Messages with named fields: their description, completion, and float fields.
 
-Where the term is made and not matched, slots that are not named are zero or empty: in heads of rules, formats, and
-events that a goal makes.
+``std_msgs__0__Header{frame_id: F}`` denotes the message with a variable for each field that is not named. If the term
+is constructed and not matched, such fields are zero or empty instead: in heads of rules, formats, and events that a
+goal creates. `made_in` finds the constructed parts of a clause, and `complete` binds the variables in them.
 
-Integers where a message has floats: ``{x: 0}`` means 0.0, as no message has an integer there.
+The names in the code and error messages call a field a *slot*.
+
+The parser records the notation of each message (`NamedForm`), so that listings and explanations can show it as
+written.
+
+Integers in float fields: ``{x: 0}`` denotes 0.0, because no message has an integer in such a field.
 """
 
 from math import copysign
@@ -14,7 +20,7 @@ from ..terms.types import CONS, CompoundTerm, Functor, Term, Var, deref, functor
 
 _ARROW = functor("<-", 2)
 _DO = functor("do", 2)
-_HEADS = {
+_HEAD_WRAPPERS = {
     functor(name, arity): 1
     for name, arity in (
         ("exceptionAlarm", 2),
@@ -25,11 +31,12 @@ _HEADS = {
         ("syncronized", 4),
     )
 }
-"""Heads around an event, and which argument that is; the others are no part of what is made."""
+"""Functors around the event in a head, with the number of the argument that is the event; other arguments are not
+constructed."""
 
 _REV = functor("rev", 1)
 
-_MADE: Dict[Functor, int] = {
+_CONSTRUCTING_GOALS: Dict[Functor, int] = {
     functor(name, arity): number
     for name, arity, number in (
         ("subscribe", 5, 3),
@@ -43,21 +50,23 @@ _MADE: Dict[Functor, int] = {
         ("new_event", 5, 1),
     )
 }
-"""Goals that make something, and of which argument."""
+"""Goals that construct a term, with the number of the argument that is the term."""
 
-_ASKING = frozenset((functor("stored_event", 1), functor("fired_event", 2), functor("justify_event", 3)))
-"""Goals in which ``event/2`` makes nothing."""
+_MATCHING_GOALS = frozenset(
+    (functor("stored_event", 1), functor("fired_event", 2), functor("justify_event", 3))
+)
+"""Goals within which ``event/2`` matches and constructs nothing."""
 
 
 class MessageSlot(NamedTuple):
-    """A slot of a message.
+    """A field of a message.
 
     Attributes:
-        name: its name.
-        type: its type, as errors show it.
-        message: what terms of its messages are called, "" where it has none.
+        name: the name.
+        type: the type, as error messages show it.
+        message: the functor name of the field's messages; empty if the type is no message type.
         array: whether it is an array.
-        zero: its value where nobody gives it one.
+        zero: its default value.
         real: whether its numbers are floats.
     """
 
@@ -70,13 +79,13 @@ class MessageSlot(NamedTuple):
 
 
 class NamedForm(NamedTuple):
-    """A way of writing messages.
+    """The notation of a message.
 
     Attributes:
-        functor: of the message.
-        named: the slots that are named, by their numbers.
-        made: whether the others are zero.
-        whole: the slots of floats that were given as integers.
+        functor: the functor of the message.
+        named: numbers of the named fields, in their written order.
+        made: whether the other fields are zero.
+        whole: numbers of float fields that were written as integers.
     """
 
     functor: Functor
@@ -86,27 +95,27 @@ class NamedForm(NamedTuple):
 
 
 class Slots(Protocol):
-    """Gives the slots of messages, and remembers how they were written."""
+    """Provides the fields of messages, and stores the notations that programs use."""
 
     forms: "Cache[NamedForm, bool]"
 
     def find(self, name: str) -> Optional[Sequence[MessageSlot]]:
-        """Return the slots of the messages that are called so; None where no messages are.
+        """Return the fields of a message by its functor name; None if no message has the name.
 
         Raises:
-            RetalisError: where they are not known.
+            RetalisError: if the definition cannot be read.
         """
 
     def meant(self, name: str) -> "Meant":
-        """Return which messages were probably meant by a name that none are called."""
+        """Return the messages that a misspelt name probably denotes."""
 
 
 class Meant(NamedTuple):
-    """Messages that a name probably means.
+    """Messages that a name probably denotes.
 
     Attributes:
-        names: what their terms are called, the likeliest first.
-        other: whether the name is one of theirs in another notation, not a misspelt one.
+        names: functor names, the likeliest first.
+        other: whether the name is valid in another notation, and not misspelt.
     """
 
     names: Tuple[str, ...] = ()
@@ -114,9 +123,13 @@ class Meant(NamedTuple):
 
 
 class Expanded(NamedTuple):
-    """A message as it was read: its term, the slots that were named, the values of the others if it is made.
+    """A message with named fields as it was read.
 
-    ``whole`` are the slots of floats that were given as integers.
+    Attributes:
+        term: the message.
+        named: numbers of the named fields.
+        zeros: the variables of the other fields, with their values if the message is constructed.
+        whole: numbers of float fields that were written as integers.
     """
 
     term: CompoundTerm
@@ -126,36 +139,37 @@ class Expanded(NamedTuple):
 
 
 def made_in(term: Term) -> Iterator[Term]:
-    """Yield the parts of a clause or goal that are made, each with all that is in it."""
+    """Yield the constructed parts of a clause or goal, each with its subterms."""
     stack: List[Term] = [term]
     while stack:
         part = deref(stack.pop())
-        if part.__class__ is not tuple or part[0] in _ASKING:
+        if part.__class__ is not tuple or part[0] in _MATCHING_GOALS:
             continue
         if part[0] is _ARROW:
-            yield from _made_by_head(part[1])
+            # The head constructs an event. The pattern only matches, but goals within it may construct terms.
+            yield from _constructed_by_head(part[1])
             stack.append(part[2])
             continue
-        number = _MADE.get(part[0], 0)
+        number = _CONSTRUCTING_GOALS.get(part[0], 0)
         if number:
             yield part[number]
-        stack += [one for at, one in enumerate(part) if at and at != number]
+        stack += [argument for index, argument in enumerate(part) if index and index != number]
 
 
-def _made_by_head(head: Term) -> Iterator[Term]:
+def _constructed_by_head(head: Term) -> Iterator[Term]:
     head = deref(head)
     if head.__class__ is tuple and head[0] is _DO:
         yield from made_in(head[2])
         head = deref(head[1])
-    if head.__class__ is tuple and head[0] in _HEADS:
-        head = head[_HEADS[head[0]]]
+    if head.__class__ is tuple and head[0] in _HEAD_WRAPPERS:
+        head = head[_HEAD_WRAPPERS[head[0]]]
     elif head.__class__ is tuple and head[0] is _REV:
         return
     yield head
 
 
 def parts_in(term: Term) -> Iterator[CompoundTerm]:
-    """Yield the compound terms in a term, itself included."""
+    """Yield the compound terms within a term, the term included."""
     stack: List[Term] = [term]
     while stack:
         part = deref(stack.pop())
@@ -165,43 +179,44 @@ def parts_in(term: Term) -> Iterator[CompoundTerm]:
 
 
 def complete(term: Term, expanded: Sequence[Expanded], slots: Slots, made: bool) -> None:
-    """Give slots that were not named their values, in the parts of a term that are made, and note how it was written.
+    """Bind fields that were not named to their default values in constructed messages, and store the notations.
 
     Args:
-        term: what was read.
-        expanded: the messages in it whose slots were named.
-        slots: where it is noted.
-        made: whether all of the term is made.
+        term: the clause or term.
+        expanded: the messages with named fields within it.
+        slots: stores the notations.
+        made: whether the whole term is constructed.
     """
-    found: Set[int] = set()
+    # Terms are compared by identity: equal messages may stand in a head and in a pattern.
+    constructed: Set[int] = set()
     for part in [term] if made else made_in(term):
-        found.update(map(id, parts_in(part)))
-    for one in expanded:
-        is_made = id(one.term) in found
+        constructed.update(map(id, parts_in(part)))
+    for message in expanded:
+        is_made = id(message.term) in constructed
         if is_made:
-            for var, zero in one.zeros.items():
+            for var, zero in message.zeros.items():
                 var.ref = zero
-        form = NamedForm(one.term[0], one.named, is_made, one.whole)
+        form = NamedForm(message.term[0], message.named, is_made, message.whole)
         if form not in slots.forms:
-            slots.forms.keep(form, True, 8 * len(one.named))
+            slots.forms.keep(form, True, 8 * len(message.named))
 
 
 _MAX_EXACT_INTEGER = 1 << 53
-"""Whole floats below it are integers, each of its own."""
+"""Whole floats below this bound correspond to exactly one integer."""
 
 
 def as_floats(value: Term, array: bool) -> Term:
-    """Return the value of a slot of floats with its integers as floats; the same term where it has none.
+    """Return the value of a float field with its integers as floats; the same term if there are none.
 
     Args:
-        value: as it was read.
-        array: whether the slot is an array: the integers are elements of a list.
+        value: the value as it was read.
+        array: whether the field is an array, so that the integers are items of a list.
     """
     return _with_elements(value, _float) if array else _float(value)
 
 
 def as_integers(value: Term, array: bool) -> Term:
-    """Return the value of a slot of floats with its whole numbers as integers, which read as the same floats."""
+    """Return the value of a float field with its whole numbers as integers that read back as the same floats."""
     return _with_elements(value, _integer) if array else _integer(value)
 
 
@@ -210,13 +225,14 @@ def _float(value: Term) -> Term:
         return value
     try:
         return float(value)
-    except OverflowError:  # no float is as large: it matches no message, as it is written
+    except OverflowError:  # too large for a float: kept as an integer, which matches no message
         return value
 
 
 def _integer(value: Term) -> Term:
     if value.__class__ is not float or not value.is_integer() or abs(value) >= _MAX_EXACT_INTEGER:
         return value
+    # -0.0 has no integer that reads back as it.
     return value if value == 0 and copysign(1, value) < 0 else int(value)
 
 
@@ -226,9 +242,9 @@ def _with_elements(value: Term, change: Callable[[Term], Term]) -> Term:
     while rest.__class__ is tuple and rest[0] is CONS:
         elements.append(deref(rest[1]))
         rest = deref(rest[2])
-    changed = [change(one) for one in elements]
+    changed = [change(element) for element in elements]
     if all(new is old for new, old in zip(changed, elements)):
         return value
-    for one in reversed(changed):
-        rest = (CONS, one, rest)
+    for element in reversed(changed):
+        rest = (CONS, element, rest)
     return rest

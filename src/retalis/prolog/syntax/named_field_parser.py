@@ -1,6 +1,11 @@
-"""What is wrong with a name before the bracket of slots: ``Temperature{...}``, ``buton{...}``, a blank.
+"""Parser of messages with named fields: ``sensor_msgs__0__BatteryState{percentage: P, header: {stamp: S}}``.
 
-Messages with slots by name, read: ``sensor_msgs__0__BatteryState{percentage: P, header: {stamp: S}}``.
+A message with named fields is an entry of kind ``SLOTS`` on the parser's stack. When its bracket closes, the term is
+built with all arguments in the order of the message type: a variable for each field that is not named, and floats in
+place of integers in float fields. The fields come from `Slots`, which knows the message types.
+
+`misnamed` creates the error for a name before the bracket that is no message: a ROS notation (``Temperature``,
+``sensor_msgs/Temperature``), a misspelt name, or a space before the bracket.
 """
 
 from difflib import get_close_matches
@@ -15,39 +20,40 @@ from .parser_stack import LIST, SLOTS, ParserStack, ParserState
 from .tokenizer import NAME, QUOTED, VARIABLE, shown
 
 _MAX_NAMED_TYPES = 3
-"""Messages that an error names."""
+"""Largest number of message types that an error suggests."""
 
 
-def misnamed(parser: ParserState, known: Slots) -> Optional[SyntaxFault]:
-    """Return the error about the bracket where a parser stands, behind a name; None where it has nothing of slots."""
+def misnamed(parser: ParserState, slots: Slots) -> Optional[SyntaxFault]:
+    """Return the error for a curly bracket after a name that is no message; None if it was not meant as a message."""
     before, bracket = parser.tokens[parser.at - 1], parser.tokens[parser.at]
     is_apart = before[3] != bracket[2]
-    if before[0] != VARIABLE and _is_message(before[1], known):
+    if before[0] != VARIABLE and _is_message(before[1], slots):
         message = f'no blank is allowed between {atom_text(before[1])} and its "{{"'
         return parser.source.fault(message, bracket[2]) if is_apart else None
-    name, start = _whole(parser)
-    found = known.meant(name)
-    names = found.names[:_MAX_NAMED_TYPES]
-    if found.other:
-        hint = f"; write {' or '.join(f'{atom_text(one)}{{...}}' for one in names)}"
+    name, start = _full_name(parser)
+    candidates = slots.meant(name)
+    names = candidates.names[:_MAX_NAMED_TYPES]
+    if candidates.other:
+        hint = f"; write {' or '.join(f'{atom_text(suggestion)}{{...}}' for suggestion in names)}"
     elif names:
         hint = f"; did you mean {' or '.join(map(atom_text, names))}?"
-    elif is_apart or before[0] == VARIABLE or name != before[1]:  # it may be meant as anything
+    # Without a similar name, nothing shows that a message was meant: the general error is better.
+    elif is_apart or before[0] == VARIABLE or name != before[1]:
         return None
     else:
         hint = ""
     return parser.source.fault(f"no message type or event of a topic is called {name}{hint}", start)
 
 
-def _is_message(name: str, known: Slots) -> bool:
+def _is_message(name: str, slots: Slots) -> bool:
     try:
-        return known.find(name) is not None
-    except RetalisError:  # messages, of which more is not known
+        return slots.find(name) is not None
+    except RetalisError:  # a message whose definition cannot be read
         return True
 
 
-def _whole(parser: ParserState) -> Tuple[str, int]:
-    """Return the name before the token where a parser stands, with its package in ``package/Type``; and where."""
+def _full_name(parser: ParserState) -> Tuple[str, int]:
+    """Return the name before the current token, with a package written before it, and the offset of the name."""
     last = parser.tokens[parser.at - 1]
     if parser.at > 2:
         package, slash = parser.tokens[parser.at - 3 : parser.at - 1]
@@ -56,49 +62,51 @@ def _whole(parser: ParserState) -> Tuple[str, int]:
     return last[1], last[2]
 
 
-_MARK = "__0__"
-"""What names of message types have in them as terms."""
+_TYPE_INFIX = "__0__"
+"""Infix of all names of message types as terms."""
 
-# The bracket of a message on the stack, after priority, kind, token and table: the values by slot number with their
-# offsets, what the term is called, where it begins, its slots, and the number of the one that is being read.
+# Indexes of the items of a message's stack entry after priority, kind, token and table: values with their offsets by
+# slot number, name of the term, its offset, its slots, and the number of the slot that is being read.
 _VALUES, _TERM, _START, _SLOTS, _NUMBER = range(4, 9)
 
 
 class NamedFieldParser(ParserStack):
-    """What is open while a clause is read, messages with named slots included."""
+    """Parser state for messages with named fields; opens and closes their brackets."""
 
     def _open_slots(self, name: str, start: int) -> bool:
-        """Open a message whose name has just been read, if it is one; tell whether so."""
-        at = self.at
-        if self.tokens[at][2] != self.tokens[at - 1][3] or self.flags.event_text:
+        """Open the message whose name was just read; return whether it is one."""
+        position = self.at
+        if self.tokens[position][2] != self.tokens[position - 1][3] or self.flags.event_text:
             return False
+        # An operator before a curly bracket is an operator: `X = {a}` must not look for a message called `=`.
         if name in self.operators.prefix or name in self.table:
             return False
-        known = self.operators.slots
-        if known is None:
-            if _MARK in name:
+        provider = self.operators.slots
+        if provider is None:
+            if _TYPE_INFIX in name:
                 raise self.source.fault(f"slots by name are not read here: write all slots of {name}", start)
             return False
         try:
-            slots = known.find(name)
+            slots = provider.find(name)
         except RetalisError as error:
             raise self.source.fault(error.message, start) from error
         if slots is None:
-            return False
+            return False  # reported by `_no_operator` if the clause does not parse
         self._open_message(name, start, slots)
         return True
 
     def _no_operator(self) -> SyntaxFault:
-        """Return the error about a token where a term has ended, which may be the bracket of a message."""
-        known = self.operators.slots
-        found = None
+        """Return the error for a token after a complete term; the token may be the bracket of a misspelt message."""
+        provider = self.operators.slots
+        error = None
         if self.tokens[self.at][0] == "{" and self.tokens[self.at - 1][0] in (NAME, QUOTED, VARIABLE):
-            found = misnamed(self, known) if known is not None and not self.flags.event_text else None
-        return found or parser_stack.no_operator(self, self.brackets[-1])
+            error = misnamed(self, provider) if provider is not None and not self.flags.event_text else None
+        return error or parser_stack.no_operator(self, self.brackets[-1])
 
     def _open_inner(self, at: int, start: int) -> bool:
-        """Open a message that is the value of a slot, whose type says its name; tell whether it is one."""
+        """Open a nested message, whose name follows from the type of its field; return whether it is one."""
         around = self.brackets[-1]
+        # An operator waits for this operand, so it is not the whole value of the field.
         if self.stack[-1] is not around:
             return False
         if around[1] == SLOTS:
@@ -119,33 +127,33 @@ class NamedFieldParser(ParserStack):
 
     def _open_message(self, name: str, start: int, slots: Sequence[MessageSlot]) -> None:
         """Open a message at its bracket."""
-        opened = self.at
-        self.at = opened + 1
-        self._push_bracket([self.argument_limit, SLOTS, opened, self.table, {}, name, start, slots, 0])
+        bracket_at = self.at
+        self.at = bracket_at + 1
+        self._push_bracket([self.argument_limit, SLOTS, bracket_at, self.table, {}, name, start, slots, 0])
         if self.tokens[self.at][0] == "}":
             self._close_slots()
         else:
             self._begin_slot()
 
     def _begin_slot(self) -> None:
-        """Read the name of a slot and its colon."""
+        """Read the name of a field and its colon."""
         bracket = self.brackets[-1]
         token, following = self.tokens[self.at], self.tokens[self.at + 1]
         if token[0] not in (NAME, QUOTED) or following[0] != NAME or following[1] != ":":
-            raise self._no_slot()
+            raise self._field_name_error()
         name, slots = token[1], bracket[_SLOTS]
         names = [slot.name for slot in slots]
         if name not in names:
-            raise self.source.fault(_unknown(bracket[_TERM], name, slots), token[2])
+            raise self.source.fault(_unknown_field_message(bracket[_TERM], name, slots), token[2])
         number = bracket[_NUMBER] = names.index(name) + 1
         if number in bracket[_VALUES]:
             raise self.source.fault(f"slot {name} has a value already", token[2])
         self.at += 2
         self._begin_segment(self.at, self.operators.infix)
 
-    def _no_slot(self) -> RetalisError:
+    def _field_name_error(self) -> RetalisError:
         token, following = self.tokens[self.at : self.at + 2]
-        what = shown(token, self.source.text)
+        shown_token = shown(token, self.source.text)
         if token[0] in (NAME, QUOTED) and following[0] == NAME:
             if following[1].startswith(":"):
                 return self.source.fault("expected a blank between : and the sign that follows", following[2])
@@ -153,34 +161,34 @@ class NamedFieldParser(ParserStack):
                 message = f"slots of a message in a slot are written in brackets: {token[1]}: {{slot: Value}}"
                 return self.source.fault(message, following[2])
         if token[0] in (NAME, QUOTED):
-            message = f"expected a colon and a value after {what}"
+            message = f"expected a colon and a value after {shown_token}"
             return self.source.fault(message, following[2])
-        return self.source.fault(f"expected the name of a slot before {what}", token[2])
+        return self.source.fault(f"expected the name of a slot before {shown_token}", token[2])
 
     def _comma(self, start: int) -> None:
         if self.brackets[-1][1] != SLOTS:
             super()._comma(start)
             return
-        self._have_slot()
+        self._store_value()
         self.at += 1
         self._begin_slot()
 
-    def _have_slot(self) -> None:
-        """Take the value of a slot that has just been read."""
-        bracket = self._innermost()
+    def _store_value(self) -> None:
+        """Store the value of the field that was just read."""
+        bracket = self._close_operators()
         bracket[_VALUES][bracket[_NUMBER]] = (self.left, self.left_at)
 
     def _close(self, kind: str) -> None:
         if self.brackets[-1][1] != SLOTS:
             super()._close(kind)
             return
-        self._have_slot()
+        self._store_value()
         if kind != "}":
             raise parser_stack.unbalanced(self, self.brackets[-1][2])
         self._close_slots()
 
     def _close_slots(self) -> None:
-        """Build the message."""
+        """Build the term of the message."""
         bracket = self.brackets.pop()
         self.stack.pop()
         self.at += 1
@@ -190,37 +198,39 @@ class NamedFieldParser(ParserStack):
         zeros: Dict[Var, Term] = {}
         arguments: List[Any] = []
         offsets = []
-        whole = []
+        integer_slots = []
         for number, slot in enumerate(slots, 1):
             value, offset = values.get(number, (None, start))
             if value is None:
+                # A variable for now. Whether it stays one or is bound to its zero value depends on the position of
+                # the message in the clause, which is known at the end; see `message_fields.complete`.
                 value = Var()
                 zeros[value] = slot.zero
             elif slot.real:
                 written, value = value, as_floats(value, slot.array)
                 if value is not written:
-                    whole.append(number)
-                    self._moved(written, value)
+                    integer_slots.append(number)
+                    self._move_positions(written, value)
             arguments.append(value)
             offsets.append(offset)
         if arguments:
             term = (functor(name, len(slots)), *arguments)
             self._build(term, start, tuple(offsets))
-            self.expanded.append(Expanded(term, tuple(values), zeros, tuple(whole)))
+            self.expanded.append(Expanded(term, tuple(values), zeros, tuple(integer_slots)))
         else:
             self.left = atom(name)
         self.left_at = start
         self.left_priority = 0
         self.wants_operand = False
 
-    def _moved(self, old: Term, new: Term) -> None:
-        """Note that a term stands where another one stood."""
+    def _move_positions(self, old: Term, new: Term) -> None:
+        """Move the recorded positions of a term to the term that replaces it."""
         if self.spots is not None and id(old) in self.spots:
             self.spots[id(new)] = self.spots.pop(id(old))
 
 
-def _unknown(term: str, name: str, slots: Sequence[MessageSlot]) -> str:
-    """Return what is wrong with the name of a slot that there is not."""
+def _unknown_field_message(term: str, name: str, slots: Sequence[MessageSlot]) -> str:
+    """Return the error message for the name of a field that does not exist."""
     names = [slot.name for slot in slots]
     near = get_close_matches(name, names, 1)
     if near:

@@ -1,4 +1,4 @@
-"""Operator tables: Prolog's operators, the event language's, and those that a program declares."""
+"""Operator tables: Prolog's operators, those of the event language, and those that programs declare."""
 
 from functools import lru_cache
 from typing import Dict, Iterator, List, NamedTuple, Optional, Tuple
@@ -10,13 +10,13 @@ from .message_fields import Slots
 
 
 class Operator(NamedTuple):
-    """One definition of an operator.
+    """A definition of an operator.
 
     Attributes:
         priority: 1 to 1200.
-        left: the highest priority that its left argument may have; 0 for prefix operators.
-        right: the same for its right argument; 0 for postfix operators.
-        functor: of the term that it makes.
+        left: highest priority of the left argument; 0 for prefix operators.
+        right: highest priority of the right argument; 0 for postfix operators.
+        functor: functor of the terms that it builds.
         type: ``xfx``, ``xfy``, ``yfx``, ``fy``, ``fx``, ``xf`` or ``yf``.
     """
 
@@ -29,11 +29,15 @@ class Operator(NamedTuple):
 
 DECLARE_EVENT = functor("declare_event", 1)
 DECLARING = Operator(1150, 0, 1149, DECLARE_EVENT, "fx")
-"""What ``event`` is where a directive or goal begins and a name follows, which nothing else is; in no table, so that
-``event(E)`` is written as ever."""
+"""The operator ``event`` of a declaration, ``:- event E.``.
+
+It is in no table, and applies only at the beginning of a directive or goal, before a name. So ``event(E)`` remains an
+ordinary term everywhere else, and is written as one.
+"""
 
 _INFIX, _PREFIX, _POSTFIX = ("xfx", "xfy", "yfx"), ("fy", "fx"), ("xf", "yf")
 TYPES = _INFIX + _PREFIX + _POSTFIX
+"""Operator types of ISO 13211-1, 6.3.4."""
 
 _ISO = """
 1200 xfx :- -->
@@ -49,6 +53,7 @@ _ISO = """
 200 xfy ^
 200 fy - + \\
 """
+"""Operators of ISO 13211-1, 6.3.4.4: priority, type and names."""
 
 _SWI = """
 1200 xfx =>
@@ -62,6 +67,7 @@ _SWI = """
 400 yfx rdiv xor
 1 fx $
 """
+"""Further operators of SWI-Prolog 9."""
 
 _SIGNS = {sign: one.name for one in EVENT_OPERATORS for sign in one.signs}
 """What these stand for in patterns; elsewhere they are Prolog's."""
@@ -69,19 +75,20 @@ _SIGNS = {sign: one.name for one in EVENT_OPERATORS for sign in one.signs}
 CANONICAL: Dict[str, str] = {
     spelling: one.meant for one in EVENT_OPERATORS if one.priority for spelling in one.spellings
 }
-"""Spelling of an operator of the event language -> its canonical name."""
+"""Spelling of an event operator -> its canonical name."""
 
 CANONICAL_IN_PATTERNS: Dict[str, str] = {**CANONICAL, **_SIGNS}
+"""The same with the signs that are event operators within patterns only."""
 
 
 class Operators:
     """A table of operators.
 
-    `prolog` makes the usual one; programs change their own copy by `add`. A name may be a prefix operator
-    and, at the same time, an infix or postfix one.
+    `prolog` returns the usual one; programs change their own copy with `add`. A name may be a prefix operator and, at
+    the same time, an infix or postfix one.
 
     Attributes:
-        slots: where those who read with this table find the slots of messages by name; None where there are none.
+        slots: provides the fields of messages to the parsers that use this table; None if there are no messages.
 
     >>> engine = Engine()
     >>> engine.call("op(700, xfx, near)")
@@ -118,7 +125,7 @@ class Operators:
         return _read_table(_ISO)
 
     def copy(self) -> "Operators":
-        """Return a table with the same operators, which changes by itself.
+        """Return an independent table with the same operators.
 
         >>> operators = Operators.prolog()
         >>> operators.copy().add(0, "yfx", "mod")
@@ -133,7 +140,7 @@ class Operators:
         return table
 
     def become(self, other: "Operators") -> None:
-        """Have the operators of another table, and no others.
+        """Replace the operators by those of another table.
 
         >>> operators = Operators.prolog()
         >>> operators.become(Operators.iso())
@@ -144,7 +151,7 @@ class Operators:
         self._patterns = None
 
     def add(self, priority: int, kind: str, name: str) -> None:
-        """Define an operator, or remove it where ``priority`` is 0.
+        """Define an operator, or remove it if ``priority`` is 0.
 
         >>> operators = Operators.prolog()
         >>> operators.add(700, "xfx", "near")
@@ -154,10 +161,10 @@ class Operators:
         Args:
             priority: 0 to 1200.
             kind: one of ``xfx xfy yfx fy fx xf yf``.
-            name: of the operator; a quoted spelling of an event operator makes the same term as that.
+            name: the name; another spelling of an event operator builds the same terms as that operator.
 
         Raises:
-            UsageError: where priority or kind are none.
+            UsageError: if the priority or type is invalid.
         """
         if not 0 <= priority <= 1200:
             raise UsageError(f"{priority} is not an operator priority: expected 0 to 1200")
@@ -168,6 +175,7 @@ class Operators:
         if priority == 0:
             table.pop(name, None)
             return
+        # `x` stands for an argument of a lower priority, `y` for one of at most the same priority.
         place = kind.index("f")
         left = 0 if place == 0 else priority - (kind[0] == "x")
         right = 0 if place == len(kind) - 1 else priority - (kind[-1] == "x")
@@ -179,21 +187,21 @@ class Operators:
         return (self.prefix, 1) if kind in _PREFIX else (self.postfix, 1)
 
     def patterns(self) -> Dict[str, Operator]:
-        """Return the infix operators as they are in patterns, where ``*`` is ``seq`` and so on.
+        """Return the infix operators within patterns, where ``*`` is ``seq`` and so on.
 
         >>> Operators.prolog().patterns()["*"].functor
         functor('seq', 2)
         """
-        found = self._patterns
-        if found is None:
-            found = self._patterns = dict(self.infix)
+        table = self._patterns
+        if table is None:
+            table = self._patterns = dict(self.infix)
             for sign, name in _SIGNS.items():
-                meant = _standard().infix[name]
-                found[sign] = self.infix.get(name, meant)._replace(functor=meant.functor)
-        return found
+                standard = _standard().infix[name]
+                table[sign] = self.infix.get(name, standard)._replace(functor=standard.functor)
+        return table
 
     def find(self, name: str) -> List[Operator]:
-        """Return the definitions of a name: prefix, infix, postfix, those that there are.
+        """Return the definitions of a name: prefix, infix, postfix, as far as defined.
 
         >>> [found.type for found in Operators.prolog().find("-")]
         ['fy', 'yfx']
@@ -205,29 +213,29 @@ class Operators:
         return name in self.infix or name in self.prefix or name in self.postfix
 
     def __iter__(self) -> Iterator[Tuple[int, str, str]]:
-        """Yield priority, type and name of every operator, as ``current_op/3`` has them."""
+        """Yield priority, type and name of every operator, as ``current_op/3`` does."""
         for table in (self.prefix, self.infix, self.postfix):
-            for name, found in table.items():
-                yield found.priority, found.type, name
+            for name, operator in table.items():
+                yield operator.priority, operator.type, name
 
 
 def _read_table(text: str) -> Operators:
-    made = Operators()
+    operators = Operators()
     for line in text.strip().split("\n"):
         priority, kind, *names = line.split()
         for name in names:
-            made.add(int(priority), kind, name)
-    return made
+            operators.add(int(priority), kind, name)
+    return operators
 
 
 @lru_cache(maxsize=1)
 def _standard() -> Operators:
-    made = _read_table(_ISO + _SWI.strip())
-    for one in EVENT_OPERATORS:
-        if one.priority:
-            made.add(one.priority, one.type, one.name)
+    operators = _read_table(_ISO + _SWI.strip())
+    for operator in EVENT_OPERATORS:
+        if operator.priority:
+            operators.add(operator.priority, operator.type, operator.name)
     for spelling, name in CANONICAL.items():
-        for table in (made.infix, made.postfix):
+        for table in (operators.infix, operators.postfix):
             if name in table:
                 table[spelling] = table[name]
-    return made
+    return operators

@@ -1,7 +1,11 @@
-"""Tokens to terms: an operator-precedence parser with a stack of its own, without recursion.
+"""Operator-precedence parser: from the tokens of a clause to its term, without recursion.
 
-The parser is in one of two states: it wants an operand, or it has one (``left``) and wants an operator or
-the end of what is open.
+The parser alternates between two states (ISO 13211-1, 6.3): it expects an operand, or it has one (``left``) and
+expects an operator, a separator or the end of the innermost bracket. The stack is described in `parser_stack`.
+
+Names are ambiguous, as a name can be an atom, a functor, and a prefix, infix or postfix operator at the same time.
+The parser resolves them with at most three tokens of look-ahead, in the way of SWI-Prolog: ``- (1)`` is a compound
+term, ``- = x`` an equation about the atom ``-``, and ``-1`` a number.
 """
 
 from typing import Optional, Tuple
@@ -16,17 +20,19 @@ from .rule_detection import PATTERN_ARGUMENTS
 from .tokenizer import END, NAME, NUMBER, OPEN_CT, QUOTED, TEXT, VARIABLE, AnyToken
 
 _BEFORE_GOALS = ((NAME, ":-"), (NAME, "?-"))
+"""Tokens that begin a directive or a query."""
 _ENDS = frozenset((")", "]", "}", ",", "|", END, "eof"))
+"""Kinds of tokens before which a term must be complete."""
 
 
 class Parser(NamedFieldParser):
-    """Reads one clause from its tokens; make a new one for each clause."""
+    """Parses one clause; create a new parser for each clause."""
 
     def read(self) -> Term:
         """Return the term.
 
         Raises:
-            SyntaxFault: with the place.
+            SyntaxFault: with the place of the error.
         """
         self._push_group(None, 0)
         while self.stack:
@@ -39,74 +45,76 @@ class Parser(NamedFieldParser):
         return self.left
 
     def _operand(self) -> None:
-        at = self.at
-        kind, value, start, _ = self.tokens[at]
+        position = self.at
+        kind, value, start, _ = self.tokens[position]
         if kind in (NAME, QUOTED):
             self._name(kind, value, start)
             return
         if kind == VARIABLE:
-            self.at = at + 1
-            truth = _TRUTHS.get(value) if self.flags.event_text else None
-            self._have(self._variable(value) if truth is None else truth, start)
+            self.at = position + 1
+            truth = _SPECIAL_BOOLS.get(value) if self.flags.event_text else None
+            self._set_left(self._variable(value) if truth is None else truth, start)
         elif kind in (NUMBER, TEXT):
-            self.at = at + 1
-            self._have(value, start)
+            self.at = position + 1
+            self._set_left(value, start)
         elif kind == "(" or kind == OPEN_CT:
-            self.at = at + 1
-            self._push_group(at, start)
+            self.at = position + 1
+            self._push_group(position, start)
         elif kind == "[" or kind == "{":
-            self._open_bracket(kind, at, start)
+            self._open_bracket(kind, position, start)
         else:
             raise parser_stack.no_operand(self, self.stack[-1])
 
     def _variable(self, name: str) -> Var:
         if name == "_":
             return Var()
-        found = self.names.get(name)
-        if found is None:
-            found = self.names[name] = Var()
+        variable = self.names.get(name)
+        if variable is None:
+            variable = self.names[name] = Var()
             self.counts[name] = 1
         else:
             self.counts[name] += 1
-        return found
+        return variable
 
-    def _open_bracket(self, kind: str, at: int, start: int) -> None:
+    def _open_bracket(self, kind: str, position: int, start: int) -> None:
         closer = parser_stack.CLOSER[kind]
-        if kind == "{" and self._open_inner(at, start):
+        if kind == "{" and self._open_inner(position, start):
             return
-        if self.tokens[at + 1][0] == closer:
-            self.at = at + 2
+        if self.tokens[position + 1][0] == closer:
+            self.at = position + 2
             self._atom(kind + closer, start)
         elif kind == "{":
-            self.at = at + 1
-            self._push_group(at, start)
+            self.at = position + 1
+            self._push_group(position, start)
         else:
-            self.at = at + 1
-            self._push_bracket([self.argument_limit, LIST, at, self.table, [], [], False])
+            self.at = position + 1
+            self._push_bracket([self.argument_limit, LIST, position, self.table, [], [], False])
             self._begin_segment(self.at, self.operators.infix)
 
     def _atom(self, name: str, start: int) -> None:
-        """Take a name that is not an operator here: an atom, or the functor of a compound term."""
+        """Read a name that is not an operator: an atom, or the functor of a compound term."""
         if self.tokens[self.at][0] == OPEN_CT:
             self._open_arguments(name, start)
         else:
-            self._have(atom(name), start)
+            self._set_left(atom(name), start)
 
     def _open_arguments(self, name: str, start: int) -> None:
-        at = self.at
-        self.at = at + 1
+        position = self.at
+        self.at = position + 1
         if self.tokens[self.at][0] == ")":
             raise self.source.fault(
                 f'a compound term has at least one argument: expected "{name}" alone', start
             )
         modes: Tuple[bool, ...] = ()
+        # `seq(a, b)` in a pattern has patterns as arguments. The arity is needed before the arguments are read, to
+        # know which arguments these are, so `rule_detection` has counted the commas.
         if self.table is self.patterns:
-            arity = self.rules.commas.get(at, 0) + 1
+            arity = self.rules.commas.get(position, 0) + 1
             canonical = functor(CANONICAL_IN_PATTERNS.get(name, name), arity)
             modes = PATTERN_ARGUMENTS.get(canonical, ())
             if modes:
                 name = canonical.name
-        self._push_bracket([self.argument_limit, ARGUMENTS, at, self.table, [], [], name, start, modes])
+        self._push_bracket([self.argument_limit, ARGUMENTS, position, self.table, [], [], name, start, modes])
         self._begin_segment(self.at, self.patterns if modes[:1] == (True,) else self.operators.infix)
 
     def _name(self, kind: str, name: str, start: int) -> None:
@@ -117,25 +125,26 @@ class Parser(NamedFieldParser):
             return
         if following[0] == "{" and self._open_slots(name, start):
             return
+        # A minus directly before a number is its sign; `- 1` is the compound term -(1), except in ISO mode.
         if name == "-" and (self.flags.iso or (kind == NAME and following[2] == start + 1)):
-            number = self._signed(following)
+            number = self._signed_number(following)
             if number is not None:
                 self.at += 1
-                self._have(-number, start)
+                self._set_left(-number, start)
                 return
         prefix = self.operators.prefix.get(name)
         if prefix is not None and self._is_prefix(following):
             self._push_prefix(prefix, start)
             return
         if self.flags.event_text and name in _SPECIAL_FLOATS and kind == NAME:
-            self._have(_SPECIAL_FLOATS[name], start)
+            self._set_left(_SPECIAL_FLOATS[name], start)
             return
-        self._have(atom(name), start)
+        self._set_left(atom(name), start)
         if self.flags.iso and name in self.operators:
-            self._bare_operator(name, start)
+            self._check_bare_operator(name, start)
 
-    def _signed(self, following: AnyToken) -> Optional[float]:
-        """Return the number after a minus, or None (ISO Prolog allows layout between the two)."""
+    def _signed_number(self, following: AnyToken) -> Optional[float]:
+        """Return the number after a minus sign, or None."""
         if following[0] == NUMBER:
             value: float = following[1]
             return value
@@ -143,15 +152,15 @@ class Parser(NamedFieldParser):
             return _SPECIAL_FLOATS.get(following[1])
         return None
 
-    def _bare_operator(self, name: str, start: int) -> None:
-        """Check ISO's demand that an operator that is an operand stands alone or in brackets."""
+    def _check_bare_operator(self, name: str, start: int) -> None:
+        """Raise an error if an operator is an operand without brackets, which ISO 13211-1, 6.3.1.3, requires."""
         if self.tokens[self.at][0] not in _ENDS or self.stack[-1][1] < self.GROUP:
             raise self.source.fault(
                 f"expected brackets around the operator {name}, as it is an operand", start
             )
 
     def _is_prefix(self, following: AnyToken) -> bool:
-        """Tell whether a prefix operator is one here, and not an atom, by what follows."""
+        """Return whether a prefix operator is used as one, and not as an atom, judging by the tokens that follow."""
         kind, value = following[:2]
         if kind in _ENDS:
             return False
@@ -160,13 +169,15 @@ class Parser(NamedFieldParser):
         operators = self.operators
         if value in operators.prefix or not (value in self.table or value in operators.postfix):
             return True
-        # An infix operator follows: with an operand after it, it is that; else it is an atom itself.
+        # An infix operator follows, so one of the two names is an atom. If an operand follows that operator, it is an
+        # infix operator, and the prefix operator is its left operand.
         after = self.tokens[self.at + 1]
         if after[0] in _ENDS or after[0] == OPEN_CT:
             return True
         if after[0] != NAME or after[1] not in self.table or after[1] in operators.prefix:
             return False
-        return self.tokens[self.at + 2][0] not in _ENDS  # "- = =" is =(-, =), "dynamic seq / 2" is none
+        # Two infix operators follow: `- = =` is =(-, =), but in `dynamic seq / 2` the prefix operator is applied.
+        return self.tokens[self.at + 2][0] not in _ENDS
 
     def _operator(self) -> None:
         kind, value, start, _ = self.tokens[self.at]
@@ -183,11 +194,12 @@ class Parser(NamedFieldParser):
 
     def _name_operator(self, name: str, start: int) -> None:
         infix = self.table.get(name)
+        # The `:` of a label binds more loosely than the rule; elsewhere it is the module operator.
         if self.patterns is not None and self.at in self.rules.labels:
             infix = LABEL
         postfix = self.operators.postfix.get(name)
         if infix is None and postfix is None:
-            if self._declares():
+            if self._is_declaration():
                 self.wants_operand = True
                 self._push_prefix(DECLARING, self.left_at)
                 return
@@ -196,14 +208,14 @@ class Parser(NamedFieldParser):
         if infix is not None and (postfix is None or self._starts_operand(self.tokens[self.at])):
             self._push_infix(infix, name, start)
         elif postfix is not None:
-            self._take_postfix(postfix, start)
+            self._apply_postfix(postfix, start)
 
-    def _declares(self) -> bool:
-        """Tell whether what was read is the ``event`` of a declaration, ``:- event E.``, and not an atom."""
-        at = self.at - 1
-        if self.tokens[at][:2] != (NAME, "event") or self.patterns is not None or self.flags.made:
+    def _is_declaration(self) -> bool:
+        """Return whether the operand is the ``event`` of a declaration, ``:- event E.``, and not an atom."""
+        position = self.at - 1
+        if self.tokens[position][:2] != (NAME, "event") or self.patterns is not None or self.flags.made:
             return False
-        return at == 0 or (at == 1 and self.tokens[0][:2] in _BEFORE_GOALS)
+        return position == 0 or (position == 1 and self.tokens[0][:2] in _BEFORE_GOALS)
 
     def _starts_operand(self, token: AnyToken) -> bool:
         kind, value = token[:2]
@@ -215,5 +227,6 @@ class Parser(NamedFieldParser):
 
 
 _SPECIAL_FLOATS = {"inf": float("inf"), "nan": float("nan")}
-_TRUTHS = {"True": TRUE, "False": FALSE}
-"""How other people's nodes, written for the original, write a bool."""
+"""Floats of event text that Prolog has no syntax for."""
+_SPECIAL_BOOLS = {"True": TRUE, "False": FALSE}
+"""Booleans as nodes for the original ETALIS-based Retalis write them."""

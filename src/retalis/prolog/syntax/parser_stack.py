@@ -1,13 +1,16 @@
-"""Where the reading of a clause stands: its tokens, what has been read, and what is open.
+"""State of the parser: tokens, operator stack, open brackets, and syntax error messages.
 
-What is wrong with a clause, and what its author most likely meant.
+`ParserState` holds the state, `ParserStack` opens and closes operators and brackets, and the functions between them
+create the `SyntaxFault` for a state that allows no continuation, with a hint at the most likely mistake.
 
-What is open while a term is read: operators that wait for an argument, and brackets.
+The parser is an operator-precedence parser with an explicit stack (Pratt 1973, without recursion), so nesting depth
+is not limited by Python's stack. The stack holds operators that wait for an argument, and open brackets, innermost
+last. Each entry begins with the highest priority that its argument may have. An operator of a higher priority first
+closes the operators before it (*reduces* them) as far as their arguments allow; if it reaches a bracket, the
+priorities clash.
 
-It lies on a stack, innermost last. There is no recursion, so no depth of nesting can exhaust Python's stack.
-
-Every stack entry begins with the highest priority that may stand there. An operator of a higher priority
-closes the operators before it, as far as their arguments allow; at a bracket that is a priority clash.
+Each entry also holds the operator table that applied before it: in the pattern of an event rule, some names are other
+operators than in a goal, so the table changes within a clause (see `rule_detection`).
 """
 
 from difflib import get_close_matches
@@ -21,21 +24,22 @@ from .operators import CANONICAL, Operator, Operators
 from .rule_detection import ARROW, GOAL_RIGHT, NO_RULES, Layout
 from .tokenizer import END, NAME, NUMBER, OPEN_CT, QUOTED, VARIABLE, AnyToken, ReadFlags, Source, shown
 
-INFIX, PREFIX, GROUP, ARGUMENTS, LIST, SLOTS = range(6)  # the operators come first
+# Kinds of stack entries. Operators come first: `kind <= PREFIX` means an operator that waits for an argument.
+INFIX, PREFIX, GROUP, ARGUMENTS, LIST, SLOTS = range(6)
 
 OperatorTable = Dict[str, Operator]
 
 
 class ParserState:
-    """The tokens of a clause, and how far it has been read; ``left`` is the term that was read last.
+    """The tokens of a clause, and the state of the parser; ``left`` is the term that was read last.
 
-    ``INFIX``, ``PREFIX`` and ``GROUP`` are kinds of entries on its stack, for those who look at it.
+    ``INFIX``, ``PREFIX`` and ``GROUP`` are kinds of stack entries.
 
     Attributes:
-        names: name -> variable, in order of appearance, without ``_``.
-        counts: name -> how often it stands in the clause.
+        names: variables by name, in order of appearance, without ``_``.
+        counts: number of occurrences of each name.
         spots: ``id`` of a compound term -> offsets of its functor and of its arguments.
-        expanded: the messages whose slots were named.
+        expanded: messages with named slots.
     """
 
     INFIX, PREFIX, GROUP = INFIX, PREFIX, GROUP
@@ -78,8 +82,12 @@ class ParserState:
 
 
 CLOSER = {"(": ")", OPEN_CT: ")", "[": "]", "{": "}"}
-_NECKS = frozenset((":-", "-->", *(one.meant for one in EVENT_OPERATORS if one.kind is OperatorKind.RULE)))
-_ELSEWHERE = {
+"""Closing bracket of each opening one."""
+_NECKS = frozenset(
+    (":-", "-->", *(operator.meant for operator in EVENT_OPERATORS if operator.kind is OperatorKind.RULE))
+)
+"""Names of operators between the head and the body of a clause or rule."""
+_FOREIGN_OPERATORS = {
     "<=": '"less or equal" is written =<',
     "=>": '"greater or equal" is written >=, a rule\'s arrow <-',
     "!=": '"not equal" is written \\== (or =\\= for numbers)',
@@ -93,32 +101,36 @@ _ELSEWHERE = {
     ".": "a full stop ends a clause only where a space or a new line follows; a number needs digits on both"
     " sides of its point",
 }
-"""Operators of other languages."""
+"""Operators of other languages, and the notation to use instead."""
 
-_ADVICE = {word: one.advice for one in EVENT_OPERATORS for word in one.taken_for}
+_ADVICE = {word: operator.advice for operator in EVENT_OPERATORS for word in operator.taken_for}
+"""Words that users mistake for event operators, with the notation to use."""
 _JOINING = [
-    f'"{one.name}"' for one in EVENT_OPERATORS if one.kind in (OperatorKind.ALTERNATIVES, OperatorKind.PAIR)
+    f'"{operator.name}"'
+    for operator in EVENT_OPERATORS
+    if operator.kind in (OperatorKind.ALTERNATIVES, OperatorKind.PAIR)
 ]
+"""Quoted names of the operators between two patterns."""
 
 
 def no_operand(parser: ParserState, innermost: List[Any]) -> SyntaxFault:
-    """Return the error about a token that stands where a term should begin."""
+    """Return the error for a token at which a term should begin."""
     token = parser.tokens[parser.at]
-    what = shown(token, parser.source.text)
+    shown_token = shown(token, parser.source.text)
     kind = innermost[1]
     if kind == parser.INFIX:
-        message = f'expected the right argument of "{parser.text_at(innermost[5])}" before {what}'
+        message = f'expected the right argument of "{parser.text_at(innermost[5])}" before {shown_token}'
     elif kind == parser.PREFIX:
-        message = f'expected the argument of "{parser.text_at(innermost[3])}" before {what}'
+        message = f'expected the argument of "{parser.text_at(innermost[3])}" before {shown_token}'
     elif token[0] == END and innermost[2] is None:
         message = "expected a clause before the full stop"
     else:
-        message = f"expected a term before {what}"
+        message = f"expected a term before {shown_token}"
     return _fault(parser, message, _operand_hint(parser, token))
 
 
 def _operand_hint(parser: ParserState, token: AnyToken) -> str:
-    before = _before(parser)
+    before = _previous_token(parser)
     if before is not None and before[0] == ",":
         if token[0] == END:
             return "a clause ends with a full stop, without a comma before it"
@@ -129,10 +141,10 @@ def _operand_hint(parser: ParserState, token: AnyToken) -> str:
 
 
 def no_operator(parser: ParserState, bracket: List[Any]) -> SyntaxFault:
-    """Return the error about a token that stands where a term has ended."""
+    """Return the error for a token that follows a complete term."""
     token = parser.tokens[parser.at]
     text = parser.source.text
-    opened = bracket[2]
+    opened = bracket[2]  # the token of the bracket; None for the clause itself
     if opened is None:
         expected = "an operator or a full stop"
     else:
@@ -148,23 +160,27 @@ def no_operator(parser: ParserState, bracket: List[Any]) -> SyntaxFault:
 def _operator_hint(parser: ParserState, token: AnyToken, opened: Optional[int]) -> str:
     kind, value, start, _ = token
     text = parser.source.text
-    before = _before(parser)
+    before = _previous_token(parser)
     assert before is not None
     if kind == VARIABLE and value in CANONICAL:
         return f"{value} is a variable here; as an operator write {CANONICAL[value]} or '{value}'"
+    # Clauses usually begin at the start of a line: a missing full stop or bracket is then more likely than an
+    # unknown operator.
     if starts_line(text, start):
         if opened is not None:
             return f"the {_opener(parser, opened)} is still open"
         return f"is a full stop missing after {shown(before, text)}?"
-    if before[0] == NAME and before[1] in _ELSEWHERE and before[1] != ".":
-        return _ELSEWHERE[before[1]]
+    if before[0] == NAME and before[1] in _FOREIGN_OPERATORS and before[1] != ".":
+        return _FOREIGN_OPERATORS[before[1]]
     if kind == NAME and value == "!" and text[start + 1 : start + 2] == "=":
-        return _ELSEWHERE["!="]
-    return _hint_of_two(before, token) or (_unknown_operator(parser, value) if kind in (NAME, QUOTED) else "")
+        return _FOREIGN_OPERATORS["!="]
+    return _hint_for_adjacent_tokens(before, token) or (
+        _unknown_operator(parser, value) if kind in (NAME, QUOTED) else ""
+    )
 
 
-def _hint_of_two(before: AnyToken, token: AnyToken) -> str:
-    """Return what is likely wrong with two tokens that follow each other, or nothing."""
+def _hint_for_adjacent_tokens(before: AnyToken, token: AnyToken) -> str:
+    """Return a hint at the likely mistake of two adjacent tokens, or an empty text."""
     kind, _, start, _ = token
     if before[0] == QUOTED and before[3] == start:
         return "a quote inside quotes is doubled, as in 'it''s'"
@@ -183,9 +199,9 @@ def _hint_of_two(before: AnyToken, token: AnyToken) -> str:
 
 
 def _unknown_operator(parser: ParserState, name: str) -> str:
-    if name in _ELSEWHERE:
-        return _ELSEWHERE[name]
-    words = [known for known in {**parser.operators.infix, **parser.operators.postfix} if known[0].isalpha()]
+    if name in _FOREIGN_OPERATORS:
+        return _FOREIGN_OPERATORS[name]
+    words = [word for word in {**parser.operators.infix, **parser.operators.postfix} if word[0].isalpha()]
     close = get_close_matches(name, words, 1, 0.75)
     if close:
         return f'did you mean "{close[0]}"?'
@@ -193,51 +209,54 @@ def _unknown_operator(parser: ParserState, name: str) -> str:
         return f'"{name}" is not an operator here; is a comma missing?'
     if name in _ADVICE:
         return _ADVICE[name]
-    known = f"{', '.join(_JOINING[:-1])} or {_JOINING[-1]}"
-    return f'"{name}" is not an operator; two patterns are joined with {known}'
+    joining = f"{', '.join(_JOINING[:-1])} or {_JOINING[-1]}"
+    return f'"{name}" is not an operator; two patterns are joined with {joining}'
 
 
 def unbalanced(parser: ParserState, opened: Optional[int]) -> SyntaxFault:
-    """Return the error about a closing bracket, or an end, that does not fit what is open."""
+    """Return the error for a closing bracket, or an end, that does not match the open bracket."""
     token = parser.tokens[parser.at]
-    what = shown(token, parser.source.text)
+    shown_token = shown(token, parser.source.text)
     if opened is None:
         return _fault(
-            parser, f"{what} does not close anything: expected an operator or a full stop before it", ""
+            parser,
+            f"{shown_token} does not close anything: expected an operator or a full stop before it",
+            "",
         )
     closer = CLOSER[parser.tokens[opened][0]]
-    return _fault(parser, f'expected "{closer}" for the {_opener(parser, opened)} before {what}', "")
+    return _fault(parser, f'expected "{closer}" for the {_opener(parser, opened)} before {shown_token}', "")
 
 
-def clash(parser: ParserState, found: Operator, start: int, outer: Optional[Operator]) -> SyntaxFault:
-    """Return the error about an operator whose priority does not fit.
+def clash(parser: ParserState, operator: Operator, start: int, outer: Optional[Operator]) -> SyntaxFault:
+    """Return the error for an operator whose priority does not fit.
 
     Args:
-        parser: where it is.
-        found: the operator.
-        start: its offset.
-        outer: the operator that it should be an argument of; None where its own left argument is too high.
+        parser: the parser.
+        operator: the operator.
+        start: the offset of the operator.
+        outer: the operator whose argument it should be; None if its own left argument has too high a priority.
     """
     name = parser.text_at(start)
     left = parser.left[0].name if parser.left.__class__ is tuple else ""
-    if found.functor.name in _NECKS and (outer or left in _NECKS):
-        other = outer.functor.name if outer else left
-        message = f'expected one arrow in a clause, not "{other}" and "{name}"'
+    if operator.functor.name in _NECKS and (outer or left in _NECKS):
+        first = outer.functor.name if outer else left
+        message = f'expected one arrow in a clause, not "{first}" and "{name}"'
         hint = "an event rule has <-, a Prolog clause :-; is a full stop missing between two clauses?"
     elif outer is not None:
         message = (
-            f'expected brackets: "{name}" ({found.priority} {found.type}) cannot be an argument of "'
+            f'expected brackets: "{name}" ({operator.priority} {operator.type}) cannot be an argument of "'
             f'{outer.functor.name}"'
             f" ({outer.priority} {outer.type})"
         )
         hint = ""
     elif left:
         message = (
-            f'expected brackets: the left argument of "{name}" ({found.priority} {found.type}) is "{left}"'
+            f'expected brackets: the left argument of "{name}" ({operator.priority} {operator.type}) is '
+            f'"{left}"'
         )
         hint = f"{name} cannot be chained" if left == name else ""
     else:
-        message, hint = f'expected brackets around the argument with "{name}" ({found.priority})', ""
+        message, hint = f'expected brackets around the argument with "{name}" ({operator.priority})', ""
     return _fault(parser, message, hint, start)
 
 
@@ -247,12 +266,12 @@ def _opener(parser: ParserState, opened: int) -> str:
     return f'"{parser.source.text[offset]}" in line {place.line}, column {place.column}'
 
 
-def _before(parser: ParserState) -> Optional[AnyToken]:
+def _previous_token(parser: ParserState) -> Optional[AnyToken]:
     return parser.tokens[parser.at - 1] if parser.at else None
 
 
 def starts_line(text: str, offset: int) -> bool:
-    """Tell whether a token stands where clauses begin: at the start of a line, not of the text."""
+    """Return whether a token begins a line other than the first."""
     return offset > 0 and text[offset - 1] == "\n"
 
 
@@ -265,28 +284,32 @@ def _fault(parser: ParserState, message: str, hint: str, offset: Optional[int] =
 _CURLY = functor("{}", 1)
 _RULE = functor("rule:", 2)
 LABEL = Operator(1200, 1199, 1200, _RULE, "xfy")
+"""The operator between the label of an event rule and the rule."""
 _RULE_NECKS = frozenset((functor(":-", 2), functor("-->", 2)))
 _COMMA = Operator(1000, 999, 1000, COMMA, "xfy")
 
 
 class ParserStack(ParserState):
-    """What is open while a clause is read, opened and closed."""
+    """Opens and closes operators and brackets while a clause is parsed."""
 
-    def _have(self, term: Term, start: int) -> None:
+    def _set_left(self, term: Term, start: int) -> None:
         self.left = term
         self.left_priority = 0
         self.left_at = start
         self.wants_operand = False
 
-    def _push_prefix(self, found: Operator, start: int) -> None:
-        if found.priority > self.stack[-1][0]:
+    def _push_prefix(self, operator: Operator, start: int) -> None:
+        # A prefix operator cannot reduce anything, as it has no left argument: it must fit as it is.
+        if operator.priority > self.stack[-1][0]:
             top = self.stack[-1]
-            raise clash(self, found, start, top[2] if top[1] <= PREFIX else None)
-        self.stack.append((found.right, PREFIX, found, start, self.table))
+            raise clash(self, operator, start, top[2] if top[1] <= PREFIX else None)
+        self.stack.append((operator.right, PREFIX, operator, start, self.table))
 
     def _push_group(self, at: Optional[int], start: int) -> None:
         """Open a round or curly bracket, or the clause itself (``at`` is None)."""
         self._push_bracket([1200, GROUP, at, self.table, start])
+        # Round brackets keep the table: in `(a seq b) or c` the pattern continues. A curly bracket holds Prolog
+        # terms.
         inner = self.table if at is None or self.tokens[at][0] != "{" else self.operators.infix
         self._begin_segment(self.at, inner)
 
@@ -295,89 +318,96 @@ class ParserStack(ParserState):
         self.brackets.append(entry)
 
     def _begin_segment(self, at: int, table: Optional[OperatorTable]) -> None:
-        """Set the operators for what begins at the token ``at``."""
-        headed = self.rules.rules.get(at) if self.patterns is not None else None
-        if headed is not None:
-            table = self.operators.infix if headed else self.patterns
+        """Set the operator table for the segment that begins at the token ``at``; see `rule_detection`."""
+        has_head = self.rules.rules.get(at) if self.patterns is not None else None
+        if has_head is not None:
+            table = self.operators.infix if has_head else self.patterns
         self.table = table if table is not None else self.operators.infix
         self.wants_operand = True
 
     # -- operators ---------------------------------------------------------------------------------------
 
-    def _make_room(self, found: Operator, name: str, start: int) -> Operator:
-        """Close operators until ``found`` fits as the next one; return it as it is in the table then.
+    def _reduce_until_fits(self, operator: Operator, name: str, start: int) -> Operator:
+        """Reduce operators until ``found`` fits; return its definition in the table that applies then.
 
-        The table may change on the way, when the goal of a pattern ends.
+        The table changes when the goal of a pattern ends.
         """
         stack = self.stack
         while True:
             top = stack[-1]
-            limit, priority = top[0], found[0]
+            # `top[0]` is the highest priority that may stand on top of the stack; a lower one needs no reduction.
+            limit, priority = top[0], operator[0]
             if limit > priority:
                 break
             if top[1] > PREFIX:
                 if limit < priority:
-                    raise clash(self, found, start, None)
+                    raise clash(self, operator, start, None)
                 break
-            if limit == priority and not (found[1] == priority and top[2][0] == priority):
+            # Equal priorities: `found` becomes the argument of the operator on the stack (right-associative), unless
+            # both have this priority and `found` accepts it on its left (left-associative).
+            if limit == priority and not (operator[1] == priority and top[2][0] == priority):
                 break
+            # Reducing the last operator of a goal restores the table of the pattern, where the same name may be
+            # another operator.
             table = self.table
             self._reduce()
             if table is not self.table:
-                found = self.table.get(name, found)
-        if self.left_priority > found[1]:
-            raise clash(self, found, start, None)
-        return found
+                operator = self.table.get(name, operator)
+        if self.left_priority > operator[1]:
+            raise clash(self, operator, start, None)
+        return operator
 
-    def _take_postfix(self, found: Operator, start: int) -> None:
-        self._make_room(found, "", start)
-        self._build((found.functor, self.left), start, (self.left_at,))
-        self.left_priority = found.priority
+    def _apply_postfix(self, operator: Operator, start: int) -> None:
+        self._reduce_until_fits(operator, "", start)
+        self._build((operator.functor, self.left), start, (self.left_at,))
+        self.left_priority = operator.priority
 
-    def _push_infix(self, found: Operator, name: str, start: int) -> None:
-        label = self.rules.labels.get(self.at - 1) if found is LABEL else None
-        if found[0] > self.stack[-1][0] or found[0] == self.stack[-1][0] or self.left_priority:
-            found = self._make_room(found, name, start)
-        if self.table is self.patterns and found.functor in _RULE_NECKS:
-            raise clash(self, found, start, self.operators.infix.get("<-", found))
-        self.stack.append((found.right, INFIX, found, self.left, self.left_at, start, self.table))
+    def _push_infix(self, operator: Operator, name: str, start: int) -> None:
+        label = self.rules.labels.get(self.at - 1) if operator is LABEL else None
+        # Otherwise it fits without any reduction, which is the case for most operators.
+        if operator[0] > self.stack[-1][0] or operator[0] == self.stack[-1][0] or self.left_priority:
+            operator = self._reduce_until_fits(operator, name, start)
+        if self.table is self.patterns and operator.functor in _RULE_NECKS:
+            raise clash(self, operator, start, self.operators.infix.get("<-", operator))
+        self.stack.append((operator.right, INFIX, operator, self.left, self.left_at, start, self.table))
         self.wants_operand = True
         if self.patterns is not None:
-            self._switch(found, label)
+            self._switch_table(operator, label)
 
-    def _switch(self, found: Operator, label: Optional[bool]) -> None:
-        """Set the operators for the right argument of ``found``, in a clause with event rules."""
-        if found is LABEL:
+    def _switch_table(self, operator: Operator, label: Optional[bool]) -> None:
+        """Set the operator table for the right argument of ``found``, in a clause with event rules."""
+        if operator is LABEL:
             self.table = self.patterns if label is False and self.patterns else self.operators.infix
-        elif found.functor is ARROW:
+        elif operator.functor is ARROW:
             self.table = self.patterns or self.table
-        elif self.table is self.patterns and found.functor in GOAL_RIGHT:
+        elif self.table is self.patterns and operator.functor in GOAL_RIGHT:
             self.table = self.operators.infix
 
     def _reduce(self) -> None:
-        """Build the term of the innermost waiting operator."""
+        """Build the term of the operator on top of the stack."""
         top = self.stack.pop()
-        found = top[2]
+        operator = top[2]
         if top[1] == INFIX:
             left_at = top[4]
-            self._build((found.functor, top[3], self.left), top[5], (left_at, self.left_at))
+            self._build((operator.functor, top[3], self.left), top[5], (left_at, self.left_at))
             self.left_at = left_at
             self.table = top[6]
         else:
-            self._build((found.functor, self.left), top[3], (self.left_at,))
+            self._build((operator.functor, self.left), top[3], (self.left_at,))
             self.left_at = top[3]
             self.table = top[4]
-        self.left_priority = found.priority
+        self.left_priority = operator.priority
 
     def _build(self, term: Term, start: int, arguments: Tuple[int, ...]) -> None:
         self.left = term
+        # Identities stay unique while the clause is parsed: every term is part of the clause or on the stack.
         if self.spots is not None:
             self.spots[id(term)] = (start, *arguments)
 
     # -- brackets ----------------------------------------------------------------------------------------
 
-    def _innermost(self) -> List[Any]:
-        """Close all waiting operators of the innermost bracket and return its entry."""
+    def _close_operators(self) -> List[Any]:
+        """Reduce all operators within the innermost bracket, and return the entry of the bracket."""
         stack = self.stack
         while stack[-1][1] <= PREFIX:
             self._reduce()
@@ -386,32 +416,34 @@ class ParserStack(ParserState):
     def _comma(self, start: int) -> None:
         kind = self.brackets[-1][1]
         self.at += 1
+        # Within round brackets the comma is an operator; in argument lists and lists it is a separator.
         if kind == GROUP:
             self._push_infix(_COMMA, ",", start)
             return
-        bracket = self._innermost()
+        bracket = self._close_operators()
         if kind == LIST:
             if bracket[6]:
                 raise self.source.fault('expected "]": a list has one term after "|"', start)
-            self._add(bracket)
+            self._add_item(bracket)
             self._begin_segment(self.at, self.operators.infix)
             return
-        self._add(bracket)
+        self._add_item(bracket)
+        # `modes` tells which arguments of an event operator in functional notation are patterns.
         modes = bracket[8]
         pattern = len(bracket[4]) < len(modes) and modes[len(bracket[4])]
         self._begin_segment(self.at, self.patterns if pattern else self.operators.infix)
 
-    def _add(self, bracket: List[Any]) -> None:
+    def _add_item(self, bracket: List[Any]) -> None:
         bracket[4].append(self.left)
         if self.spots is not None:
             bracket[5].append(self.left_at)
 
     def _bar(self, start: int) -> None:
         if self.brackets[-1][1] == LIST:
-            bracket = self._innermost()
+            bracket = self._close_operators()
             if bracket[6]:
                 raise self.source.fault('expected "]": a list has one term after "|"', start)
-            self._add(bracket)
+            self._add_item(bracket)
             bracket[6] = True
             self.at += 1
             self._begin_segment(self.at, self.operators.infix)
@@ -423,8 +455,9 @@ class ParserStack(ParserState):
         self._push_infix(infix, "|", start)
 
     def _close(self, kind: str) -> None:
-        bracket = self._innermost()
+        bracket = self._close_operators()
         opened = bracket[2]
+        # A clause ends with a full stop; a single term may also end with the text.
         expected = END if opened is None else CLOSER[self.tokens[opened][0]]
         if kind != expected and not (opened is None and kind == "eof"):
             raise unbalanced(self, opened)
@@ -437,7 +470,7 @@ class ParserStack(ParserState):
                 self._build((_CURLY, self.left), bracket[4], (self.left_at,))
             self.left_at = bracket[4]
         else:
-            self._add(bracket)
+            self._add_item(bracket)
             if bracket[1] == LIST:
                 self._close_list(bracket)
             else:

@@ -1,16 +1,15 @@
-r"""Which parts of a clause are event rules, decided by its tokens before anything is built.
+r"""Detection of event rules in the tokens of a clause, before any term is built.
 
-In the pattern of an event rule ``*``, ``#``, ``/\``, ``\/`` are ``seq``, ``par``, ``and``, ``or`` with
-the priorities of those; everywhere else they are Prolog's. So the reader has to know where patterns are
-before it meets them. A *segment* is a whole clause, what stands in a pair of brackets, or one argument. By
-the tokens at its own level (not those in inner brackets) a segment is
+In the pattern of an event rule, the names ``*``, ``#``, ``/\``, ``\/`` are the operators ``seq``, ``par``, ``and``,
+``or`` with their priorities; everywhere else they are Prolog's. The parser must therefore know where patterns are
+before it reads them. A *segment* is a whole clause, the contents of a pair of brackets, or one argument. The tokens
+at its own level (outside of inner brackets) determine its kind:
 
-* a rule where it has an infix ``<-`` or ``iff``: what is left of that is the head (with ``do``), what is
-  right of it is a pattern;
-* a rule without a head where it has an infix ``do`` and no arrow: what is left of that is a pattern;
-* plain Prolog otherwise, and always where it has ``:-`` or ``-->``.
+* With an infix ``<-`` or ``iff``, it is a rule: a head (with ``do``) on the left, a pattern on the right.
+* With an infix ``do`` and no arrow, it is a rule without a head: a pattern on the left.
+* Otherwise it is plain Prolog, and always if it contains ``:-`` or ``-->``.
 
-A ``:`` or ``'rule:'`` before the rest of a rule is that of its label; any other ``:`` is Prolog's.
+A ``:`` or ``'rule:'`` before the rest of a rule belongs to its label; any other ``:`` is Prolog's.
 """
 
 from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
@@ -21,31 +20,33 @@ from .operators import CANONICAL, Operators
 from .tokenizer import END, NAME, OPEN_CT, QUOTED, AnyToken
 
 _NECKS = frozenset((":-", "-->", "?-", "=>"))
-_OPEN = frozenset(("(", OPEN_CT, "[", "{"))
-_CLOSE = frozenset((")", "]", "}"))
+"""Operators of Prolog clauses: a segment with one of them is not an event rule."""
+_OPENING = frozenset(("(", OPEN_CT, "[", "{"))
+_CLOSING = frozenset((")", "]", "}"))
 _CANNOT_START = frozenset((")", "]", "}", ",", "|", END, "eof"))
+"""Kinds of tokens with which a term cannot begin."""
 MARKERS = frozenset(name for name, same in CANONICAL.items() if same in ("<-", "do", "rule:"))
-"""Names that make a clause worth looking at."""
+"""Names without which a clause contains no event rule, so that most clauses are not analysed."""
 
 ARROW = functor("<-", 2)
 
 GOAL_RIGHT = frozenset(
-    functor(one.name, 2)
-    for one in EVENT_OPERATORS
-    if one.kind in (OperatorKind.ACTION, OperatorKind.CONDITION, OperatorKind.LIMIT)
+    functor(operator.name, 2)
+    for operator in EVENT_OPERATORS
+    if operator.kind in (OperatorKind.ACTION, OperatorKind.CONDITION, OperatorKind.LIMIT)
 )
-"""Operators of patterns whose right argument is a goal or a number: there, Prolog's operators hold."""
+"""Operators of patterns whose right argument is a goal or a number, in which Prolog's operators apply."""
 
 PATTERN_ARGUMENTS: Dict[Functor, Tuple[bool, ...]] = {
-    functor(one.name, len(one.patterns)): one.patterns
-    for one in EVENT_OPERATORS
-    if one.kind is not OperatorKind.RULE or one.name == "<-"
+    functor(operator.name, len(operator.patterns)): operator.patterns
+    for operator in EVENT_OPERATORS
+    if operator.kind is not OperatorKind.RULE or operator.name == "<-"
 }
-"""Which arguments are patterns, where these are written as functor and arguments in a pattern."""
+"""For operators in functional notation within a pattern, which of their arguments are patterns."""
 
 
 class Segment:
-    """What was found at the own level of a segment."""
+    """The operators at the own level of a segment."""
 
     __slots__ = ("start", "arrow", "action", "neck", "colons", "labels", "brace")
 
@@ -59,17 +60,17 @@ class Segment:
         self.brace = brace
 
     def is_rule(self) -> bool:
-        """Tell whether this is an event rule."""
+        """Return whether this is an event rule."""
         return not self.neck and (self.arrow is not None or self.action is not None)
 
 
 class Layout(NamedTuple):
-    """What the parser has to know of a clause with event rules; all keys are indexes of tokens.
+    """Positions of event rules in a clause; all keys are indexes of tokens.
 
     Attributes:
-        rules: first token of each segment that is a rule -> does a head come first (else a pattern).
-        labels: ``:`` or ``'rule:'`` of a label -> does a head come after it (else a pattern).
-        commas: opening bracket -> how many commas are directly in it.
+        rules: first token of each segment that is a rule -> whether it begins with a head (otherwise with a pattern).
+        labels: ``:`` or ``'rule:'`` of a label -> whether a head follows (otherwise a pattern).
+        commas: opening bracket -> number of commas directly within it.
     """
 
     rules: Dict[int, bool]
@@ -81,70 +82,75 @@ NO_RULES = Layout({}, {}, {})
 
 
 def layout(tokens: Sequence[AnyToken], operators: Operators) -> Layout:
-    """Return where the event rules of a clause are."""
-    found = Layout({}, {}, {})
+    """Return the positions of the event rules in a clause."""
+    result = Layout({}, {}, {})
     stack = [Segment(0, "")]
     opened: List[int] = []
     for at, token in enumerate(tokens):
         kind = token[0]
         if kind in (NAME, QUOTED):
-            _note(stack[-1], tokens, at, operators)
-        elif kind in _OPEN:
+            _record_name(stack[-1], tokens, at, operators)
+        elif kind in _OPENING:
             opened.append(at)
-            found.commas[at] = 0
+            result.commas[at] = 0
             stack.append(Segment(at + 1, kind))
-        elif kind in _CLOSE:
+        elif kind in _CLOSING:
             if opened:
                 opened.pop()
-                _finish(stack.pop(), found)
+                _finish_segment(stack.pop(), result)
         elif kind == "," and opened:
-            found.commas[opened[-1]] += 1
+            result.commas[opened[-1]] += 1
             if stack[-1].brace in (OPEN_CT, "["):
-                _finish(stack.pop(), found)
+                _finish_segment(stack.pop(), result)
                 stack.append(Segment(at + 1, tokens[opened[-1]][0]))
         elif kind == "|" and stack[-1].brace == "[":
-            _finish(stack.pop(), found)
+            _finish_segment(stack.pop(), result)
             stack.append(Segment(at + 1, "["))
+    # Brackets may be unbalanced: the parser reports that later, with a better message than is possible here.
     while stack:
-        _finish(stack.pop(), found)
-    return found
+        _finish_segment(stack.pop(), result)
+    return result
 
 
-def _finish(segment: Segment, found: Layout) -> None:
+def _finish_segment(segment: Segment, result: Layout) -> None:
     if not segment.is_rule():
         return
-    headed = segment.arrow is not None
+    has_head = segment.arrow is not None
+    # Only the first `:` can belong to a label, and only if it precedes the arrow: later ones qualify goals by
+    # modules.
     first = min(at for at in (segment.arrow, segment.action) if at is not None)
     labels = segment.labels + [at for at in segment.colons[:1] if at < first]
     labels = [at for at in labels if at < first]
-    found.rules[segment.start] = True if labels else headed
+    result.rules[segment.start] = True if labels else has_head
     for at in labels:
-        found.labels[at] = headed
+        result.labels[at] = has_head
 
 
-def _note(segment: Segment, tokens: Sequence[AnyToken], at: int, operators: Operators) -> None:
-    """Note what the name at ``at`` means for its segment."""
+def _record_name(segment: Segment, tokens: Sequence[AnyToken], at: int, operators: Operators) -> None:
+    """Record the name at token ``at`` in its segment, if it decides about the kind of the segment."""
     name = tokens[at][1]
     if name in _NECKS:
+        # In quotes, or before a bracket or comma, it is an atom: `X = (:-)`.
         if tokens[at][0] == NAME and tokens[at + 1][0] not in _CANNOT_START:
             segment.neck = True
         return
-    same = ":" if name == ":" else CANONICAL.get(name)
-    if same not in ("<-", "do", "rule:", ":") or not _is_infix(segment, tokens, at, operators):
+    canonical = ":" if name == ":" else CANONICAL.get(name)
+    if canonical not in ("<-", "do", "rule:", ":") or not _is_infix(segment, tokens, at, operators):
         return
-    if same == "<-":
+    if canonical == "<-":
         if segment.arrow is None:
             segment.arrow = at
-    elif same == "do":
+    elif canonical == "do":
         if segment.action is None:
             segment.action = at
-    elif same == ":":
+    elif canonical == ":":
         segment.colons.append(at)
     else:
         segment.labels.append(at)
 
 
 def _is_infix(segment: Segment, tokens: Sequence[AnyToken], at: int, operators: Operators) -> bool:
+    # An infix operator needs an operand on both sides. The tests mirror those of the parser, on the tokens alone.
     if at == segment.start:
         return False
     kind, value = tokens[at + 1][:2]

@@ -1,4 +1,16 @@
-"""Text to terms: one term, or a program clause by clause."""
+"""Reading of terms: a single term, or a program clause by clause.
+
+`read_term` reads a text that is exactly one term. `Program` reads clauses incrementally, because a directive may
+declare operators or change flags for the clauses that follow: tokens are generated lazily, and each clause is parsed
+when it is requested.
+
+Error recovery: after a syntax error, reading continues with the next clause. Two mistakes would otherwise hide
+everything up to the next full stop, so they are handled separately:
+
+* A missing full stop. If the erroneous token begins a line, it probably begins a clause, and parsing continues there.
+* A missing closing quote in multi-line mode. The quote would extend to the next one in the file. If the clause has an
+  error and contains such a quote, the quote is reported, and reading continues after its line.
+"""
 
 from typing import Any, Dict, Iterator, List, Optional, Tuple, Union
 
@@ -12,24 +24,25 @@ from .rule_detection import MARKERS, NO_RULES, layout
 from .tokenizer import END, NAME, QUOTED, TEXT, VARIABLE, AnyToken, ReadFlags, Source, tokens, unclosed
 
 DEFAULT = ReadFlags()
+"""Flags for single terms."""
 OF_FILES = ReadFlags(multiline=True)
-"""How the files of a program are read."""
+"""Flags for the files of a program."""
 
 _FIRST_TOKENS = 16
-"""Tokens that are looked at first where a full stop was missing."""
+"""Tokens that are parsed first after a missing full stop."""
 
-_AHEAD = 4
-"""Tokens after the one that it is at that the parser may look at, and one."""
+_LOOKAHEAD = 4
+"""Tokens from an error on that the parser may have read, plus one."""
 
 
 class ReadTerm:
-    """A term that was read, and what is known of its text.
+    """A term that was read, with its variable names and positions.
 
     Attributes:
         term: the term.
-        names: name -> variable, in order of appearance; ``_`` is not in it.
-        singletons: names that stand in the term once and do not begin with ``_``.
-        offset: where the term begins in its text.
+        names: variables by name, in order of appearance, without ``_``.
+        singletons: names that occur once and do not begin with ``_``.
+        offset: offset of the term in the text.
     """
 
     __slots__ = ("term", "names", "singletons", "offset", "_source", "_spots")
@@ -46,14 +59,15 @@ class ReadTerm:
 
     @property
     def place(self) -> Place:
-        """Return the place where the term begins."""
+        """The place where the term begins."""
         return self._source.place(self.offset)
 
     def place_of(self, part: Term, number: int = 0) -> Place:
-        """Return the place of a compound term inside ``term``: that of its functor or operator.
+        """Return the place of a compound term within ``term``: that of its functor or operator.
 
-        With ``number`` it is the place where that argument begins. ``part`` must be the very object; for any
-        other the place of the whole term is returned.
+        Args:
+            part: the object itself, not an equal term; for any other object, the place of the whole term is returned.
+            number: an argument number from 1 on, for the place where the argument begins; 0 for the functor.
         """
         spots = self._spots.get(id(part))
         if spots is None:
@@ -61,10 +75,10 @@ class ReadTerm:
         return self._source.place(spots[number if number < len(spots) else 0])
 
     def place_at(self, *path: int) -> Place:
-        """Return the place of the part that a path of argument numbers (from 1) leads to.
+        """Return the place of the subterm at a path of argument numbers (from 1).
 
-        ``place_at(2, 1)`` is the first argument of the second argument. Where the path leads into a list
-        or out of the term, it is the place of what is around it.
+        ``place_at(2, 1)`` is the first argument of the second argument. If the path leads into a list or out of the
+        term, the place of the enclosing term is returned.
         """
         part: Any = self.term
         offset = self.offset
@@ -81,9 +95,12 @@ class ReadTerm:
 class Program:
     """Reads a program clause by clause; iterate over it.
 
-    Yields a `ReadTerm` for each clause, and a `SyntaxFault` for each that has an error; then reading goes
-    on with the next clause. ``operators`` and ``flags`` may be changed between clauses: they are looked
-    at when the next clause is asked for. ``end`` is where the full stop of the last clause ends.
+    Yields a `ReadTerm` for each clause, and a `SyntaxFault` for each clause with an error.
+
+    Attributes:
+        operators: the operators for the next clause; may be changed between clauses.
+        flags: the flags for the next clause; may be changed between clauses.
+        end: offset after the full stop of the last clause.
     """
 
     def __init__(
@@ -97,25 +114,25 @@ class Program:
         self.operators = operators
         self._source = Source(source, text, first_line)
         self.flags = flags
-        self._stream = self._tokens_from(_after_interpreter(text))
-        self._again: Optional[Tuple[List[AnyToken], int]] = None
+        self._tokens = self._tokens_from(_after_interpreter(text))
+        self._resume_at: Optional[Tuple[List[AnyToken], int]] = None
         self.end = 0
 
     def __iter__(self) -> Iterator[Union[ReadTerm, SyntaxFault]]:
         while True:
-            if self._again is not None:
-                yield self._read_rest(*self._again)
+            if self._resume_at is not None:
+                yield self._read_rest(*self._resume_at)
                 continue
             clause = self._clause()
             if not clause:
                 return
-            read = self._read(clause, 0, len(clause)) or self._no_clause(clause)
-            yield self._without_lines(clause) or read if isinstance(read, SyntaxFault) else read
+            read = self._read(clause, 0, len(clause)) or self._missing_full_stop(clause)
+            yield self._unclosed_quote(clause) or read if isinstance(read, SyntaxFault) else read
 
     def _clause(self) -> List[AnyToken]:
         """Return the tokens up to the next full stop; none at the end of the text."""
         clause: List[AnyToken] = []
-        for token in self._stream:
+        for token in self._tokens:
             clause.append(token)
             if token[0] == END:
                 self.end = token[3]
@@ -125,66 +142,72 @@ class Program:
     def _tokens_from(self, start: int) -> Iterator[AnyToken]:
         return tokens(self._source, lambda: self.flags, start)
 
-    def _without_lines(self, clause: List[AnyToken]) -> Optional[SyntaxFault]:
-        """Return the fault of the first quote that goes on in the next line, and go on behind its own; None for none.
+    def _unclosed_quote(self, clause: List[AnyToken]) -> Optional[SyntaxFault]:
+        """Return the error of the first quoted text that extends over a line end, and continue after its line.
 
-        Of a clause that does not read, such a quote was most often meant to end on its line.
+        Return None if there is none. In a clause with an error, such a quote was probably meant to end on its line.
         """
         text = self._source.text
         for kind, _, start, end in clause if self.flags.multiline else ():
             if kind in (QUOTED, TEXT) and "\n" in text[start:end] and closing(text, start) is None:
-                self._again = None
-                self._stream = self._tokens_from(unclosed_end(text, start))
+                # The tokens after the quote were wrong as well, so the text is tokenised anew from there.
+                self._resume_at = None
+                self._tokens = self._tokens_from(unclosed_end(text, start))
                 return self._rest_of_clause(self._source.fault(unclosed(text[start], start, text), start))
         return None
 
     def _rest_of_clause(self, fault: SyntaxFault) -> SyntaxFault:
-        """Pass over the rest of a clause that has a fault."""
+        """Skip the rest of a clause that has an error."""
         self._clause()
         return fault
 
     def _read_rest(self, clause: List[AnyToken], start: int) -> Union[ReadTerm, SyntaxFault]:
-        """Read the tokens of a clause from ``start`` on, where a full stop was missing.
-
-        Another may be missing soon: of thousands of lines without one, each is read by looking at the next few.
-        """
+        """Read the tokens of a clause from ``start`` on, after a missing full stop."""
+        # More full stops may be missing. Parsing all remaining tokens for each of n lines would take time in n^2, so
+        # a few tokens are tried first, and four times as many if the error may lie beyond them.
         end = start + _FIRST_TOKENS
         while end < len(clause):
-            found = self._read(clause, start, end)
-            if found is not None:
-                return found
+            read = self._read(clause, start, end)
+            if read is not None:
+                return read
             end = start + 4 * (end - start)
-        return self._read(clause, start, len(clause)) or self._no_clause(clause)
+        return self._read(clause, start, len(clause)) or self._missing_full_stop(clause)
 
     def _read(self, clause: List[AnyToken], start: int, end: int) -> Union[ReadTerm, SyntaxFault, None]:
-        """Return what the tokens from ``start`` to ``end`` are, or None where more of the clause has to be seen."""
+        """Parse the tokens from ``start`` to ``end``; return None if the result depends on later tokens."""
         parser = None
         try:
             parser = _parser(clause[start:end], self._source, self.operators, self.flags, positions=True)
             term = parser.read()
         except SyntaxFault as fault:
-            at = start if parser is None else start + parser.at
-            if end < len(clause) and at + _AHEAD >= end:
+            position = start if parser is None else start + parser.at
+            # Near the end of the excerpt, the error may be the missing continuation.
+            if end < len(clause) and position + _LOOKAHEAD >= end:
                 return None
-            self._again = (clause, at) if start < at < len(clause) and self._begins(clause[at]) else None
+            self._resume_at = (
+                (clause, position)
+                if start < position < len(clause) and self._begins_clause(clause[position])
+                else None
+            )
             return fault
+        # Without its full stop, the term may continue.
         if end < len(clause) or clause[-1][0] != END:
             return None
-        self._again = None
+        self._resume_at = None
         return ReadTerm(parser, term, clause[start][2])
 
-    def _no_clause(self, clause: List[AnyToken]) -> SyntaxFault:
-        self._again = None
+    def _missing_full_stop(self, clause: List[AnyToken]) -> SyntaxFault:
+        self._resume_at = None
         return self._source.fault("expected a full stop at the end of the clause", clause[-1][3])
 
-    def _begins(self, token: AnyToken) -> bool:
-        """Tell whether a token that is an error begins a clause: a full stop was missing before its line."""
+    def _begins_clause(self, token: AnyToken) -> bool:
+        """Return whether an erroneous token probably begins a clause, after a missing full stop."""
         kind, _, start, _ = token
         return kind in (NAME, QUOTED, VARIABLE) and starts_line(self._source.text, start)
 
 
 def _after_interpreter(text: str) -> int:
-    """Return where a program begins whose first line may name what runs it."""
+    """Return the offset after a first line that names an interpreter (``#!``)."""
     if not text.startswith("#!"):
         return 0
     end = text.find("\n")
@@ -210,30 +233,35 @@ def read_term(
 
     Args:
         text: the text.
-        operators: the operators that hold.
-        source: a name for the text, for errors.
+        operators: the operators.
+        source: a name for the text in error messages.
         flags: see `ReadFlags`.
-        positions: keep the places of the parts (see `ReadTerm.place_of`); costs some time.
-        first_line: the number of the text's first line, where it is a part of a longer one.
+        positions: record the positions of subterms (see `ReadTerm.place_of`); takes more time.
+        first_line: number of the first line, if the text is a part of a longer one.
 
     Raises:
-        SyntaxFault: where the text is not exactly one term.
+        SyntaxFault: if the text is not exactly one term.
     """
     where = Source(source, text, first_line)
-    found = list(tokens(where, lambda: flags))
-    for at, token in enumerate(found):
-        if token[0] == END and at + 1 < len(found):
-            raise where.fault("expected nothing after the full stop", found[at + 1][2])
-    if not found or found[0][0] == END:
-        raise where.fault("expected a term", found[0][2] if found else 0)
-    parser = _parser(found, where, operators, flags, positions)
-    return ReadTerm(parser, parser.read(), found[0][2])
+    clause = list(tokens(where, lambda: flags))
+    for position, token in enumerate(clause):
+        if token[0] == END and position + 1 < len(clause):
+            raise where.fault("expected nothing after the full stop", clause[position + 1][2])
+    if not clause or clause[0][0] == END:
+        raise where.fault("expected a term", clause[0][2] if clause else 0)
+    parser = _parser(clause, where, operators, flags, positions)
+    return ReadTerm(parser, parser.read(), clause[0][2])
 
 
 def _parser(
     clause: List[AnyToken], source: Source, operators: Operators, flags: ReadFlags, positions: bool
 ) -> Parser:
-    """Return a parser for the tokens of one clause, at least one; SyntaxFault where a token is bad."""
+    """Return a parser for the tokens of one clause.
+
+    Raises:
+        SyntaxFault: if a token is invalid.
+    """
+    # Only clauses that contain an arrow or `do` can be event rules; the analysis of rules is skipped for all others.
     marked = False
     for kind, value, start, _ in clause:
         if kind == "bad":
@@ -241,7 +269,7 @@ def _parser(
         if (kind in (NAME, QUOTED)) and value in MARKERS:
             marked = True
     end = ("eof", None, clause[-1][3], clause[-1][3])
-    clause = [*clause, end, end, end]  # so that looking ahead needs no test
+    clause = [*clause, end, end, end]  # the parser looks ahead without testing for the end
     rules = layout(clause, operators) if marked else NO_RULES
     spots: Optional[Dict[int, Tuple[int, ...]]] = {} if positions else None
     return Parser(clause, source, operators, flags, rules, spots)

@@ -1,9 +1,12 @@
-"""Terms to text that reads back as the same term.
+"""Writing of terms: text that reads back as the same term.
 
-Works without recursion: a stack holds what is still to be written. Two tokens that would run together are
-parted by a blank, and nothing else is, as SWI-Prolog 9 does it.
+The writer keeps a stack of pieces still to be written (tokens, terms with a priority limit, rests of lists) and does
+not recurse, so terms of any depth can be written. Brackets follow from the priorities of operators (ISO 13211-1,
+7.10.5): an operator term whose priority exceeds the limit of its position is put in brackets. A space separates two
+tokens only if they would be read as one, as in SWI-Prolog 9.
 
-Messages shown with slots by name, where a program has written them like that.
+`by_name` returns a `Portray` that shows messages with named fields in the notation in which the program has written
+them.
 """
 
 from typing import (
@@ -42,33 +45,39 @@ from .literals import atom_text, float_text, integer_text, quote
 from .message_fields import MessageSlot, NamedForm, as_integers, made_in, parts_in
 from .operators import Operator, Operators
 
-_CURLY = functor("{}", 1)
-_NUMBERED = functor("$VAR", 1)
-_LONG = 64 * len(BULK)
+_BRACES = functor("{}", 1)
+_VAR_FUNCTOR = functor("$VAR", 1)
+_CYCLE_CHECK_STEPS = 64 * len(BULK)
+"""Steps after which the writer checks whether the term is cyclic."""
+
 _MASK = len(BULK) - 1
+"""Bit mask of steps at which the goal's limits are checked."""
+
 _MAX_TEXT_CHARACTERS = 1 << 26
-"""Characters of the longest text that is written."""
-_BULKY = 1 << 18
-"""Characters from which on there is a check for room before the text of a term is put together."""
+"""Length of the longest text that is written."""
+
+_LARGE_TEXT_CHARACTERS = 1 << 18
+"""Length from which on the memory limit is checked before the text is assembled."""
+
 _STACKED_ARGUMENTS = 64
-"""Arguments or items of a list that lie on the stack together."""
+"""Arguments or list items that are put on the stack at once."""
 _SYMBOLS = frozenset("-+*/\\^<>=~:.?@#&$")
 
 
 class WriteOptions(NamedTuple):
-    """How a term is written; the names are those of ``write_term/2``.
+    """Options of `write_term`; the names are those of ``write_term/2``.
 
     Attributes:
-        quoted: atoms and strings are quoted where they have to be.
-        ignore_ops: operators are written as functor and arguments.
-        brace_terms: ``{}(a)`` is written ``{a}``.
-        numbervars: ``'$VAR'(1)`` is written ``B``.
-        spacing: a blank after the commas of arguments and lists.
-        wide: a blank on either side of the infix operators that bind least: of rules and conditions.
-        variable_names: variable -> name; others are ``_G1`` and so on.
+        quoted: quote atoms and strings where reading them back requires it.
+        ignore_ops: write operators in functional notation.
+        brace_terms: write ``{}(a)`` as ``{a}``.
+        numbervars: write ``'$VAR'(1)`` as ``B``.
+        spacing: write a space after the commas of arguments and lists.
+        wide: write spaces around the infix operators of rules and conditions.
+        variable_names: names of variables; others are written as ``_G1`` and so on.
         priority: a term of a higher priority is put in brackets.
-        portray: gives the text of a term that is written in a way of its own, and None for others.
-        longest: characters after which the text ends with ``...``; None for the whole text.
+        portray: returns the text of terms with a notation of their own, and None for other terms.
+        longest: number of characters after which the text ends with ``...``; None for the whole text.
     """
 
     quoted: bool = True
@@ -84,7 +93,7 @@ class WriteOptions(NamedTuple):
 
 
 Piece = Union[str, "_PrefixOperator", "_Arguments", "_Cells", Tuple[Term, int], Tuple[Term, int, bool]]
-"""What is to be written, see `_TermWriter.write`."""
+"""An entry of the writer's stack; see `_TermWriter.write`."""
 
 
 class _TermWriter:
@@ -107,9 +116,8 @@ class _TermWriter:
     def write(self, term: Term) -> str:
         """Return the text of ``term``.
 
-        An entry of the stack is a token (a str), a prefix operator, the items that remain of a list or of many
-        arguments, or a term and the priority that it may have, with a third item where it is the argument of an
-        operator.
+        An entry of the stack is a token (``str``), a prefix operator, the rest of a list or of many arguments, or a
+        tuple of a term and its highest priority, with a third item if it is the argument of an operator.
         """
         stack = self.stack
         stack.append((term, self.options.priority))
@@ -124,7 +132,7 @@ class _TermWriter:
             if kind is str:
                 self._put(entry)
             elif kind is _PrefixOperator:
-                entry.parted = self._put(entry.text)
+                entry.has_space_before = self._put(entry.text)
                 self.after = entry
             elif kind is _Cells or kind is _Arguments:
                 entry.put_next(stack)
@@ -133,36 +141,37 @@ class _TermWriter:
         return "".join(self.out)
 
     def _is_full(self, term: Term, steps: int) -> bool:
-        """Look at the limits; tell whether no more is to be written."""
+        """Check the limits; return whether no more needs to be written."""
         look()
-        if steps == _LONG:
-            resolve(term)  # raises for a term that contains itself
+        # A cyclic term would be written until the text is too long; most terms are finished before this check.
+        if steps == _CYCLE_CHECK_STEPS:
+            resolve(term)  # raises for a cyclic term
         self._measure(0)
         return False
 
     def _measure(self, following: int) -> None:
-        """Count the characters so far, and check that there is room for them and those that follow in one text."""
+        """Add up the characters so far, and check that the text has room for them and for ``following`` more."""
         self.size += sum(map(len, self.out[self.counted :]))
         self.counted = len(self.out)
         if self.size + following > _MAX_TEXT_CHARACTERS:
             raise TermTooLarge
-        if self.size + following > _BULKY:
+        if self.size + following > _LARGE_TEXT_CHARACTERS:
             look(size=self.size + following)
 
     def _put(self, token: str) -> bool:
-        """Add a token, with a blank before it where it would run into the one before; tell whether so."""
+        """Append a token, after a space if it would merge with the previous one; return whether there is a space."""
         if not token:
             return False
         last, first = self.last, token[0]
-        parted = bool(last) and (
-            _run_together(last, first) or (self.after is not None and self.after.needs_blank(first))
+        is_separated = bool(last) and (
+            _would_merge(last, first) or (self.after is not None and self.after.needs_blank(first))
         )
-        if parted:
+        if is_separated:
             self.out.append(" ")
         self.after = None
         self.out.append(token)
         self.last = token[-1]
-        return parted
+        return is_separated
 
     def _term(self, term: Term, limit: int, is_operand: bool) -> None:
         if self.portray is not None and term.__class__ is not Var:
@@ -179,14 +188,14 @@ class _TermWriter:
         elif term.__class__ is float:
             self._put(float_text(term))
         elif term.__class__ is String:
-            if len(term.text) > _BULKY:
+            if len(term.text) > _LARGE_TEXT_CHARACTERS:
                 self._measure(len(term.text))
             self._put(quote(term.text, '"') if self.options.quoted else term.text)
         elif term.__class__ is Var:
             self._put(self.names.get(term) or f"_G{serial(term)}")
 
     def _atom_term(self, name: str, is_operand: bool) -> None:
-        if len(name) > _BULKY:
+        if len(name) > _LARGE_TEXT_CHARACTERS:
             self._measure(len(name))
         if is_operand and (name in self.operators or name == "."):
             self._put("(")
@@ -196,18 +205,18 @@ class _TermWriter:
             self._put(self.atom(name))
 
     def _compound(self, term: CompoundTerm, limit: int) -> None:
-        found: Functor = term[0]
-        if found is CONS:
+        key: Functor = term[0]
+        if key is CONS:
             self._list(term)
             return
         options = self.options
-        if found is _NUMBERED and options.numbervars and self._numbered(deref(term[1])):
+        if key is _VAR_FUNCTOR and options.numbervars and self._numbered(deref(term[1])):
             return
-        if found is _CURLY and options.brace_terms:
+        if key is _BRACES and options.brace_terms:
             self.stack += ("}", (term[1], 1200), "{")
             return
-        if options.ignore_ops or found.arity > 2 or not self._operator(term, found, limit):
-            self._canonical(term, found)
+        if options.ignore_ops or key.arity > 2 or not self._operator(term, key, limit):
+            self._canonical(term, key)
 
     def _numbered(self, number: Term) -> bool:
         if number.__class__ is not int or number < 0:
@@ -216,7 +225,7 @@ class _TermWriter:
         self._put(letter + (str(number // 26) if number >= 26 else ""))
         return True
 
-    def _canonical(self, term: CompoundTerm, found: Functor) -> None:
+    def _canonical(self, term: CompoundTerm, key: Functor) -> None:
         stack = self.stack
         stack.append(")")
         if len(term) > _STACKED_ARGUMENTS:
@@ -225,9 +234,9 @@ class _TermWriter:
             for argument in term[:1:-1]:
                 stack.append((argument, 999))
                 stack.append(self.comma)
-        if found.arity:
+        if key.arity:
             stack.append((term[1], 999))
-        self._put(self.atom(found.name))
+        self._put(self.atom(key.name))
         self._put("(")
 
     def _list(self, term: CompoundTerm) -> None:
@@ -236,10 +245,10 @@ class _TermWriter:
         stack.append((term[1], 999))
         self._put("[")
 
-    def _operator(self, term: CompoundTerm, found: Functor, limit: int) -> bool:
-        """Write a term with its operator; False where its functor is none."""
-        name = found.name
-        if found.arity == 2:
+    def _operator(self, term: CompoundTerm, key: Functor, limit: int) -> bool:
+        """Write a term in operator notation; return false if its functor is no operator."""
+        name = key.name
+        if key.arity == 2:
             infix = self.operators.infix.get(name)
             if infix is None:
                 return False
@@ -261,7 +270,7 @@ class _TermWriter:
                 return False
         if priority > limit:
             entries = ["(", *entries, ")"]
-        entries.reverse()
+        entries.reverse()  # the first piece must be on top of the stack
         self.stack += entries
         return True
 
@@ -271,36 +280,35 @@ class _TermWriter:
             text = self.comma
         elif name == "|":
             text = "|"
-        elif self.options.wide and infix.priority >= _WIDE:
+        elif self.options.wide and infix.priority >= _MIN_WIDE_PRIORITY:
             text = f" {self.atom(name)} "
         else:
             text = _PrefixOperator(self.atom(name), False)
+        # `(a : b) <- c` without brackets would be read as a rule with the label `a`.
         left = 0 if name in _AFTER_A_LABEL and _is_labelled(term[1]) else infix.left
         return [(term[1], left, True), text, (term[2], self._right(infix, term[2]), True)]
 
-    def _right(self, found: Operator, argument: Term) -> int:
-        """Return the priority that the right argument may have.
-
-        Where it is an operator of the same priority that would take the operator before it as its left
-        argument, it needs brackets, as ``a xfy (b yfx c)``.
-        """
+    def _right(self, operator: Operator, argument: Term) -> int:
+        """Return the highest priority that the right argument may have."""
+        # `a xfy (b yfx c)`, both of the same priority: without brackets, the inner operator would take the outer
+        # one as its left argument when the text is read.
         argument = deref(argument)
-        if found.right != found.priority or argument.__class__ is not tuple:
-            return found.right
+        if operator.right != operator.priority or argument.__class__ is not tuple:
+            return operator.right
         name, arity = argument[0].name, argument[0].arity
         if arity == 2:
             inner = self.operators.infix.get(name)
         elif arity == 1 and name not in self.operators.prefix:
             inner = self.operators.postfix.get(name)
         else:
-            return found.right
-        if inner is not None and inner.priority == inner.left == found.priority:
-            return found.right - 1
-        return found.right
+            return operator.right
+        if inner is not None and inner.priority == inner.left == operator.priority:
+            return operator.right - 1
+        return operator.right
 
 
 class _Arguments:
-    """The arguments of a compound term from the second one on; all of them on the stack would take much memory."""
+    """The arguments of a compound term from the second one on, which would take much memory on the stack."""
 
     __slots__ = ("rest", "comma")
 
@@ -309,7 +317,7 @@ class _Arguments:
         self.comma = comma
 
     def put_next(self, stack: List[Piece]) -> None:
-        """Put the next argument on the stack."""
+        """Put the next argument on the stack, and itself below it."""
         for argument in self.rest:
             stack += (self, (argument, 999), self.comma)
             return
@@ -343,9 +351,9 @@ class _Cells:
 
 
 class _BeginningWriter(_TermWriter):
-    """Writes the beginning of a term; what is left out takes no time."""
+    """Writes the beginning of a term; omitted parts take no time."""
 
-    check_mask = 0
+    check_mask = 0  # the length is checked after every piece
 
     def write(self, term: Term) -> str:
         text = super().write(term)
@@ -357,6 +365,8 @@ class _BeginningWriter(_TermWriter):
         return self.size > (self.options.longest or 0)
 
     def _term(self, term: Term, limit: int, is_operand: bool) -> None:
+        # A single constant can be longer than the text. It is shortened first, as quoting or converting it takes
+        # time.
         longest = self.options.longest or 0
         if term.__class__ is Atom and len(term.name) > longest:
             term = atom(term.name[: longest + 1])
@@ -368,30 +378,35 @@ class _BeginningWriter(_TermWriter):
         super()._term(term, limit, is_operand)
 
 
-_WIDE = 700
+_MIN_WIDE_PRIORITY = 700
+"""Priority from which on option ``wide`` writes spaces around operators."""
+
 _AFTER_A_LABEL = frozenset(("do", "<-"))
+"""Operators whose left argument may be read as the label of a rule."""
 
 
 def _is_labelled(term: Term) -> bool:
-    """Tell whether a term would read as the label of a rule where it stands before ``do`` or ``<-``."""
+    """Return whether a term before ``do`` or ``<-`` would be read as the label of a rule."""
     term = deref(term)
     return term.__class__ is tuple and term[0].arity == 2 and term[0].name == ":"
 
 
 class _PrefixOperator:
-    """An operator before its argument, waiting on the writer's stack."""
+    """An operator on the writer's stack; the text after it determines whether a space is needed."""
 
-    __slots__ = ("text", "is_prefix", "parted")
+    __slots__ = ("text", "is_prefix", "has_space_before")
 
     def __init__(self, text: str, is_prefix: bool):
         self.text = text
         self.is_prefix = is_prefix
-        self.parted = False
+        self.has_space_before = False
 
     def needs_blank(self, following: str) -> bool:
-        """Tell whether a blank must part the operator from a token that begins with this character."""
+        """Return whether a space must separate the operator from a token that begins with ``following``."""
+        # An infix operator has a space after it if there is one before it: `a- -1`, but `a rem b`.
         if not self.is_prefix:
-            return self.parted
+            return self.has_space_before
+        # `-(1)` would be a compound term in functional notation, and `-1` a number.
         if following == "(" or (self.text == "-" and following.isdigit()):
             return True
         return following in _SYMBOLS and _is_word(self.text[-1])
@@ -401,8 +416,8 @@ def _is_word(char: str) -> bool:
     return char.isalnum() or char == "_"
 
 
-def _run_together(last: str, first: str) -> bool:
-    """Tell whether two tokens would read as one, by the last character of one and the first of the other."""
+def _would_merge(last: str, first: str) -> bool:
+    """Return whether two tokens would be read as one, from the last and first character."""
     if first in _SYMBOLS:
         return last in _SYMBOLS
     if first == "'":
@@ -416,22 +431,22 @@ def write_term(term: Term, operators: Optional[Operators] = None, **options: Any
     """Return the text of a term.
 
     Args:
-        term: any term; bound variables are followed, lazy terms are looked at.
-        operators: the table to write with; Prolog's by default.
+        term: any term; bound variables are followed, lazy terms are built.
+        operators: the operator table; Prolog's by default.
         **options: see `WriteOptions`.
     """
-    found = WriteOptions(**options)
-    writer = _TermWriter if found.longest is None else _BeginningWriter
-    return writer(operators or _usual(), found).write(term)
+    write_options = WriteOptions(**options)
+    writer = _TermWriter if write_options.longest is None else _BeginningWriter
+    return writer(operators or _standard_operators(), write_options).write(term)
 
 
 def writeq(term: Term, operators: Optional[Operators] = None) -> str:
     """Return the text of a term as ``writeq/1`` writes it: quoted, with operators and ``'$VAR'``."""
-    return _TermWriter(operators or _usual(), _QUOTED).write(term)
+    return _TermWriter(operators or _standard_operators(), _QUOTED).write(term)
 
 
 def canonical_text(term: Term) -> str:
-    """Return the text of a term that reads back everywhere: quoted, without operators, variables as A, B, ..."""
+    """Return quoted text in functional notation, which reads back with any operators; variables are A, B, ..."""
     names = {
         var: f"{chr(65 + number % 26)}{number // 26 or ''}" for number, var in enumerate(variables(term))
     }
@@ -439,15 +454,13 @@ def canonical_text(term: Term) -> str:
 
 
 def beginning_of(term: Term, longest: int) -> str:
-    """Return what `writeq` returns, or its first characters and ``...``: an error may be about a term of any size."""
-    return _BeginningWriter(_usual(), _QUOTED._replace(longest=longest)).write(term)
+    """Return the result of `writeq`, or its first characters and ``...``, as errors can contain terms of any size."""
+    return _BeginningWriter(_standard_operators(), _QUOTED._replace(longest=longest)).write(term)
 
 
 def add_full_stop(text: str) -> str:
-    """Return the text of a term with the full stop that ends a clause.
-
-    A blank parts it from a symbol character, which would make one token with it: ``:- @ .``
-    """
+    """Return the text of a term with a full stop, after a space if the text ends with a symbol character."""
+    # In `:- @.` the full stop would be a part of the symbol atom.
     return f"{text} ." if text[-1:] in _SYMBOLS else f"{text}."
 
 
@@ -455,30 +468,31 @@ _QUOTED = WriteOptions(numbervars=True)
 _tables: List[Operators] = []
 
 
-def _usual() -> Operators:
+def _standard_operators() -> Operators:
     if not _tables:
         _tables.append(Operators.prolog())
     return _tables[0]
 
 
 Portray = Callable[[Term], Optional[str]]
+"""Returns the text of a term with a notation of its own, and None for other terms."""
 
 
 MAX_NAMED_DEPTH = 50
-"""How deep messages that are shown by name may lie in each other: as deep as types."""
+"""Largest nesting depth of messages that are shown with named fields; message types cannot be nested deeper."""
 
 
 def by_name(
     term: Term, operators: Operators, named: Collection[Var] = (), made: bool = False, **options: Any
 ) -> Optional[Portray]:
-    """Return what gives the text of messages in a term as they were written; None where none was by name.
+    """Return a `Portray` for the messages in a term that were written with named fields; None if there are none.
 
     Args:
-        term: what is shown.
-        operators: by which it is shown.
-        named: variables that have names of their own: what they stand for was named.
-        made: whether all of it is made, as the head of a rule.
-        **options: how values are shown; see `WriteOptions`.
+        term: the term to show.
+        operators: its operator table.
+        named: variables that have names, so that the fields with these variables were named.
+        made: whether the whole term is constructed, such as the head of a rule.
+        **options: options for the values; see `WriteOptions`.
     """
     if operators.slots is None or not operators.slots.forms:
         return None
@@ -487,6 +501,8 @@ def by_name(
 
 
 class _NamedShower:
+    """Shows messages with named fields, in the notations that the program has used for their types."""
+
     def __init__(
         self, term: Term, operators: Operators, named: Collection[Var], made: bool, options: Dict[str, Any]
     ):
@@ -503,44 +519,49 @@ class _NamedShower:
             if part[0] in known:
                 self.forms[part[0]] = known[part[0]]
         if self.forms:
-            self.open = _alone(term, named)
+            self.open = _singleton_variables(term, named)
             whole = [term] if made else made_in(term)
-            self.made: Set[int] = {id(part) for one in whole for part in parts_in(one)}
+            self.made: Set[int] = {id(part) for constructed in whole for part in parts_in(constructed)}
 
     def text(self, term: Term) -> Optional[str]:
-        """Return the text of a message that was written by name; None for anything else."""
+        """Return the text of a message that was written with named fields; None for any other term."""
         if term.__class__ is not tuple or term[0] not in self.forms or self.depth > MAX_NAMED_DEPTH:
             return None
         slots = self.slots(term[0])
-        fitting = [one for one in self.forms[term[0]] if slots and self.fits(term, one, slots)]
+        # Several notations may describe this message. The one with the fewest needless fields is probably the
+        # original.
+        fitting = [form for form in self.forms[term[0]] if slots and self.fits(term, form, slots)]
         if slots is None or not fitting:
             return None
-        form = min(fitting, key=lambda one: (self.in_vain(term, one), len(one.named), -len(one.whole)))
+        form = min(
+            fitting, key=lambda form: (self.needless_fields(term, form), len(form.named), -len(form.whole))
+        )
         self.depth += 1
-        values = [self.slot(slots[at - 1], term[at], at in form.whole) for at in form.named]
+        values = [self.slot(slots[number - 1], term[number], number in form.whole) for number in form.named]
         self.depth -= 1
         return f"{atom_text(term[0].name)}{{{', '.join(values)}}}"
 
     def slots(self, key: Functor) -> Optional[Sequence[MessageSlot]]:
         try:
             slots = self.find(key.name)
-        except RetalisError:  # no longer known: it is shown with all slots
+        except RetalisError:  # the definition cannot be read any more: the message is shown in full
             return None
         return slots if slots is not None and len(slots) == key.arity else None
 
-    def in_vain(self, term: CompoundTerm, form: NamedForm) -> int:
-        """Return how many slots a form names without need."""
-        return sum(deref(term[at]) in self.open for at in form.named)
+    def needless_fields(self, term: CompoundTerm, form: NamedForm) -> int:
+        """Return the number of fields that a notation names although their values are anonymous variables."""
+        return sum(deref(term[number]) in self.open for number in form.named)
 
     def fits(self, term: CompoundTerm, form: NamedForm, slots: Sequence[MessageSlot]) -> bool:
-        """Tell whether a message reads back from a form."""
+        """Return whether a message reads back from a notation."""
         if form.made is not (id(term) in self.made):
             return False
-        others = [at for at in range(1, len(term)) if at not in form.named]
+        others = [number for number in range(1, len(term)) if number not in form.named]
         if not form.made:
-            return all(deref(term[at]) in self.open for at in others)
+            return all(deref(term[number]) in self.open for number in others)
         return all(
-            is_ground(term[at]) and term_key(term[at]) == term_key(slots[at - 1].zero) for at in others
+            is_ground(term[number]) and term_key(term[number]) == term_key(slots[number - 1].zero)
+            for number in others
         )
 
     def slot(self, slot: MessageSlot, value: Term, whole: bool) -> str:
@@ -553,15 +574,15 @@ class _NamedShower:
         return f"{slot.name}: {text}"
 
 
-def _alone(term: Term, named: Collection[Var]) -> Set[Var]:
-    """Return the variables that stand in a term once and have no name."""
-    once: Set[Var] = set()
-    again: Set[Var] = set(named)
+def _singleton_variables(term: Term, named: Collection[Var]) -> Set[Var]:
+    """Return the variables that occur once in a term and have no name."""
+    occurring: Set[Var] = set()
+    excluded: Set[Var] = set(named)
     stack: List[Any] = [term]
     while stack:
         part = deref(stack.pop())
         if part.__class__ is tuple:
             stack += part[1:]
         elif part.__class__ is Var:
-            (again if part in once else once).add(part)
-    return once - again
+            (excluded if part in occurring else occurring).add(part)
+    return occurring - excluded

@@ -1,7 +1,12 @@
-"""Tokens of Prolog text: their patterns, and the value or error message of each token.
+"""Tokens of Prolog text.
 
-The tokens are those of ISO 13211-1, section 6.4, and what SWI-Prolog users write. Which token may follow which
-depends on operators that programs declare, so terms are built by operator precedence (`parser.py`).
+The tokens are those of ISO 13211-1, 6.4, with the extensions that SWI-Prolog users write. One regular expression with
+a named group for each kind of token matches at each offset. Quoted text with escapes is the exception: `quoted_text`
+finds its end, because a regular expression takes a kilobyte of memory for every escape.
+
+A token is a tuple of kind, value, start and end. Invalid text becomes a token of kind ``bad`` with an error message
+and does not raise: the reader then decides whether the error belongs to the clause that it is reading. Which token
+may follow which depends on operators, which programs declare; see `parser`.
 """
 
 import re
@@ -17,26 +22,25 @@ from . import literals
 from .quoted_text import closing, unclosed_end, unquote
 
 NAME, QUOTED, NUMBER, VARIABLE, TEXT, END = "name", "quoted", "number", "variable", "text", "end"
+"""Kinds of tokens. Brackets, commas and bars are kinds of their own, named by their character."""
 OPEN_CT = "f("
-"""An opening bracket directly after a token: after a name it makes a compound term."""
+"""Kind of an opening bracket directly after a token: after a name, it begins the arguments of a compound term."""
 
 AnyToken = Tuple[str, Any, int, int]
-"""Kind, value, start, end. The kind of a bracket, comma or bar is the character itself."""
+"""Kind, value, start and end; the kind of a bracket, comma or bar is the character itself."""
 
 
 class ReadFlags(NamedTuple):
-    """What changes how a text reads.
+    """Flags that change how text is read.
 
     Attributes:
-        double_quotes: what ``"text"`` is: ``string`` (as SWI-Prolog 9), ``codes``, ``chars`` or ``atom``.
+        double_quotes: type of ``"text"``: ``string`` (as SWI-Prolog 9), ``codes``, ``chars`` or ``atom``.
         back_quotes: the same for back-quoted text.
-        iso: priorities as ISO 13211-1 has them: arguments at most 999, operators as operands in brackets,
-            no special floats.
-        event_text: text as events are written on the String topics: ``inf``, ``nan`` and ``-inf`` are
-            floats wherever they stand as arguments, ``"text"`` is the atom ``'"text"'``, and ``True`` and
-            ``False`` are ``true`` and ``false``.
-        made: the term is made and matches nothing: slots of messages that are not named are zero or empty.
-        multiline: quoted text may go on in the next line.
+        iso: priorities of ISO 13211-1: arguments at most 999, operators as operands in brackets, no special floats.
+        event_text: the syntax of events on String topics: ``inf``, ``nan`` and ``-inf`` are floats wherever they are
+            arguments, ``"text"`` is the atom ``'"text"'``, and ``True`` and ``False`` are ``true`` and ``false``.
+        made: the term is constructed and not matched: message slots that are not named are zero or empty.
+        multiline: quoted text may continue on the next line.
     """
 
     double_quotes: str = "string"
@@ -48,7 +52,13 @@ class ReadFlags(NamedTuple):
 
 
 class Source:
-    """A text with its name, and the places in it; ``first_line`` where it is a part of a longer one."""
+    """A text with a name, and the places in it.
+
+    Args:
+        name: the name in error messages.
+        text: the text.
+        first_line: number of the first line, if the text is a part of a longer one.
+    """
 
     __slots__ = ("name", "text", "first_line", "_starts")
 
@@ -62,12 +72,13 @@ class Source:
         """Return the place of the character at ``offset``."""
         text = self.text
         starts = self._starts
+        # The index of line starts is built at the first error or place; most texts never need it.
         if starts is None:
             starts = self._starts = [0]
-            at = text.find("\n") + 1
-            while at:
-                starts.append(at)
-                at = text.find("\n", at) + 1
+            line_start = text.find("\n") + 1
+            while line_start:
+                starts.append(line_start)
+                line_start = text.find("\n", line_start) + 1
         line = bisect_right(starts, offset)
         return place_on(self.name, line + self.first_line - 1, text, starts[line - 1], offset)
 
@@ -102,7 +113,7 @@ TOKEN_PATTERNS: Dict[str, str] = {
         )
     ),
     # Atoms, strings and back-quoted text without escapes and doubled quotes. Others begin with QUOTE, and
-    # quoted.py finds their end: a regular expression takes a kilobyte of memory for every escape.
+    # quoted_text.py finds their end: a regular expression takes a kilobyte of memory for every escape.
     "QUOTED": r"""'[^'\\\n]*'(?!')|"[^"\\\n]*"(?!")|`[^`\\\n]*`(?!`)""",
     "QUOTE": r"""['"`]""",
     "SYMBOL": r"[-+*/\\^<>=~:.?@#&$]+",
@@ -110,21 +121,22 @@ TOKEN_PATTERNS: Dict[str, str] = {
     "PUNCTUATION": r"[()\[\]{},|]",
     "BAD_CHAR": r"[\s\S]",
 }
-"""The first pattern that fits is the token, not the longest; one of them fits everywhere.
+"""Patterns of tokens, in the order in which they are tried; one of them matches at every offset.
 
-The BAD_... patterns take text that is not a token, so that the reader can report it and continue. No pattern can
-match the same characters in two ways, so that text that does not fit costs no more than text that does.
+The first pattern that matches is the token, not the longest. The BAD_... patterns match text that is not a token, so
+that the reader can report it and continue. No pattern can match the same characters in two ways, so text that does
+not match takes no longer than text that does.
 """
 
 
-_EVERY = len(BULK) // 16 - 1
-"""A token costs as much as some 16 inferences."""
+_CHECK_MASK = len(BULK) // 16 - 1
+"""Bit mask of token counts at which the goal's limits are checked; a token takes as long as some 16 inferences."""
 
 _match: Optional[Callable[[str, int], Optional[Match[str]]]] = None
 
 
 def _matcher() -> Callable[[str, int], Any]:
-    """Return the function that matches the token at an offset; compile it at first use, which takes 5 ms."""
+    """Return the function that matches the token at an offset; it is compiled at first use, which takes 5 ms."""
     global _match
     if _match is None:
         groups = (f"(?P<{name}>{pattern})" for name, pattern in TOKEN_PATTERNS.items())
@@ -136,9 +148,12 @@ _LAYOUT = frozenset(("LAYOUT", "LINE_COMMENT", "BLOCK_COMMENT"))
 
 
 def tokens(source: Source, flags: Callable[[], ReadFlags], start: int = 0) -> Iterator[AnyToken]:
-    """Yield the tokens of a text from ``start`` on; a bad one as ``("bad", message, start, end)``, no exception.
+    """Yield the tokens of a text from ``start`` on. Invalid text is yielded as ``("bad", message, start, end)``.
 
-    ``flags`` is asked for each token, as a program may change them between its clauses.
+    Args:
+        source: the text.
+        flags: called for each token, because a program may change its flags between clauses.
+        start: the first offset.
     """
     text = source.text
     match = _matcher()
@@ -147,20 +162,22 @@ def tokens(source: Source, flags: Callable[[], ReadFlags], start: int = 0) -> It
     last = -1
     while start < size:
         count += 1
-        if not count & _EVERY:
+        if not count & _CHECK_MASK:
             look()
-        match_found = match(text, start)
-        kind = match_found.lastgroup
-        end = match_found.end()
+        token_match = match(text, start)
+        kind = token_match.lastgroup
+        end = token_match.end()
         if kind in _LAYOUT:
             start = end
             continue
         if kind == "PUNCTUATION":
             char = text[start]
+            # `f(` is a compound term, `f (` is not: the position decides, not the kind of the token before.
             yield (OPEN_CT if char == "(" and start == last else char), None, start, end
         elif kind == "WORD":
             name = text[start:end]
             first = name[0]
+            # Title-case letters (category Lt) count as capitals, as in SWI-Prolog.
             is_variable = first == "_" or first.isupper() or first.istitle()
             yield VARIABLE if is_variable else NAME, name, start, end
         elif kind == "SYMBOL" or kind == "SOLO":
@@ -173,38 +190,43 @@ def tokens(source: Source, flags: Callable[[], ReadFlags], start: int = 0) -> It
                 end = unclosed_end(text, start)
                 yield "bad", unclosed(text[start], start, text), start, end
             else:
-                yield _quoted(text[start:end], start, end, flags())
+                yield _quoted_token(text[start:end], start, end, flags())
         else:
-            yield _valued(kind, text[start:end], start, end, text, flags())
+            yield _token_with_value(kind, text[start:end], start, end, text, flags())
         last = start = end
 
 
-def _valued(kind: str, found: str, start: int, end: int, text: str, flags: ReadFlags) -> AnyToken:
+def _token_with_value(
+    kind: str, token_text: str, start: int, end: int, text: str, flags: ReadFlags
+) -> AnyToken:
     if kind == "NUMBER":
-        return _number(found, start, end, text, flags)
+        return _number_token(token_text, start, end, text, flags)
     if kind == "QUOTED":
-        return _quoted(found, start, end, flags)
+        return _quoted_token(token_text, start, end, flags)
     if kind == "BAD_COMMENT":
         return "bad", 'this comment is never closed: expected "*/"', start, end
-    if unicodedata.category(found)[0] == "S":
-        return NAME, found, start, end
-    return "bad", _stray(found), start, end
+    if unicodedata.category(token_text)[0] == "S":
+        return NAME, token_text, start, end
+    return "bad", _stray_character_message(token_text), start, end
 
 
 def unclosed(quote: str, start: int, text: str) -> str:
-    """Return what is wrong with a quote that begins at an offset."""
+    """Return the error message for an unclosed quote at an offset."""
     message = f"this quote {quote} is not closed on its line"
     if quote == "'" and text[start - 1 : start].isalnum():
         message += "; a name with an apostrophe must be quoted, as in 'it''s'"
     return message
 
 
-_CURLY = {"\u2018": "'", "\u2019": "'", "\u201a": "'", "\u201b": "'", "\u00b4": "'"}
-_CURLY.update({"\u201c": '"', "\u201d": '"', "\u201e": '"', "\u201f": '"', "\u00ab": '"', "\u00bb": '"'})
+_TYPOGRAPHIC_QUOTES = {"\u2018": "'", "\u2019": "'", "\u201a": "'", "\u201b": "'", "\u00b4": "'"}
+"""Typographic quotes, and the ASCII quotes to write instead."""
+_TYPOGRAPHIC_QUOTES.update(
+    {"\u201c": '"', "\u201d": '"', "\u201e": '"', "\u201f": '"', "\u00ab": '"', "\u00bb": '"'}
+)
 
 
-def _stray(char: str) -> str:
-    straight = _CURLY.get(char)
+def _stray_character_message(char: str) -> str:
+    straight = _TYPOGRAPHIC_QUOTES.get(char)
     if straight is not None:
         return (
             f"{char} is a typographic quote, as produced by word processors and web pages: write {straight}"
@@ -213,12 +235,18 @@ def _stray(char: str) -> str:
     return f"the character {char!r} ({name}) is allowed only in quotes or comments"
 
 
-def _number(found: str, start: int, end: int, text: str, flags: ReadFlags) -> AnyToken:
-    follow = text[end : end + 1]
-    if follow == "_" or follow.isalnum():
-        return "bad", f"{found}{follow}... is not a number, and a name cannot start with a digit", start, end
+def _number_token(token_text: str, start: int, end: int, text: str, flags: ReadFlags) -> AnyToken:
+    # The number pattern stops at the first character that does not belong to it. `12abc` is an error, not two tokens.
+    next_char = text[end : end + 1]
+    if next_char == "_" or next_char.isalnum():
+        return (
+            "bad",
+            f"{token_text}{next_char}... is not a number, and a name cannot start with a digit",
+            start,
+            end,
+        )
     try:
-        return NUMBER, _number_value(found, flags), start, end
+        return NUMBER, _number_value(token_text, flags), start, end
     except ValueError as error:
         return "bad", str(error), start, end
 
@@ -249,15 +277,15 @@ def _number_value(text: str, flags: ReadFlags) -> Term:
     return literals.integer("".join(part.strip() for part in text.split("_")))
 
 
-def _quoted(found: str, start: int, end: int, flags: ReadFlags) -> AnyToken:
-    quote = found[0]
-    body = found[1:-1]
+def _quoted_token(token_text: str, start: int, end: int, flags: ReadFlags) -> AnyToken:
+    quote = token_text[0]
+    body = token_text[1:-1]
     if "\\" in body or quote in body:
         try:
             body = unquote(body, quote, flags.iso)
         except ValueError as error:
-            message, at = error.args
-            return "bad", message, start + 1 + at, end
+            message, offset = error.args
+            return "bad", message, start + 1 + offset, end
     if quote == "'":
         return QUOTED, body, start, end
     if quote == '"':
@@ -279,7 +307,7 @@ _SHOWN: Dict[str, str] = {OPEN_CT: '"("', END: "the end of the clause", "eof": "
 
 
 def shown(token: AnyToken, text: str) -> str:
-    """Return a token as error messages name it."""
+    """Return a token as error messages show it."""
     name = _SHOWN.get(token[0])
     if name is None:
         name = text[token[2] : token[3]]
