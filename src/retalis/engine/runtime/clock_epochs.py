@@ -1,21 +1,23 @@
-"""Which run of a simulated clock a message belongs to: a bag that is played again begins the next one.
+"""Epochs of a simulated clock: assignment of messages to the time before or after a clock reset.
 
-`Clock` says that time has gone back. Messages come over other connections than ``/clock``, so those of the next run
-may come before it, and those of the run before after it. The rule for them:
+A clock epoch is the time between two resets of ``/clock``, for example one run of a bag that is played again.
+Messages and ``/clock`` use different connections, so messages of the next epoch can arrive before the reset, and
+messages of the previous epoch after it. The assignment follows these rules:
 
-1. A run begins for a node when its own ``/clock`` has gone back by more than `JUMP`, and each node that sends it
-   events as text has told in their midst that its own has, too; who does not tell within
-   `CLOCK_WAIT_SECONDS` is not waited
-   for. What comes in between waits for the run. What was received before is worked off in the run before.
-2. A frame of a topic follows the clock if its stamps went on as the clock did, ahead of it or behind it, by however
-   much; messages that were held up on their way count neither for nor against it. Only such a frame tells anything
-   about runs (`Skew`).
-3. It is early if it goes back, to further behind the clock than it ever was. Then all that its publisher sends waits
-   until the run begins. Where the clock does not go back within `CLOCK_WAIT_SECONDS`, nothing was early: all
-   is taken in order.
-4. It is left over if it goes on where the run before ended, ahead of the run at hand. It is dropped.
-5. What has no stamp belongs to the time of its receipt. All other stamps are taken as they are: those that stand
-   still (static transforms, latched messages), those that follow no clock, and all where time is not simulated.
+1. A node enters a new epoch when its own ``/clock`` has gone back by more than `JUMP` and every node that sends
+   events as text has reported the same reset within its stream. A sender that does not report within
+   `CLOCK_WAIT_SECONDS` is ignored. Messages that arrive in between are buffered; messages that arrived before
+   belong to the previous epoch.
+2. A frame of a topic follows the clock if its timestamps advance like the clock, with any constant offset. Only such
+   frames are evidence of an epoch (`ClockSkewMonitor`); delayed messages are no evidence.
+3. A message is early if its frame goes back further behind the clock than ever before. All messages of its
+   publisher are then buffered until the epoch begins. If the clock does not go back within `CLOCK_WAIT_SECONDS`,
+   the messages were not early and are processed in order.
+4. A message is left over from the previous epoch, and dropped, if its frame continues where that epoch ended, ahead
+   of the current one.
+5. Messages without a timestamp belong to the time of their receipt. Other timestamps are accepted unchanged: those
+   that do not advance (static transforms, latched messages), those that follow no clock, and all if time is not
+   simulated.
 """
 
 import threading
@@ -41,28 +43,28 @@ from .clock import JUMP
 from .problem_reports import Reports
 
 CLOCK_WAIT_SECONDS = 1.0
-"""Seconds for which messages wait for a clock, and a run for those who have not told."""
+"""Time limit for a reset of the clock after an early message, and for reports of other senders."""
 
 PAUSE = 10.0
-"""Seconds after a wait in vain in which nothing counts as early."""
+"""Seconds after a timeout in which no message counts as early."""
 
 MAX_HELD_MESSAGES = 20_000
 MAX_HELD_BYTES = 64_000_000
 
 SENDERS = 100
-"""Senders of texts that are remembered."""
+"""Senders of event texts whose epochs are stored."""
 
 Began = Callable[[int], object]
-"""Called when a run begins, with the instant at which the one before ended."""
+"""Callback at the start of an epoch; its argument is the end of the previous epoch, in ns."""
 
 
 class _Ahead(NamedTuple):
-    """What waits.
+    """Messages that wait for the next epoch.
 
     Attributes:
-        take: takes it.
-        messages: those that came together.
-        size: their bytes.
+        take: processes them.
+        messages: messages that arrived together.
+        size: their size in bytes.
     """
 
     take: Callable[[List[Any]], object]
@@ -71,22 +73,22 @@ class _Ahead(NamedTuple):
 
 
 class ClockEpochs:
-    """Tells the runs of a simulated clock, and holds what comes before the one that it belongs to.
+    """The current epoch of a simulated clock, and a buffer of messages that belong to the next one.
 
-    `clock_at` and `tell` may be called by any thread; they only take note. `step`, of a thread of its own, does the
-    rest, under the locks under which messages are taken: each is taken wholly before a run begins, or afterwards.
+    `clock_at` and `tell` only store values and may be called by any thread. `step` runs in its own thread and changes
+    the epoch while it holds the locks of message processing, so each message is processed entirely in one epoch.
 
     Args:
         reports: takes warnings.
-        source: the time before anything has come from the clock.
-        wake: called where `step` has something to do.
-        wall: a clock that nobody sets, in seconds.
+        source: returns the time, in ns, before the first message of the clock.
+        wake: called when `step` has work.
+        wall: monotonic clock, in seconds.
 
     Attributes:
-        run: the number of the run at hand.
-        since: when it began, by ``wall``.
-        holding: whether messages may have to wait, as `holds` and `holds_texts` tell.
-        dropped: how many messages were too many to be held.
+        run: number of the current epoch.
+        since: its start, by ``wall``.
+        holding: whether messages may have to wait; see `holds` and `holds_texts`.
+        dropped: number of messages that did not fit into the buffer.
     """
 
     def __init__(
@@ -102,10 +104,10 @@ class ClockEpochs:
         self._wall = wall
         self._newest = source()
         self._time: Tuple[int, int, int] = (0, self._newest, 0)
-        """How often the clock has gone back, what it says, and where it was before; in one, as threads share it."""
+        """Number of resets, current time, time before the last reset; one tuple, so that reads are atomic."""
         self._lock = threading.Lock()
         self._senders: Dict[object, Tuple[int, int]] = {}
-        """For each that sends texts and tells of runs: the run it is in, and what its own count differs by."""
+        """For each sender of texts: its epoch, and the offset between its count of epochs and ours."""
         self._early: Set[str] = set()
         self._held: Deque[_Ahead] = deque()
         self._number = self._bytes = 0
@@ -118,19 +120,19 @@ class ClockEpochs:
         self.dropped = 0
 
     def begin(self, turns: Sequence[ContextManager[object]], *began: Began) -> None:
-        """Say under which locks messages are taken, and what is called under them when a run begins."""
+        """Set the locks of message processing, and the callbacks at the start of an epoch, which run under them."""
         self._turns = turns
         self._began = began
 
     def now(self, run: Optional[int] = None) -> int:
-        """Return the time of a run, of the one at hand by default; it stands still when the run is over."""
+        """Return the time of an epoch (the current one by default), in ns; its last time if it is over."""
         times, instant, end = self._time
         if times != (self.run if run is None else run):
             return end
         return instant or self._source()
 
     def clock_at(self, instant: int) -> None:
-        """Note what the clock says."""
+        """Store the time of the clock, in ns; detect a reset."""
         times, _, end = self._time
         if instant >= self._newest - JUMP:
             self._newest = max(instant, self._newest)
@@ -146,12 +148,12 @@ class ClockEpochs:
         self._wake()
 
     def tell(self, sender: object, number: int) -> None:
-        """Note that all that a sender of texts sends from now on is of the run to which it gives a number."""
+        """Store that all further texts of a sender belong to an epoch, given by the count of the sender."""
         times = self._time[0]
         with self._lock:
             _, offset = self._senders.get(
                 sender, (0, times - number)
-            )  # the first time it says where it stands
+            )  # the first report defines the offset of the two counts
             if sender not in self._senders and len(self._senders) >= SENDERS:
                 del self._senders[next(iter(self._senders))]
             self._senders[sender] = number + offset, offset
@@ -160,15 +162,15 @@ class ClockEpochs:
         self._wake()
 
     def may_wait(self) -> bool:
-        """Tell whether a message that is early is to wait."""
+        """Tell whether early messages are buffered at present."""
         return self._wall() >= self._not_before
 
     def holds(self, publisher: str) -> bool:
-        """Tell whether messages of a publisher have to wait."""
+        """Tell whether messages of a publisher must be buffered."""
         return self._time[0] != self.run or publisher in self._early
 
     def holds_texts(self, sender: object) -> bool:
-        """Tell whether texts of a sender have to wait: it is ahead, or says nothing and the run is about to end."""
+        """Tell whether texts of a sender must be buffered: it is ahead, or has not reported a pending reset."""
         known = self._senders.get(sender)
         if known is None:
             return self._time[0] != self.run
@@ -177,12 +179,12 @@ class ClockEpochs:
     def keep_early(
         self, publisher: str, take: Callable[[List[bytes]], object], messages: List[bytes]
     ) -> None:
-        """Hold messages of which the first is early, and all that their publisher sends from now on."""
+        """Buffer messages that begin with an early one, and all further messages of their publisher."""
         self._early.add(publisher)
         self.keep(take, messages)
 
     def keep(self, take: Callable[[List[Any]], object], messages: List[Any]) -> None:
-        """Hold messages, or texts, until the run at hand is over or the wait was in vain; then ``take`` gets them."""
+        """Buffer messages or texts until the next epoch begins or the wait times out, then pass them to ``take``."""
         with self._lock:
             is_first = not self.holding
             self._await()
@@ -196,24 +198,31 @@ class ClockEpochs:
                 self._bytes -= oldest.size
                 self.dropped += len(oldest.messages)
                 self._reports.warning(
-                    f"{counted(self.dropped, 'message')} dropped: too many came before the clock went back",
+                    f"{counted(self.dropped, 'message')} dropped: too many arrived before the clock went back",
                     "early",
                 )
         if is_first:
             self._wake()
 
     def step(self) -> Optional[float]:
-        """Do what is due; return in how many seconds to look again, None where there is nothing to wait for."""
+        """Do what is due.
+
+        Returns:
+            Seconds until the next call is needed; None if nothing is pending.
+        """
         with ExitStack() as stack:
+            # All locks of message processing are held: no message is split between two epochs.
             for turn in self._turns:
                 stack.enter_context(turn)
             now = self._wall()
             times, _, end = self._time
             if times == self.run:
+                # The clock did not go back in time: the buffered messages were not early.
                 if self.holding and now >= self._until:
                     if self._held:
                         self._not_before = now + PAUSE
                     self._release()
+            # The clock went back, and all senders have reported, or some have not in time and are forgotten.
             elif now >= self._until or not self._behind(times):
                 self._forget(self._behind(times))
                 self.run = times
@@ -224,15 +233,15 @@ class ClockEpochs:
             return max(0.0, self._until - now) if self.holding else None
 
     def _tell(self, end: int) -> None:
-        """Call all that wants to know that a run begins: what fails keeps neither the others nor messages back."""
+        """Call the callbacks of a new epoch; an error in one of them affects neither the others nor messages."""
         for began in self._began:
             try:
                 began(end)
-            except Exception as error:  # of whatever kind: it is not ours
+            except Exception as error:  # a callback may raise anything
                 self._reports.error(error)
 
     def _behind(self, times: int) -> List[object]:
-        """Return those who send texts and have not told of the run that begins."""
+        """Return the senders of texts that have not reported an epoch yet."""
         with self._lock:
             return [sender for sender, (told, _) in self._senders.items() if told < times]
 
@@ -251,8 +260,9 @@ class ClockEpochs:
             held, self._held = self._held, deque()
             self._number = self._bytes = 0
             self._early.clear()
-            self.holding = self._time[0] != self.run  # it went back again just now
+            self.holding = self._time[0] != self.run  # true if the clock went back again in the meantime
             if self.holding:
                 self._until = self._wall() + CLOCK_WAIT_SECONDS
-        for one in held:
-            one.take(one.messages)
+        # Outside of the lock: the consumers may buffer messages again.
+        for batch in held:
+            batch.take(batch.messages)

@@ -1,4 +1,4 @@
-"""Pauses by Python's garbage collector, limited in a process that runs an engine."""
+"""Tuning of Python's garbage collector: limits of its pauses in processes that run an engine."""
 
 import gc
 from typing import Protocol
@@ -8,7 +8,7 @@ from ...foundation.python_interpreter import YoungCollector
 
 
 class RecordHolder(Protocol):
-    """An engine, as far as its records explain the size of the heap."""
+    """An engine whose records explain a part of the heap."""
 
     def held_records(self) -> int:
         """Return the number of partial matches and of records in memories."""
@@ -25,12 +25,12 @@ _collector = YoungCollector(_records)
 
 
 def count_records_of(engine: RecordHolder) -> None:
-    """Count the records of an engine as growth of the heap that is no garbage, as long as the engine lives."""
+    """Treat the records of an engine as live heap, as long as the engine exists."""
     _holders.add(engine)
 
 
 def limit_gc_pauses() -> None:
-    """Limit pauses by Python's garbage collector to a few milliseconds; call it after the program is loaded.
+    """Limit pauses by Python's garbage collector to a few milliseconds. Call this after the program is loaded.
 
     By default CPython walks all live objects again and again, about 100 ns each: with a million partial matches,
     single events wait for some 400 ms. From this call on, only new objects are walked, some 8,000 at a time. An

@@ -1,4 +1,4 @@
-"""Problems while events flow: logged, counted, and never a flood."""
+"""Reports of problems while events are processed: logged, counted, and limited in rate."""
 
 import logging
 import traceback
@@ -15,7 +15,7 @@ _KINDS = 1000
 
 
 class Reports:
-    """Logs problems; one that comes again and again at the same place is logged at its 1st, 2nd, 4th, 8th ... time.
+    """A log of problems. A recurring problem is logged at its 1st, 2nd, 4th, 8th, ... occurrence.
 
     >>> reports = Reports()
     >>> engine = Engine(reports=reports)
@@ -25,9 +25,9 @@ class Reports:
     (1, 0)
 
     Attributes:
-        errors: how many errors there were, logged or not.
-        warnings: the same of warnings.
-        once: whether only the 1st is logged; for runs that come to an end, where `sum_up` tells the rest.
+        errors: number of errors, logged or not.
+        warnings: number of warnings, logged or not.
+        once: whether only first occurrences are logged; for runs with an end, where `sum_up` logs the counts.
     """
 
     def __init__(self) -> None:
@@ -35,14 +35,14 @@ class Reports:
         self.warnings = 0
         self.once = False
         self._kinds: Dict[int, _RecurringProblem] = {}
-        """By hash: what told kinds apart may be large, and need not stay."""
+        """By hash of the kind, as kinds may be large objects."""
         self._others = 0
-        """How many were not logged of kinds that had to be forgotten."""
+        """Number of problems that were not logged, of kinds that were evicted."""
 
     def error(self, error: Exception, kind: object = None) -> None:
-        """Log an error of a program, or of the package itself with its traceback.
+        """Log an error of a program, or an internal error with its traceback.
 
-        Those of one ``kind`` (its place or message by default) count together.
+        Errors of one ``kind`` (by default the place or the message) are counted together.
 
         >>> reports = Reports()
         >>> reports.error(RuleError("there is no such room"))
@@ -57,10 +57,10 @@ class Reports:
         self._log(logging.ERROR, kind or repr(error), f"internal error\n{trace}")
 
     def warning(self, problem: object, kind: object = None, texts: int = 1, once: bool = False) -> None:
-        """Log a warning; those of one ``kind`` (its place or text by default) count together.
+        """Log a warning. Warnings of one ``kind`` (by default the place or the text) are counted together.
 
-        So many ``texts`` of a kind that read differently are logged in any case. Of what is to be said ``once`` the
-        first is logged, and `sum_up` tells the rest.
+        Up to ``texts`` different texts of a kind are always logged. With ``once`` only the first occurrence is
+        logged, and `sum_up` logs the count.
 
         >>> reports = Reports()
         >>> reports.warning("the battery is low")
@@ -72,7 +72,7 @@ class Reports:
         self._log(logging.WARNING, key, str(problem), texts, once)
 
     def sum_up(self) -> None:
-        """Say of all that came more often than was logged how often it came.
+        """Log the counts of all problems that occurred more often than they were logged.
 
         >>> reports = Reports()
         >>> for _ in range(3):
@@ -108,7 +108,7 @@ class Reports:
 
 
 class _RecurringProblem:
-    """What came again and again: how often, how much of that was told, and the first line of the first one."""
+    """A recurring problem: its count, the count at the last log entry, and its first line."""
 
     __slots__ = ("first", "level", "texts", "times", "told")
 
