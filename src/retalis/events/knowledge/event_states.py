@@ -1,6 +1,16 @@
-"""States that hold from one event until another: open ones, those that are over, and the events that these are.
+"""Event states: conditions that hold from one event until another (the fluents of the event calculus).
 
-All states that a program has declared, and the goals that declare them and ask what holds.
+``state(State, Begins, Ends)`` declares that ``State`` holds from each event that unifies with ``Begins`` until an
+event that unifies with ``Ends`` and has the same values of the shared variables. A state that has ended is itself an
+event, whose interval is the time for which it held; rules and memories can use it. With ``within``, a state also
+ends by itself after some time.
+
+`DeclaredState` stores the open states of one declaration, indexed by their terms and by the values that the ending
+event shares, and a bounded number of past ones. `StateRegistry` owns all declarations and defines the predicates
+``state``, ``holds``, ``holds_at`` and ``delete_state``.
+
+If events may be retracted, an open state remembers the first events with which it may have begun: if the first one
+is retracted, the state holds since the next one.
 """
 
 from collections import OrderedDict, deque
@@ -47,26 +57,27 @@ from ..provenance.event_log import Occurrence
 from .memory import Warn
 from .timeouts import AlarmClock, Timeouts
 
+# Versions are unique among all declarations, so a table that depends on one declaration can compare numbers only.
 _VERSIONS = count()
 
 _MAX_OPENINGS = 100
-"""Events with which a state might have begun that are remembered, where the first of them may be taken back."""
+"""Events with which a state may have begun that are remembered, in case the first of them is retracted."""
 
 Begun = Tuple[int, Optional[Occurrence]]
-"""The end of an event with which a state may have begun, and what tells whether that was taken back."""
+"""End of an event with which a state may have begun, and the occurrence of that event if events are tracked."""
 
 KeptState = Tuple[List[Tuple[Hashable, Term, Hashable, List[Begun]]], List[Tuple[Any, ...]], int]
-"""Open states (key, term, key of what is shared, openings), those that are over, and how many were dropped."""
+"""Open states (key, term, key of the shared values, openings), past states, and the number of dropped states."""
 
 
 class OpenState:
     """A state that holds.
 
     Attributes:
-        key: of its term.
-        shared: the keys of the values by which the event is told with which it ends.
-        order: tells it from all others, and when it began.
-        openings: the events with which it may have begun, the first one first.
+        key: key of its term.
+        shared: keys of the values that it shares with the event that ends it.
+        order: identity; increases in the order in which states began.
+        openings: events with which it may have begun, first one first.
     """
 
     __slots__ = ("key", "term", "shared", "order", "openings")
@@ -80,7 +91,7 @@ class OpenState:
 
     @property
     def begin(self) -> Optional[int]:
-        """Since when it holds; None where all with which it might have begun was taken back."""
+        """The instant since which it holds; None if all events with which it may have begun were retracted."""
         openings = self.openings
         while openings:
             begin, token = openings[0]
@@ -91,7 +102,7 @@ class OpenState:
 
 
 class PastState(NamedTuple):
-    """A state that is over: its interval, and the event of that, where what events came from is kept."""
+    """A state that has ended: its interval, and the occurrence of its event if events are tracked."""
 
     key: Hashable
     term: Term
@@ -101,25 +112,27 @@ class PastState(NamedTuple):
 
     @property
     def gone(self) -> bool:
-        """Whether its event was taken back."""
+        """Whether its event was retracted."""
         return self.token is not None and self.token.gone
 
 
 class DeclaredState:
-    """One declaration with what holds of it; as code of a frame it tells of states that are over.
+    """One declaration with its open and past states.
+
+    As frame code it dispatches the events of states that have ended.
 
     Args:
-        form: what it says.
-        logic: whose machine runs what an event starts.
-        dispatcher: whose events begin and end it.
-        clock: rings where it ends by itself.
-        warn: takes a warning.
+        form: the declaration.
+        logic: the system whose machine processes events.
+        dispatcher: dispatcher of the events that begin and end states.
+        clock: calls alarms for states that end by themselves.
+        warn: receives warnings.
 
     Attributes:
-        open: those that hold, by the keys of their terms, the oldest first.
-        past: those that are over, the newest last.
-        dropped: how many were dropped since too many were open.
-        version: another number after each change; no other declaration has it.
+        open: open states by the keys of their terms, oldest first.
+        past: past states, newest last.
+        dropped: number of states that were dropped because too many were open.
+        version: changes with each change of the states; unique among all declarations.
     """
 
     def __init__(
@@ -136,7 +149,7 @@ class DeclaredState:
         self._shared_of_begin = [begins.index(var) for var in shared]
         self._shared_of_end = [ends.index(var) for var in shared]
         self._unused: Tuple[Set[Var], Set[Var]] = (set(begins) - set(own), set(ends) - set(shared))
-        # the first of a plain dict is looked for among all that have gone before it
+        # An OrderedDict finds its first entry directly. A dict would search it behind all entries that were removed.
         self.open: OrderedDict[Hashable, OpenState] = OrderedDict()
         self._by_shared: Dict[Hashable, Dict[Hashable, OpenState]] = {}
         self._by_order: Dict[int, OpenState] = {}
@@ -148,7 +161,10 @@ class DeclaredState:
         self.listeners: List[Listener] = []
 
     def listen(self) -> None:
-        """Take events; what ends a state is looked at first, so that an event ends one and begins the next."""
+        """Start to receive events.
+
+        The ending event is registered first, so that one event can end a state and begin the next one.
+        """
         listen, (begins, ends) = self._dispatcher.listen, self._unused
         self.listeners = [
             listen(ListenerPhase.STATES, self.form.ends, self._end, unused=ends),
@@ -156,7 +172,7 @@ class DeclaredState:
         ]
 
     def unlisten(self) -> None:
-        """Take no events."""
+        """Stop receiving events."""
         for listener in self.listeners:
             self._dispatcher.remove(listener)
         self.listeners = []
@@ -173,6 +189,7 @@ class DeclaredState:
             return after
         token = self._dispatcher.token() if self._dispatcher.tracked else None
         known = self.open.get(key)
+        # All events with which it may have begun were retracted, so this state does not hold.
         if known is not None and known.begin is None:
             self._remove(known)
             known = None
@@ -228,11 +245,12 @@ class DeclaredState:
         return self._tell((self, iter([one for one in over if one is not None]), after))
 
     def _over(self, one: OpenState, end: int, token: Optional[Occurrence]) -> Optional[PastState]:
-        """Have a state end with an event; None where it has not begun before that, or not at all."""
+        """End a state; return None if it begins after the given instant, or was retracted."""
         begin = one.begin
         if begin is not None and begin > end:
             return None
-        self._remove(one)  # a new version, also for what is over from here on
+        # A new version, also for what is over from here on.
+        self._remove(one)
         if begin is None:
             return None
         made = None
@@ -244,11 +262,11 @@ class DeclaredState:
         return found
 
     def run(self, frame: Frame) -> Frame:
-        """Tell of those that are left."""
+        """Dispatch the events of the remaining states."""
         return self._tell(frame)
 
     def _tell(self, frame: Frame) -> Frame:
-        """Have the events of states happen that are over, one after the other."""
+        """Dispatch the events of states that have ended, one after the other."""
         over: Iterator[PastState] = frame[1]
         for one in over:
             found = self._dispatcher.dispatch(one.term, one.start, one.end, frame, one.token, True)
@@ -258,26 +276,29 @@ class DeclaredState:
         return after
 
     def _time_over(self, order: int, instant: int) -> None:
-        """Have a state end by itself."""
+        """End a state whose time has passed."""
         one, within = self._by_order[order], self.form.within
         begin = one.begin
         if within is not None and begin is not None and int(begin) + within > instant:
-            self._timeouts.add_at(order, int(begin) + within)  # it began later: the first was taken back
+            # It began later: the first was taken back.
+            self._timeouts.add_at(order, int(begin) + within)
             return
         over = self._over(one, WholeSeconds(instant), None)
         if over is not None:
             machine = self._logic.machine
+            # The alarm may ring while another event is served; the event of the state is dispatched independently
+            # of it.
             self._dispatcher.apart(lambda: machine.run(self._tell((self, iter([over]), machine.done))))
 
-    # ---- asking --------------------------------------------------------------------------------------
+    # ---- queries -------------------------------------------------------------------------------------
 
     def holding(self, key: Optional[Hashable]) -> List[Tuple[Term, int]]:
-        """Return those that hold with since when; of one key, or all with None."""
+        """Return the open states with their beginnings: the one with a key, or all if the key is None."""
         found = list(self.open.values()) if key is None else [self.open[key]] if key in self.open else []
         return [(one.term, begin) for one in found for begin in (one.begin,) if begin is not None]
 
     def holding_at(self, key: Optional[Hashable], instant: int) -> List[Term]:
-        """Return those that held at an instant, as far as they are known."""
+        """Return the states that held at an instant, as far as they are remembered."""
         found: Dict[Hashable, Term] = {}
         for past in list(self.past):
             if key in (None, past.key) and past.start <= instant <= past.end and not past.gone:
@@ -290,11 +311,11 @@ class DeclaredState:
     # ---- from outside --------------------------------------------------------------------------------
 
     def clear(self) -> None:
-        """Forget what held: time went back, or the declaration is gone."""
+        """Remove all open and past states, because the clock went back or the declaration was deleted."""
         self.close(True)
 
     def close(self, past: bool) -> None:
-        """Forget what holds, and with ``past`` what is over."""
+        """Remove the open states, and with ``past`` also the past ones."""
         self.version = next(_VERSIONS)
         for found in (self.open, self._by_shared, self._by_order):
             found.clear()
@@ -303,7 +324,7 @@ class DeclaredState:
             self.past.clear()
 
     def mend(self) -> None:
-        """Find all that is open in all ways, after an interrupt."""
+        """Build all indices again after an interrupt."""
         everything = list(self.open.values())
         self.open.clear()
         self._by_shared.clear()
@@ -313,12 +334,12 @@ class DeclaredState:
             self._add(one)
 
     def kept(self) -> KeptState:
-        """Return what holds and held as data; see `restore`."""
+        """Return open and past states as data; see `restore`."""
         held = [(one.key, one.term, one.shared, list(one.openings)) for one in self.open.values()]
         return held, [tuple(one) for one in self.past], self.dropped
 
     def restore(self, kept: KeptState) -> None:
-        """Have hold what another one knew."""
+        """Set the states that another declaration returned."""
         held, past, self.dropped = kept
         self.version = next(_VERSIONS)
         for key, term, shared, openings in held:
@@ -327,19 +348,19 @@ class DeclaredState:
 
 
 MAX_STATES = 1000
-"""Declarations that there may be."""
+"""Maximum number of declarations."""
 
 _STATE3, _STATE4 = functor("state", 3), functor("state", 4)
 
 
 class StateRegistry:
-    """All states of a program.
+    """All state declarations of a program.
 
     Args:
-        logic: where the goals are defined.
-        dispatcher: whose events begin and end states.
-        clock: rings where states end by themselves.
-        warn: takes a warning.
+        logic: the system in which the predicates are defined.
+        dispatcher: dispatcher of the events that begin and end states.
+        clock: calls alarms for states that end by themselves.
+        warn: receives warnings.
 
     Attributes:
         on_event: called with each event of a declaration before it is made; may raise an error.
@@ -361,11 +382,11 @@ class StateRegistry:
         return iter(list(self._all.values()))
 
     def declare(self, definition: Term) -> None:
-        """Have a state begin and end with events from now on; one that is declared so already goes on.
+        """Declare a state; a declaration that exists already continues.
 
         Raises:
-            UsageError: what was expected.
-            PrologError: where it is declared otherwise, or there are too many.
+            UsageError: if the term is not a declaration; the message tells what was expected.
+            PrologError: if the state is declared differently, or there are too many.
         """
         form = state_form(copy(definition))
         known = self._all.get(form.key)
@@ -385,7 +406,7 @@ class StateRegistry:
         self._note()
 
     def delete(self, state: Term) -> bool:
-        """Forget the declarations whose states unify with a term, with what holds; tell whether there were any."""
+        """Delete the declarations whose states unify with a term; return whether there were any."""
         found = [key for key, one in self._all.items() if may_unify(one.form.state, state)]
         for key in found:
             declared = self._all.pop(key)
@@ -395,7 +416,7 @@ class StateRegistry:
         return bool(found)
 
     def _note(self) -> None:
-        """Know the declarations by the functors of their states."""
+        """Build the index of declarations by the functors of their states."""
         found: Dict[Functor, List[DeclaredState]] = {}
         for one in self._all.values():
             found.setdefault(one.form.functor, []).append(one)
@@ -406,12 +427,12 @@ class StateRegistry:
         return self._by_functor.get(state[0] if state.__class__ is tuple else state.functor, ())
 
     def asked(self, state: Any) -> Tuple[Sequence[DeclaredState], Optional[Hashable]]:
-        """Return the declarations that a question is about, and the key of the state where it names one.
+        """Return the declarations that a query refers to, and the key of the state if the query is ground.
 
-        An incremental table that is evaluated depends on them.
+        An incremental table that is being evaluated depends on them from then on.
 
         Raises:
-            PrologError: where there is no such state.
+            PrologError: if there is no such state.
         """
         if state.__class__ is Var:
             if self._tables.active:
@@ -430,41 +451,41 @@ class StateRegistry:
             return found, None
 
     def version(self, part: Hashable) -> object:
-        """Return a value that changes with the states of a functor, with None with all of them."""
+        """Return a value that changes with the states of a functor; with None, with the states of all functors."""
         found = self._all.values() if part is None else self._by_functor.get(part, ())  # type: ignore[call-overload]
         return self._dispatcher.retractions, tuple([one.version for one in found])
 
     # ---- from outside --------------------------------------------------------------------------------
 
     def clear(self) -> None:
-        """Forget what held (time went back); the declarations stay."""
+        """Remove all open and past states, because the clock went back; the declarations remain."""
         for one in self._all.values():
             one.clear()
 
     def close(self, past: bool) -> None:
-        """Forget what holds, and which are over where that is asked for; no event tells of it."""
+        """Remove the open states, and with ``past`` also the past ones; no events are dispatched."""
         for one in self._all.values():
             one.close(past)
 
     def standing(self) -> Dict[Hashable, DeclaredState]:
-        """Return all by their keys."""
+        """Return all declarations by their keys."""
         return dict(self._all)
 
     def set_aside(self, keys: Iterable[Hashable]) -> None:
-        """Take declarations out; those that are made again as they were go on."""
+        """Remove declarations; those that are declared again without a change continue with their states."""
         for key in keys:
             found = self._aside[key] = self._all.pop(key)
             found.unlisten()
         self._note()
 
     def forget_aside(self) -> None:
-        """Forget what was set aside."""
+        """Delete the declarations that were set aside and not declared again."""
         for one in self._aside.values():
             one.clear()
         self._aside.clear()
 
     def restore_standing(self, before: Dict[Hashable, DeclaredState]) -> None:
-        """Have these, which have been set aside meanwhile or not, and no others."""
+        """Restore exactly these declarations, whether or not they have been set aside meanwhile."""
         self.set_aside(list(self._all))
         self._aside = {**self._aside, **before}
         for one in before.values():
@@ -472,7 +493,7 @@ class StateRegistry:
         self.forget_aside()
 
     def mend(self) -> None:
-        """Put right what an interrupt may have left half done."""
+        """Repair the declarations after an interrupt."""
         self._note()
         for one in self._all.values():
             one.mend()
@@ -480,17 +501,17 @@ class StateRegistry:
         self._dispatcher.keep_only(ListenerPhase.STATES, chosen)
 
     def kept(self) -> List[Any]:
-        """Return what holds and held of each, in their order; see `restore`."""
+        """Return the states of each declaration, in order; see `restore`."""
         return [one.kept() for one in self._all.values()]
 
     def restore(self, kept: Sequence[Any]) -> None:
-        """Have hold what others knew, that are declared alike."""
+        """Set the states that equal declarations returned."""
         for one, found in zip(self._all.values(), kept):
             one.restore(found)
 
 
 class _StateGoals:
-    """Goals about states."""
+    """Predicates about states."""
 
     def __init__(self, states: StateRegistry):
         self.states = states

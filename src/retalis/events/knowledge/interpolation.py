@@ -1,6 +1,14 @@
-"""Gaps in memories: how far apart records are, and interpolating over that.
+"""Interpolation between records of memories: limits for gaps, and chains of transforms.
 
-Chains of poses: where something is at an instant, over several memories of transforms.
+A program reads the records before and after an instant and interpolates between them. This is wrong if the records
+are too far apart, for example because a sensor was silent. `MemoryGaps` enforces the flag ``max_gap``, and warns
+once for each memory if a value is interpolated over a gap that is much wider than the usual step of its records. The
+check costs little: a look-up only notes a wide gap, and the mean step is computed only if the program then
+interpolates over that gap.
+
+`TransformChains` defines ``pose_chain/3``, the product of poses and of the interpolated transforms of several
+memories at one instant, as tf2 does for a chain of frames. It also supplies the Prolog compiler with one function
+for the goal sequence ``prev, next_inf, datime_interpolate, interpolate_quaternion`` (goal fusion).
 """
 
 from typing import Any, Callable, Dict, Mapping, Optional, Sequence, Tuple
@@ -18,46 +26,46 @@ from .memory import WIDE, Memory, MemoryInstance, Warn
 from .memory_instances import MemoryInstances
 
 LIMIT = "max_gap"
-"""The flag."""
+"""Name of the flag."""
 
 NOTED = 64
-"""Wide gaps that were looked up and that nobody has interpolated over; the oldest are forgotten."""
+"""Maximum number of wide gaps that are noted; the oldest are forgotten."""
 
 FEWEST = 5
-"""Other steps that a memory needs to have for one to be unusual."""
+"""Minimum number of other steps in a memory for one step to be called unusual."""
 
 ANY = 1 << 100
-"""Further apart than all instants."""
+"""Larger than the distance of any two instants, in ns."""
 
 
 class MemoryGaps:
-    """Decides whether a program may interpolate between two instants, and warns where that is doubtful.
+    """Decides whether a program may interpolate between two instants, and warns about unusually wide gaps.
 
-    Look-ups note gaps that may be too wide; only where ``datime_interpolate/4`` then takes both instants of such a
-    gap is it looked at closely.
+    Look-ups note gaps that may be too wide. A noted gap is examined when ``datime_interpolate/4`` receives its two
+    ends.
 
     Args:
-        show: gives an id as text.
-        warn: takes a warning.
+        show: returns an id as text.
+        warn: receives warnings.
     """
 
     def __init__(self, show: Callable[[Term], str], warn: Warn):
         self._show = show
         self._warn = warn
         self.most = ANY
-        """How far apart two instants may be, in nanoseconds."""
+        """Largest distance of two instants that is allowed, in ns."""
         self.noted: Dict[Tuple[int, int], Tuple[MemoryInstance, ...]] = {}
 
     def limit(self, seconds: float) -> None:
-        """Set how far apart two instants may be; -1 or 0 for any distance."""
+        """Set the largest distance in seconds; -1 or 0 for any distance."""
         self.most = min(ANY, from_seconds(min(seconds, 1e18))) if seconds > 0 else ANY
 
     def clear(self) -> None:
-        """Forget what was looked up."""
+        """Remove all noted gaps."""
         self.noted.clear()
 
     def watch(self, instance: MemoryInstance) -> None:
-        """Have the wide gaps of a memory noted."""
+        """Note the wide gaps of a memory from now on."""
 
         def note(start: int, end: int) -> None:
             noted = self.noted
@@ -69,7 +77,7 @@ class MemoryGaps:
         instance.memory.on_wide = note
 
     def weight(self, start: int, end: int, at: int) -> Optional[Number]:
-        """Return the weight of the first of two instants at a third one; None where they are too far apart."""
+        """Return the weight of the first of two instants at a third one; None if they are too far apart."""
         apart = end - start
         if apart > self.most or -apart > self.most:
             return None
@@ -107,9 +115,9 @@ class MemoryGaps:
 
 
 def usual_step(memory: Memory, gap: int) -> Optional[float]:
-    """Return the mean of a memory's steps besides a gap, or None where there are too few.
+    """Return the mean step of a memory without a gap, in ns; None if there are too few steps.
 
-    Records of one instant are one, as those of several publishers may be.
+    Records with the same end count as one, because several publishers may have sent them.
     """
     ends = memory.ends
     others = sum(1 for before, after in zip(ends, ends[1:]) if after > before) - 1
@@ -124,17 +132,17 @@ _STEPS = (
 )
 
 Form = Tuple[Functor, int, int]
-"""How a record is looked for: its functor, and where position and rotation stand, among variables."""
+"""Layout of a record pattern: its functor, and the positions of position and rotation among its variables."""
 
 NOWHERE: Pose = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
 
 
 class TransformChains:
-    """Gives the products of poses, and of those that memories have at an instant.
+    """Products of poses and of the poses that memories have at an instant.
 
     Args:
-        memories: where those are.
-        gaps: tells over which gaps there is no pose.
+        memories: the memories.
+        gaps: decides over which gaps there is no pose.
     """
 
     def __init__(self, memories: MemoryInstances, gaps: MemoryGaps):
@@ -142,17 +150,17 @@ class TransformChains:
         self._gaps = gaps
 
     def define(self, logic: PrologSystem) -> None:
-        """Define ``pose_chain(Links, T, Pose)``, and join the goals that interpolate between two look-ups."""
+        """Define ``pose_chain(Links, T, Pose)``, and register the fusion of look-ups with interpolation."""
         logic.define_function("pose_chain", 3, self.product)
         look = logic.database.predicate(_STEPS[0])
         if look.functional is not None:
             look.functional = look.functional._replace(joins=self.joins)
 
     def product(self, links: Term, at: Term) -> Optional[Term]:
-        """Return the product of links, which are poses and ids of memories; None where a memory has no pose.
+        """Return the product of poses and memory ids; None if a memory has no pose.
 
         Raises:
-            PrologError: an instantiation, type or domain error where they are neither.
+            PrologError: an instantiation, type or domain error for other arguments.
         """
         instant = int(instant_of(at))
         items = list_items(links)
@@ -179,16 +187,17 @@ class TransformChains:
         apart = end - start
         if not apart:
             return pose_of_record(before)
-        doubtful = self._gaps.noted or apart > self._gaps.most  # seldom: a call each time took 7 % of all
+        # The condition is rarely true; calling `weight` each time would take 7 % of the time.
+        doubtful = self._gaps.noted or apart > self._gaps.most
         if doubtful and self._gaps.weight(start, end, instant) is None:
             return None
         return interpolate(pose_of_record(before), pose_of_record(after), (end - instant) / apart)
 
     def joins(self, goals: Sequence[CompoundTerm], counts: Mapping[Any, int]) -> Optional[JoinedGoals]:
-        """Return what the goals are that look up what was before and after an instant, and interpolate.
+        """Return the fused form of the goals that look up two records and interpolate; None if they cannot be fused.
 
-        They are joined where nothing else in the clause looks at the records and their stamps, and both
-        records are looked for in one memory, in one form.
+        They are fused only if no other goal of the clause uses the records and their time stamps, and both records
+        are looked up in one memory with the same pattern.
         """
         if tuple(goal[0] for goal in goals) != _STEPS:
             return None
@@ -213,7 +222,7 @@ class TransformChains:
         return JoinedGoals(len(_STEPS), self._between(*form), (name, weighed[2]), found)
 
     def _between(self, key: Functor, position: int, rotation: int) -> Callable[[Term, Term], Optional[Term]]:
-        """Return the function that gives the pose between two records of a form."""
+        """Return the function that computes the pose between two records of a layout."""
         find, weigh = self._memories.find, self._gaps.weight
 
         def pose_between(name: Term, at: Term) -> Optional[Term]:
@@ -239,7 +248,7 @@ class TransformChains:
 
 
 def _form(record: Term, position: Term, rotation: Term, counts: Mapping[Any, int]) -> Optional[Form]:
-    """Return how a record is looked for; None where more than the two has to fit."""
+    """Return the layout of a record pattern; None if other arguments must unify, too."""
     found: Any = deref(record)
     if found.__class__ is not tuple:
         return None
@@ -256,7 +265,7 @@ def pose_of_record(record: Term) -> Pose:
     """Return the pose of a record ``Name(Position, Rotation)`` or ``[Position, Rotation]``.
 
     Raises:
-        PrologError: a type error where it is neither.
+        PrologError: a type error for other records.
     """
     try:
         name, position, rotation = record  # type: ignore[misc]

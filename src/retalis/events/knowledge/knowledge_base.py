@@ -1,4 +1,8 @@
-"""Memories, waiting queries and subscriptions of one program, and the goals that reach them."""
+"""Knowledge base of a program: memories, pending queries, subscriptions, and event states.
+
+`KnowledgeBase` creates these parts, connects them to each other, and defines the predicates ``memorize``,
+``subscribe`` and their counterparts. The engine uses it to clear, repair and inspect all of them.
+"""
 
 from operator import attrgetter
 from typing import TYPE_CHECKING, Callable, Iterator, Optional, Sequence, Tuple
@@ -28,27 +32,27 @@ SUBSCRIBE = functor("subscribe", 5)
 DELETE_MEMORY = functor("delete_memory", 1)
 
 OF_MEMORIES = frozenset((CREATED, UPDATED, DELETED))
-"""The events that memories make."""
+"""Events about memories."""
 
 OWN_EVENTS = OF_MEMORIES | {GIVEN_UP}
 """All events that the package makes by itself, without a rule, goal or topic."""
 
 
 class KnowledgeBase:
-    """What a program remembers, waits for and sends out, and which states it follows.
+    """Memories, pending queries, subscriptions and states of a program.
 
     Attributes:
         on_pattern: called with the patterns of a memory, subscription or state before it is made; may raise.
-        on_conditions: called with the conditions of each memory and subscription that is made, and its name.
-        gaps: decides over what distance in time may be interpolated.
+        on_conditions: called with the conditions and the name of each memory and subscription that is made.
+        gaps: limits for interpolation.
 
     Args:
-        logic: where the goals are defined.
-        dispatcher: whose events are recorded and delivered.
-        clock: stamps events of the clock, and rings when queries have waited long enough.
-        deliver: takes what a subscription lets through.
-        warn: takes a warning as text.
-        rules: of the program, which ring for subscriptions that send later.
+        logic: the system in which the predicates are defined.
+        dispatcher: dispatcher of the events that are recorded and delivered.
+        clock: stamps events of the clock, and calls alarms for timeouts.
+        deliver: receives the events of subscriptions.
+        warn: receives warnings as text.
+        rules: rules of the program; they wake subscriptions that send later.
     """
 
     def __init__(
@@ -76,7 +80,7 @@ class KnowledgeBase:
         self._define()
 
     def clear(self) -> None:
-        """Forget records, waiting queries and what held (the clock went back); all that was made stays."""
+        """Remove records, pending queries and states, because the clock went back; definitions remain."""
         self.memories.clear()
         self.gaps.clear()
         self.waiting.clear()
@@ -84,26 +88,27 @@ class KnowledgeBase:
         self.states.clear()
 
     def reset(self, past: bool) -> None:
-        """Forget what began and is not over, as rules forget partial matches.
+        """Remove what has begun and not ended, as rules remove partial matches.
 
         Args:
-            past: forget which states are over, too.
+            past: also remove past states.
         """
         self.subscriptions.clear()
         self.states.close(past)
 
     def mend(self) -> None:
-        """Put right what an interrupt may have left half done."""
+        """Repair all parts after an interrupt."""
+        # Memories forget who waits for them, and the pending queries register again; the order matters.
         self.memories.mend()
         self.waiting.mend()
         self.subscriptions.mend()
         self.states.mend()
 
     def behind(self, names: Sequence[Term], instant: int) -> Behind:
-        """Return those of some memories that have taken no event that ends at an instant or later.
+        """Return the memories that have received no event that ends at an instant or later.
 
         Raises:
-            UsageError: for an unknown memory.
+            UsageError: if there is no such memory.
         """
         found = {}
         for name in names:
@@ -115,7 +120,7 @@ class KnowledgeBase:
         return list(found.items())
 
     def patterns(self) -> Iterator[Tuple[Term, str]]:
-        """Yield the pattern of each memory and subscription, and what to call it."""
+        """Yield the pattern of each memory, subscription and state, and its name for reports."""
         for instance in self.memories:
             yield instance.recorder.pattern, f"memory {self._logic.show(instance.id)}"
         for pattern, (topic, _) in self.subscriptions.patterns():
@@ -164,7 +169,7 @@ class KnowledgeBase:
         key_of(arguments[0])
         try:
             return self.memories.delete(arguments[0], after)
-        except UsageError as error:  # a goal of a program goes on, as it always did
+        except UsageError as error:  # the goal succeeds, as in the original Retalis
             self._warn(str(error))
             return after
 

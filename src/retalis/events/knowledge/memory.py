@@ -1,8 +1,14 @@
-"""What memories and subscriptions share: from an event that matches to what is kept or sent of it.
+"""Memories: bounded histories of events, and the recorders that fill them.
 
-One memory instance: the newest N records of a kind of event, in order of their end times.
+A `Memory` stores the newest N records ordered by end time, in two parallel lists: records and their ends. Look-ups
+for an instant are binary searches in the list of ends. Records nearly always arrive in order and are appended; when
+the lists exceed the size by a quarter, they are replaced by shorter copies, so adding costs O(1) amortized. Lists
+are never changed in place otherwise: a Prolog goal that enumerates an older list is not disturbed by later records.
 
-Recording: from an event to the memories that take it.
+A `Recorder` listens to one event pattern and records into all memories that keep the same of the same events. After
+each record it continues with the queries that wait for that memory, see `pending_queries`.
+
+`recording` compiles the conditions and the form of a memory or subscription to a function from an event to a record.
 """
 
 from bisect import bisect_left, bisect_right
@@ -23,17 +29,20 @@ from ..dispatch.listeners import GROUND, ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
 
 Warn = Callable[..., None]
-"""Takes a warning as text and what kind it is: those of one kind are shown at growing intervals."""
+"""Receives a warning as text and its kind; warnings of one kind are repeated at growing intervals only."""
 
 Recording = Callable[[Term, Values, bool], Optional[Term]]
-"""Takes an event, the values of the pattern's variables, and whether it has none; gives the record or None."""
+"""Takes an event, the values of the pattern's variables, and whether the event is ground.
+
+Returns the record or None.
+"""
 
 
 def key_of(name: Term) -> Hashable:
     """Return the dictionary key of an id.
 
     Raises:
-        PrologError: an instantiation error where it has variables.
+        PrologError: an instantiation error if the id contains variables.
     """
     try:
         return freeze(deref(name))
@@ -42,12 +51,12 @@ def key_of(name: Term) -> Hashable:
 
 
 def is_whole(pattern: Term, conditions: Term, form: Term) -> bool:
-    """Tell whether a form is a variable of its own, which stands for the event."""
+    """Return whether a form is a variable that occurs nowhere else, which stands for the event."""
     return form.__class__ is Var and form not in variables((COMMA, pattern, conditions))
 
 
 def unused_variables(pattern: Term, conditions: Term, form: Term, others: Sequence[Term] = ()) -> Set[Var]:
-    """Return the variables of a pattern whose values go nowhere: none where the event itself is kept or sent."""
+    """Return the variables of a pattern whose values are not used; none if the event itself is stored or sent."""
     if form.__class__ is Var:
         return set()
     return set(variables(pattern)).difference(variables((COMMA, conditions, form, *others)))
@@ -67,19 +76,19 @@ def recording(
     The first solution of the conditions counts. A ``form`` that is a variable of its own stands for the event.
 
     Args:
-        logic: where the conditions are compiled.
-        dispatcher: whose events come.
+        logic: the system that compiles the conditions.
+        dispatcher: dispatcher of the events.
         pattern: the event pattern; values come in the order of its variables.
         conditions: a list of goals.
-        form: what to make of the event.
-        name: who asks, for reports.
-        problem: takes a report about a condition that raised an error.
+        form: term of the record.
+        name: name of the memory or subscription in reports.
+        problem: receives a report about a condition that raised an error.
 
     Returns:
         The function, and whether it makes a ground record of every ground event.
 
     Raises:
-        PrologError: where pattern, conditions or form are not what they have to be.
+        PrologError: if pattern, conditions or form have the wrong type.
     """
     if pattern.__class__ not in (tuple, Atom, Var):
         raise type_error("callable", pattern)
@@ -120,12 +129,15 @@ def recording(
 
 
 def itself(term: Term, values: Values, ground: bool) -> Term:
-    """Return the event, as the recording of a form that stands for it."""
+    """Return the event: the recording of a form that stands for it."""
     return term
 
 
 def _same_or_built(build: Callable[[Values], Term], same: bool) -> Recording:
-    """Return the recording of a form: one that is the same as the pattern is the event itself, if that is ground."""
+    """Return the recording of a form.
+
+    If the form equals the pattern and the event is ground, this is the event itself.
+    """
     if not same:
         return lambda term, values, ground: build(values)
     return lambda term, values, ground: term if ground else build(values)
@@ -148,36 +160,35 @@ def _goals(conditions: Term) -> List[Term]:
 
 
 NEVER = 1 << 100
-"""More records than there will be, and later than all instants."""
+"""Larger than all instants and all numbers of records."""
 
 WIDE = 10
-"""By which factor a step between two records is wider than the others for it to be told of."""
+"""Factor by which a step between two records exceeds the mean of the others to be called wide."""
 
 _EPOCHS = count()
 
 MemoryRecord = Tuple[Term, int, int]
-"""What a memory keeps of an event: the record and the event's interval, start and end as instants."""
+"""The record of an event, and the start and end of the event's interval, as instants."""
 
 
 class Memory:
     """A bounded history, ordered by end time; records with equal ends stay in order of arrival.
 
-    Adding at the end and every look-up cost the same whatever the size: the records lie in a list of which
-    only the last ``size`` count, cut back when it has grown by a quarter of that; look-ups are binary searches.
-    Lists are replaced, never shortened or reordered in place, so that a reader who walks an older list is
-    not disturbed by what is added meanwhile.
+    Adding at the end and look-ups do not depend on the size, except for the logarithm of a binary search. Only the
+    last ``size`` entries of the lists count. Lists are replaced, never shortened or reordered in place, so a reader
+    of an older list is not disturbed by later changes.
 
     Attributes:
-        size: how many records are kept at most.
-        room: how long the lists may become.
-        late: how many events were refused because they were older than all records of a full memory.
-        ends: the ends of the records, as plain integers, which compare faster than other forms of instants;
-            read-only outside of this package.
-        records: the records, at the same places.
-        indices: where values of an argument stand among the records, by the argument's place; see `matching`.
-        changed: how many records there were before the first whose place is another one than it was; `NEVER` where
-            all came in order since somebody has set that.
-        on_wide: called with the two ends where a look-up falls between records that may be unusually far apart.
+        size: maximum number of records.
+        room: length of the lists at which they are cut.
+        late: number of events that were refused because they were older than all records of a full memory.
+        ends: ends of the records as plain integers, which compare faster than other forms of instants; read-only
+            outside of this package.
+        records: the records, at the same positions.
+        indices: positions of the records by the value of an argument, by argument; see `record_lookup`.
+        changed: position of the first record that an insertion out of order has moved, counted from the first record
+            ever; `NEVER` if all records have arrived in order since this was set.
+        on_wide: called with both ends if a look-up falls between records that may be unusually far apart.
     """
 
     __slots__ = (
@@ -202,14 +213,14 @@ class Memory:
         self._epoch = next(_EPOCHS)
         self.changed = NEVER
         self._next: Optional[Tuple[int, List[int], List[MemoryRecord]]] = None
-        """What it is becoming, where that takes several steps: an interrupt may come between them."""
+        """The next lists, while they are being replaced: an interrupt may come between the assignments."""
         self.ends: List[int] = []
         self.records: List[MemoryRecord] = []
         self.indices: Dict[int, Any] = {}
         self.on_wide: Callable[[int, int], object] = lambda start, end: None
 
     def clear(self) -> None:
-        """Forget all records; the counts stay."""
+        """Remove all records; the counters remain."""
         self._epoch = next(_EPOCHS)
         self._become(self._gone + len(self.ends), [], [])
 
@@ -221,24 +232,25 @@ class Memory:
 
     @property
     def oldest(self) -> int:
-        """How many records were taken before the first that stays: the newest does, whatever the size."""
+        """Number of records before the first one that counts; the newest record always counts."""
         return self._gone + max(0, len(self.ends) - max(self.size, 1))
 
     def since(self, taken: int) -> Tuple[int, List[MemoryRecord]]:
-        """Return the records that were taken after so many, and how many came before the first of them."""
+        """Return the records after the first ``taken`` ones, and the number of records before the first of them."""
         first = max(self.oldest, min(taken, self.added))
         return first, self.records[first - self._gone :]
 
     def restore(self, gone: int, late: int, ends: List[int], records: List[MemoryRecord]) -> None:
-        """Have records as another memory had them."""
+        """Set the records of another memory."""
         self._epoch = next(_EPOCHS)
         self.late = late
         self._become(gone, ends, records)
 
     def mend(self) -> None:
-        """Put right what an interrupt may have left half done."""
+        """Complete a change that was interrupted."""
         if self._next is not None:
             self._become(*self._next)
+        # `add` appends to `ends` first; an interrupt may have prevented the record from following.
         del self.ends[len(self.records) :]
 
     def __len__(self) -> int:
@@ -246,21 +258,21 @@ class Memory:
 
     @property
     def added(self) -> int:
-        """How many records were ever taken."""
+        """Number of records that were ever added."""
         return self._gone + len(self.ends)
 
     @property
     def version(self) -> Tuple[int, int]:
-        """Another value after each change of the records; no other memory has it."""
+        """A value that changes with the records and is unique among all memories."""
         return self._epoch, self.added
 
     @property
     def latest(self) -> Optional[int]:
-        """The newest end of all events taken, None before the first."""
+        """The largest end of all events so far; None before the first."""
         return self.ends[-1] if self.ends else None
 
     def add(self, record: MemoryRecord) -> bool:
-        """Take a record; returns False where it is older than all records of a full memory."""
+        """Add a record; return False if it is older than all records of a full memory."""
         ends = self.ends
         end = int(record[2])
         if ends and end < ends[-1]:
@@ -283,7 +295,7 @@ class Memory:
         return True
 
     def cut(self) -> None:
-        """Drop what is over the size; the newest stays, whatever the size, for what is `latest`."""
+        """Remove the entries beyond the size; the newest one remains even if the size is 0, for `latest`."""
         first = max(0, len(self.ends) - max(self.size, 1))
         self._become(self._gone + first, self.ends[first:], self.records[first:])
 
@@ -303,13 +315,15 @@ class Memory:
         at = bisect_left(ends, instant) if first <= 0 else bisect_left(ends, instant, first)
         if at >= held:
             return None
-        start, end = ends[at - 1], ends[at]  # the last one before the first: no gap then
+        # For the first record, `ends[-1]` is the newest end: the difference is not positive, and no gap is noted.
+        start, end = ends[at - 1], ends[at]
         if (end - start) * (held + WIDE - 2) >= WIDE * (ends[-1] - ends[0]) and start < end:
-            self.on_wide(start, end)  # at least ten times the mean of the other steps
+            # At least `WIDE` times the mean of the other steps.
+            self.on_wide(start, end)
         return self.records[at]
 
     def around(self, instant: int) -> Optional[Tuple[MemoryRecord, MemoryRecord]]:
-        """Return what `at_or_before` and `at_or_after` do; None without both."""
+        """Return the results of `at_or_before` and `at_or_after`; None unless both exist."""
         ends = self.ends
         held = len(ends)
         at = bisect_right(ends, instant)
@@ -323,25 +337,26 @@ class Memory:
         if at >= held:
             return None
         end = ends[at]
-        if (end - start) * (held + WIDE - 2) >= WIDE * (ends[-1] - ends[0]):  # as in `at_or_after`
+        # As in `at_or_after`.
+        if (end - start) * (held + WIDE - 2) >= WIDE * (ends[-1] - ends[0]):
             self.on_wide(start, end)
         return self.records[at - 1], self.records[at]
 
     @property
     def first(self) -> int:
-        """The place of the oldest record that counts."""
+        """Position of the oldest record that counts."""
         return max(0, len(self.ends) - self.size)
 
     def after(self, instant: int) -> int:
-        """Return the place behind all records whose ends are not after ``instant``."""
+        """Return the position after all records whose ends are not after ``instant``."""
         return bisect_right(self.ends, instant, self.first)
 
     def reaching(self, instant: int) -> int:
-        """Return the place of the first record whose end is not before ``instant``."""
+        """Return the position of the first record whose end is not before ``instant``."""
         return bisect_left(self.ends, instant, self.first)
 
     def newest_first(self) -> Iterator[MemoryRecord]:
-        """Yield the records there are at this moment, newest first."""
+        """Yield the present records, newest first."""
         records = self.records
         for at in range(len(records) - 1, max(0, len(records) - self.size) - 1, -1):
             yield records[at]
@@ -351,21 +366,24 @@ UPDATED = functor("memory_updated", 2)
 
 
 Waiting = Tuple[Any, ...]
-"""A query that waits, of `WaitingQueries`, whose order is its first item."""
+"""A pending query of `PendingQueries`; its first item is its order."""
 
 Follow = Callable[["MemoryInstance", int, Frame], Frame]
-"""Takes an instance that has taken an event, the end of that, and the next frame; gives the frame to go on with."""
+"""Takes an instance that has recorded an event, the end of the event, and the next frame.
+
+Returns the frame to continue with.
+"""
 
 
 class MemoryInstance:
     """A memory with its name, its recorder, and the queries that wait for it.
 
     Attributes:
-        definition: what it was made of: ``(Functor, Pattern, Conditions, Record, Id, Size)``.
-        due: the least instant that a query waits for.
-        open: whether a record may have variables, so that a reader needs a copy.
-        times: a heap of the instants waited for; some may have no query any more.
-        waiting: the queries that wait for it, by instant and order.
+        definition: its definition ``(Functor, Pattern, Conditions, Record, Id, Size)``.
+        due: smallest instant that a query waits for.
+        open: whether records may contain variables, so that a reader needs a copy.
+        times: heap of the instants that are waited for; some may have no query any more.
+        waiting: queries that wait for it, by instant and order.
     """
 
     __slots__ = ("id", "active", "definition", "memory", "recorder", "open", "due", "times", "waiting")
@@ -384,16 +402,18 @@ class MemoryInstance:
 
     @property
     def key(self) -> Hashable:
-        """Equal for memories that keep the same of the same events, under the same name."""
+        """Key that is equal for memories that record the same of the same events under the same name."""
         return self.active, term_key(self.definition)
 
     def has(self, instant: int) -> bool:
-        """Tell whether it has taken an event that ends at an instant or later."""
+        """Return whether an event that ends at an instant or later was recorded: its watermark has reached the
+        instant.
+        """
         ends = self.memory.ends
         return bool(ends) and ends[-1] >= instant
 
     def wait(self, instant: int, order: int, query: Waiting) -> None:
-        """Keep a query, known by its order, until `reached` is called with its instant or a later one."""
+        """Store a query under its order until `reached` is called with its instant or a later one."""
         group = self.waiting.get(instant)
         if group is not None:
             group[order] = query
@@ -404,7 +424,7 @@ class MemoryInstance:
             self.due = instant
 
     def reached(self, end: int) -> List[Waiting]:
-        """Return the queries that wait for nothing later than an instant; they are kept no more."""
+        """Remove and return the queries that wait for an instant or an earlier one."""
         times = self.times
         found: List[Waiting] = []
         while times and times[0] <= end:
@@ -413,24 +433,25 @@ class MemoryInstance:
         return found
 
     def forget(self, instant: int, order: int) -> None:
-        """Keep a query no more."""
+        """Remove a query."""
         group = self.waiting[instant]
         del group[order]
         if not group:
             del self.waiting[instant]
+            # An instant cannot be removed from the middle of a heap; the heap is rebuilt when most of it is stale.
             if len(self.times) > 2 * len(self.waiting) + _SPARE:
                 self.times = list(self.waiting)
                 heapify(self.times)
 
     def mend(self) -> None:
-        """Put right what an interrupt may have left half done; what waits is put back by who keeps it."""
+        """Repair the records after an interrupt; `PendingQueries.mend` registers the queries again."""
         self.memory.mend()
         self.forget_waiting()
         if self not in self.recorder.instances:
             self.recorder.add(self)
 
     def forget_waiting(self) -> None:
-        """Keep none of the queries any more."""
+        """Remove all queries."""
         self.due = NEVER
         self.times = []
         self.waiting = {}
@@ -441,17 +462,17 @@ _SPARE = 16
 
 
 class Recorder:
-    """Takes the events of one pattern into the memories that record them alike, in the order of these.
+    """Records the events of one pattern into all memories that record them alike, in the order of these.
 
-    As code of a frame it goes on with the memories that are left.
+    As frame code it continues with the remaining memories.
 
     Args:
-        dispatcher: whose events come.
-        pattern: which events.
-        take: what is kept of one, and whether that of a ground event is ground.
-        follow: returns the frame for what a memory's update leads to: takes instance, end and next frame.
-        key: equal for recorders that keep the same of the same events; None where that cannot be known.
-        unused: variables of the pattern whose values are neither kept nor looked at.
+        dispatcher: dispatcher of the events.
+        pattern: the event pattern.
+        take: the recording function, and whether it makes a ground record of a ground event.
+        follow: takes instance, end and next frame; returns the frame that processes the update.
+        key: equal for recorders that record the same of the same events; None if that is not known.
+        unused: variables of the pattern whose values are not used.
     """
 
     def __init__(
@@ -474,20 +495,20 @@ class Recorder:
 
     @property
     def pattern(self) -> Term:
-        """Which events it takes."""
+        """The event pattern."""
         return self.listener.pattern
 
     def add(self, instance: MemoryInstance) -> None:
-        """Record into one more memory."""
+        """Add a memory."""
         instance.recorder = self
         self.instances = (*self.instances, instance)
 
     def remove(self, instance: MemoryInstance) -> None:
-        """Record into a memory no more; without any the recorder is done."""
+        """Remove a memory; without memories the recorder stops to listen."""
         self.keep_only(lambda one: one is not instance)
 
     def keep_only(self, chosen: Callable[[MemoryInstance], bool]) -> None:
-        """Record into some of the memories; without any the recorder is done."""
+        """Keep only some of the memories; without memories the recorder stops to listen."""
         self.instances = tuple(filter(chosen, self.instances))
         if not self.instances:
             self._dispatcher.remove(self.listener)
@@ -506,7 +527,7 @@ class Recorder:
         return self._record((kept, start, end), opens, iter(self.instances), after)
 
     def run(self, frame: Frame) -> Frame:
-        """Go on with the memories that are left."""
+        """Continue with the remaining memories."""
         return self._record(*frame[1:])
 
     def _record(
@@ -522,7 +543,7 @@ class Recorder:
             if ends and end < ends[-1]:
                 if not memory.add(record):
                     continue
-            else:  # `Memory.add` written out: 20 memories that take every event cost 26 % more with a call
+            else:  # `Memory.add` inlined: with a call, 20 memories that record every event take 26 % more time
                 ends.append(end)
                 memory.records.append(record)
                 if len(ends) >= memory.room:
@@ -535,7 +556,8 @@ class Recorder:
         return after
 
     def _is_own_update(self, term: Term) -> bool:
-        """Tell whether an event is the update of a memory that takes all events."""
+        """Return whether an event reports an update of a memory of this recorder, which records all events."""
+        # Recording its own update would make the next update, without end.
         if term.__class__ is not tuple or term[0] is not UPDATED:
             return False
         name = deref(term[1])

@@ -1,4 +1,10 @@
-"""Memory instances by name: made and deleted by goals and services, fed by events, read by goals."""
+"""Memory instances: creation, deletion, and access by name.
+
+`MemoryInstances` owns the memories of a program. Memories are created and deleted by goals and services, filled by
+recorders, and read by the predicates ``prev``, ``next``, ``access_mem`` and others, which are defined here. Active
+memories report creation, updates and deletion as events. If a program is reloaded, memories are set aside; those
+with an unchanged definition continue with their records.
+"""
 
 from typing import Any, Callable, Dict, Hashable, Iterable, Iterator, List, Optional, Sequence, Tuple
 
@@ -37,17 +43,17 @@ class MemoryInstances:
     """All memory instances of a program.
 
     Args:
-        logic: where the goals are defined.
-        dispatcher: whose events are recorded.
+        logic: the system in which the predicates are defined.
+        dispatcher: dispatcher of the events that are recorded.
         stamp: returns the instant for an event of the clock.
-        problem: takes a report about a condition that raised an error.
+        problem: receives reports about conditions that raised an error.
 
     Attributes:
-        instances: by key of their names.
-        on_update: called with an instance whose next waiting query is due, the end of the event that was
-            recorded, and the next frame; returns the frame to go on with.
+        instances: instances by the keys of their names.
+        on_update: called with an instance that has reached the instant of a pending query, the end of the recorded
+            event, and the next frame; returns the frame to continue with.
         on_delete: called with an instance that is deleted.
-        on_create: called with an instance that is made.
+        on_create: called with an instance that is created.
     """
 
     def __init__(
@@ -75,7 +81,10 @@ class MemoryInstances:
         return iter(list(self.instances.values()))
 
     def find(self, name: Term) -> Optional[MemoryInstance]:
-        """Return the instance of this name, or None; an incremental table that is evaluated depends on it."""
+        """Return the instance with a name, or None.
+
+        An incremental table that is being evaluated depends on the instance from then on.
+        """
         if name.__class__ is Atom and not self._evaluated:
             return self.instances.get(name)
         try:
@@ -87,29 +96,36 @@ class MemoryInstances:
         return self.instances.get(key)
 
     def read_all(self) -> List[MemoryInstance]:
-        """Return all instances; an incremental table that is evaluated depends on which there are, and on each."""
+        """Return all instances.
+
+        An incremental table that is being evaluated depends on the set of instances, and on each of them, from then
+        on.
+        """
         if self._evaluated:
             for key in (None, *self.instances):
                 self._tables.note(self, key)
         return list(self.instances.values())
 
     def version(self, part: Hashable) -> object:
-        """Return a value that changes with the records of a memory, given its key; with None with which there are."""
+        """Return a value that changes with the records of a memory, given its key.
+
+        With None, with the set of memories.
+        """
         if part is None:
             return tuple(self.instances)
         instance = self.instances.get(part)
         return None if instance is None else instance.memory.version
 
     def clear(self) -> None:
-        """Forget all records (the clock went back); the instances stay."""
+        """Remove all records, because the clock went back; the instances remain."""
         for instance in self.instances.values():
             instance.memory.clear()
 
     def create(self, definition: Term, active: bool, after: Frame) -> Frame:
-        """Make a memory of ``Pattern, Conditions, Record, Id, Size`` and return the frame that tells of it.
+        """Create a memory of ``Pattern, Conditions, Record, Id, Size``; return the frame that reports it.
 
         Raises:
-            PrologError: for a taken id or arguments that are not a memory.
+            PrologError: if the id is taken, or the arguments do not define a memory.
         """
         copied: Any = copy(definition)
         pattern, conditions, form, name, size = (deref(part) for part in copied[1:])
@@ -138,10 +154,10 @@ class MemoryInstances:
         )
 
     def delete(self, name: Term, after: Frame) -> Frame:
-        """Delete a memory with its waiting queries and return the frame that tells of it.
+        """Delete a memory with its pending queries; return the frame that reports it.
 
         Raises:
-            UsageError: where there is no such memory.
+            UsageError: if there is no such memory.
         """
         instance = self.find(name)
         if instance is None:
@@ -152,14 +168,14 @@ class MemoryInstances:
         return self.tell_deleted(instance, after)
 
     def tell_deleted(self, instance: MemoryInstance, after: Frame) -> Frame:
-        """Return the frame that tells that a memory has been deleted."""
+        """Return the frame that reports the deletion of a memory."""
         if not instance.active:
             return after
         instant = self._stamp()
         return self._dispatcher.dispatch((DELETED, instance.id), instant, instant, after)
 
     def set_aside(self, instances: Iterable[MemoryInstance]) -> None:
-        """Take memories out with their records, for `create` to put those back that are made again as they were."""
+        """Remove memories with their records; `create` uses them again for unchanged definitions."""
         for instance in instances:
             key = key_of(instance.id)
             del self.instances[key]
@@ -167,7 +183,7 @@ class MemoryInstances:
             self._aside[key] = instance
 
     def forget_aside(self) -> List[MemoryInstance]:
-        """Delete the memories that were set aside and not put back, with their waiting queries; return them."""
+        """Delete the memories that were set aside and not created again, with their pending queries; return them."""
         gone = list(self._aside.values())
         self._aside.clear()
         for instance in gone:
@@ -175,7 +191,7 @@ class MemoryInstances:
         return gone
 
     def restore(self, instances: Sequence[MemoryInstance]) -> None:
-        """Have these memories, which have been set aside meanwhile or not, and no others."""
+        """Restore exactly these memories, whether or not they have been set aside meanwhile."""
         self.set_aside(list(self.instances.values()))
         kept = set(instances)
         self._aside = {key: instance for key, instance in self._aside.items() if instance not in kept}
@@ -186,7 +202,7 @@ class MemoryInstances:
             self.create(instance.definition, instance.active, done)
 
     def begin(self, definition: Any, active: bool) -> MemoryInstance:
-        """Make a memory of its definition as `create` does, and tell nobody of it."""
+        """Create a memory by its definition as `create` does, without reporting it."""
         _, _, _, _, name, size = definition
         instance = MemoryInstance(name, size, active, definition)
         self._aside[key_of(name)] = instance
@@ -195,7 +211,7 @@ class MemoryInstances:
         return instance
 
     def mend(self) -> None:
-        """Put right what an interrupt may have left half done: a memory has a name and records, or neither."""
+        """Repair the memories after an interrupt: each has both a name and a recorder, or is removed."""
         for key, instance in list(self.instances.items()):
             if hasattr(instance, "recorder"):
                 instance.mend()
@@ -207,10 +223,11 @@ class MemoryInstances:
         self._dispatcher.keep_only(ListenerPhase.MEMORIES, {recorder.listener for recorder in recorders})
 
     def _recorder(self, pattern: Term, conditions: Term, form: Term, name: Term) -> Recorder:
-        """Return the recorder of the memory made last where that keeps the same of the same events, else a new one.
+        """Return the recorder of the newest memory if it records the same of the same events, else a new one.
 
-        Of the last one only, because memories take an event in the order in which they were made; and not
-        while an event is served, which a memory that is made meanwhile must not see.
+        Only the newest one is considered, because memories record an event in the order in which they were created.
+        While an event is served, a new recorder is made, because a memory that is created then must not record that
+        event.
         """
         alike = conditions is NIL and pattern.__class__ is not Var
         key = term_key((MINUS, pattern, form)) if alike else None
@@ -225,17 +242,18 @@ class MemoryInstances:
         return self._newest
 
     def _follow(self, instance: MemoryInstance, end: int, after: Frame) -> Frame:
-        """Return the frame for what an update leads to: queries that waited for it, then who is told of it."""
+        """Return the frame that processes an update: first the pending queries, then the report of the update."""
         if instance.active and self._updates.plan is not NOBODY:
             instant = self._stamp()
             update = (UPDATED, instance.id, timestamps.to_term(end))
+            # The report becomes the continuation of the queries, so they are called before its listeners.
             after = (self, update, instant, after)
         if instance.due <= end:
             return self.on_update(instance, end, after)
         return after
 
     def run(self, frame: Frame) -> Frame:
-        """Tell of an update, as code of a frame."""
+        """Report an update, as frame code."""
         after: Frame
         _, update, instant, after = frame
         try:
@@ -256,7 +274,8 @@ def define_read_access(logic: PrologSystem, memories: MemoryInstances) -> None:
         instance = known(name) if name.__class__ is Atom and not active else memories.find(name)
         if instance is None:
             return None
-        is_new = at.__class__ is Lazy and at.make is to_term and at.made is None  # as in `instant_of`
+        # As in `instant_of`.
+        is_new = at.__class__ is Lazy and at.make is to_term and at.made is None
         found = instance.memory.at_or_before(at.source if is_new else instant_of(at))
         return found if not instance.open or found is None else _fresh(found)
 
@@ -264,7 +283,8 @@ def define_read_access(logic: PrologSystem, memories: MemoryInstances) -> None:
         instance = known(name) if name.__class__ is Atom and not active else memories.find(name)
         if instance is None:
             return None
-        is_new = at.__class__ is Lazy and at.make is to_term and at.made is None  # as in `instant_of`
+        # As in `instant_of`.
+        is_new = at.__class__ is Lazy and at.make is to_term and at.made is None
         found = instance.memory.at_or_after(at.source if is_new else instant_of(at))
         return found if not instance.open or found is None else _fresh(found)
 
@@ -287,12 +307,12 @@ def define_read_access(logic: PrologSystem, memories: MemoryInstances) -> None:
 
 
 def _fresh(found: FoundRecord) -> FoundRecord:
-    """Return a record with variables of the reader's own."""
+    """Return a record with new variables."""
     return copy(found[0]), found[1], found[2]
 
 
 def enumerate_records(memories: MemoryInstances) -> Callable[..., Iterator[bool]]:
-    """Return ``access_mem(Id, Record, [T1,T2])``: a solution for each record, newest first."""
+    """Return ``access_mem(Id, Record, [T1,T2])``, with a solution for each record, newest first."""
 
     def access(machine: Machine, name: Term, record: Term, interval: Term) -> Iterator[bool]:
         instance = memories.find(name)

@@ -1,8 +1,18 @@
-"""What synchronized queries wait for: a list of ``[MemoryId, Time]``.
+"""Pending queries: synchronized queries, which run when the memories that they read have the data.
 
-A query with the event that its first solution triggers.
+Sensor data arrive with different delays, so a query about an instant may run before the data of that instant have
+been recorded. ``synchronized(Event, Query, [[Id, Time], ...])`` delays it: the query runs as soon as the *watermark*
+of each named memory, the end of its newest event, has reached the given time. Its first solution triggers Event,
+once, with the interval of the synchronized event. A timeout and a limit bound how long and how many queries wait; an
+event or a warning reports the queries that are dropped.
 
-Synchronized queries: goals that are called when the memories they read have the data.
+A query is registered with one of its memories at a time. `MemoryInstance` keeps these in a heap by instant, so an
+event costs one comparison for any number of pending queries. When the memory reaches the instant, the query is
+registered with the next memory that is behind, or called if there is none. Queries that become ready with one event
+are called in order of their registration.
+
+If a rule makes the synchronized event and nothing else listens to it, the event is not created: conditions, query
+and event are compiled for the variables of the rule (`compile_conditions`, `compile_question`).
 """
 
 from itertools import count
@@ -28,17 +38,18 @@ from .memory_instances import MemoryInstances
 from .timeouts import AlarmClock, Timeouts, timeout_of
 
 Behind = List[Tuple[MemoryInstance, int]]
-"""Memories that have not got there, and the instants they have to reach."""
+"""Memories whose watermark is behind, with the instants that they have to reach."""
 
 
 def behind(logic: PrologSystem, memories: MemoryInstances, conditions: Term) -> Behind:
-    """Return what conditions given as a term wait for.
+    """Return the memories that a query must wait for, given its conditions as a term.
 
     Raises:
-        UsageError: for an unknown memory or something that is no ``[Id, Time]``.
+        UsageError: if there is no such memory, or a condition is not ``[Id, Time]``.
     """
     found: Dict[MemoryInstance, int] = {}
-    time, instant = None, 0  # most often all wait for one time
+    # Most often all wait for one time.
+    time, instant = None, 0
     for name, its_time in _pairs(logic, conditions):
         instance = memories.find(name)
         if instance is None:
@@ -52,9 +63,9 @@ def behind(logic: PrologSystem, memories: MemoryInstances, conditions: Term) -> 
 def compile_conditions(
     logic: PrologSystem, memories: MemoryInstances, conditions: Term, names: Sequence[Var]
 ) -> Optional[Callable[[Values], Behind]]:
-    """Return a function of the values of ``names`` that returns what these conditions wait for.
+    """Return a function of the values of ``names`` that returns the memories that a query must wait for.
 
-    It raises a `UsageError` as `after` does. None is returned where a value may decide which memories they are.
+    The function raises a `UsageError` as `behind` does. None is returned if the memories depend on the values.
     """
     try:
         pairs = _pairs(logic, conditions)
@@ -79,6 +90,7 @@ def compile_conditions(
             "    if memory is None:",
             f"        raise no_memory(name{at})",
         ]
+        # Conditions of a query usually share one time, which is converted once.
         if time is not previous:
             lines += _time(time, names, places, at, given)
         previous = time
@@ -95,7 +107,7 @@ def compile_conditions(
 def _time(
     time: Term, names: Sequence[Var], places: Dict[Var, int], at: int, given: Dict[str, Any]
 ) -> List[str]:
-    """Return the lines that find the instant of a time."""
+    """Return the source lines that compute the instant of a time."""
     if time.__class__ is Var:
         lines = [f"    time = values[{places[time]}]"]
     else:
@@ -108,7 +120,7 @@ def _pairs(logic: PrologSystem, conditions: Term) -> List[Tuple[Term, Term]]:
     """Return ids and times.
 
     Raises:
-        UsageError: for something that is no ``[Id, Time]``.
+        UsageError: if an element is not ``[Id, Time]``.
     """
     items = list_items(conditions)
     if items is None:
@@ -126,7 +138,7 @@ def reach(time: Term) -> int:
     """Return the instant that a memory has to reach for a time condition.
 
     Raises:
-        UsageError: for what is not a time.
+        UsageError: if the term is not a time.
     """
     time = deref(time)
     if time.__class__ is float:
@@ -141,7 +153,7 @@ _NAME = "synchronized query"
 
 
 class QueryContext(NamedTuple):
-    """Where questions are asked: whose goals, where their events go, and who takes warnings."""
+    """The system, dispatcher and receiver of warnings of queries."""
 
     logic: PrologSystem
     dispatcher: Dispatcher
@@ -149,20 +161,20 @@ class QueryContext(NamedTuple):
 
 
 class TriggeredQuery:
-    """A query and the event that it triggers, compiled for values that are known when it is asked.
+    """A query and the event that it triggers, compiled for values that are known when it is called.
 
     Args:
-        around: where it is asked.
-        goal: the query; None where it has a solution always.
-        inputs: places of the goal's inputs among the values.
-        build: makes the event from the values and, after them, what the goal has given.
-        unsolved: makes from the values alone what the event is before, for reports.
+        around: its context.
+        goal: the query; None if it is always true.
+        inputs: positions of the goal's inputs in the values.
+        build: makes the event from the values followed by the results of the goal.
+        unsolved: makes the event from the values alone, for reports.
 
     Attributes:
-        event: makes from the values alone what the event is before it is asked.
-        terms: makes from the values event and query, as a question of any event takes them.
-        ask: takes values, start, end and next frame; returns the frame that calls the query and triggers the
-            event where it has a solution.
+        event: makes the event from the values alone, before the query is called.
+        terms: makes event and query from the values, in the form of `general_question`.
+        ask: takes values, start, end and next frame; returns the frame that calls the query and triggers the event
+            if it has a solution.
     """
 
     __slots__ = ("_around", "_dispatcher", "_dispatch", "_goal", "_inputs", "_build", "event", "ask", "terms")
@@ -189,7 +201,8 @@ class TriggeredQuery:
         self.ask = self._trigger if goal is None else self._call
 
     def _call(self, values: Values, start: int, end: int, after: Frame) -> Frame:
-        goal: Any = self._goal  # there is one: else nobody calls it
+        # Not None: else `ask` is `_trigger`.
+        goal: Any = self._goal
         given = tuple([values[at] for at in self._inputs])
         call = self._dispatcher.call
         return call(goal, given, self._failed, self._found, TRUE, values, start, end, after)
@@ -217,10 +230,10 @@ class TriggeredQuery:
 
 
 class QueryNotifier(TriggeredQuery):
-    """What somebody outside waits for instead of a query: where it would be asked, somebody is told.
+    """A client outside of the program that waits for memories; it is notified instead of calling a query.
 
     Args:
-        named: what it is called in reports.
+        named: its name in reports.
         tell: called once.
     """
 
@@ -241,12 +254,12 @@ class QueryNotifier(TriggeredQuery):
 
 
 class Followed(TriggeredQuery):
-    """A question that waits, where it is kept what events came from: its event follows from the one that asked.
+    """A pending query whose event is derived from another event, if events are tracked.
 
     Args:
-        dispatcher: of the events.
-        asked: the question.
-        token: of the event that is being served while it begins to wait.
+        dispatcher: dispatcher of the events.
+        asked: the query.
+        token: occurrence of the event that is served when the query is registered.
     """
 
     __slots__ = ("_asked", "_token")
@@ -261,7 +274,7 @@ class Followed(TriggeredQuery):
 
     @property
     def token(self) -> object:
-        """The token of the event that its own follows from."""
+        """The occurrence that its event is derived from."""
         return self._token
 
     def _ask(self, values: Values, start: int, end: int, after: Frame) -> Frame:
@@ -269,9 +282,9 @@ class Followed(TriggeredQuery):
 
 
 def general_question(around: QueryContext) -> TriggeredQuery:
-    """Return the question whose values are an event and a query, whatever they are.
+    """Return the query whose values are an event and a query term.
 
-    The query comes with an event, which anybody may have sent: it may not change flags.
+    The query comes from an event, which may have any source; it is not allowed to change flags.
     """
     event, query = Var(), Var()
     goal = around.logic.compile_goal((_CALL, query), [event, query], [event], name=_NAME, from_outside=True)
@@ -288,15 +301,15 @@ def compile_question(
     place: Optional[Place],
     from_outside: bool,
 ) -> Optional[TriggeredQuery]:
-    """Return the question for values of ``names`` without variables; None where only the values tell what it is.
+    """Return the query for ground values of ``names``; None if the query itself depends on the values.
 
     Args:
-        around: where it is asked.
-        event: what it triggers.
+        around: its context.
+        event: the event that it triggers.
         query: its goal.
-        names: the variables that are known.
-        place: where it was read.
-        from_outside: whether others than the program have given it.
+        names: variables that are known.
+        place: place in the source.
+        from_outside: whether it was given by a service or topic instead of the program.
     """
     event, query = deref(event), deref(query)
     mentioned = set(variables(query))
@@ -314,7 +327,7 @@ def compile_question(
             goal = around.logic.compile_goal(
                 query, [names[at] for at in inputs], found, place, _NAME, from_outside
             )
-        except PrologError:  # reported for each event that asks it
+        except PrologError:  # the general form reports the error for each event
             return None
     made = TriggeredQuery(
         around, goal, tuple(inputs), build, lambda values: build((*values, *[Var() for _ in found]))
@@ -324,44 +337,42 @@ def compile_question(
 
 
 def kind_of(event: Term) -> Hashable:
-    """Return what events of one kind share: the functor, or the atom."""
+    """Return the functor or atom of an event."""
     event = deref(event)
     return event[0] if event.__class__ is tuple else event
 
 
 GIVEN_UP = functor("query_given_up", 3)
-"""The event that tells of a query given up: its event, its goal, and what was missing, ``[[Id,Time],...]``."""
+"""The event that reports a query given up: its event, its goal, and its missing conditions ``[[Id,Time],...]``."""
 
 LIMIT = 200_000
-"""How many queries may wait at once; past that the oldest is dropped with a warning."""
+"""Maximum number of pending queries; beyond it, the oldest is dropped with a warning."""
 
 
 NAMED = 20
-"""How many dropped queries one warning names."""
+"""Maximum number of dropped queries that one warning names."""
 
 Waiting = Tuple[int, TriggeredQuery, Values, int, int, Behind]
-"""A query that waits: its order, the question, its values, the interval, and where it has to wait: the last first."""
+"""A pending query: order, query, values, start, end, and the memories that it waits for, next one last."""
 
 
 KeptQuery = Tuple[int, Term, Term, int, int, List[Tuple[Term, int]], object]
-"""A query that waits, as data: its order, event and query, the interval, ids of memories with the instants that they
-have to reach, and the token of the event that its own follows from, or None."""
+"""A pending query as data.
+
+Its order, event and query, start and end, ids of memories with the instants that they have to reach, and the
+occurrence that its event is derived from, or None.
+"""
 
 
 class PendingQueries:
-    """All synchronized queries of a program.
+    """All pending synchronized queries of a program.
 
-    ``syncronized(Event, Query, [[Id, Time], ...])`` (also spelt ``synchronized``) calls Query as soon as each
-    memory named has taken an event that ends at or after its time, and triggers Event with the interval of
-    the synchronized event, once, for the first solution.
-
-    With ``[timeout(Seconds)]`` as a fourth argument it is given up after that time, and an event tells of it.
-
-    A query waits for one memory at a time, in a heap by time, so an event costs one comparison however many wait.
-    Where a rule makes the synchronized event and nobody else listens to it, the event itself is not made.
+    Two spellings are accepted: ``synchronized`` and ``syncronized``. With ``[timeout(Seconds)]`` as a fourth
+    argument, a query is given up after that time, which an event reports.
 
     Attributes:
-        limit: how many may wait at once.
+        limit: maximum number of pending queries.
+        timeouts: deadlines of the queries with a timeout.
     """
 
     def __init__(
@@ -389,7 +400,7 @@ class PendingQueries:
         for name in ("syncronized", "synchronized"):
             key = functor(name, 3)
             dispatcher.listen(ListenerPhase.QUERIES, key(Var(), Var(), Var()), self._arrive)
-            # Without it `sync_now`, whose queries are due at once, takes 95 % more instructions.
+            # Without it, the benchmark `sync_now`, whose queries run immediately, takes 95 % more instructions.
             dispatcher.shortcuts[key] = self._shortcut
             key = functor(name, 4)
             dispatcher.listen(ListenerPhase.QUERIES, key(Var(), Var(), Var(), Var()), self._arrive_for_a_time)
@@ -398,33 +409,36 @@ class PendingQueries:
         return len(self._all)
 
     def __iter__(self) -> Iterator[Waiting]:
-        """Yield those that wait, the oldest first."""
+        """Yield the pending queries, oldest first."""
         return iter(self._all.values())
 
     def all(self) -> List[Waiting]:
-        """Return those that wait, the oldest first; also from a thread that is not at work here."""
+        """Return the pending queries, oldest first; callable from other threads."""
         return list(self._all.values())
 
     def clear(self) -> None:
-        """Drop all that wait (the clock went back)."""
+        """Drop all pending queries, because the clock went back."""
         self._all.clear()
         self.timeouts.clear()
         for instance in self._memories:
             instance.forget_waiting()
 
     def await_all(self, missing: Behind, named: Term, now: int, tell: Callable[[], None]) -> int:
-        """Tell somebody outside when memories that are behind have got there; return the order, for `waits`.
+        """Notify a client when memories have caught up; return the order of its entry, for `waits`.
 
         Args:
-            missing: the memories that have not got there, at least one.
-            named: what the one who waits is called in warnings.
-            now: since when.
-            tell: called once, in the midst of the event that was missing last.
+            missing: the memories that are behind, at least one.
+            named: name of the client in warnings.
+            now: present instant.
+            tell: called once, while the last missing event is being served.
         """
         return self._wait(QueryNotifier(named, tell), (), now, now, missing)
 
     def kept(self) -> Tuple[int, List[KeptQuery]]:
-        """Return how many have begun to wait, and those that wait; see `restore`. Who waits outside is not kept."""
+        """Return the next order and the pending queries as data.
+
+        See `restore`. Clients that wait are not included.
+        """
         order = next(self._order)
         self._order = count(order)
         found: List[KeptQuery] = []
@@ -438,7 +452,7 @@ class PendingQueries:
         return order, found
 
     def restore(self, order: int, found: Sequence[KeptQuery]) -> None:
-        """Have queries wait as they did."""
+        """Set the pending queries."""
         self._order = count(order)
         self._oldest = found[0][0] if found else order
         for number, event, query, start, end, awaited, token in found:
@@ -449,11 +463,11 @@ class PendingQueries:
             instance.wait(instant, number, waiting)
 
     def waits(self, order: int) -> bool:
-        """Tell whether one who waits still does, and was neither told nor dropped."""
+        """Return whether a client is still waiting: neither notified nor dropped."""
         return order in self._all
 
     def withdraw(self, order: int) -> None:
-        """Have one who waits do so no more, if he still does."""
+        """Remove a client that waits, if it still does."""
         if order in self._all:
             self._forget(order)
 
@@ -470,7 +484,7 @@ class PendingQueries:
         return self._general.ask((event, query), start, end, after)
 
     def _arrive_for_a_time(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
-        """Take ``synchronized(Event, Query, Conditions, [timeout(Seconds)])``."""
+        """Process ``synchronized(Event, Query, Conditions, [timeout(Seconds)])``."""
         event, query, conditions, options = values
         try:
             wait = timeout_of(options, self._logic.brief)
@@ -485,14 +499,17 @@ class PendingQueries:
         return after
 
     def _followed(self) -> TriggeredQuery:
-        """Return the question of any event, whose answer follows from the event that is served if that is kept."""
+        """Return the general query.
+
+        If events are tracked, its event is derived from the event that is being served.
+        """
         dispatcher = self._dispatcher
         return (
             Followed(dispatcher, self._general, dispatcher.token()) if dispatcher.tracked else self._general
         )
 
     def _give_up(self, order: int, instant: int) -> None:
-        """Have a query wait no more, and an event tell of it."""
+        """Drop a query whose time is over, and dispatch an event that reports it."""
         _, _, (event, query), _, _, missing = self._all[order]
         pairs = [
             make_list([instance.id, timestamps.to_term(wanted)])
@@ -502,13 +519,15 @@ class PendingQueries:
         self._forget(order)
         machine = self._logic.machine
         told = GIVEN_UP(event, query, make_list(pairs))
+        # The alarm may ring while another event is served; the report is dispatched independently of it.
         self._dispatcher.apart(
             lambda: machine.run(self._dispatcher.dispatch(told, instant, instant, machine.done))
         )
 
     def _shortcut(self, rule: EventRule, otherwise: EventAction) -> Optional[EventAction]:
-        """Return what takes the values of a rule's match in place of its head; see `Dispatcher.shortcuts`."""
-        head: Any = rule.definition.head  # it has the functor that this is the shortcut of
+        """Return the action for the values of a rule's match in place of its head; see `Dispatcher.shortcuts`."""
+        # It has the functor that this is the shortcut of.
+        head: Any = rule.definition.head
         key, event, query, conditions = head
         names, firings = rule.vars, rule.firings
         find = compile_conditions(self._logic, self._memories, conditions, names)
@@ -536,7 +555,7 @@ class PendingQueries:
         self._warn(f"{self._logic.brief(event)} is dropped: {error}", ("dropped", kind_of(event)))
 
     def _wait(self, asked: TriggeredQuery, values: Values, start: int, end: int, missing: Behind) -> int:
-        """Have a question wait; return its order."""
+        """Register a query; return its order."""
         if len(self._all) >= self.limit:
             self._drop_oldest()
         order = next(self._order)
@@ -546,12 +565,13 @@ class PendingQueries:
         return order
 
     def _release(self, instance: MemoryInstance, end: int, after: Frame) -> Frame:
-        """Return the frame that asks what has waited for this memory alone, in order of registration."""
+        """Return the frame that calls the queries that waited only for this memory, in order of registration."""
         ready: List[Waiting] = []
         for waiting in instance.reached(end):
             if len(waiting[5]) == 1 or not self._waits_on(waiting):
                 del self._all[waiting[0]]
                 ready.append(waiting)
+        # The heap of the memory is ordered by instant, and queries must be called in order of registration.
         if len(ready) > 1:
             ready.sort()
         elif not ready:
@@ -560,7 +580,7 @@ class PendingQueries:
 
     @staticmethod
     def _waits_on(waiting: Waiting) -> bool:
-        """Have a query wait for the next memory that has not got there, and tell whether there is one."""
+        """Register a query with the next memory that is behind; return whether there is one."""
         missing = waiting[5]
         missing.pop()
         while missing:
@@ -572,7 +592,7 @@ class PendingQueries:
         return False
 
     def run(self, frame: Frame) -> Frame:
-        """Ask the queries that are left, as code of a frame: one is done with before the next is asked."""
+        """Call the remaining queries, as frame code; each is finished before the next one is called."""
         return self._ask(frame)
 
     @staticmethod
@@ -585,7 +605,7 @@ class PendingQueries:
         return frame[2]  # type: ignore[no-any-return]
 
     def mend(self) -> None:
-        """Have all that wait do so where they have to, after an interrupt; what is ready is asked at the next."""
+        """Register all pending queries again after an interrupt; queries that are ready run with the next event."""
         there = set(self._memories)
         for order in sorted(self._all):
             waiting = self._all[order]
@@ -597,6 +617,7 @@ class PendingQueries:
                     f"{self._logic.brief(event)} is dropped: its memory was deleted", ("deleted", None)
                 )
                 continue
+            # The last condition stays even if it is fulfilled: only an event of its memory can call the query.
             while len(missing) > 1 and missing[-1][0].has(missing[-1][1]):
                 missing.pop()
             if missing:
@@ -606,6 +627,7 @@ class PendingQueries:
 
     def _drop_oldest(self) -> None:
         oldest = self._oldest
+        # Orders only increase, so the search continues where it ended before.
         while oldest not in self._all:
             oldest += 1
         self._oldest = oldest
@@ -616,14 +638,14 @@ class PendingQueries:
         )
 
     def _forget(self, order: int) -> Term:
-        """Have a query wait no more; return its event."""
+        """Remove a query; return its event."""
         _, asked, values, _, _, missing = self._all.pop(order)
         instance, instant = missing[-1]
         instance.forget(instant, order)
         return asked.event(values)
 
     def _drop_waiting_for(self, instance: MemoryInstance) -> None:
-        """Drop the queries that wait for a memory that is deleted, with one warning that names them."""
+        """Drop the queries that wait for a deleted memory, with one warning that names them."""
         orders = [
             waiting[0]
             for waiting in self._all.values()

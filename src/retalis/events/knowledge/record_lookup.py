@@ -1,4 +1,10 @@
-"""Look-ups for a record that matches: where ``prev/5`` looks at one record, these go on to those before it."""
+"""Record look-ups by pattern: the newest or next record that unifies with a term.
+
+``prev/5`` and ``next_inf/5`` return the record nearest to an instant, whatever it contains. The ``*_matching``
+predicates continue to the first record that unifies with a pattern. If an argument of the pattern is an atom or
+integer, an index of the records by that argument is used. It is created at the first such look-up and updated at
+later ones, so recording does not become slower (just-in-time indexing, as in SWI-Prolog).
+"""
 
 from bisect import bisect_left
 from typing import Any, Dict, List, Sequence, Tuple, Union
@@ -14,19 +20,18 @@ from .memory import Memory, MemoryInstance
 from .memory_instances import MemoryInstances
 
 SCANNED = 1024
-"""Records after which the limits of the goal are looked at."""
+"""Records after which cancellation and limits of the goal are checked."""
 
 
 class RecordIndex:
-    """Finds the records of a memory by one of their arguments.
+    """Positions of the records of a memory by one of their arguments.
 
-    It is made at the first look-up that knows that argument, and then catches up with what has been recorded since:
-    recording itself costs no more. A memory drops it with its lists, once in as many records as a quarter of its
-    size.
+    Each look-up first adds the records since the last one. The index belongs to the lists of the memory; when the
+    memory replaces its lists, once in a quarter of its size, the index is dropped.
 
     Args:
-        memory: whose records.
-        at: the place of the argument.
+        memory: the memory.
+        at: position of the argument.
     """
 
     __slots__ = ("_at", "_records", "_taken", "_places", "_others")
@@ -39,7 +44,7 @@ class RecordIndex:
         self._others: List[int] = []
 
     def places(self, value: Any) -> List[int]:
-        """Return the places of all records that may have this atom or integer there, in their order."""
+        """Return the positions of all records that may have this atom or integer as the argument, in order."""
         at, records = self._at, self._records
         for place in range(self._taken, len(records)):
             term: Any = deref(records[place][0])
@@ -48,6 +53,7 @@ class RecordIndex:
                 self._places.setdefault(found, []).append(place)
             elif found is not None:
                 self._others.append(place)
+            # Updated for each record: `look` may raise, and a record must not be added twice.
             self._taken = place + 1
             if not place % SCANNED:
                 look(SCANNED)
@@ -59,7 +65,10 @@ _NOWHERE: List[int] = []
 
 
 def candidates(memory: Memory, record: Term) -> Union[List[int], range]:
-    """Return the places of the records of a memory that may match, in their order, those over its size too."""
+    """Return the positions of the records that may unify with a term, in order.
+
+    Positions beyond the memory's size are included.
+    """
     record = deref(record)
     found: Union[List[int], range] = range(len(memory.records))
     if record.__class__ is tuple:
@@ -76,7 +85,7 @@ def candidates(memory: Memory, record: Term) -> Union[List[int], range]:
 
 
 def define_matching(logic: PrologSystem, memories: MemoryInstances) -> None:
-    """Define the deterministic predicates that look for a record that matches."""
+    """Define the deterministic predicates that search for a record by pattern."""
 
     def newest(machine: Machine, name: Term, record: Term, start: Term, end: Term) -> bool:
         instance = memories.find(name)
@@ -122,7 +131,16 @@ def _find(
     last: int,
     step: int,
 ) -> bool:
-    """Unify with the first record that matches, of those from one place to before another, forwards or backwards."""
+    """Unify with the first matching record between two positions.
+
+    Args:
+        machine: the machine.
+        instance: the memory.
+        wanted: record, start and end to unify with.
+        first: first position.
+        last: position after the last one.
+        step: 1 to search forwards, -1 to search backwards.
+    """
     memory, (record, start, end) = instance.memory, wanted
     places: Sequence[int] = candidates(memory, record)
     low, high = bisect_left(places, first), bisect_left(places, last)

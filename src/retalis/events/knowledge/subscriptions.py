@@ -1,6 +1,9 @@
-"""Which events of a subscription are sent: those that a shape lets through, as in rules, ``P with S``.
+"""Subscriptions: events that are sent to topics, their form, and output rate limiting.
 
-Subscriptions: which events go out, in which form, to which topic.
+A subscription listens to an event pattern, tests its conditions, makes a term of its form, and delivers it to a
+topic. With ``P with S`` as its pattern, an `OutputRateLimiter` forwards only some of the events, for example one per
+second (``throttle``) or the last one of a burst (``debounce``). It uses the same stream operators as rules do, which
+Esper calls output rate limiting.
 """
 
 from itertools import count
@@ -38,35 +41,35 @@ if TYPE_CHECKING:
 
 
 KeptRate = Tuple[Any, int, int]
-"""What the shape knows, and how many events came too late or were too many."""
+"""State of the operator, number of late events, and number of dropped events."""
 
 
 def looked_at(part: Shaped) -> Tuple[Term, ...]:
-    """Return the terms that a shape looks at."""
+    """Return the terms of a pattern that a rate operator uses."""
     return part.by if part.value is None else (part.value, *part.by)
 
 
 class OutputRateLimiter:
-    """Sends what a shape lets through of the events that a subscription would send without it.
+    """Forwards some of the events of a subscription.
 
-    It is woken as the nodes of rules are, before all of them: subscribers get an event first.
+    The clock wakes it like the nodes of rules, but before them: subscribers receive an event first.
 
     Args:
-        part: the shape.
-        names: the variables of the pattern.
-        name: of the subscription, for reports.
-        clock: tells the time and rings.
-        warn: takes a warning.
-        place: its place among all subscriptions.
+        part: the rate operator.
+        names: variables of the pattern.
+        name: name of the subscription in reports.
+        clock: the rules of the program, which wake it.
+        warn: receives warnings.
+        place: position among all subscriptions.
 
     Attributes:
-        send: sends what an event has been made into.
-        serial: its place among the rules.
+        send: sends the term of an event.
+        serial: position among the rules.
         active: whether it may be woken.
-        woken: the instant at which it is to be woken; None where it is not.
-        late: how many events came too late to be taken.
-        dropped: how many were dropped because there were too many.
-        widths: how many values group its events, and how many are looked at.
+        woken: instant at which it is woken next; None if it is not.
+        late: number of events that arrived too late.
+        dropped: number of events that were dropped because there were too many.
+        widths: number of values in its key, and number of other values that it uses.
     """
 
     serial = 0
@@ -94,31 +97,32 @@ class OutputRateLimiter:
         return stream
 
     def __len__(self) -> int:
-        """Return how many events, or keys, are held."""
+        """Return the number of stored events, or keys."""
         return len(self._stream)
 
     @property
     def stream(self) -> StreamOperator:
-        """The operator that lets events through."""
+        """The stream operator."""
         return self._stream
 
     @property
     def rule(self) -> "OutputRateLimiter":
-        """What it belongs to, see `Woken`."""
+        """The owner, see `Woken`."""
         return self
 
     def take(self, made: Term, values: Values, start: int, end: int) -> None:
-        """Take an event that the subscription would send.
+        """Process an event of the subscription.
 
         Args:
-            made: what it has been made into.
-            values: of the variables of the pattern.
-            start: where its interval starts.
-            end: where it ends.
+            made: its term.
+            values: values of the variables of the pattern.
+            start: start of its interval.
+            end: end of its interval.
         """
         now = self._clock.time() if self._making.clocked else 0
         stream = self._stream
         before = stream.late
+        # A flag may have changed the bounds, which are replaced as a whole.
         if stream.bounds is not self._clock.key_bounds:
             stream.set_bounds(self._clock.key_bounds)
         outputs = stream.take(StreamElement(made, start, end, *self._making.item(values)), now, 0)
@@ -141,7 +145,7 @@ class OutputRateLimiter:
         self._send(outputs)
 
     def ring(self, instant: int, after: Frame) -> Frame:
-        """Send what is due; see `Woken`."""
+        """Send everything that is due; see `Woken`."""
         self.woken = None
         outputs = self._stream.ring(instant)
         self._wake()
@@ -158,28 +162,28 @@ class OutputRateLimiter:
             self.woken = instant
             self._clock.wake(self, instant)
 
-    # ---- from outside --------------------------------------------------------------------------------
+    # ---- state ---------------------------------------------------------------------------------------
 
     def stop(self) -> None:
-        """Ring no more."""
+        """Stop to be woken."""
         self.active = False
         self.woken = None
 
     def clear(self) -> None:
-        """Forget what has come: time went back, or the program asks for it."""
+        """Reset the operator, because the clock went back or the program requires it."""
         self._stream = self._begin()
         self.woken = None
 
     def mend(self) -> None:
-        """Put right what an interrupt may have left half done."""
+        """Repair the operator after an interrupt."""
         self.restore(self.kept())
 
     def kept(self) -> KeptRate:
-        """Return what it knows; see `restore`."""
+        """Return the state; see `restore`."""
         return self._stream.kept(), self.late, self.dropped
 
     def restore(self, kept: KeptRate) -> None:
-        """Know what another one did that was made in the same way."""
+        """Set the state of an equal rate limiter."""
         known, self.late, self.dropped = kept
         self._stream = self._begin()
         self._stream.restore(known)
@@ -195,7 +199,7 @@ SubscriptionKey = Tuple[str, Hashable]
 
 
 class Tally:
-    """How many events a subscription has sent."""
+    """Number of events that a subscription has sent."""
 
     __slots__ = ("sent",)
 
@@ -204,10 +208,7 @@ class Tally:
 
 
 class Subscription(NamedTuple):
-    """What listens for a subscription, its id as it was given, what it has sent, and what it was made of.
-
-    Where it has a shape, ``rate`` lets some of its events through only.
-    """
+    """A subscription: its listener, id as given, counter, definition, and rate limiter if it has a rate operator."""
 
     listener: Listener
     id: Term
@@ -217,19 +218,19 @@ class Subscription(NamedTuple):
 
     @property
     def key(self) -> Hashable:
-        """Equal for subscriptions that send the same of the same events, with the same topic and id."""
+        """Key that is equal for subscriptions that send the same of the same events, with the same topic and id."""
         return term_key(self.definition)
 
 
 class Subscriptions:
-    """All subscriptions of a program; topic and id together are the key of one.
+    """All subscriptions of a program; topic and id together are the key.
 
     Args:
-        logic: where conditions are compiled.
-        dispatcher: whose events are delivered.
-        deliver: called with the term, the topic as text and the id of the subscription.
-        problem: takes a report about a condition that raised an error, and warnings.
-        clock: rings for those that send later.
+        logic: the system that compiles conditions.
+        dispatcher: dispatcher of the events that are delivered.
+        deliver: called with the term, the topic as text, and the id of the subscription.
+        problem: receives warnings, and reports about conditions that raised an error.
+        clock: the rules of the program, which wake rate limiters.
     """
 
     def __init__(
@@ -252,14 +253,14 @@ class Subscriptions:
         return ((one.listener.pattern, key) for key, one in self.items())
 
     def items(self) -> List[Tuple[SubscriptionKey, Subscription]]:
-        """Return all subscriptions, the oldest first."""
+        """Return all subscriptions, oldest first."""
         return list(self._all.items())
 
     def create(self, definition: Term) -> None:
         """Add a subscription of ``Pattern, Conditions, Format, Topic, Id``.
 
         Raises:
-            PrologError: for a taken key or arguments that are not a subscription.
+            PrologError: if the key is taken, or the arguments do not define a subscription.
         """
         copied: Any = copy(definition)
         whole, conditions, form, topic, name = (deref(part) for part in copied[1:])
@@ -289,7 +290,7 @@ class Subscriptions:
     def _action(
         self, shape: Recording, tally: Tally, topic: str, name: Term, rate: Optional[OutputRateLimiter]
     ) -> EventAction:
-        """Return what takes the events of a subscription."""
+        """Return the action for the events of a subscription."""
         deliver, ground = self._deliver, self._dispatcher.ground
 
         def send(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
@@ -324,24 +325,24 @@ class Subscriptions:
     def _rate(
         self, part: Shaped, names: Sequence[Var], who: str, known: Optional[Subscription]
     ) -> OutputRateLimiter:
-        """Return what lets some events through only; it goes on where the same subscription was there before."""
+        """Return the rate limiter, with the state of an unchanged subscription that was set aside."""
         rate = OutputRateLimiter(part, names, who, self._clock, self._problem, next(self._places))
         if known is not None and known.rate is not None:
             rate.restore(known.rate.kept())
         return rate
 
     def set_aside(self, keys: Iterable[SubscriptionKey]) -> None:
-        """Take subscriptions out; those that are made again as they were go on counting what they have sent."""
+        """Remove subscriptions; those that are created again without a change continue with their counters."""
         for key in keys:
             found = self._aside[key] = self._all.pop(key)
             self._end(found)
 
     def forget_aside(self) -> None:
-        """Forget what was set aside."""
+        """Forget the subscriptions that were set aside."""
         self._aside.clear()
 
     def restore(self, before: Sequence[Tuple[SubscriptionKey, Subscription]]) -> None:
-        """Have these subscriptions, which have been set aside meanwhile or not, and no others."""
+        """Restore exactly these subscriptions, whether or not they have been set aside meanwhile."""
         self.set_aside(list(self._all))
         self._aside = dict(before)
         for _, one in before:
@@ -349,17 +350,19 @@ class Subscriptions:
         self.forget_aside()
 
     def mend(self) -> None:
-        """Have nothing delivered that no subscription asks for, which an interrupt may leave, and rates ring."""
+        """Repair the subscriptions after an interrupt."""
+        # An interrupt may leave a listener without a subscription, which would deliver events that nobody asked
+        # for.
         self._dispatcher.keep_only(ListenerPhase.SUBSCRIPTIONS, {one.listener for one in self._all.values()})
         for rate in self._rates():
             rate.mend()
 
     def has(self, topic: Term, name: Term) -> bool:
-        """Tell whether there is a subscription of this topic and id."""
+        """Return whether there is a subscription with this topic and id."""
         return (self._topic(topic), key_of(name)) in self._all
 
     def delete(self, topic: Term, name: Term) -> bool:
-        """Delete a subscription; returns False where there is none of this topic and id."""
+        """Delete a subscription; return False if there is none with this topic and id."""
         found = self._all.pop((self._topic(topic), key_of(name)), None)
         if found is None:
             return False
@@ -372,16 +375,16 @@ class Subscriptions:
             one.rate.stop()
 
     def clear(self) -> None:
-        """Have shapes forget what has come: time went back, or the program asks for it."""
+        """Reset all rate operators, because the clock went back or the program requires it."""
         for rate in self._rates():
             rate.clear()
 
     def kept(self) -> List[Optional[KeptRate]]:
-        """Return what the shape of each subscription knows, None where it has none; see `restore_rates`."""
+        """Return the state of each rate limiter, None for subscriptions without one; see `restore_rates`."""
         return [None if one.rate is None else one.rate.kept() for one in self._all.values()]
 
     def restore_rates(self, kept: Sequence[Optional[KeptRate]]) -> None:
-        """Have shapes know what those of others did that are made alike."""
+        """Set the states of the rate limiters of equal subscriptions."""
         for one, known in zip(self._all.values(), kept):
             if one.rate is not None and known is not None:
                 one.rate.restore(known)
@@ -390,7 +393,10 @@ class Subscriptions:
         return [one.rate for one in self._all.values() if one.rate is not None]
 
     def _topic(self, topic: Term) -> str:
-        """Return a topic as text; ``robot/marker1`` reads as a division, but is meant as a name."""
+        """Return a topic as text.
+
+        A topic such as ``robot/marker1`` is read as a division, but means a name.
+        """
         key_of(topic)
         topic = deref(topic)
         return topic.name if topic.__class__ is Atom else self._logic.show(topic, quoted=False)

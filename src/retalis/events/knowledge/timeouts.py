@@ -1,4 +1,9 @@
-"""When queries have waited, and states have lasted, long enough: instants, with one alarm of the clock at a time."""
+"""Timeouts of pending queries and states: a queue of deadlines with one alarm at a time.
+
+An alarm in the clock for each query would remain there until the deadline, although most queries are answered long
+before. `Timeouts` keeps the deadlines in a heap and sets an alarm for the earliest one only. Deadlines of answered
+queries are removed when they reach the top of the heap, or all together when the heap has doubled in size.
+"""
 
 from heapq import heapify, heappop, heappush
 from typing import Callable, Container, List, Protocol, Set, Tuple
@@ -22,14 +27,14 @@ class AlarmClock(Protocol):
         """Return the present instant, later than all that were returned before."""
 
     def call_at(self, instant: int, alarm: Callable[[int], None], /) -> None:
-        """Have a function called when an instant has come."""
+        """Call a function at an instant."""
 
 
 def timeout_of(options: Term, brief: Callable[[Term], str]) -> int:
     """Return the nanoseconds of ``[timeout(Seconds)]``.
 
     Raises:
-        UsageError: for anything else.
+        UsageError: for other terms.
     """
     items = list_items(options)
     if items is not None and len(items) == 1:
@@ -42,15 +47,12 @@ def timeout_of(options: Term, brief: Callable[[Term], str]) -> int:
 
 
 class Timeouts:
-    """Which queries are to be given up when.
-
-    An alarm for each query would stay in the clock for as long as it might have waited; here those of queries that
-    were asked go with the next ones.
+    """Deadlines of queries.
 
     Args:
-        clock: tells the time and rings.
-        waiting: the orders of the queries that wait.
-        give_up: takes the order of a query and the instant at which it was due.
+        clock: clock that calls the alarms.
+        waiting: orders of the pending queries.
+        give_up: called with the order of a query and its deadline.
     """
 
     def __init__(self, clock: AlarmClock, waiting: Container[int], give_up: Callable[[int, int], None]):
@@ -59,19 +61,19 @@ class Timeouts:
         self._give_up = give_up
         self._due: List[Tuple[int, int]] = []
         self._room = _SPARE
-        """How many there may be before those of queries that wait no more are looked for."""
+        """Size of the heap at which deadlines of answered queries are removed."""
         self._set: Set[int] = set()
-        """The instants for which an alarm is set: as a rule one."""
+        """Instants for which an alarm is set; usually one."""
 
     def __len__(self) -> int:
         return len(self._due)
 
     def add(self, order: int, end: int, wait: int) -> None:
-        """Have a query given up when it has waited so long, from the end of its event or from now on."""
+        """Add a deadline, ``wait`` ns after the later one of the end of the query's event and the present instant."""
         self.add_at(order, max(self._clock.now(), end) + wait)
 
     def add_at(self, order: int, instant: int) -> None:
-        """Have one given up at an instant."""
+        """Add a deadline at an instant."""
         if len(self._due) > self._room:
             self._due = [one for one in self._due if one[1] in self._waiting]
             heapify(self._due)
@@ -80,46 +82,48 @@ class Timeouts:
         self._set_alarm()
 
     def clear(self) -> None:
-        """Forget all (the clock went back, and its alarms are gone)."""
+        """Remove all deadlines, because the clock went back and has dropped its alarms."""
         self._due = []
         self._set = set()
 
     def _set_alarm(self) -> None:
         while self._due and self._due[0][1] not in self._waiting:
             heappop(self._due)
+        # An alarm cannot be removed from the clock. An earlier alarm sets the next one when it rings, so none is
+        # set now.
         if self._due and not any(instant <= self._due[0][0] for instant in self._set):
             instant = self._due[0][0]
             self._set.add(instant)
             self._clock.call_at(instant, TimeoutAlarm(self, instant))
 
     def ring(self, set_for: int, now: int) -> None:
-        """Give up what has waited long enough when an alarm rings that was set for an instant."""
+        """Give up the queries whose deadline has passed, when an alarm rings that was set for an instant."""
         self._set.discard(set_for)
         try:
             while self._due and self._due[0][0] <= max(now, set_for):
                 instant, order = heappop(self._due)
                 if order in self._waiting:
                     self._give_up(order, instant)
-        finally:  # what one has started may have failed
+        finally:  # `give_up` may raise
             self._set_alarm()
 
     def kept(self) -> Tuple[List[Tuple[int, int]], List[int]]:
-        """Return when which queries are due, and the instants for which alarms are set; see `restore`."""
+        """Return the deadlines of pending queries, and the instants of alarms; see `restore`."""
         return [one for one in self._due if one[1] in self._waiting], sorted(self._set)
 
     def restore(self, due: List[Tuple[int, int]], alarms: List[int]) -> None:
-        """Have queries be due as they were; the alarms are set in the clock already."""
+        """Set deadlines and instants of alarms; the alarms are set in the clock already."""
         self._due = list(due)
         heapify(self._due)
         self._set = set(alarms)
 
 
 class TimeoutAlarm:
-    """The alarm of the queries that are due first.
+    """The alarm of the earliest deadline.
 
     Args:
-        timeouts: of all queries.
-        set_for: the instant at which it is to ring.
+        timeouts: the deadlines.
+        set_for: the instant at which it rings.
     """
 
     __slots__ = ("set_for", "timeouts")

@@ -1,4 +1,22 @@
-"""Consumption policies: which waiting partners an event takes, and what becomes of them."""
+"""Consumption policies: selection and consumption of the partners of an arriving match.
+
+A two-sided node of the Rete network has a buffer of partial matches for each operand (the beta memories). If a match
+arrives at one operand, the policy decides which matches in the other buffer it joins with, and which matches are
+removed. The policies correspond to the parameter contexts of Snoop and to the consumption modes of other CEP
+systems:
+
+* `taking_one`: join with one partner, the newest (``recent``) or the oldest (``chronological``). Partners that do
+  not satisfy the join are skipped. The chosen partner is consumed.
+* `taking_all`: join with every partner and consume none (``unrestricted``).
+* `taking_all_at_once`: join with every partner that is stored now and consume those, or the arriving match.
+* `waiting_only`: store the match. This is the left operand of a sequence, because a right operand that is already
+  stored cannot come after it.
+
+Each function compiles its choices into a closure, so that an arriving match tests no options. The closures follow
+the protocol of the Prolog machine: they take the match and the frame to continue with, and return the next frame.
+Results are emitted one by one through frames. A result is therefore processed completely, including all events that
+it leads to, before the next pair is joined.
+"""
 
 from typing import (
     Any,
@@ -26,22 +44,22 @@ _Matched = Callable[[PartialMatch, Hashable, PartialMatch, PartialMatch, Frame],
 """Takes a match, its key, a partner, their result and the next frame."""
 _Among = Callable[[PartialMatch, Hashable, Iterator[PartialMatch], Frame], Frame]
 _Others = Callable[[PartialMatch, Hashable, PartialMatch, Frame], Frame]
-"""Takes a match, its key, a partner that does not fit, and the next frame."""
+"""Takes a match, its key, a partner that does not satisfy the join, and the next frame."""
 T = TypeVar("T")
 
 
 class MatchSide(NamedTuple):
-    """One operand of a two-sided node, as an arriving match sees it.
+    """One operand of a two-sided node, as seen by a match that arrives at it.
 
     Attributes:
-        own: where matches of this side wait.
-        other: where possible partners wait.
-        join: gives the result of an arriving match and a partner, or None where they do not fit.
-        shared: the positions of shared variables, this side's and the other's.
+        own: buffer of the matches of this operand.
+        other: buffer of the possible partners.
+        join: returns the result of an arriving match and a partner, or None if they do not satisfy the join.
+        shared: positions of the shared variables, in the values of this operand and of the other one.
         left: whether this is the left operand.
-        waits: whether a match without a partner waits.
-        stays: whether it waits even after it has found one.
-        wait: lets a match wait, where that is not to be at once.
+        waits: whether a match without a partner is stored.
+        stays: whether a match is stored even if it has joined with a partner.
+        wait: stores a match, if that is not to happen immediately; None to add it to ``own``.
     """
 
     own: MatchBuffer
@@ -55,7 +73,7 @@ class MatchSide(NamedTuple):
 
 
 def waiting_only(side: MatchSide) -> Emit:
-    """Return what a match does that can complete nothing."""
+    """Return the action for a match that is only stored, because no stored partner can complete it."""
     wait, key_of = side.own.add, side.own.key
 
     def arrive(match: PartialMatch, after: Frame) -> Frame:
@@ -72,14 +90,15 @@ def waiting_only(side: MatchSide) -> Emit:
 def taking_one(
     side: MatchSide, newest: bool, uses: bool, emit: Emit, completed: Optional[Dict[Hashable, None]] = None
 ) -> Emit:
-    """Return what a match does that takes one partner.
+    """Return the action for a match that joins with one partner.
 
     Args:
-        side: the operand at which it arrives.
-        newest: whether it takes the newest that fits, else the oldest.
-        uses: whether the partner is used up.
-        emit: where results go.
-        completed: where one single event may be at both sides: those that have completed as the right one.
+        side: the operand at which the match arrives.
+        newest: whether the newest partner that satisfies the join is chosen, else the oldest.
+        uses: whether the partner is consumed.
+        emit: receives the results.
+        completed: the events that have completed a pair as the right operand, if one event can be in both operands;
+            else None.
     """
     own, other, join, waits = side.own, side.other, side.join, side.waits
     key_of = own.key
@@ -92,14 +111,19 @@ def taking_one(
     def arrive(match: PartialMatch, after: Frame) -> Frame:
         try:
             key = key_of(match.values)
+        # A shared value with variables has no hash key. All stored matches are candidates, and each of them is
+        # unified.
         except ValueError:
             return among(match, None, other.partners(None, match.start, match.end, newest), after)
+        # Stored matches with variables in shared values are candidates for every key; `partners` merges both rings.
         if None in waiting:
             return among(match, key, other.partners(key, match.start, match.end, newest), after)
         last = waiting.get(key)
+        # The common case is written out: if the first candidate satisfies the join, no iterator is created.
         if last is not None:
             partner = last if newest else last.newer
             result = join(match, partner)
+            # The join may call conditions that make events, and those may remove the partner; check it again.
             if result is not None and partner.buffer is not None:
                 return matched(match, key, partner, result, after)
             if last.older is not last:
@@ -114,7 +138,10 @@ def taking_one(
 
 
 def among_others(side: MatchSide, newest: bool, emit: Emit) -> _Others:
-    """Return what gives a match, that uses partners up, one of those but one which does not fit."""
+    """Return the action that joins a match, which consumes partners, with one of all partners except a given one.
+
+    Fused code tries the first candidate itself and calls this action if that one does not satisfy the join.
+    """
     return _others(side, newest, _among(side, _matched(side, True, emit, None)))
 
 
@@ -129,7 +156,10 @@ def _others(side: MatchSide, newest: bool, among: _Among) -> _Others:
 
 
 def _among(side: MatchSide, matched: _Matched) -> _Among:
-    """Return what gives a match the first partner that fits, of several; without one it waits."""
+    """Return the action that joins a match with the first of several candidates that satisfies the join.
+
+    If there is none, the match is stored.
+    """
     waits = side.waits
     wait = side.own.add if side.wait is None else side.wait
     meter = side.own.rule.meter
@@ -147,7 +177,7 @@ def _among(side: MatchSide, matched: _Matched) -> _Among:
 
 
 def _matched(side: MatchSide, uses: bool, emit: Emit, completed: Optional[Dict[Hashable, None]]) -> _Matched:
-    """Return what is done when a match and a partner have a result; see `taking_one`."""
+    """Return the action for a match and a partner that have a result; see `taking_one`."""
     other, stays = side.other, side.stays
     wait = side.own.add if side.wait is None else side.wait
     remembered = None if side.left else completed
@@ -161,6 +191,8 @@ def _matched(side: MatchSide, uses: bool, emit: Emit, completed: Optional[Dict[H
         if stays:
             wait(match, key)
         if remembered is not None and match.event is not None:
+            # Only events that are still being dispatched can arrive at the left operand too, so old entries are
+            # dropped.
             if len(remembered) > _REMEMBERED:
                 del remembered[next(iter(remembered))]
             remembered[match.event] = None
@@ -170,7 +202,10 @@ def _matched(side: MatchSide, uses: bool, emit: Emit, completed: Optional[Dict[H
 
 
 def _waiting_after_completion(arrive: Emit, own: MatchBuffer, completed: Dict[Hashable, None]) -> Emit:
-    """Have a single event that has completed as the right side only wait as the left one."""
+    """Return an action that only stores an event at the left operand if it has completed a pair as the right operand.
+
+    Otherwise one event would complete two pairs of an operator such as ``and``.
+    """
 
     def as_left(match: PartialMatch, after: Frame) -> Frame:
         if match.event is not None and match.event in completed:
@@ -182,7 +217,7 @@ def _waiting_after_completion(arrive: Emit, own: MatchBuffer, completed: Dict[Ha
 
 
 def taking_all(side: MatchSide, emit: Emit) -> Emit:
-    """Return what a match does that takes all partners and uses up none."""
+    """Return the action for a match that joins with all partners and consumes none."""
     own, other, waits = side.own, side.other, side.waits
     wait = own.add if side.wait is None else side.wait
     key_of = own.key_of
@@ -191,7 +226,8 @@ def taking_all(side: MatchSide, emit: Emit) -> Emit:
     def arrive(match: PartialMatch, after: Frame) -> Frame:
         key = key_of(match)
         partners = other.partners_now(key, match.start, match.end)
-        # It waits before results go out: what they lead to may be a partner, and each pair is seen once.
+        # The match is stored before results are emitted. Events that follow from them may be partners of it, and
+        # each pair is joined once: by the match that arrives later.
         if waits:
             wait(match, key)
         if not partners:
@@ -200,6 +236,8 @@ def taking_all(side: MatchSide, emit: Emit) -> Emit:
             partner = partners[0]
             result = None if partner.buffer is None else join_any(side, match, key, partner)
             return after if result is None else emit(result, after)
+        # The generator joins each pair only when the results before it are processed. Those may remove further
+        # partners.
         results = (
             result
             for partner in counted(partners, meter)
@@ -213,13 +251,15 @@ def taking_all(side: MatchSide, emit: Emit) -> Emit:
 
 
 def taking_all_at_once(side: MatchSide, uses: bool, emit: Emit) -> Emit:
-    """Return what a match does that takes all partners there are, using them up or itself."""
+    """Return the action for a match that joins with all stored partners and consumes them, or is consumed itself."""
     own, other, waits, stays = side.own, side.other, side.waits, side.stays
     wait = own.add if side.wait is None else side.wait
     meter = own.rule.meter
 
     def arrive(match: PartialMatch, after: Frame) -> Frame:
         key = own.key_of(match)
+        # All pairs are joined before any result is emitted: an event that follows from the first result must not
+        # add a partner to the same set.
         results: List[PartialMatch] = []
         for partner in counted(other.partners_now(key, match.start, match.end), meter):
             result = join_any(side, match, key, partner)
@@ -237,7 +277,7 @@ def taking_all_at_once(side: MatchSide, uses: bool, emit: Emit) -> Emit:
 def join_any(
     side: MatchSide, match: PartialMatch, key: Hashable, partner: PartialMatch
 ) -> Optional[PartialMatch]:
-    """Join two matches whose shared values may have variables."""
+    """Join two matches whose shared values may contain variables."""
     if surely_same(key, partner):
         return side.join(match, partner)
     sides = unify_sides(match, partner, side.shared)
@@ -245,13 +285,13 @@ def join_any(
 
 
 def emit_each(results: Iterator[T], emit: Callable[[T, Frame], Frame], after: Frame) -> Frame:
-    """Return the frame that emits one result after the other, each with all that it leads to."""
+    """Return the frame that emits the results one after the other, each with all events that follow from it."""
     burst = _Burst(results, emit)
     return burst.run((burst, after))
 
 
 def counted(items: Iterable[T], meter: Optional[Meter]) -> Iterator[T]:
-    """Return the items, each of which counts as a step of pattern work; they end where that has to stop."""
+    """Return an iterator that counts each item as a step of pattern work, and stops if the limit is reached."""
     return iter(items) if meter is None else _counted(items, meter)
 
 
@@ -263,7 +303,7 @@ def _counted(items: Iterable[T], meter: Meter) -> Iterator[T]:
 
 
 class _Burst:
-    """Code of a frame that emits the results that are left."""
+    """Frame code that emits the remaining results."""
 
     __slots__ = ("results", "emit")
 
@@ -274,6 +314,8 @@ class _Burst:
     def run(self, frame: Frame) -> Frame:
         emit = self.emit
         for result in self.results:
+            # The frame itself is the continuation. If the emitted result starts other work, that work returns to
+            # this frame, and the loop continues with the next result.
             after = emit(result, frame)
             if after is not frame:
                 return after

@@ -1,7 +1,13 @@
-"""Expiry of waiting matches: queues ordered by the instants after which the matches go.
+"""Expiration queues: stored matches ordered by the instant after which they are removed.
 
-Matches that have left their buffers stay in these queues and heaps until they are the larger part. They are then
-removed in slices, one for each match that is added, so that no event waits while all of them are visited.
+Drools Fusion calls this inferred event expiration: a match leaves its buffer when the rule's clock shows that no
+result can contain it. Matches usually arrive in the order of their expiration, so a deque is enough: appending and
+expiring cost the same for any number of stored matches. Matches that arrive out of order go to a heap.
+
+A match may leave its buffer earlier, for example because it is consumed. Removing it from the middle of a queue
+would be slow, so its entry stays, and is skipped when it expires. If such stale entries are the larger part of a
+queue, they are removed in slices, one slice for each match that is added. No event therefore has to wait until a
+queue of a million entries has been visited.
 """
 
 import heapq
@@ -10,27 +16,28 @@ from typing import Callable, Deque, Dict, List, Optional, Tuple, TypeVar
 
 from .partial_matches import PartialMatch
 
+# Stale entries that are tolerated in addition to the number of stored matches.
 _SPARE = 1000
 
 SLICE = 5000
-"""Entries of a queue that are visited at once: about half a millisecond."""
+"""Entries of a queue that are visited at a time: about half a millisecond."""
 
 HEAP_SLICE = SLICE // 10
-"""Entries of a heap that are visited at once: each of them takes longer, as it is moved to another heap."""
+"""Entries of a heap that are visited at a time; each takes longer, because it is moved to another heap."""
 
 VISITED_SLICE = 2000
-"""Matches that are visited at once by a function of the caller."""
+"""Matches that are visited at a time by a function of the caller."""
 
 _EntryT = TypeVar("_EntryT")
 _HeapEntry = Tuple[int, int, PartialMatch]
 
 
 class _LateMatches:
-    """Matches that were added out of order: a heap, which is replaced in slices when most of it has left.
+    """Matches that were added out of order: a heap, which is rebuilt in slices when most of its entries are stale.
 
     Attributes:
-        heap: instant, order and match of those that were added since the replacement began, or were moved.
-        rest: those of the former heap that were not moved yet; empty if no replacement is under way.
+        heap: instant, order and match of the entries that were added or moved since the rebuild began.
+        rest: entries of the former heap that have not been moved yet; empty if no rebuild is in progress.
     """
 
     __slots__ = ("heap", "rest")
@@ -46,18 +53,19 @@ class _LateMatches:
         heapq.heappush(self.heap, (instant, match.order, match))
 
     def forget_gone(self, waiting: int) -> None:
-        """Drop some of those that have left, if there are more of these than of the ``waiting`` ones."""
+        """Remove some stale entries if there are more entries than ``waiting`` matches and the tolerance."""
         rest = self.rest
         if not rest and len(self.heap) > waiting + _SPARE:
             self.heap, self.rest = rest, self.heap
             rest = self.rest
         for _ in range(min(HEAP_SLICE, len(rest))):
-            entry = rest.pop()  # a heap without its last entry is a heap
+            # A heap without its last entry is still a heap, so `pop_before` may read `rest` between two slices.
+            entry = rest.pop()
             if entry[2].buffer is not None:
                 heapq.heappush(self.heap, entry)
 
     def pop_before(self, clock: int) -> List[PartialMatch]:
-        """Take out the matches whose instant is before ``clock``."""
+        """Remove and return the matches whose instant is before ``clock``."""
         found = []
         for heap in (self.heap, self.rest):
             while heap and heap[0][0] < clock:
@@ -70,10 +78,9 @@ class _LateMatches:
 
 
 class ExpirationQueue:
-    """Matches by the instants after which they go.
+    """Matches ordered by the instants after which they are removed.
 
-    Most are added in the order of their instants: those are a queue, and cost the same however many wait. The others
-    are a heap.
+    Matches that are added in the order of their instants form a queue; the others form a heap.
     """
 
     __slots__ = ("_late", "_queue", "_visited")
@@ -90,9 +97,9 @@ class ExpirationQueue:
         """Add a match.
 
         Args:
-            instant: the last instant, in ns, at which it is to be there.
-            match: the match, which waits.
-            waiting: how many matches wait altogether; those that have left are dropped when they are the larger part.
+            instant: the last instant, in ns, at which the match is stored.
+            match: the match, which is in a buffer.
+            waiting: number of stored matches in total; stale entries are removed if they outnumber these.
         """
         queue = self._queue
         if not queue or queue[-1][0] <= instant:
@@ -106,7 +113,7 @@ class ExpirationQueue:
             self._late.forget_gone(waiting)
 
     def expire(self, clock: int) -> None:
-        """Let all leave whose instant is before ``clock``."""
+        """Remove all matches whose instant is before ``clock`` from their buffers."""
         queue = self._queue
         while queue and queue[0][0] < clock:
             queue.popleft()[1].leave()
@@ -114,7 +121,7 @@ class ExpirationQueue:
             match.leave()
 
     def take(self, clock: int) -> List[PartialMatch]:
-        """Take out all whose instant is before ``clock``; return those of them that still wait."""
+        """Remove and return the entries whose instant is before ``clock`` and whose matches are still stored."""
         found = []
         queue = self._queue
         while queue and queue[0][0] < clock:
@@ -124,18 +131,19 @@ class ExpirationQueue:
 
 
 class ByStart:
-    """Matches that wait, by how long after their start they go.
+    """Stored matches ordered by start and retention time.
 
-    Most are added in the order of their starts: those of one span are a queue of nothing but the matches, and cost
-    the same however many wait. The others are a heap.
+    Most matches of a rule have one retention time, and arrive in the order of their starts. These form a queue that
+    holds only the matches: the instant of expiration follows from the start. Matches with another retention time
+    have a queue of their own, and matches that are added out of order go to a heap.
 
-    Its ``queue`` and its ``late`` stay the same objects: code has bound them.
+    Generated code binds ``queue`` and ``late``, so these attributes are never assigned again.
 
     Attributes:
-        span: how long after its start a match goes, for most of them, in ns; None where none goes.
-        queue: the matches of that span.
-        others: by other spans, the matches of those.
-        late: those that were added out of order.
+        span: retention time of most matches after their start, in ns; None if none expire.
+        queue: the matches with that retention time.
+        others: the matches with other retention times, by retention time.
+        late: the matches that were added out of order.
     """
 
     __slots__ = ("span", "queue", "others", "late", "_visited")
@@ -146,13 +154,13 @@ class ByStart:
         self.others: Dict[int, Deque[PartialMatch]] = {}
         self.late = _LateMatches()
         self._visited: Dict[Optional[int], int] = {}
-        """By span: how many matches of its queue have been visited by `forget_gone`."""
+        """By retention time: the number of matches of a queue that `forget_gone` has visited."""
 
     def __len__(self) -> int:
         return len(self.queue) + sum(len(queue) for queue in self.others.values()) + len(self.late)
 
     def reset(self, span: Optional[int]) -> None:
-        """Begin anew, with another span for most."""
+        """Remove all entries and set the retention time of most matches."""
         self.span = span
         self.queue.clear()
         self.others.clear()
@@ -160,7 +168,7 @@ class ByStart:
         self._visited.clear()
 
     def of(self, span: int) -> Deque[PartialMatch]:
-        """Return the queue of a span."""
+        """Return the queue of a retention time."""
         if span == self.span:
             return self.queue
         queue = self.others.get(span)
@@ -169,7 +177,13 @@ class ByStart:
         return queue
 
     def add(self, span: int, match: PartialMatch, waiting: int) -> None:
-        """Add a match that waits; ``waiting`` is how many do altogether, see `ExpirationQueue.add`."""
+        """Add a stored match.
+
+        Args:
+            span: its retention time after its start, in ns.
+            match: the match.
+            waiting: number of stored matches in total; see `ExpirationQueue.add`.
+        """
         queue = self.of(span)
         if not queue or queue[-1].start <= match.start:
             queue.append(match)
@@ -179,13 +193,13 @@ class ByStart:
             self.forget_gone(waiting)
 
     def forget_gone(self, waiting: int) -> None:
-        """Drop some of those that have left; ``waiting`` is how many have not, altogether."""
+        """Remove some stale entries; ``waiting`` is the number of stored matches in total."""
         for span, queue in [(self.span, self.queue), *self.others.items()]:
             self._visited[span] = drop_gone(queue, self._visited.get(span, 0)) or 0
         self.late.forget_gone(waiting)
 
     def expire(self, clock: int) -> None:
-        """Let all leave that go before ``clock``."""
+        """Remove all matches that expire before ``clock`` from their buffers."""
         for span, queue in [(self.span, self.queue), *self.others.items()]:
             while queue and queue[0].start + (span or 0) < clock:
                 queue.popleft().leave()
@@ -196,36 +210,41 @@ class ByStart:
 def drop_gone(
     matches: Deque[PartialMatch], start: int, visit: Optional[Callable[[PartialMatch], None]] = None
 ) -> Optional[int]:
-    """Remove the matches that do not wait any more from a slice of a queue.
+    """Remove the entries whose matches are not stored any more from a slice of a queue.
 
     Args:
-        matches: the queue, whose order stays.
-        start: where the slice begins.
-        visit: called with each match of the slice that waits; the slice is a smaller one then.
+        matches: the queue; its order does not change.
+        start: position at which the slice begins.
+        visit: called with each stored match of the slice, which is smaller then; None for no call.
 
     Returns:
-        Where the next slice begins; None after the last one.
+        The position at which the next slice begins; None after the last slice.
     """
     start, found = _take_slice(matches, start, SLICE if visit is None else VISITED_SLICE)
     waiting = [match for match in found if match.buffer is not None]
     following = _put_slice(matches, start, waiting)
     if visit is not None:
+        # The queue is complete again before the calls: they may remove matches, which must find a consistent queue.
         for match in waiting:
             visit(match)
     return following
 
 
 def _take_slice(entries: Deque[_EntryT], start: int, most: int) -> Tuple[int, List[_EntryT]]:
-    """Rotate a queue so that it begins at ``start``, or at 0 past its end, and take entries out; see `_put_slice`."""
+    """Rotate a queue so that it begins at ``start`` and remove up to ``most`` entries; see `_put_slice`.
+
+    A ``start`` past the end of the queue means its beginning.
+    """
     if start >= len(entries):
         start = 0
     number = min(most, len(entries) - start)
+    # A deque cannot be sliced; rotating it moves pointers only, and costs much less than building a new queue.
     entries.rotate(-start)
     return start, [entries.popleft() for _ in range(number)]
 
 
 def _put_slice(entries: Deque[_EntryT], start: int, left: List[_EntryT]) -> Optional[int]:
-    """Put back what is left of a slice, and undo the rotation; return where the next one begins, None at the end."""
+    """Put the remaining entries of a slice back and undo the rotation; return the next position, None at the end."""
     is_last = len(entries) == start
     entries.extendleft(reversed(left))
     entries.rotate(start)

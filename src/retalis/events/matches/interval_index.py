@@ -1,10 +1,15 @@
-"""Waiting matches by time: finds those that start and end within given limits, newest or oldest first.
+"""Index of stored matches by time, and time bounds of join partners.
 
-A B+ tree over (instant, other instant, order of arrival). Each node also knows between what the other instants and
-the orders below it lie, so that a search goes only where there may be something to find: where each instant is
-named, or limited from one side, every match found costs the logarithm of what waits.
+An operator such as ``during`` or a ``within`` bound limits where the partners of a match can lie in time (an
+interval join). If many stored matches have the same key but few lie within the limits, a scan in order of arrival is
+slow. `IntervalIndex` finds the matches whose start and end lie within given limits, newest or oldest first.
 
-Where in time the partners of a match lie: derived from what an operator says about a pair.
+The index is a B+ tree with the keys (instant, other instant, order of arrival). One of the two instants is chosen as
+the sort key. As in a priority search tree, each node also stores the smallest and largest other instant and order
+below it, so a search skips subtrees that contain no result. Subtrees are visited best-first by order of arrival,
+using a heap; each result costs O(log n) if at least one instant is bounded on one side.
+
+`reach_of` derives the limits from the comparisons that define an operator and from the maximum span.
 """
 
 import gc
@@ -20,28 +25,28 @@ from ..language.pattern_operators import OPERATORS
 from .partial_matches import PartialMatch
 
 TimeBounds = Tuple[int, int, int, int]
-"""The least and the largest start, the least and the largest end; all of them inclusive."""
+"""Smallest and largest start, smallest and largest end; all inclusive."""
 
 LEAST, MOST = -(1 << 80), 1 << 80
-"""Before and after any instant and any order."""
+"""Below and above all instants and orders."""
 
 FULL = 32
-"""How many parts of a node of the tree there are at most."""
+"""Maximum number of keys of a tree node."""
 
 _IndexEntry = Tuple[int, int, int, PartialMatch]
 
 
 class _TreeNode:
-    """A part of the tree.
+    """Node of the tree.
 
     Attributes:
-        keys: of a leaf its entries ``(instant, other, order, match)``; else the least such triple of each kid (of
-            the first one there may be less).
-        kids: the nodes below; None for a leaf.
-        low: the least other instant of the entries below.
-        high: the largest.
-        oldest: the least order.
-        newest: the largest.
+        keys: entries ``(instant, other, order, match)`` of a leaf; in an inner node the smallest such triple of each
+            child (the first child may contain smaller ones).
+        kids: child nodes; None for a leaf.
+        low: smallest other instant of the entries below.
+        high: largest other instant of the entries below.
+        oldest: smallest order of the entries below.
+        newest: largest order of the entries below.
     """
 
     __slots__ = ("keys", "kids", "low", "high", "oldest", "newest")
@@ -68,7 +73,7 @@ class _TreeNode:
             self.newest = max(kid.newest for kid in self.kids)
 
     def add(self, entry: _IndexEntry) -> Optional["_TreeNode"]:
-        """Add an entry; return the second half of the node where it has become too full."""
+        """Add an entry; return the second half of the node if it had to be split."""
         _, other, order, _ = entry
         self.low, self.high = min(self.low, other), max(self.high, other)
         self.oldest, self.newest = min(self.oldest, order), max(self.newest, order)
@@ -95,7 +100,7 @@ class _TreeNode:
         return half
 
     def remove(self, entry: _IndexEntry) -> None:
-        """Remove an entry that is there."""
+        """Remove an entry, which must be present."""
         keys, kids = self.keys, self.kids
         if kids is None:
             del keys[bisect_left(keys, entry)]
@@ -105,6 +110,8 @@ class _TreeNode:
             if not kids[at].keys:
                 del keys[at], kids[at]
         if keys:
+            # Bounds are recomputed only if the entry was at a bound; wider bounds would be correct but would slow
+            # searches down.
             if entry[1] in (self.low, self.high):
                 self._set_others()
             if entry[2] in (self.oldest, self.newest):
@@ -112,22 +119,24 @@ class _TreeNode:
 
 
 class IntervalIndex:
-    """Matches by their times.
+    """Matches ordered by their times.
 
     Args:
-        matches: what is in it at first, at least one.
-        by_end: whether the end is what narrows searches down most, else the start.
+        matches: the initial matches, at least one.
+        by_end: whether the end is the sort key, else the start; the one that narrows searches down most.
 
     Attributes:
-        changes: how often something was added or removed.
-        searched: what ``changes`` was at the last search.
-        size: how many matches are in it.
+        changes: number of additions and removals.
+        searched: value of ``changes`` at the last search.
+        size: number of matches.
     """
 
     def __init__(self, matches: Iterable[PartialMatch], by_end: bool):
         self.by_end = by_end
         self.changes = 0
         self.searched = 0
+        # A large tree consists of many small objects that all survive; each collection would walk over all of them
+        # again.
         with paused():
             self._build(sorted(map(self._entry, matches)))
 
@@ -155,7 +164,7 @@ class IntervalIndex:
             self._root = _TreeNode([root.keys[0][:3], half.keys[0][:3]], [root, half])
 
     def remove(self, match: PartialMatch) -> None:
-        """Remove a match that is there and not the last one."""
+        """Remove a match, which must be present and not be the last one."""
         self.changes += 1
         self.size -= 1
         root = self._root
@@ -166,22 +175,25 @@ class IntervalIndex:
 
     @property
     def idle(self) -> bool:
-        """Whether keeping it up to date since the last search has cost more than making it anew would."""
+        """Whether the updates since the last search have cost more than building the index again would."""
         return 2 * (self.changes - self.searched) > self.size
 
     def search(self, limits: TimeBounds, newest: bool, beyond: int) -> Iterator[PartialMatch]:
-        """Yield the matches within limits that are in it now, in order of arrival or against it.
+        """Yield the matches within limits, in order of arrival or in reverse order.
 
-        Others may come and go meanwhile; what is gone is not yielded any more.
+        Matches may be added and removed between two results. Matches that are added are not yielded, and neither are
+        matches that have been removed.
 
         Args:
-            limits: between what start and end have to lie.
-            newest: whether the newest comes first, else the oldest.
-            beyond: an order: only those that are older are yielded, or else newer.
+            limits: bounds of start and end.
+            newest: whether the newest match is yielded first, else the oldest.
+            beyond: an order; only older matches are yielded if ``newest``, else only newer ones.
         """
         last = self._root.newest
         changes = -1
-        while self.changes != changes:  # begins again after the last one, when there was a change
+        # A change may restructure the tree, which invalidates the heap of the search. The search then starts again
+        # after the last result. `last` excludes matches that are added meanwhile.
+        while self.changes != changes:
             self.searched = changes = self.changes
             for match in self._within(limits, newest, beyond):
                 if match.order > last:
@@ -199,6 +211,8 @@ class IntervalIndex:
         first, final = (least, low), (most, high, MOST)
         after, before = (LEAST, beyond) if newest else (beyond, MOST)
         heap: List[Any] = [(0, self._root)]
+        # Best-first search: the heap orders subtrees by the best order that they may contain, and matches by their
+        # own. A match that is popped therefore precedes everything that has not been visited.
         while heap:
             item = heapq.heappop(heap)[1]
             if item.__class__ is not _TreeNode:
@@ -211,6 +225,8 @@ class IntervalIndex:
                     if low <= other <= high and after < order < before:
                         heapq.heappush(heap, (-order if newest else order, match))
                 continue
+            # The first key of a child may be larger than its smallest entry, so the child before the first hit is
+            # searched too.
             for kid in kids[max(0, start - 1) : max(1, stop)]:
                 if kid.low <= high and kid.high >= low and kid.oldest < before and kid.newest > after:
                     heapq.heappush(heap, (-kid.newest if newest else kid.oldest, kid))
@@ -218,7 +234,7 @@ class IntervalIndex:
 
 @contextmanager
 def paused() -> Iterator[None]:
-    """Keep the collector from looking while something large is built: it would walk all of it again and again."""
+    """Disable garbage collection while a large structure is built; each collection would traverse all of it again."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -232,11 +248,11 @@ _MIRRORED = {"<": ">", "<=": ">=", "==": "=="}
 
 
 class IntervalBounds(NamedTuple):
-    """The times of possible partners.
+    """Time bounds of possible partners.
 
     Attributes:
-        limits: from start and end of a match to between what its partners start and end.
-        by_end: whether the end is limited more closely than the start.
+        limits: returns the bounds of start and end of the partners of a match with the given start and end.
+        by_end: whether the end is bounded more tightly than the start.
     """
 
     limits: Callable[[int, int], TimeBounds]
@@ -244,24 +260,25 @@ class IntervalBounds(NamedTuple):
 
 
 BEFORE = IntervalBounds(lambda start, end: (LEAST, MOST, LEAST, start - 1), True)
-"""Whatever ended before."""
+"""Everything that ended before."""
 BETWEEN = IntervalBounds(lambda start, end: (start + 1, MOST, LEAST, end - 1), False)
-"""What lies wholly between two instants."""
+"""Everything that lies strictly between two instants."""
 
 
 @lru_cache(maxsize=1000)
 def reach_of(name: str, span: Optional[int], left: bool) -> Optional[IntervalBounds]:
-    """Return where the partners of a match are; None where they may be anywhere.
+    """Return the time bounds of the partners of a match; None if they are unbounded.
 
     Args:
         name: an operator.
-        span: how long the result may be, in ns; None for no bound.
+        span: maximum length of the result, in ns; None for no bound.
         left: whether the match is the left operand.
     """
     operator = OPERATORS[name]
     lower, upper = _bounds(operator, span, "1" if left else "2")
     if not any((*lower.values(), *upper.values())):
         return None
+    # The bounds are compiled to one expression, because they are computed for every match that arrives.
     parts = []
     for instant in "se":
         parts += [_tightest("max", lower[instant]) or "LEAST", _tightest("min", upper[instant]) or "MOST"]
@@ -275,11 +292,12 @@ def reach_of(name: str, span: Optional[int], left: bool) -> Optional[IntervalBou
 def _bounds(
     operator: EventOperator, span: Optional[int], mine: str
 ) -> Tuple[Dict[str, List[str]], Dict[str, List[str]]]:
-    """Return the lower and the upper bounds of a partner's start and end, as sources."""
+    """Return the lower and upper bounds of the start and end of a partner, as source expressions."""
     lower: Dict[str, List[str]] = {"s": [], "e": []}
     upper: Dict[str, List[str]] = {"s": [], "e": []}
     for comparison in operator.comparisons:
         one, sign, other = comparison.split()
+        # A comparison within one operand says nothing about the partner.
         if one[1] == other[1]:
             continue
         if one[1] == mine:
@@ -288,7 +306,8 @@ def _bounds(
             upper[one[0]].append(f"{other} - 1" if sign == "<" else other)
         if sign in (">", ">=", "=="):
             lower[one[0]].append(f"{other} + 1" if sign == ">" else other)
-    if span is not None:  # a result always reaches from the start of the one to the end of the other
+    if span is not None:
+        # A result never starts after its operands or ends before them, so both lie within `span` of each other.
         lower["s"].append(f"e{mine} - {span}")
         upper["e"].append(f"s{mine} + {span}")
     return lower, upper

@@ -1,4 +1,17 @@
-"""Where matches wait for partners: by the values they share, in order of arrival and, where that helps, by time."""
+"""Match buffers: the stored partial matches of one operand.
+
+A buffer is a beta memory of the Rete network, indexed by the values of the variables that both operands share (a
+hash join). The matches of one key form a ring in order of arrival, linked by attributes of the matches themselves:
+adding and removing cost the same for any number of matches, and no container is needed for keys with one match,
+which is the usual case. Two further indices of a key are created only when a search shows that they pay off, and are
+dropped when they become idle:
+
+* an `IntervalIndex`, if many matches are skipped because they lie outside of the time bounds of a search;
+* a dictionary by identity, if a match replaces an older match with the same identity (policy ``recent``).
+
+Values with variables have no hash key. Matches with such values are stored under the key None, and are unified with
+every partner.
+"""
 
 import heapq
 from typing import TYPE_CHECKING, Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Set, Tuple
@@ -13,28 +26,31 @@ if TYPE_CHECKING:
 
 
 FEW, FEWER = 32, 4
-"""How many matches at the wrong time are passed over before an index is made; before one that there is is used."""
+"""Matches outside of the time bounds that a search skips before it creates an index, and before it uses one."""
 _LISTED_IN_A_STEP = 16
-"""Partners that are listed in the time in which a step of pattern work takes one."""
+"""Partners that can be listed in the time of one step of pattern work."""
 _ANY: TimeBounds = (LEAST, MOST, LEAST, MOST)
 
 
 class MatchBuffer:
-    """Where the matches of one operand wait for partners, found by the values of the variables they share.
+    """Stored matches of one operand, found by the values of the shared variables.
 
-    Those with the same key are a ring in order of arrival: each knows the next older one, and the oldest the newest.
+    The matches of one key form a ring: ``older`` of each match is the one before it, and ``older`` of the oldest is
+    the newest.
 
     Attributes:
-        rule: the rule that owns it; it counts and bounds what waits.
-        newest: by key, the newest match; under None is what has variables in its shared values, and is unified
-            with every partner.
-        span: how many nanoseconds a match that waits here can be a part of; None for no bound.
-        name: what a match and the one that it replaces have in common; None where none replaces another.
-        reach: where in time those lie that a partner looks for here; None for anywhere.
-        least_end: returns the least end of those that fit a partner which starts at an instant; None for no bound.
-        forbids: whether what waits is about what must not happen: no match skips it.
-        indices: by key, those by time of keys under which some were looked for in vain.
-        names: by key, those by their names, of keys with more than a few.
+        rule: the rule that owns the buffer; it counts and limits the stored matches.
+        newest: newest match by key. The key None holds the matches with variables in their shared values, which are
+            unified with every partner.
+        span: retention time of stored matches, in ns; None for no bound.
+        name: returns the identity by which a match replaces a stored one; None if matches do not replace each other.
+        reach: time bounds of the stored matches that a partner searches for; None for no bounds.
+        least_end: returns the smallest end of the stored matches that can join a partner with the given start; None
+            for no bound.
+        forbids: whether the matches belong to a negated pattern; those are not skipped after a match.
+        indices: time indices, by key.
+        names: stored matches by identity, by key, for keys with more than a few matches.
+        on_mend: called after the buffer was repaired.
     """
 
     forbids = False
@@ -52,20 +68,21 @@ class MatchBuffer:
         self.on_mend: Callable[[], None] = lambda: None
 
     def key_of(self, match: PartialMatch) -> Hashable:
-        """Return the key of a match; None where a shared value has variables."""
+        """Return the key of a match; None if a shared value contains variables."""
         try:
             return self.key(match.values)
         except ValueError:
             return None
 
     def add(self, match: PartialMatch, key: Hashable) -> None:
-        """Let a match wait."""
+        """Store a match."""
         rule = self.rule
         match.order = rule.order = rule.order + 1
         match.key = key
         last = self.newest.get(key)
         if last is None:
-            if self.name is not None and match.parts is not None:  # those of longer matches share it
+            # The identity of a longer match includes this one, so it is computed once, here.
+            if self.name is not None and match.parts is not None:
                 match.identity = self.name(match)
             match.buffer = self
             match.older = match.newer = self.newest[key] = match
@@ -74,7 +91,7 @@ class MatchBuffer:
         rule.keep(match, self.span)
 
     def join(self, match: PartialMatch) -> None:
-        """Let a match that has its key and order wait with others of that key."""
+        """Link a match that has a key and an order to the matches of its key, replacing one of the same identity."""
         key = match.key
         if self.name is not None:
             names = self.names.get(key)
@@ -87,6 +104,7 @@ class MatchBuffer:
                 self.remove(older)
         match.buffer = self
         newest = self.newest
+        # `remove` may have removed the only match of the key, so the ring is looked up again.
         last = newest.setdefault(key, match)
         if last is match:
             match.older = match.newer = match
@@ -101,13 +119,14 @@ class MatchBuffer:
                 self.names[key][match.identity] = match
 
     def remove(self, match: PartialMatch) -> None:
-        """Take a match out that waits here."""
+        """Remove a stored match."""
         match.buffer = None
         self.rule.waiting -= 1
         key = match.key
         older, newer = match.older, match.newer
         if older is match:
-            match.older = match.newer = None  # type: ignore[assignment]  # asked only of one that waits
+            # A link to itself would be a reference cycle, which only the garbage collector could free.
+            match.older = match.newer = None  # type: ignore[assignment]  # read only of stored matches
             del self.newest[key]
             self.indices.pop(key, None)
             self.names.pop(key, None)
@@ -124,9 +143,11 @@ class MatchBuffer:
             del self.names[key][match.identity]
 
     def mend(self) -> List[PartialMatch]:
-        """Link anew what waits, whatever an interrupt has left half linked; return it, oldest first."""
+        """Repair the links of stored matches after an interrupt; return the matches, oldest first."""
         found = []
         for key, last in list(self.newest.items()):
+            # An interrupt may come between any two assignments. The attribute `buffer` decides whether a match is
+            # stored; rings and indices are derived from it.
             waiting = sorted((one for one in _linked(last) if one.buffer is self), key=_order)
             if not waiting:
                 del self.newest[key]
@@ -139,13 +160,13 @@ class MatchBuffer:
         return sorted(found, key=_order)
 
     def _link(self, key: Hashable, waiting: List[PartialMatch]) -> None:
-        """Have matches, the oldest first, be all that wait under a key."""
+        """Link the matches of a key, given oldest first, to a ring."""
         for older, newer in zip(waiting, [*waiting[1:], waiting[0]]):
             older.newer, newer.older = newer, older
         self.newest[key] = waiting[-1]
 
     def put_back(self, waiting: Sequence[PartialMatch]) -> None:
-        """Have matches wait, whose `order` is set, in the empty buffer as they did in another one."""
+        """Store matches whose ``order`` is set in an empty buffer, as they were stored in another one."""
         groups: Dict[Hashable, List[PartialMatch]] = {}
         for match in sorted(waiting, key=_order):
             match.buffer = self
@@ -160,7 +181,7 @@ class MatchBuffer:
             self._link(key, group)
 
     def namesake(self, match: PartialMatch, key: Hashable) -> Optional[PartialMatch]:
-        """Return the match that one with a key is to replace; those of one name have the same key."""
+        """Return the stored match that a match with a key replaces; matches with one identity have the same key."""
         assert self.name is not None
         match.identity = name = self.name(match)
         last = self.newest.get(key)
@@ -169,6 +190,7 @@ class MatchBuffer:
         names = self.names.get(key)
         if names is None:
             one = last
+            # A dictionary is created only for keys with more matches than a short scan visits.
             for _ in range(FEWER):
                 if (one.identity or self._named(one)) == name:
                     return one
@@ -179,7 +201,7 @@ class MatchBuffer:
         return names.get(name)
 
     def _named(self, match: PartialMatch) -> Hashable:
-        """Give a match its name, which one that is alone under its key may not have yet; return it."""
+        """Set and return the identity of a match; a match that is alone under its key may not have one yet."""
         assert self.name is not None
         match.identity = name = self.name(match)
         return name
@@ -189,7 +211,7 @@ class MatchBuffer:
             del self.indices[key]
 
     def with_key(self, key: Hashable) -> List[PartialMatch]:
-        """Return those that wait under a key, oldest first."""
+        """Return the stored matches of a key, oldest first."""
         last = self.newest.get(key)
         if last is None:
             return []
@@ -202,19 +224,20 @@ class MatchBuffer:
         return found
 
     def all(self) -> List[PartialMatch]:
-        """Return all that wait, oldest first."""
+        """Return all stored matches, oldest first."""
         return sorted((match for key in self.newest for match in self.with_key(key)), key=_order)
 
     def partners(self, key: Hashable, start: int, end: int, newest: bool) -> Iterator[PartialMatch]:
-        """Yield those that a match may fit: the newest or the oldest first.
+        """Yield the stored matches that may join a match: newest or oldest first.
 
-        Matches may come and go meanwhile: what comes is not yielded, nor is what has gone.
+        Matches may be added and removed between two results. Matches that are added are not yielded, and neither are
+        matches that have been removed.
 
         Args:
-            key: the shared values of the match; None where they have variables.
-            start: where it starts.
-            end: where it ends.
-            newest: whether the newest comes first, else the oldest.
+            key: key of the shared values of the match; None if they contain variables.
+            start: start of the match.
+            end: end of the match.
+            newest: whether the newest match is yielded first, else the oldest.
         """
         if key is None:
             found = self.all()
@@ -228,7 +251,10 @@ class MatchBuffer:
         return iter(heapq.merge(*both, key=_order, reverse=newest))
 
     def partners_now(self, key: Hashable, start: int, end: int) -> Sequence[PartialMatch]:
-        """Return those that a match may fit, oldest first; see `partners`. After pattern work was stopped: none."""
+        """Return the stored matches that may join a match, oldest first; see `partners`.
+
+        The result is empty if pattern work was stopped.
+        """
         if key is not None and None not in self.newest:
             last = self.newest.get(key)
             if last is None:
@@ -241,12 +267,13 @@ class MatchBuffer:
         if meter(0):
             return ()
         found = list(self.partners(key, start, end, False))
-        # A nested dispatch makes such a list at each level before it takes the second partner of any.
+        # A nested dispatch creates a list at each level before any level uses its second element, so the lists must
+        # be counted as work here, not only their elements later.
         meter(len(found) // _LISTED_IN_A_STEP)
         return found
 
     def _within(self, key: Hashable, limits: TimeBounds, newest: bool) -> Iterator[PartialMatch]:
-        """Yield those under a key that start and end within limits."""
+        """Yield the stored matches of a key whose start and end lie within limits."""
         last = self.newest.get(key)
         if last is None:
             return
@@ -254,15 +281,19 @@ class MatchBuffer:
         final = last.order
         match = last if newest else last.newer
         order = MOST if newest else LEAST
+        # Misses and hits are counted against each other: a scan that yields results continues, a scan that mostly
+        # skips matches is replaced by an index search.
         misses = -(FEWER if key in self.indices else FEW)
         while misses <= 0:
             if match.order >= order if newest else not order < match.order <= final:
-                return  # all around the ring, or at what has come meanwhile
+                # Once around the ring, or at a match that was added meanwhile.
+                return
             order = match.order
             step = match.older if newest else match.newer
             if least_start <= match.start <= most_start and least_end <= match.end <= most_end:
                 misses -= 1
                 yield match
+                # The consumer of the iterator may have removed the next match, whose links are gone then.
                 if step.buffer is not self:
                     behind = self._behind(key, order, newest)
                     if behind is None:
@@ -285,16 +316,16 @@ class MatchBuffer:
         return found
 
     def _behind(self, key: Hashable, order: int, newest: bool) -> Optional[PartialMatch]:
-        """Return the next match under a key after one of an order, which may have gone."""
+        """Return the next match of a key after an order whose match may have been removed."""
         for match in reversed(self.with_key(key)) if newest else self.with_key(key):
             if match.order < order if newest else match.order > order:
                 return match
         return None
 
     def identify(self, name: Optional[Callable[[PartialMatch], Hashable]]) -> None:
-        """Have a match replace a waiting one of the same ``name``, or none with None.
+        """Set the function by which a match replaces a stored one with the same identity; None for no replacement.
 
-        Of those that wait already under one name, the newest can be replaced.
+        Of the stored matches with one identity, the newest can be replaced.
         """
         self.name = name
         self.names = {}
@@ -304,7 +335,7 @@ class MatchBuffer:
 
 
 def _linked(match: PartialMatch) -> Set[PartialMatch]:
-    """Return a match and all that can be reached from it by either link."""
+    """Return all matches that can be reached from a match by either link."""
     found = {match}
     stack = [match]
     while stack:
@@ -321,14 +352,14 @@ def _order(match: PartialMatch) -> int:
 
 
 def surely_same(key: Hashable, partner: PartialMatch) -> bool:
-    """Tell whether the shared values of one of `MatchBuffer.partners` are those of the key that it was found by."""
+    """Return whether a partner from `MatchBuffer.partners` is known to have the shared values of the search key."""
     return key is not None and partner.buffer is not None and partner.key is not None
 
 
 def key_function(positions: Tuple[int, ...]) -> Callable[[Values], Hashable]:
-    """Return a function from values to the key of those at ``positions``; it raises ValueError for variables.
+    """Return a function that maps values to the key of those at ``positions``.
 
-    The key is never None.
+    The function raises ValueError for values with variables. The key is never None.
     """
     if not positions:
         return lambda values: ()

@@ -1,7 +1,18 @@
-"""Absence: the matches of a negated pattern, indexed so that one look-up finds one between two instants.
+"""Negation: stored matches of negated patterns, and removal of matches that they rule out.
 
-In a sequence without a window, first sides that a negated match has ruled out, and the negated matches, would
-accumulate without bound: a `RuledOutSweep` drops the oldest of them.
+A negated pattern (``cnot``, ``fnot``) prevents a pair of matches if one of its own matches lies in the gap between
+them. `NegationBuffer` corresponds to the NotNode of a Rete network, and to negation in SASE: it stores the negated
+matches by the values of the variables that they share with the pair, and answers one question for each pair that is
+joined: does a negated match lie strictly between the end of the first operand and the start of the second one?
+
+If only times matter, the question is answered by binary search. A negated match is *dominated* if another one starts
+no earlier and ends no later, because every gap that contains the former contains the latter. `_Frontier` stores only
+the matches that are not dominated (the skyline). Their starts and ends increase together, so the first of them that
+starts after the gap begins is also the first of those to end. If a negated pattern has conditions on the pair, or if
+events may be retracted, all matches are stored and tested one by one.
+
+Without a ``within`` bound nothing expires, and first operands that are ruled out forever would accumulate together
+with the matches that rule them out. `RuledOutSweep` removes the oldest of both.
 """
 
 from bisect import bisect_left, bisect_right
@@ -21,14 +32,14 @@ if TYPE_CHECKING:
 _SPARE = 1000
 
 MAX_RULED_OUT = 1000
-"""First sides of one sequence that are ruled out and stay, and negated matches that stay; see `RuledOutSweep`."""
+"""Ruled-out first operands of a sequence that are kept, and negated matches that are kept; see `RuledOutSweep`."""
 
 
 class _Frontier:
-    """The matches of one key of which each is in the way of something that no other is in the way of.
+    """The negated matches of one key that are not dominated by others: the skyline of their intervals.
 
-    They rise in start and in end together, so the first that starts after an instant ends first of all that do.
-    Matches that have left the buffer are removed when the number of entries has doubled.
+    Starts and ends increase together. Matches that have left the buffer are removed when the number of entries has
+    doubled.
     """
 
     __slots__ = ("starts", "ends", "matches", "compact_at")
@@ -40,15 +51,19 @@ class _Frontier:
         self.compact_at = _SPARE
 
     def takes(self, match: PartialMatch) -> bool:
-        """Add a match and remove what it makes superfluous; returns False where it is superfluous itself."""
+        """Add a match and remove the matches that it dominates; return False if the match itself is dominated."""
         starts, ends, matches = self.starts, self.ends, self.matches
         start, end = match.start, match.end
         at = bisect_left(starts, start)
+        # A match that starts no earlier and ends no later dominates the new one. Entries that are not stored any
+        # more are removed on the way and dominate nothing.
         while at < len(ends) and ends[at] <= end:
             if matches[at].buffer is not None:
                 return False
             del starts[at], ends[at], matches[at]
         last = at + 1 if at < len(starts) and starts[at] == start else at
+        # Entries that start no later and end no earlier are dominated by the new match. They are adjacent, because
+        # starts and ends increase together.
         first = at
         while first and ends[first - 1] >= end:
             first -= 1
@@ -56,6 +71,7 @@ class _Frontier:
         starts[first:last] = [start]
         ends[first:last] = [end]
         matches[first:last] = [match]
+        # The frontier is consistent before the matches leave their buffer.
         for other in superfluous:
             other.leave()
         return True
@@ -70,32 +86,33 @@ class _Frontier:
         self.compact_at = 2 * len(self.matches) + _SPARE
 
     def between(self, after: int, before: int) -> Optional[PartialMatch]:
-        """Return a match that lies between two instants, or None."""
+        """Return a match that lies strictly between two instants, or None."""
         at = bisect_right(self.starts, after)
         while at < len(self.ends) and self.ends[at] < before:
             if self.matches[at].buffer is not None:
                 return self.matches[at]
-            del self.starts[at], self.ends[at], self.matches[at]  # it has left: too old, or one too many
+            # Expired, or dropped because of the limit.
+            del self.starts[at], self.ends[at], self.matches[at]
         return None
 
 
 class NegationBuffer:
-    """The matches of a negated pattern, by the variables that it shares with what it negates.
+    """Stored matches of a negated pattern, by the variables that it shares with the pair that it can prevent.
 
-    Asked for a gap ``(e1, s2)``: is there a match with ``e1 < start`` and ``end < s2``?  With ``ever`` the
-    gap is open to the left: does one end before ``s2``?
+    For a gap ``(e1, s2)`` the buffer tells whether a match has ``e1 < start`` and ``end < s2``. If ``ever`` is set,
+    the gap has no beginning: any match that ended before ``s2`` counts.
 
     Args:
-        rule: the rule that owns it.
-        shared: pairs of positions of the shared variables: in the values of the negated match, and in those
-            that are asked for.
-        ever: whether any time before counts.
+        rule: the rule that owns the buffer.
+        shared: pairs of positions of the shared variables: in the values of the negated match, and in the values of
+            the pair.
+        ever: whether any time before the gap's end counts.
 
     Attributes:
-        condition: tests the two together, where the negated pattern has conditions about the others; it takes
-            the values asked for and the negated match.
-        carried: the absences among those conditions, with the nodes of what they negate.
-        borders: by key, the matches that are in the way of something that no other is in the way of.
+        condition: tests the values of the pair together with a negated match, if the negated pattern has conditions
+            on the pair; else None.
+        carried: negation buffers that those conditions contain, with the nodes of their negated patterns.
+        borders: frontiers by key.
     """
 
     def __init__(self, rule: "EventRule", shared: Sequence[Tuple[int, int]], ever: bool):
@@ -112,25 +129,25 @@ class NegationBuffer:
         self.buffer.on_mend = self._forget_borders
 
     def _forget_borders(self) -> None:
-        """Have the borders made anew when they are asked for."""
+        """Drop the frontiers; each is built again at its next use."""
         self.borders = {}
 
     def bind(self, negated: "NetworkNode", mode: NetworkOptions) -> None:
-        """Take what a node finds, and have the absences among the conditions take theirs."""
+        """Receive the matches of a node, and connect the buffers that the conditions contain."""
         negated.bind(self.arrive, mode)
         self.bind_carried(mode)
 
     def bind_carried(self, mode: NetworkOptions) -> None:
-        """Have the absences among the conditions take what is found for them."""
+        """Connect the negation buffers that the conditions contain."""
         for absence, node in self.carried:
             absence.bind(node, mode)
 
     def buffers(self) -> List[MatchBuffer]:
-        """Return where negated matches wait, its own and those among its conditions."""
+        """Return the buffers of negated matches, including those of its conditions."""
         return [self.buffer, *(buffer for absence, _ in self.carried for buffer in absence.buffers())]
 
     def arrive(self, match: PartialMatch, after: Frame) -> Frame:
-        """Keep a negated match, unless others are in the way of all that it could be in the way of."""
+        """Store a negated match, unless stored matches dominate it."""
         key = self.buffer.key_of(match)
         if key is not None and self.has_borders() and not self._needed(key, match):
             return after
@@ -138,11 +155,13 @@ class NegationBuffer:
         return after
 
     def has_borders(self) -> bool:
-        """Tell whether only times matter: not where matches are tested one by one, or may be taken back."""
+        """Return whether only times matter: matches have no conditions, and events are not retracted."""
         return self.condition is None and not self.rule.network.mode.tracked
 
     def _needed(self, key: Hashable, match: PartialMatch) -> bool:
         waiting = self.buffer.newest.get(key)
+        # If the gap has no beginning, the match that ends first dominates all others, so at most one is stored for
+        # each key.
         if self.ever:
             if waiting is None:
                 return True
@@ -152,7 +171,8 @@ class NegationBuffer:
             older.leave()
             return True
         border = self._border(key)
-        border.compact()  # before the match is added, which is in no buffer yet
+        # Must precede `takes`: the new match is in no buffer yet and would be removed.
+        border.compact()
         return border.takes(match)
 
     def _border(self, key: Hashable) -> _Frontier:
@@ -161,11 +181,15 @@ class NegationBuffer:
             border = self.borders[key] = _Frontier()
             for other in self.buffer.with_key(key):
                 border.takes(other)
+            # Building a frontier removes dominated matches from the buffer, which may leave keys without matches.
             self._drop_empty_borders()
         return border
 
     def rules_out(self, key: Hashable, end: int) -> bool:
-        """Return whether a negated match under a key starts after an instant; with open values it does not count."""
+        """Return whether a negated match of a key starts after an instant.
+
+        Matches stored without a key do not count.
+        """
         last = self.buffer.newest.get(key)
         if last is None:
             return False
@@ -174,9 +198,10 @@ class NegationBuffer:
         return self._border(key).between(end, MOST) is not None
 
     def least_end(self, before: int) -> int:
-        """Return the end from which a first side is not ruled out for a second one that starts at an instant.
+        """Return the smallest end that a first operand can have if the second operand starts at ``before``.
 
-        Only for an absence that shares no variables and has borders.
+        This bound lets the join skip all first operands that are ruled out. It holds only if the negated pattern
+        shares no variables and `has_borders` is true.
         """
         last = self.buffer.newest.get(())
         if last is None:
@@ -184,19 +209,21 @@ class NegationBuffer:
         if last.older is last:
             return last.start if last.end < before else LEAST
         border = self._border(())
+        # The last match that ends before the second operand also has the largest start of those; a first operand
+        # that ends before that start is ruled out.
         at = bisect_left(border.ends, before) - 1
         while at >= 0 and border.matches[at].buffer is None:
             at -= 1
         return border.starts[at] if at >= 0 else LEAST
 
     def _drop_empty_borders(self) -> None:
-        """Forget keys under which nothing waits any more, and that nobody has asked for since, when they are many."""
+        """Remove the frontiers of keys without stored matches, if there are many."""
         newest = self.buffer.newest
         if len(self.borders) > 2 * len(newest) + _SPARE:
             self.borders = {key: border for key, border in self.borders.items() if key in newest}
 
     def blocks(self, values: Values, after: int, before: int) -> bool:
-        """Tell whether a negated match lies between two instants."""
+        """Return whether a negated match lies between two instants."""
         buffer = self.buffer
         if not buffer.newest:
             self.borders.clear()
@@ -210,6 +237,7 @@ class NegationBuffer:
             if last is None:
                 self.borders.pop(key, None)
                 return False
+            # A key with one match is the usual case and needs no frontier.
             if last.older is last:
                 return after < last.start and last.end < before
             border = self.borders.get(key)
@@ -218,13 +246,14 @@ class NegationBuffer:
         return self._search(key, values, after, before)
 
     def _search(self, key: Hashable, values: Values, after: int, before: int) -> bool:
-        """Look at all negated matches that may share the values."""
+        """Test the stored matches that may share the values, one by one."""
         asked = PartialMatch(values, after, before, None, None, ())
         condition = self.condition
         meter = self.rule.meter
         for match in self.buffer.partners(key, after, before, False):
             if meter is not None and meter(1):
-                return True  # the search has to stop: what may be ruled out does not begin to wait
+                # Pattern work is stopped: a pair that may be ruled out must not produce a result.
+                return True
             if match.end < before and (self.ever or after < match.start):
                 met, of = match, values
                 if not surely_same(key, match):
@@ -233,25 +262,28 @@ class NegationBuffer:
                         continue
                     met, of = sides[0], sides[1].values
                 if condition is None or condition(of, met):
+                    # The lineage records what prevented the pair, so that the pair is tried again if this match is
+                    # retracted.
                     self.rule.network.tracker.blocker = match
                     return True
         return False
 
 
 class RuledOutSweep:
-    """Drops first sides that are ruled out, and the negated matches that ruled them out, when there are many.
+    """Removes first operands that are ruled out, and the negated matches that rule them out, if there are many.
 
-    A negated match R rules out each first side P that ended before R started, for all second sides that start after R
-    ended. If events come in order and no second side overlaps an R, that is all of them. For others, the newest
-    `MAX_RULED_OUT` such P and as many R stay. An R leaves together with the waiting P that it rules out, so that no
-    sequence matches that it prevents; only a P that arrives later, but ended before R started, misses it.
+    A negated match R rules out each first operand P that ended before R started, for all second operands that start
+    after R ended. If events arrive in order and no second operand overlaps R, P can never complete. For the other
+    cases, the newest `MAX_RULED_OUT` of such P and as many R are kept. R leaves together with every stored P that it
+    rules out, so no sequence is reported that R prevents. Only a P that arrives later, and ended before R started,
+    is not prevented any more.
 
-    A pass over all that waits is made in slices: it never takes long at once.
+    A pass over all stored matches is made in slices, so no event waits for a complete pass.
 
     Args:
-        waiting: where the first sides wait.
-        absence: the negated matches; they share variables with first sides only, and have no conditions.
-        positions: of the shared variables in the values of a first side.
+        waiting: buffer of the first operands.
+        absence: buffer of the negated matches. It shares variables with first operands only and has no conditions.
+        positions: positions of the shared variables in the values of a first operand.
     """
 
     def __init__(self, waiting: MatchBuffer, absence: NegationBuffer, positions: Sequence[int]):
@@ -264,9 +296,13 @@ class RuledOutSweep:
         self._last = LEAST
 
     def begin(self, last: int) -> None:
-        """Begin a pass; ``last`` is the order of the last match so far.
+        """Begin a pass.
 
-        Negated matches that come later are left to the next pass: this one may have visited what they rule out.
+        Negated matches that arrive during the pass are left to the next one, because the pass may already have
+        visited first operands that they rule out.
+
+        Args:
+            last: order of the last match that has been stored.
         """
         self._last = last
         self._ruled_out.clear()
@@ -274,7 +310,7 @@ class RuledOutSweep:
         self._first_open_end = MOST
 
     def visit(self, match: PartialMatch) -> None:
-        """Take the next match of the rule, in the order of arrival."""
+        """Process the next match of the rule, in order of arrival."""
         if match.buffer is self.absence.buffer:
             if match.key is not None and match.order <= self._last:
                 self._negated.append(match)
@@ -287,12 +323,13 @@ class RuledOutSweep:
         try:
             return self.absence.rules_out(self._key(match.values), match.end)
         except ValueError:
-            # Only unification tells which negated matches rule out one with open values. It stays, and so do they.
+            # A first operand with variables in shared values would need unification to find what rules it out. It is
+            # kept, and so are all negated matches that start after its end.
             self._first_open_end = min(self._first_open_end, match.end)
             return False
 
     def drop_negated(self, most: int) -> bool:
-        """Drop up to so many of the negated matches that are too many; returns whether all of these have gone."""
+        """Remove up to ``most`` of the surplus negated matches; return whether all of these have been removed."""
         negated = self._negated
         going: List[PartialMatch] = []
         while len(negated) > MAX_RULED_OUT and len(going) < most:
@@ -302,6 +339,8 @@ class RuledOutSweep:
         latest: Dict[Hashable, int] = {}
         for match in going:
             latest[match.key] = max(match.start, latest.get(match.key, match.start))
+        # First operands leave before the negated matches: an interrupt in between must not make a prevented pair
+        # possible.
         if going:
             for match in self._ruled_out:
                 if match.buffer is not None and latest.get(self._key(match.values), match.end) > match.end:

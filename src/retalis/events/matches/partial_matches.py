@@ -1,8 +1,16 @@
-"""Partial matches, and what can be asked about them.
+"""Partial matches, their identity, and the options of a network.
 
-By what a network runs: the consumption policy, and what else the flags say.
+A partial match is a token of the Rete network: the values of a node's variables, an interval, and the parts that it
+was joined from. A match of a single event stores only the event (`EventMatch`), because millions of those may be
+stored at a time. A match stores its own links to the neighbours in its `MatchBuffer`.
 
-The rule that matches wait for and what is around it, as far as matches look at them.
+Two matches are identical if they consist of identical event terms in the same places, whatever the time stamps. The
+policy ``recent`` uses this identity: a new occurrence replaces the older one. `identity` computes it for the whole
+tree of parts without recursion and shares the keys of common prefixes, so a long sequence costs no more than a short
+one.
+
+If events are tracked for retraction and explanation, matches also lead to the occurrences that they contain:
+`leaves` and `sources` enumerate these, and `arrival` orders matches by the last of them.
 """
 
 from enum import Enum
@@ -26,11 +34,11 @@ from ...prolog.terms.unification import undo, unify
 
 
 class Waited(Protocol):
-    """Where a match waits, as the match sees it.
+    """The place where a match is stored: a buffer or a run group.
 
     Attributes:
-        span: for how many nanoseconds what waits is of use; None for no bound.
-        forbids: whether what waits is about what must not happen.
+        span: retention time in ns; None for no bound.
+        forbids: whether its matches belong to a negated pattern.
     """
 
     @property
@@ -42,29 +50,29 @@ class Waited(Protocol):
         """See above."""
 
     def remove(self, match: "PartialMatch") -> None:
-        """Take out a match that waits here."""
+        """Remove a stored match."""
 
 
 class EventMatch:
     """A match of one event whose arguments are the values of its pattern.
 
-    It has the attributes of a `PartialMatch` and is annotated as one, but takes 32 bytes less: millions may wait.
-    Only `values`, `event` and `parts` cannot be set.
+    It has the attributes of a `PartialMatch` and is annotated as one, but takes 32 bytes less: millions may be
+    stored. The attributes ``values``, ``event`` and ``parts`` cannot be set.
 
     Attributes:
         values: the arguments of the event.
-        start: where the interval starts.
-        end: where it ends.
+        start: start of the interval.
+        end: end of the interval.
         event: None.
         term: the event.
         parts: None.
-        buffer: where it waits; None while it does not wait (any more).
-        key: under which key it waits there.
-        older: the one that began to wait under the key before it; that of the oldest is the newest.
-        newer: the one that began to wait there after it.
-        order: the larger, the later it began to wait.
-        identity: what it has in common with those that it replaces there; None while nobody has asked.
-        used: what it last completed something with and was used up by; else None.
+        buffer: the place where the match is stored; None if it is not stored (any more).
+        key: its key in that buffer.
+        older: the match of the same key that was stored before it; for the oldest match, the newest one.
+        newer: the match of the same key that was stored after it; for the newest match, the oldest one.
+        order: increases with each match that the rule stores.
+        identity: the identity by which a newer match replaces it; None if it has not been computed.
+        used: the match that consumed it last; else None.
     """
 
     __slots__ = (
@@ -82,7 +90,8 @@ class EventMatch:
 
     start: int
     end: int
-    term: Any  # whoever asks for it knows that it is of one event
+    # Declared as Any: code that reads it knows that the match is of a single event.
+    term: Any
     buffer: Optional[Waited]
     key: Hashable
     older: "PartialMatch"
@@ -104,7 +113,10 @@ class EventMatch:
             return self.term[1:]
 
         def __getattr__(self, name: str) -> Any:
-            """Give a match the attribute that it was made without: the values are the arguments of its event."""
+            """Set and return the default of an attribute that was not initialized.
+
+            The constructor of this class runs for each event that is stored and leaves out what is seldom read.
+            """
             if name not in _LEFT_OUT:
                 raise AttributeError(name)
             found = self.term[1:] if name == "values" else None
@@ -113,19 +125,19 @@ class EventMatch:
 
     @property
     def latest(self) -> int:
-        """The largest end so far: what waits is as old as that."""
+        """The largest end so far; garbage control removes matches by it."""
         return self.end
 
     @property
     def filed_by(self) -> Values:
-        """The values of which those that are shared are the key under which it waits."""
+        """The values that contain the shared values of the key."""
         return self.values
 
     def mend(self) -> None:
-        """Put right what an interrupt may have left half done."""
+        """Repair the match after an interrupt."""
 
     def leave(self) -> None:
-        """Take the match out of where it waits, if it does."""
+        """Remove the match from the buffer where it is stored, if any."""
         if self.buffer is not None:
             self.buffer.remove(self)  # type: ignore[arg-type]  # annotated as what it is like
 
@@ -134,10 +146,10 @@ class PartialMatch(EventMatch):
     """A match of a node of a pattern.
 
     Attributes:
-        values: the values of the node's variables.
-        event: the token of the event, where the match is of one single event; else None.
-        term: the event, where it is the match of an event pattern.
-        parts: what else it was put together from: matches, `TrackedMatch` and `Found`, and the number of a branch.
+        values: values of the node's variables.
+        event: token of the event, if the match consists of a single event; else None.
+        term: the event, if this is the match of an event pattern; else None.
+        parts: the parts that it was joined from: matches, `TrackedMatch` and `Found`, and the number of a branch.
 
     The other attributes are those of `EventMatch`.
     """
@@ -167,15 +179,16 @@ _LEFT_OUT = frozenset(("values", "event", "parts", "identity", "used"))
 
 
 class TrackedMatch:
-    """Matches that one was made of without being told apart by them: the repetitions of a run.
+    """The repetitions of a run, as a part of the run's results that does not belong to their identity.
 
-    Each repetition has one, which knows the one before it: what a run has given on, again and again, shares them.
+    Each repetition has one `TrackedMatch`, which refers to the one before it. All results that a run emits share
+    them.
 
     Attributes:
-        match: the last of the repetitions; None where there is none.
-        earlier: what is held of those before it.
-        number: that of the last event in it, see `arrival`.
-        linked: whether what it came from knows it, where events are tracked.
+        match: the last repetition; None if there is none.
+        earlier: the `TrackedMatch` of the repetitions before it.
+        number: number of the last event in it, see `arrival`.
+        linked: whether the occurrences that it contains refer to it, if events are tracked.
         derived, held, suppressed, gone, reported, forgotten: as of an event that is tracked.
     """
 
@@ -204,7 +217,7 @@ class TrackedMatch:
 
     @property
     def matches(self) -> List[PartialMatch]:
-        """All of the repetitions, oldest first."""
+        """All repetitions, oldest first."""
         found = []
         one: Optional[TrackedMatch] = self
         while one is not None and one.match is not None:
@@ -218,31 +231,31 @@ NOTHING_HELD = TrackedMatch(None, None)
 
 
 class Repetitions:
-    """Matches that one was made of, one after the other; told apart by them, as by parts."""
+    """Matches that follow each other and are parts of one match; they belong to its identity."""
 
     __slots__ = ()
 
     @property
     def matches(self) -> List[PartialMatch]:
-        """All of them, oldest first."""
+        """The matches, oldest first."""
         raise NotImplementedError
 
 
 class Found(NamedTuple):
-    """Values that goals, repetitions and aggregates have given a match and that are not carried on.
+    """Values that goals, repetitions and aggregates have computed for a match and that are not passed on.
 
-    They tell it from others, as do those that are; see `telling`.
+    They belong to the identity of the match, like the values that are passed on; see `MatchKeys`.
     """
 
     values: Values
 
 
 class Named(NamedTuple):
-    """The name of a match where it waits, if its events do not give all the values that it carries.
+    """Identity of a stored match, if its events do not determine all values that it passes on.
 
     Attributes:
         structure: its `identity`.
-        values: what those variables stand for; they may get their values further up.
+        values: keys of the other values; those may be variables that are bound by an event further up.
     """
 
     structure: Hashable
@@ -252,13 +265,14 @@ class Named(NamedTuple):
 MatchPart = Union[PartialMatch, TrackedMatch, Repetitions, Found, int]
 Parts = Tuple[MatchPart, ...]
 Holder = Union[PartialMatch, Tuple[Any, ...]]
-"""What is made of an event: a match that waits, or a node and what it is to forget, see `Tracker`."""
+"""An entry of an event: a stored match that contains it, or a node and the data that it must forget."""
 
 
 class Identity:
-    """What tells a match of several parts from others: their keys, compared without recursion.
+    """Identity of a match with several parts: the identities of these, compared without recursion.
 
-    That of a long sequence shares those of its beginnings, so that it takes no longer to make than a short one.
+    The identity of a long sequence shares those of its prefixes, so it costs no more to create than that of a short
+    one.
     """
 
     __slots__ = ("parts", "hash")
@@ -271,6 +285,7 @@ class Identity:
         return self.hash
 
     def __eq__(self, other: object) -> bool:
+        # A sequence of 10,000 events is a tree of that depth, so recursion would exceed Python's limit.
         pairs: List[Tuple[Any, Any]] = [(self, other)]
         while pairs:
             one, two = pairs.pop()
@@ -286,9 +301,14 @@ class Identity:
 
 
 def identity(match: EventMatch) -> Hashable:
-    """Return a key: equal for two matches of a node made of identical event terms, carried values apart."""
+    """Return a key that is equal for two matches of a node that consist of identical event terms.
+
+    Values that are passed on are not part of the key.
+    """
     if match.parts is None:
         return term_key(match.term)
+    # The first parts of a sequence form a long path. Descend to the first part whose identity is known, then build
+    # the identities of the longer prefixes on top of it.
     path: List[EventMatch] = [match]
     while path[-1].__class__ is not PartialMatch or path[-1].identity is None:
         parts = path[-1].parts
@@ -307,7 +327,7 @@ def identity(match: EventMatch) -> Hashable:
 
 
 def _identity_of(match: EventMatch, key: Tuple[Hashable, ...]) -> Hashable:
-    """Return the identity of a match, given those of its first parts."""
+    """Return the identity of a match, given the identities of its first parts."""
     parts = match.parts
     if parts is None:
         return term_key(match.term)
@@ -323,7 +343,7 @@ def _identity_of(match: EventMatch, key: Tuple[Hashable, ...]) -> Hashable:
 
 
 def leaves(match: PartialMatch) -> Iterator[Hashable]:
-    """Yield the tokens of the events that a match was made of, in the order of the pattern."""
+    """Yield the tokens of the events that a match consists of, in the order of the pattern."""
     inner: Any
     stack: List[EventMatch] = [match]
     while stack:
@@ -339,7 +359,7 @@ def leaves(match: PartialMatch) -> Iterator[Hashable]:
 
 
 def sources(match: PartialMatch) -> Iterator[Hashable]:
-    """Yield the tokens of the events that a match was made of; for those of repetitions the last `TrackedMatch`."""
+    """Yield the tokens of the events of a match; for the repetitions of a run the last `TrackedMatch`."""
     inner: Any
     stack: List[EventMatch] = [match]
     while stack:
@@ -358,21 +378,22 @@ def sources(match: PartialMatch) -> Iterator[Hashable]:
 
 
 def arrival(match: PartialMatch) -> int:
-    """Return the number of the last event of a match: when it was complete. 0 where events are not tracked."""
+    """Return the number of the last event of a match, at which it was complete; 0 if events are not tracked."""
     return max((getattr(token, "number", 0) for token in sources(match)), default=0)
 
 
 def taken_back(match: PartialMatch) -> bool:
-    """Tell whether an event of a match was taken back."""
+    """Return whether an event of a match was retracted."""
     return any(getattr(token, "gone", False) for token in leaves(match))
 
 
 def unify_sides(
     left: PartialMatch, right: PartialMatch, shared: Tuple[Tuple[int, int], ...]
 ) -> Optional[Tuple[PartialMatch, PartialMatch]]:
-    """Unify shared values that have variables.
+    """Unify shared values that contain variables.
 
-    Returns copies of the two sides with the values that follow, or None where they do not unify.
+    Returns:
+        Copies of the two matches with the resulting values, or None if the values do not unify.
     """
     lefts = list(_renamed(left.values))
     rights = list(_renamed(right.values))
@@ -380,11 +401,12 @@ def unify_sides(
     result = None
     if all(unify(lefts[one], rights[other], trail) for one, other in shared):
         result = (_with(left, lefts), _with(right, rights))
-    return result  # only variables of the copies are bound, so nothing has to be undone
+    # Only variables of the copies were bound, so no binding has to be undone.
+    return result
 
 
 def agreed(left: Values, right: Values) -> Optional[Values]:
-    """Unify values pairwise; return them, or None where they differ."""
+    """Unify values pairwise and return them; None if they do not unify."""
     trail: Trail = []
     result = None
     if all(unify(one, other, trail) for one, other in zip(left, right)):
@@ -413,45 +435,45 @@ class ConsumptionPolicy(Enum):
     """A consumption policy; see the table in the language reference."""
 
     RECENT = "recent"
-    """The newest that fits; a newer occurrence of the same event replaces a waiting one."""
+    """The newest partner; a newer occurrence of the same event replaces a stored one."""
     RECENT_2 = "recent_2"
-    """The newest that fits; identical events both wait."""
+    """The newest partner; identical events are both stored."""
     CHRONOLOGICAL = "chronological"
-    """The oldest that fits."""
+    """The oldest partner."""
     CHRONOLOGICAL_2 = "chronological_2"
-    """The oldest that fits."""
+    """The oldest partner."""
     UNRESTRICTED = "unrestricted"
-    """All that fit, oldest first; nothing is used up."""
+    """All partners, oldest first; none is consumed."""
 
     @property
     def newest(self) -> bool:
-        """Whether the newest partner is taken first."""
+        """Whether the newest partner is chosen first."""
         return self in (ConsumptionPolicy.RECENT, ConsumptionPolicy.RECENT_2)
 
     @property
     def consuming(self) -> bool:
-        """Whether a partner is used up."""
+        """Whether a partner is consumed."""
         return self is not ConsumptionPolicy.UNRESTRICTED
 
     @property
     def replacing(self) -> bool:
-        """Whether a newer occurrence of the same event replaces the one that waits."""
+        """Whether a newer occurrence of the same event replaces the stored one."""
         return self is ConsumptionPolicy.RECENT
 
 
 class AfterMatchSkipStrategy(Enum):
-    """What a match that has fired skips; see "After a match" in the language reference."""
+    """Partial matches that are skipped after a match; see "After a match" in the language reference."""
 
     KEEP = "keep"
-    """Nothing."""
+    """None."""
     SKIP_PAST_LAST = "skip_past_last"
-    """What starts at or before its end: the next match begins after it."""
+    """Those that start at or before the end of the match: the next match begins after it."""
     SKIP_TO_NEXT = "skip_to_next"
-    """What starts where it does: one start gives one match."""
+    """Those that start where the match does: one start gives one match."""
 
 
 class NetworkOptions(NamedTuple):
-    """How the network runs: set by flags, and for a rule also by the properties of its label."""
+    """Options of the network: set by flags, and for a rule also by the properties of its label."""
 
     policy: ConsumptionPolicy = ConsumptionPolicy.RECENT
     out_of_order: bool = False
@@ -461,7 +483,7 @@ class NetworkOptions(NamedTuple):
 
 
 def with_property(mode: NetworkOptions, name: str, word: str) -> NetworkOptions:
-    """Return a mode as a property of a label changes it, for the rules of that label."""
+    """Return the options changed by a property of a label, for the rules with that label."""
     if name == "policy":
         return mode._replace(policy=ConsumptionPolicy(word))
     if name == "after_match":

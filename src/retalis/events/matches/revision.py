@@ -1,7 +1,13 @@
-"""What a revision has set free, or what is computed again: it meets those that it could have met in their order.
+"""Revision: join partners of matches that arise or become valid because an event is retracted.
 
-Where a sequence takes its sides only in their order, its second sides do not wait. They are kept where events may be
-taken back and a first side may come of that: it takes, of those that came after it, the first that is left.
+If an event is retracted, matches that a negation had prevented may arise, and results of runs are computed again.
+Such a *revived* match arrives later than its events did. It must join exactly the partners that it would have joined
+if the retracted event had never existed.
+
+In a sequence with events in order, a second operand is not stored, because no first operand arrives after it. If
+first operands can be revived, `RetainedMatches` keeps a bounded number of second operands for them. A revived first
+operand joins the first of those that arrived after it and is still valid; a revived second operand joins only first
+operands that had arrived before it. The order of arrival is the number of the last event of a match, see `arrival`.
 """
 
 from collections import deque
@@ -17,31 +23,31 @@ if TYPE_CHECKING:
 
 
 KEPT = 10_000
-"""How many second sides are kept in one buffer."""
+"""Second operands that are kept in one buffer."""
 
 
 def stands(match: Optional[PartialMatch]) -> bool:
-    """Tell whether there is a match, and none of its events was taken back."""
+    """Return whether there is a match and none of its events was retracted."""
     return match is not None and not any(getattr(token, "gone", False) for token in sources(match))
 
 
 class RetainedMatches:
-    """Keeps second sides in a buffer; with too many of them the oldest goes."""
+    """Second operands that are kept in a buffer; if there are too many, the oldest is removed."""
 
     def __init__(self, buffer: MatchBuffer):
         self.buffer = buffer
         self._kept: Deque[PartialMatch] = deque()
 
     def kept(self) -> List[PartialMatch]:
-        """Return those that are kept, the oldest first; see `restore`."""
+        """Return the matches that are kept, oldest first; see `restore`."""
         return [match for match in self._kept if match.buffer is not None]
 
     def restore(self, kept: List[PartialMatch]) -> None:
-        """Keep those that were kept; they wait in the buffer already."""
+        """Set the matches that are kept; they are stored in the buffer already."""
         self._kept = deque(kept)
 
     def add(self, match: PartialMatch, key: Hashable) -> None:
-        """Keep one; see `MatchBuffer.add`."""
+        """Keep a match; see `MatchBuffer.add`."""
         self.buffer.add(match, key)
         self._kept.append(match)
         if len(self._kept) > min(KEPT, self.buffer.rule.network.cap // 2):
@@ -49,19 +55,22 @@ class RetainedMatches:
 
 
 def after_all(tracker: "LineageTracker", came: int) -> bool:
-    """Tell whether what came then is not a part of the event that is served: it is there after all, by a revision."""
+    """Return whether a match that was complete at event ``came`` is revived.
+
+    It lacks the event that is being served.
+    """
     return came < tracker.present()
 
 
 def first_side(tracker: "LineageTracker", side: MatchSide, uses: bool, all_too: bool, emit: Emit) -> Emit:
-    """Return what a first side does: it waits; set free by a revision, it takes what has come since.
+    """Return the action for a first operand: it is stored, or joins with later second operands if it is revived.
 
     Args:
-        tracker: knows when events came.
-        side: the first side, as one sees it that looks for partners.
-        uses: whether the policy uses partners up.
-        all_too: whether a second side takes all that wait, and is not used up by them.
-        emit: where results go.
+        tracker: knows the number of the event that is being served.
+        side: the first operand, with the buffer of the partners to search.
+        uses: whether the policy consumes partners.
+        all_too: whether a second operand joins with all stored first ones and is not consumed by them.
+        emit: receives the results.
     """
     own, other = side.own, side.other
 
@@ -71,6 +80,8 @@ def first_side(tracker: "LineageTracker", side: MatchSide, uses: bool, all_too: 
         results: List[PartialMatch] = []
         if after_all(tracker, came):
             for partner in counted(other.partners_now(key, match.start, match.end), own.rule.meter):
+                # Only partners that arrived later and were not consumed by a match that is still valid would have
+                # been available.
                 if arrival(partner) <= came or (uses and not all_too and stands(partner.used)):
                     continue
                 result = join_any(side, match, key, partner)
@@ -88,9 +99,9 @@ def first_side(tracker: "LineageTracker", side: MatchSide, uses: bool, all_too: 
 
 
 def in_order(tracker: "LineageTracker", join: Join) -> Join:
-    """Return a join of a second side and a first one, for second sides that may be there after all.
+    """Return a join of a second and a first operand for second operands that may be revived.
 
-    These take what had come before them only.
+    A revived second operand joins only with first operands that arrived before it.
     """
 
     def joined(match: PartialMatch, partner: PartialMatch) -> Optional[PartialMatch]:
@@ -105,6 +116,6 @@ def in_order(tracker: "LineageTracker", join: Join) -> Join:
 def that_came_before(
     match: PartialMatch, others: Iterable[PartialMatch], tracker: "LineageTracker"
 ) -> Iterable[PartialMatch]:
-    """Return those of others that a match may meet: all, unless it is there after all, by a revision."""
+    """Return the partners that a match may join: all, or the earlier ones if the match is revived."""
     came = arrival(match)
     return [one for one in others if arrival(one) < came] if after_all(tracker, came) else others

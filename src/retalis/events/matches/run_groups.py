@@ -1,8 +1,18 @@
-"""What a sequence of repetitions is made of: pieces of lists that many sequences have in common.
+"""Run groups: shared storage for the partial runs of a repetition, and runs of a Kleene closure.
 
-Waiting sequences of repetitions that go on together: the next repetition is the next one of all of them.
+For a pattern that must happen n times in sequence, up to n - 1 partial sequences are open at a time: one that has
+one repetition, one that has two, and so on. Storing the repetitions of each would take quadratic space, and
+extending each with the next repetition quadratic time. The solution follows the shared versioned match buffer of
+SASE+, which Flink calls SharedBuffer:
 
-A run of a repetition or aggregate: a first match, and what has extended it so far.
+* `SharedLog` stores every repetition once, in order.
+* `RunGroup` contains all open sequences with the same values that end with the same repetition. The next repetition
+  extends all of them at once, by appending to the log and adding one `RunCursor`.
+* `RunCursor` is one of those sequences: the position in the log where it began.
+* `BufferSlice` is the part list of a complete sequence: slices of logs instead of copies.
+
+A `Run` is one execution of a Kleene closure or aggregate (`KleeneNode`): a first match and the repetitions that have
+extended it.
 """
 
 from collections import deque
@@ -29,7 +39,7 @@ _MASK = (1 << 61) - 1
 
 
 class SharedLog:
-    """Repetitions in their order; it only grows, so that pieces of it stay what they are."""
+    """Repetitions in order; it only grows, so slices of it remain valid."""
 
     __slots__ = ("items", "_sums")
 
@@ -38,25 +48,27 @@ class SharedLog:
         self._sums = [0]
 
     def begin_again(self) -> None:
-        """Know no sums, of repetitions that were put in by somebody else."""
+        """Forget cached sums, after repetitions were restored."""
         self._sums = [0]
 
     def sum_to(self, end: int) -> int:
-        """Return a number that depends on the first ``end`` repetitions; looked for once for each."""
+        """Return a hash of the first ``end`` repetitions; each prefix is computed once."""
         sums = self._sums
+        # Prefix sums make the hash of any slice a subtraction, so hashing does not depend on the length of a
+        # sequence.
         while len(sums) <= end:
             sums.append((sums[-1] + hash(identity(self.items[len(sums) - 1]))) & _MASK)
         return sums[end]
 
 
 Piece = Tuple[SharedLog, int, int]
-"""A log, and from where to where."""
+"""A log, and the positions of a slice of it."""
 
 
 class BufferSlice(Repetitions):
-    """The repetitions that a match is made of, oldest first.
+    """The repetitions of a match, oldest first, as slices of shared logs.
 
-    Two are equal if they are made of identical event terms; to make or hash one takes no longer where it is long.
+    Two are equal if they consist of identical event terms. Creating and hashing one does not depend on its length.
     """
 
     __slots__ = ("pieces", "length")
@@ -84,7 +96,7 @@ class BufferSlice(Repetitions):
 
 
 def repetitions(match: PartialMatch, times: int) -> List[PartialMatch]:
-    """Return the repetitions that a match of so many of them is made of, oldest first."""
+    """Return the repetitions of a match of ``times`` repetitions, oldest first."""
     found: List[PartialMatch] = []
     while times > 1:
         parts: Any = match.parts
@@ -97,7 +109,7 @@ def repetitions(match: PartialMatch, times: int) -> List[PartialMatch]:
 
 
 def joined_one_by_one(match: PartialMatch, times: int) -> None:
-    """Give a match of so many repetitions the parts that nodes of `seq` give it."""
+    """Set the parts of a match of ``times`` repetitions as a chain of `JoinNode` nodes would."""
     first, *others, last = repetitions(match, times)
     for one in others:
         first = PartialMatch((), first.start, one.end, None, None, (first, one))
@@ -105,7 +117,7 @@ def joined_one_by_one(match: PartialMatch, times: int) -> None:
 
 
 def joined_at_once(match: PartialMatch, times: int) -> None:
-    """Give a match of so many repetitions the parts that it has where sequences go on together."""
+    """Set the parts of a match of ``times`` repetitions as a run group would."""
     _set_parts(match, (BufferSlice(pieces_of(match, times)),))
 
 
@@ -115,7 +127,7 @@ def _set_parts(match: PartialMatch, parts: Parts) -> None:
 
 
 def pieces_of(match: PartialMatch, times: int) -> Tuple[Piece, ...]:
-    """Return what a match of so many repetitions is made of."""
+    """Return the slices that a match of ``times`` repetitions consists of."""
     parts: Any = match.parts
     if times > 1 and parts[0].__class__ is BufferSlice:
         return parts[0].pieces
@@ -126,13 +138,13 @@ _NEVER = -(1 << 80)
 
 
 class RunCursor(PartialMatch):
-    """A sequence that has not all of its repetitions yet, in a train.
+    """A partial sequence in a run group.
 
     Attributes:
-        first: what it began with in the train: its first repetition, or a match of some that waited apart.
-        apart: of how many repetitions that is; 0 for its first one, which the train has too.
-        log, at: where the repetitions stand that it took in the train.
-        since: the number of the first of those.
+        first: its beginning: the first repetition, or a match of several repetitions that was stored separately.
+        apart: number of repetitions of such a match; 0 if the first repetition is in the log.
+        log, at: position in the log where its repetitions in the group begin.
+        since: number of the first of those repetitions.
     """
 
     __slots__ = ("first", "apart", "log", "at", "since")
@@ -149,21 +161,22 @@ class RunCursor(PartialMatch):
 
     @property
     def latest(self) -> int:
-        """Where it ends by now; see `PartialMatch.latest`."""
+        """The end so far; see `PartialMatch.latest`."""
         return self.end if self.buffer is None else self.buffer.end
 
 
 class RunGroup:
-    """Sequences with the same values of which each has another number of repetitions, all ending with the same one.
+    """Partial sequences with the same values and different lengths, which all end with the same repetition.
 
     Attributes:
-        node: whose they are.
+        node: the node that they belong to.
         key: their values.
-        tokens: at ``number - 1`` the one with that number of repetitions; what has left, and None, are gaps.
-        end: where they end.
-        order: that of the shortest, if it were a match that began to wait; longer ones have one less each.
-        log: the newest repetitions; the one before it is known by those that began with it.
-        taken: how many repetitions there were.
+        tokens: the sequence with ``number`` repetitions is at ``number - 1``; removed sequences and None are gaps.
+        end: end of the last repetition.
+        order: order of the shortest sequence, as if it were a match that was stored; each longer one has one less.
+        log: the newest repetitions; sequences that began in the log before it refer to that one.
+        taken: number of repetitions so far.
+        alive: number of sequences that are stored.
     """
 
     __slots__ = ("node", "key", "tokens", "end", "order", "log", "taken", "alive")
@@ -179,35 +192,35 @@ class RunGroup:
         self.alive = 0
 
     def begin_again(self) -> None:
-        """Have the sequences that somebody else has put in go on."""
+        """Continue with sequences that were restored."""
         self.tokens = deque(self.tokens)
 
     @property
     def span(self) -> Optional[int]:
-        """For how many nanoseconds what waits is of use; None for no bound."""
+        """Retention time of the sequences in ns; None for no bound."""
         return self.node.limit
 
     @property
     def forbids(self) -> bool:
-        """Whether they are about what must not happen."""
+        """Whether the sequences belong to a negated pattern."""
         return self.node.forbids
 
     def at(self, number: int) -> Optional[RunCursor]:
-        """Return the sequence with so many repetitions, if there is one."""
+        """Return the sequence with ``number`` repetitions, or None."""
         if number > len(self.tokens):
             return None
         token = self.tokens[number - 1]
         return None if token is None or token.buffer is None else token
 
     def present(self) -> Iterator[Tuple[int, RunCursor]]:
-        """Yield all of them with their numbers of repetitions, the longest first."""
+        """Yield all sequences with their numbers of repetitions, longest first."""
         for number in range(len(self.tokens), 0, -1):
             token = self.at(number)
             if token is not None:
                 yield number, token
 
     def put(self, number: int, token: RunCursor) -> None:
-        """Have a sequence with so many repetitions go on in the train."""
+        """Add a sequence with ``number`` repetitions."""
         tokens = self.tokens
         while len(tokens) < number:
             tokens.append(None)
@@ -215,18 +228,25 @@ class RunGroup:
         self._begin(token)
 
     def advance(self, match: PartialMatch, longest: int) -> Optional[RunCursor]:
-        """Have all take a repetition, and a sequence begin with it; return the one that has ``longest`` now."""
+        """Extend all sequences with a repetition and begin a new one.
+
+        Return the one that has ``longest`` repetitions now.
+        """
         tokens = self.tokens
         while tokens and (tokens[-1] is None or tokens[-1].buffer is None):
             tokens.pop()
         token = RunCursor(match, 0, self)
+        # One append extends all sequences: each has one repetition more, because its place in `tokens` moves by
+        # one.
         self.log.items.append(match)
         self.taken += 1
         self.end = match.end
         oldest = tokens.pop() if len(tokens) == longest - 1 else None
         tokens.appendleft(token)
         rule = self.node.rule
-        rule.order += longest  # one for each that would have begun to wait, the longest first
+        # Orders are reserved as if each sequence were stored anew, longest first. A sequence that leaves the group
+        # later is then in the right place among matches that were stored separately.
+        rule.order += longest
         self.order = rule.order
         self._begin(token)
         return oldest
@@ -238,12 +258,13 @@ class RunGroup:
         token.order = rule.order = rule.order + 1
 
     def renew(self, size: int) -> None:
-        """Begin a new log where the old one has so many repetitions; no sequence reaches further back than it."""
+        """Begin a new log if the current one has ``size`` repetitions; no sequence is longer than that."""
+        # A sequence spans at most two logs, so the old log is freed when its last sequence leaves.
         if len(self.log.items) >= size:
             self.log = SharedLog([])
 
     def remove(self, token: PartialMatch) -> None:
-        """Take a sequence out."""
+        """Remove a sequence."""
         token.end = self.end
         token.buffer = None
         self.alive -= 1
@@ -252,7 +273,7 @@ class RunGroup:
             self.node.trains.pop(self.key, None)
 
     def match_of(self, token: RunCursor, number: int) -> PartialMatch:
-        """Return a sequence with so many repetitions as a match of its own."""
+        """Return a sequence with ``number`` repetitions as a separate match."""
         if number == 1:
             return token.first
         return PartialMatch(
@@ -268,10 +289,10 @@ class RunGroup:
 
 
 class Moving:
-    """Where the sequences of all trains of a node wait, as its rule sees it.
+    """The sequences of all run groups of a node, in the role of a buffer.
 
     Attributes:
-        forbids: whether they are about what must not happen.
+        forbids: whether they belong to a negated pattern.
     """
 
     forbids = False
@@ -281,11 +302,11 @@ class Moving:
 
     @property
     def span(self) -> Optional[int]:
-        """For how many nanoseconds what waits is of use; None for no bound."""
+        """Retention time of the sequences in ns; None for no bound."""
         return self._node.limit
 
     def mend(self) -> List[PartialMatch]:
-        """Return what waits, oldest first, whatever an interrupt has left half done."""
+        """Repair the groups after an interrupt; return the stored sequences, oldest first."""
         found = []
         for key, train in list(self._node.trains.items()):
             here = [token for _, token in train.present()]
@@ -300,18 +321,18 @@ NO_ITEMS = NIL
 
 
 class Run(PartialMatch):
-    """A first match with what extended it.
+    """One execution of a Kleene closure: a first match and the repetitions that have extended it.
 
     Attributes:
-        last: the largest end so far.
-        fixed: the values, set by the first repetition, of variables that stand elsewhere in the rule; or None.
-        state: what an aggregate has collected.
-        items: what conditions further up look at in each repetition.
-        taken: the matches that extended it, where they are tracked.
-        held: the same for its results.
-        steps: the values of the start and of the repetition, for each of them.
-        sound: how many of them are still those that its results were made of.
-        open: variables that its repetitions have in common and that none of them gives a value.
+        last: largest end so far.
+        fixed: values, set by the first repetition, of variables that also occur elsewhere in the rule; or None.
+        state: state of the accumulator of an aggregate.
+        items: values that conditions further up test for each repetition.
+        taken: the repetitions, if events are tracked.
+        held: their `TrackedMatch`, for the results.
+        steps: values of the start and of the repetition, for each repetition.
+        sound: number of the repetitions that its results still rest on.
+        open: variables that its repetitions share and that none of them binds.
     """
 
     __slots__ = (
@@ -344,28 +365,31 @@ class Run(PartialMatch):
 
     @property
     def filed_by(self) -> Values:
-        """The values by which it waits; see `PartialMatch.filed_by`."""
+        """The values of the key; see `PartialMatch.filed_by`."""
         return self.first.values
 
     def begin_again(self) -> None:
-        """Be as somebody else has set all that is to be seen."""
+        """Accept attributes that were restored."""
         self._next = None
 
     def become(self, last: int, fixed: Optional[Values], items: Term, values: Values, state: object) -> None:
-        """Be extended, all of it or nothing, also where an interrupt comes."""
+        """Extend the run, completely or not at all, even if an interrupt occurs."""
+        # A write-ahead record: an interrupt between the assignments below leaves `_next` set, and `mend` repeats
+        # them.
         self._next = last, fixed, items, values, state
         self.last, self.fixed, self.items, self.values, self.state = self._next
         self._next = None
 
     def mend(self) -> None:
-        """Put right what an interrupt may have left half done."""
+        """Complete an extension that was interrupted."""
         if self._next is not None:
             self.become(*self._next)
+        # An interrupt during unification may leave these variables bound.
         for var in self.open:
             var.ref = None
 
     def restart(self, state: object) -> None:
-        """Have no repetitions, with the state of an aggregate that has no values."""
+        """Reset the run to no repetitions, with the initial state of an accumulator."""
         self.values = self.first.values
         self.last = self.first.end
         self.fixed = None
@@ -378,12 +402,12 @@ class Run(PartialMatch):
 
 
 def by_term(name: Callable[[PartialMatch], Hashable]) -> Callable[[Any], Hashable]:
-    """Return what tells runs apart by what names their starts: their terms."""
+    """Return the identity of runs by the identity of their starts."""
     return lambda run: name(run.first)
 
 
 def by_occurrence(name: Callable[[PartialMatch], Hashable]) -> Callable[[Any], Hashable]:
-    """Return what tells runs apart by what names their starts, and by the stamps of those."""
+    """Return the identity of runs by the identity and the interval of their starts."""
 
     def named(run: Run) -> Hashable:
         first = run.first

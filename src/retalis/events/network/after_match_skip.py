@@ -1,6 +1,15 @@
-"""What a match that has fired skips, in rules whose label says ``after_match``.
+"""After-match skip strategies: partial matches that are discarded when a match of their rule fires.
 
-All that an event completes is completed first. What has been skipped and waits goes when the next event comes.
+A rule label can state ``after_match``, as AFTER MATCH SKIP does in MATCH_RECOGNIZE and the after-match skip strategy
+in Flink CEP:
+
+* ``skip_past_last``: discard the partial matches that start at or before the end of the match.
+* ``skip_to_next``: discard the partial matches with the same start as the match.
+
+One event can complete several matches of a rule. All of them are completed before anything is discarded, because the
+order of the nodes must not decide which of them fires. Stored matches that are skipped are therefore discarded when
+the next event is served. Rules may make events while an event is served, so a stack of events in progress (`Served`)
+tells a nested event, which continues the same step, from the next event.
 """
 
 from typing import TYPE_CHECKING, Any, Dict, Hashable, Iterable, List, NamedTuple, Optional, Set, Tuple
@@ -16,17 +25,19 @@ if TYPE_CHECKING:
     from .event_rule import EventRule
 
 
+# Before all instants.
 _NEVER = -(1 << 80)
+# Stale entries that are tolerated in addition to the number of stored matches.
 _SPARE = 1000
 
 
 class Served(NamedTuple):
-    """An event that is being served, maybe with one that it has led to.
+    """An event that is being served, possibly because of another event that is being served.
 
     Attributes:
-        depth: how many events it was derived from, and itself.
-        token: what tells it from others.
-        starts: where matches start that have fired at it.
+        depth: number of events that it was derived from, plus one.
+        token: its identity.
+        starts: starts of the matches that it has completed.
     """
 
     depth: int
@@ -35,15 +46,16 @@ class Served(NamedTuple):
 
 
 class AfterMatchSkip:
-    """What the matches of a rule have skipped.
+    """Partial matches of a rule to discard, and starts and ends of its matches.
 
     Args:
         rule: the rule.
-        kind: what a match skips.
+        kind: the strategy.
 
     Attributes:
-        past: the largest end of those that have fired.
-        swept: the same as the event that is served found it: what starts later is no part of a match any more.
+        past: largest end of the matches that have fired.
+        swept: value of ``past`` when the current event was first served; events that start at or before it cannot be
+            part of a match any more.
     """
 
     def __init__(self, rule: "EventRule", kind: AfterMatchSkipStrategy):
@@ -56,40 +68,41 @@ class AfterMatchSkip:
         self.forget()
 
     def forget(self) -> None:
-        """Know nothing of what waits."""
+        """Remove all entries of stored matches."""
         self._early = ExpirationQueue()
         self._by_start: Dict[int, List[PartialMatch]] = {}
         self._filed = 0
 
     def clear(self) -> None:
-        """Begin anew: time went back."""
+        """Reset the state, because the clock went back."""
         self.past = self.swept = _NEVER
         self._due.clear()
         self.forget()
 
     def kept(self) -> Tuple[Any, ...]:
-        """Return what it knows beside what waits; see `restore`."""
+        """Return the state besides the stored matches; see `restore`."""
         return self.past, tuple(sorted(self._due))
 
     def restore(self, kept: Tuple[Any, ...]) -> None:
-        """Know that; what is skipped goes when the next event comes."""
+        """Set the state; skipped matches are discarded when the next event is served."""
         self.past, due = kept
         self._due = set(due)
 
     @property
     def filed(self) -> int:
-        """How many matches and events it knows, those included that have left."""
+        """Number of entries for matches and events, including stale ones."""
         return len(self._early) + self._filed + len(self._served)
 
     def refile(self, waiting: Iterable[PartialMatch]) -> None:
-        """Know what waits."""
+        """Replace all entries by those of the given matches."""
         self.forget()
         for match in waiting:
             self.note(match)
 
     def note(self, match: PartialMatch) -> None:
-        """Take note of a match that has begun to wait."""
+        """Add an entry for a match that has been stored."""
         where = match.buffer
+        # A negated match is not skipped: it must prevent later matches, too.
         if where is None or where.forbids:
             return
         waiting = self._rule.waiting
@@ -102,11 +115,12 @@ class AfterMatchSkip:
             self.refile([one for found in self._by_start.values() for one in found])
 
     def begin(self, event: Hashable) -> None:
-        """Have what is skipped go, if it is another event that comes."""
+        """Discard the skipped matches if a new event is being served."""
         served = self._served
         if served and served[-1].token == event:
             return
         depth = self._rule.network.dispatcher.current[DEPTH]
+        # Events that are as deep as this one or deeper are complete: dispatch is depth-first.
         while served and served[-1].token != event and served[-1].depth >= depth:
             served.pop()
         if not served or served[-1].token != event:
@@ -124,25 +138,27 @@ class AfterMatchSkip:
         self._due.clear()
 
     def takes(self, start: int) -> bool:
-        """Tell whether what starts then may be a part of a match."""
+        """Return whether an event that starts then may be part of a match."""
         return start > self.swept
 
     def lets(self, start: int) -> bool:
-        """Tell whether a match that starts then may fire."""
+        """Return whether a match that starts then may fire."""
         if self.kind is AfterMatchSkipStrategy.SKIP_PAST_LAST:
             return start > self.past
         return start not in self._now().starts
 
     def fired(self, start: int, end: int) -> None:
-        """Take note of a match that fires; one that ends in the far future skips no more than there may be by now."""
+        """Record a match that fires."""
         if self.kind is AfterMatchSkipStrategy.SKIP_PAST_LAST:
+            # A match may end in the far future because of a wrong time stamp; it must not skip all matches until
+            # then.
             self.past = max(self.past, min(end, self._rule.network.newest_allowed()))
         else:
             self._now().starts.add(start)
             self._due.add(start)
 
     def wakes(self) -> None:
-        """Have what is skipped go as the clock wakes a node: what that gives on is as of one event."""
+        """Discard the skipped matches when the clock wakes a node; all of its results count as one step."""
         self._served = [Served(0, self, set())]
         self._sweep()
 
@@ -155,10 +171,10 @@ class AfterMatchSkip:
         return self._served[-1]
 
     def connect(self, root: NetworkNode, complete: Emit, mode: NetworkOptions) -> None:
-        """Have the nodes of the rule send those matches to ``complete`` that may fire.
+        """Connect the nodes of the rule, so that only matches that may fire reach ``complete``.
 
-        A goal that is called for the whole match is called only for those, and what an event_multiply makes of one is
-        one match.
+        A goal that is called for the whole match is called only for those matches. All results that
+        ``event_multiply`` makes of a match count as one match.
         """
         self._action = action = first_action(root)
         lets = self.lets
@@ -177,13 +193,13 @@ class AfterMatchSkip:
         root.bind(arrive, mode)
 
     def disconnect(self) -> None:
-        """Have the goal that is called for the whole match called for all matches."""
+        """Let the goal of the whole match be called for all matches again."""
         if self._action is not None:
             self._action.lets = None
 
 
 def first_action(root: NetworkNode) -> Optional[ActionNode]:
-    """Return the node of the goal that is called first when all of a pattern is matched; None without one."""
+    """Return the node of the goal that is called first when the whole pattern has matched; None if there is none."""
     found, node = None, root
     while isinstance(node, (ActionNode, FilterNode)):
         found = node if isinstance(node, ActionNode) else found
@@ -192,7 +208,10 @@ def first_action(root: NetworkNode) -> Optional[ActionNode]:
 
 
 def skipping_by(rule: "EventRule", mode: NetworkOptions) -> Optional[AfterMatchSkip]:
-    """Return what a rule skips in a mode, with what it knows where that is as before; None where it skips nothing."""
+    """Return the skip state of a rule for the given options; None if it skips nothing.
+
+    The previous state is kept if the strategy does not change.
+    """
     before: Optional[AfterMatchSkip] = rule.skipping
     if before is not None:
         if before.kind is mode.after_match:

@@ -1,6 +1,21 @@
-"""What a rule knows beside what it says.
+"""Event rules at run time: node tree, clock, stored matches, and the firing of the head.
 
-Event rules at run time: their clock, what waits for them, and what they fire.
+An `EventRule` owns the nodes that the compiler builds from its pattern, and connects them for the current options
+(`EventRule.configure`). It counts and limits the partial matches that are stored in all of its buffers. A match
+leaves its buffer when
+
+* it is consumed or replaced (`consumption_policy`),
+* its retention time ends, or it ended before the window of garbage control (`EventRule.tick`),
+* it is skipped after a match (`after_match_skip`),
+* a sweep finds that it is ruled out (`RuledOutSweep`), or
+* the rule has too many matches: then the oldest one is dropped and reported.
+
+The rule's clock is the largest end of the events that it has matched. A time stamp too far in the future does not
+advance it. ``arrivals`` lists the stored matches in order of arrival; matches that have left their buffers remain in
+the list until they are the larger part of it, and are then removed in slices.
+
+A complete match fires the head of the rule: it dispatches an event, or sets an alarm for one. If neither a window
+nor tracking needs the match, its values go directly to generated code (`firing_action`).
 """
 
 from collections import deque
@@ -32,12 +47,12 @@ if TYPE_CHECKING:
 
 
 class RuleMetrics:
-    """What a rule counts; apart from it, as most events that come in fire one.
+    """Counters of a rule; a separate object, because they change with most events.
 
     Attributes:
-        number: how many whole matches it had, whether or not anybody wanted the event.
-        last: the end of the last one, None before the first.
-        errors: how many errors it had.
+        number: number of complete matches, whether or not their event had listeners.
+        last: end of the last one; None before the first.
+        errors: number of errors.
     """
 
     __slots__ = ("errors", "last", "number")
@@ -48,17 +63,18 @@ class RuleMetrics:
 
 
 class RuleState(NamedTuple):
-    """What a rule knows beside what it says.
+    """State of a rule for checkpoints and reloads.
 
     Attributes:
-        counts: how often it has fired, when last, how many errors it had, how many matches and alarms were dropped,
-            and how many alarms were set for the past.
-        times: its clock, how many matches have begun to wait, and when it last collected what is too old.
-        nodes: what each of its nodes is, and what it knows.
-        arrivals: what waits, as it came: the match, its place among the buffers (-1: in a train), its order.
-        later: what is to wait when another event comes: the place of its buffer and the match.
-        later_event: the event that is meant by that.
-        skipped: what its matches have skipped; None where they skip nothing.
+        counts: number of firings, end of the last one, number of errors, of dropped matches, of dropped alarms, of
+            alarms for the past, and of late matches.
+        times: the clock, the number of stored matches so far, and the time of the last garbage collection.
+        nodes: class and state of each node.
+        arrivals: stored matches in order of arrival: the match, the position of its buffer (-1: in a run group), its
+            order.
+        later: matches that are stored when the next event is served: position of the buffer, and the match.
+        later_event: the event after which that happens.
+        skipped: state of the after-match skip strategy; None if nothing is skipped.
     """
 
     counts: Tuple[Any, ...]
@@ -70,40 +86,42 @@ class RuleState(NamedTuple):
     skipped: Any
 
 
+# Before all instants.
 _NEVER = -(1 << 63)
 _UNLIMITED = 1 << 62
 
 MATCH_BYTES = 930
-"""Memory of a partial match with two small arguments; measured with tracemalloc on CPython 3.11."""
+"""Memory of a partial match with two small arguments, in bytes; measured with tracemalloc on CPython 3.11."""
 
 _SWEEP_STEP = 250
-"""Further matches that have to wait until it visits the next ones."""
+"""Number of further stored matches after which a sweep visits its next slice."""
 
 
 class EventRule:
-    """One event rule in the network.
+    """One event rule of the program.
 
     Attributes:
-        name: what reports call it.
-        serial: the place among the rules: older ones are served first.
+        name: its name in reports.
+        serial: position among the rules; older ones are served first.
         meter: counts its pattern work; None if nothing is counted.
-        from_outside: whether others than the program have added it.
-        mode: how it runs, see `configure`.
-        skipping: what its matches have skipped; None where they skip nothing.
-        window: the longest interval that its label allows, in ns; None for no bound.
-        idle: the time in ns for which the state of a key is kept without a new event; None for no bound.
-        listeners: of its leaves.
-        sound: whether it is connected for the mode it is to run in; not where that was interrupted.
-        waiting: how many partial matches it has.
-        arrivals: these, the oldest first, with some that have left; the same object always, which code has bound.
-        firings: how often it has fired, and when last.
-        order: how many have begun to wait so far.
-        timed: whether its clock has to be kept.
-        clock: the newest end among the events that its patterns matched.
-        allowed: the newest stamp that was seen to be allowed to move its clock.
-        completion: what takes the values of whole matches, where nothing is tracked.
-        expiries: what waits, by when it goes.
-        sweep_at: the number of waiting matches above which `look_through` goes on to drop those that are ruled out.
+        from_outside: whether it was added by a service or topic instead of the program.
+        mode: its options, see `configure`.
+        skipping: state of its after-match skip strategy; None if it skips nothing.
+        window: longest interval that its label allows, in ns; None for no bound.
+        idle: time in ns after which the state of a key without new events is dropped; None for no bound.
+        listeners: the listeners of its event nodes.
+        sound: whether its nodes are connected for the current options; false after an interrupt during `configure`.
+        waiting: number of stored partial matches.
+        arrivals: these, oldest first, together with stale entries. Never assigned again, because generated code
+            binds it.
+        firings: its counters.
+        order: number of matches that have been stored so far.
+        timed: whether its clock is maintained.
+        clock: largest end of the events that its patterns matched.
+        allowed: largest time stamp that is known to be allowed to advance its clock.
+        completion: receives the values of complete matches, if nothing is tracked.
+        expiries: stored matches by expiration.
+        sweep_at: number of stored matches above which `look_through` continues to remove matches that are ruled out.
     """
 
     def __init__(self, network: "RuleBase", definition: RuleDefinition, serial: int, name: str):
@@ -157,8 +175,15 @@ class EventRule:
     def configure(
         self, mode: NetworkOptions, window: Optional[int], garbage: Optional[Tuple[int, int]]
     ) -> None:
-        """Connect the nodes for a mode, a window and a garbage control (window and step, in ns)."""
+        """Connect the nodes.
+
+        Args:
+            mode: the options.
+            window: longest interval that the label allows, in ns; None for no bound.
+            garbage: window and step of garbage control, in ns; None if it is off.
+        """
         root: Any = self.root
+        # If an interrupt prevents the rest, the rule is configured again before it is used.
         self.sound = False
         self.settle()
         self.mode = mode
@@ -166,7 +191,8 @@ class EventRule:
         self.window = window
         self._garbage = garbage
         self.idle = None if garbage is None else garbage[0]
-        self.timed = garbage is not None and not root.alone  # operators on streams have clocks of their own
+        # Operators on streams have clocks of their own.
+        self.timed = garbage is not None and not root.alone
         for node, span, limits in self.nodes:
             limit = limits.late if mode.out_of_order else limits.in_order
             node.set_span(least(span, window) if node.windowed else span, least(limit, window))
@@ -174,11 +200,12 @@ class EventRule:
         spans = [buffer.span for buffer in self._buffers() if buffer.span is not None]
         self._span = max(spans, key=spans.count) if spans else None
         self._watched = self.timed or mode.tracked or skipping is not None
-        # Within a time, matches expire by themselves, and each one may still be needed until then.
+        # Sweeps are for matches that never expire. One with a retention time may be needed until that has passed.
         sweeps = [one for node, _, _ in self.nodes for one in node.sweeps(mode) if one.waiting.span is None]
         self._sweeps = [] if skipping is not None else sweeps
         self._end_sweep()
         self._resettle()
+        # Each node listens again in `bind`, in the order that its new options require.
         self.unlisten()
         self.completion = completion = self._completing()
         complete = completion.action
@@ -190,7 +217,8 @@ class EventRule:
         if skipping is not None:
             skipping.connect(root, whole, mode)
         elif root.alone and not self.timed and not mode.tracked:
-            root.bind_alone(completion)  # 12 % more with matches; goals are fused only here
+            # Match objects would take 12 % more time, and goals are fused only here.
+            root.bind_alone(completion)
         else:
             root.bind(whole, mode)
         self.sound = True
@@ -204,7 +232,7 @@ class EventRule:
         return [buffer for node, _, _ in self.nodes for buffer in node.buffers()]
 
     def state(self) -> RuleState:
-        """Return what it knows, for `restore` of another rule that says the same."""
+        """Return the state, for `restore` of another rule with the same definition."""
         places = {id(buffer): at for at, buffer in enumerate(self._buffers())}
         firings = self.firings
         return RuleState(
@@ -225,7 +253,7 @@ class EventRule:
         )
 
     def restore(self, state: RuleState) -> None:
-        """Know, newly connected, what another rule knew."""
+        """Set the state that another rule with the same definition returned, after the nodes were connected."""
         firings = self.firings
         firings.number, firings.last, firings.errors = state.counts[:3]
         self.dropped, self.alarms_dropped, self.alarms_past, self.late = state.counts[3:]
@@ -233,6 +261,7 @@ class EventRule:
         if self.skipping is not None and state.skipped is not None:
             self.skipping.restore(state.skipped)
         kinds = [type(node).__name__ for node, _, _ in self.nodes]
+        # A newer version of the package may compile the same rule to other nodes.
         if kinds != [kind for kind, _ in state.nodes]:
             raise UsageError(f"{self.name} is made of other parts than it was")
         for (node, _, _), (_, kept) in zip(self.nodes, state.nodes):
@@ -253,7 +282,8 @@ class EventRule:
         self._resettle()
 
     def mend(self) -> None:
-        """Put right what an interrupt may have left half done about what waits."""
+        """Repair the stored matches after an interrupt."""
+        # The buffers decide which matches are stored; counters and queues are derived from them.
         waiting = [match for node, _, _ in self.nodes for buffer in node.buffers() for match in buffer.mend()]
         waiting.sort(key=lambda match: match.order)
         for match in waiting:
@@ -270,7 +300,7 @@ class EventRule:
         self._end_sweep()
 
     def _resettle(self) -> None:
-        """File what waits already under the bounds that hold now."""
+        """Enter all stored matches into the expiration queues by their current retention times."""
         self._expire_nothing()
         for match in self.arrivals:
             if match.buffer is not None:
@@ -283,7 +313,7 @@ class EventRule:
         self._by_end = ExpirationQueue()
 
     def listen(self, leaf: EventNode, action: EventAction, fused: bool = False) -> None:
-        """Have a leaf's action called for its events; see `Audience.listen`."""
+        """Register the action of an event node; see `Dispatcher.listen`."""
         listen = self.network.dispatcher.listen
         rank = (self.serial, leaf.rank)
         self.listeners.append(
@@ -292,60 +322,61 @@ class EventRule:
 
     @property
     def sweeps_ruled_out(self) -> bool:
-        """True if matches that are ruled out are dropped; see `RuledOutSweep`."""
+        """Whether matches that are ruled out are removed; see `RuledOutSweep`."""
         return bool(self._sweeps)
 
     @property
     def collects(self) -> bool:
-        """Whether garbage control removes what waits."""
+        """Whether garbage control removes stored matches."""
         return self._garbage is not None
 
     @property
     def vars(self) -> List[Var]:
-        """The variables whose values a match has, in their order."""
+        """Variables of the values of a match, in order."""
         return self.root.vars
 
     @property
     def ground_with_event(self) -> int:
-        """How many of the values of a match, the first ones, have variables only where its event has some."""
+        """Number of leading values of a match that contain variables only if its event does."""
         node: Any = self.root
         if not node.alone:
             return 0
         while not isinstance(node, EventNode):
-            if isinstance(node, StreamNode):  # what it gives on was not made of the event that is served
+            # Its results may come from earlier events.
+            if isinstance(node, StreamNode):
                 return 0
             node = node.child
         return len(node.vars)
 
     @property
     def held(self) -> int:
-        """How many matches wait in it, and are held by what looks at streams."""
+        """Number of matches in its buffers and in its operators on streams."""
         return self.waiting + sum(node.held() for node, _, _ in self.nodes)
 
     @property
     def keys(self) -> int:
-        """The number of keys under which matches wait, or that have a state in operators on streams."""
+        """Number of keys with stored matches, and of keys with a state in operators on streams."""
         buffers = [buffer for buffer in self._buffers() if isinstance(buffer, MatchBuffer)]
         return sum(len(buffer.newest) for buffer in buffers) + sum(node.keys() for node, _, _ in self.nodes)
 
     @property
     def bytes(self) -> int:
-        """An estimate of the memory of what it holds: numbers of items and keys times measured constants."""
+        """Estimate of the memory of its state: numbers of matches and keys times measured constants."""
         return self.waiting * MATCH_BYTES + sum(node.bytes() for node, _, _ in self.nodes)
 
     @property
     def active(self) -> bool:
-        """Whether it takes events."""
+        """Whether it receives events."""
         return bool(self.listeners)
 
     def unlisten(self) -> None:
-        """Stop taking events."""
+        """Stop receiving events."""
         for listener in self.listeners:
             self.network.dispatcher.remove(listener)
         self.listeners = []
 
     def clear(self) -> None:
-        """Remove all partial matches and begin anew."""
+        """Remove all partial matches and reset the clock."""
         self.clear_matches()
         if self.skipping is not None:
             self.skipping.clear()
@@ -353,7 +384,7 @@ class EventRule:
         self._collected_at = None
 
     def clear_matches(self) -> None:
-        """Remove all partial matches: what waits, runs, and what rules others out."""
+        """Remove all partial matches, runs and negated matches."""
         self.later = []
         for node, _, _ in self.nodes:
             node.clear()
@@ -364,7 +395,7 @@ class EventRule:
         self._end_sweep()
 
     def add_later(self, buffer: MatchBuffer, match: PartialMatch, key: Hashable) -> None:
-        """Let a match wait in a buffer when the next event comes; at once where the clock has brought it."""
+        """Store a match in a buffer when the next event is served; immediately if no event is being served."""
         if self.network.dispatcher.current is None:
             buffer.add(match, key)
             return
@@ -372,26 +403,28 @@ class EventRule:
         self.later.append((buffer, match, key))
 
     def add_those_of_other_events(self, event: object) -> None:
-        """Let those matches wait that were to wait when another event comes."""
+        """Store the matches that were deferred until another event is served."""
         if self._later_event != event:
             self.settle()
         if self.skipping is not None:
             self.skipping.begin(event)
 
     def settle(self, only: Optional[MatchBuffer] = None) -> None:
-        """Let all matches wait that are to wait; with ``only``, those of one buffer."""
+        """Store all deferred matches; with ``only``, those of one buffer."""
         for one in list(self.later):
             buffer, match, key = one
             if only is None or buffer is only:
-                if match.buffer is None:  # else an interrupt came between this and the next step
+                # Not None if an interrupt came between the next two lines.
+                if match.buffer is None:
                     buffer.add(match, key)
                 self.later.remove(one)
 
     def tick(self, end: int) -> None:
-        """Move the rule's clock and remove what is too old by it."""
+        """Advance the rule's clock and remove the matches that have expired."""
         if end <= self.clock:
             return
-        if end > self.allowed:  # asked again only then, as the clock is asked
+        # Reading the clock costs much more than this comparison, and most events lie below the last limit.
+        if end > self.allowed:
             self.allowed = self.network.newest_allowed()
             if end > self.allowed:
                 return
@@ -401,7 +434,7 @@ class EventRule:
             self._collect(*self._garbage)
 
     def _collect(self, window: int, step: int) -> None:
-        """Remove what ended longer than the garbage window ago, at most once a step."""
+        """Remove the matches that ended before the window of garbage control, at most once per step."""
         clock = self.clock
         if self._collected_at is None:
             self._collected_at = clock
@@ -411,11 +444,11 @@ class EventRule:
         for match in self._by_end.take(clock - window):
             if match.latest < clock - window:
                 match.leave()
-            else:  # a run that was extended since
+            else:  # a run that was extended since it was entered
                 self._by_end.add(match.latest, match, self.waiting)
 
     def keep(self, match: PartialMatch, span: Optional[int]) -> None:
-        """Count a match that begins to wait; with too many the oldest goes."""
+        """Count a match that has been stored; if there are too many, drop the oldest."""
         self.waiting += 1
         arrivals = self.arrivals
         arrivals.append(match)
@@ -426,13 +459,14 @@ class EventRule:
             self.look_through()
 
     def look_through(self) -> None:
-        """Drop the oldest of too many that wait; if those that have left are the larger part, forget some of them."""
+        """Drop the oldest match if there are too many; remove stale entries if they are the larger part."""
         many = 2 * self.waiting + SPARE
         if self.waiting > self.sweep_at or (self._sweeping and len(self.arrivals) > many):
             self._sweep()
         elif len(self.arrivals) > many:
             self._visited = drop_gone(self.arrivals, self._visited) or 0
-            if self._sweeps:  # much has left, so that the next pass is to begin earlier
+            # Fewer matches are stored than at the last pass, so the next one begins earlier.
+            if self._sweeps:
                 self.sweep_at = min(self.sweep_at, 2 * (self.waiting + SPARE))
         if self.waiting > self.network.cap:
             self._drop_oldest()
@@ -440,10 +474,10 @@ class EventRule:
             self.expiries.forget_gone(self.waiting)
 
     def _sweep(self) -> None:
-        """Drop some of the matches that are ruled out; see `RuledOutSweep`.
+        """Remove some of the matches that are ruled out; see `RuledOutSweep`.
 
-        A pass visits what waits, a slice at a time, then drops what has ruled it out, in slices. The next pass begins
-        when twice as many wait, so that a match is visited a few times at most.
+        A pass visits the stored matches slice by slice, then removes negated matches in slices. The next pass begins
+        when twice as many matches are stored, so each match is visited a constant number of times on average.
         """
         if not self._sweeping:
             self._sweeping = self._to_visit = True
@@ -464,16 +498,17 @@ class EventRule:
             sweep.visit(match)
 
     def _end_sweep(self) -> None:
-        """End the pass that is under way, if any; set when the next one begins."""
+        """End the current pass, if any, and set the number of matches at which the next one begins."""
         self._sweeping = self._to_visit = False
         for sweep in self._sweeps:
             sweep.begin(self.order)
         self.sweep_at = 2 * (self.waiting + SPARE) if self._sweeps else _UNLIMITED
 
     def _watch(self, match: PartialMatch, span: Optional[int]) -> None:
-        """Note when a match is to go, and whether what it is made of is taken back."""
+        """Enter a stored match into the expiration queues, and register it with the events that it contains."""
+        # A match that arrives after its retention time cannot be part of a result.
         if span is not None and match.start + span < self.clock:
-            match.leave()  # it came too late to be a part of anything
+            match.leave()
             return
         network = self.network
         if network.mode.tracked:
@@ -490,11 +525,12 @@ class EventRule:
             self._by_end.add(match.latest, match, self.waiting)
 
     def _drop_oldest(self) -> None:
-        """Drop the oldest matches until there are no more than there may be, or so many entries were visited."""
+        """Drop the oldest matches until the limit is met; visit at most one slice of entries."""
         arrivals, cap = self.arrivals, self.network.cap
         most = min(VISITED_SLICE, len(arrivals))
         for _ in range(most):
             oldest = arrivals.popleft()
+            # The slice of `drop_gone` begins at this position, which moves with the first entry.
             if self._visited:
                 self._visited -= 1
             if oldest.buffer is not None:
@@ -514,7 +550,7 @@ class EventRule:
         return self.fire(self._head(values), start, end, after)
 
     def _head(self, values: Values) -> Term:
-        """Return the head with the values of a match; what makes it is compiled when it is first asked for."""
+        """Return the head with the values of a match; its builder is compiled at the first use."""
         if self._builder is None:
             assert self.definition.head is not None
             self._builder = compile_builder(self.definition.head, self.root.vars, "head of a rule")
@@ -526,7 +562,7 @@ class EventRule:
         return after
 
     def _completing(self) -> Continuation:
-        """Return what takes the values of a whole match; with nothing to test it fires at once."""
+        """Return the continuation for the values of a complete match."""
         head = self.definition.head
         if head is None:
             return Continuation(self._complete_nothing)
@@ -535,6 +571,7 @@ class EventRule:
             key = head.functor
         elif head.__class__ is tuple and head[0].name not in _ALARMS:
             key = head[0]
+        # Generated code covers the usual case: a head that is known to be an event, and no test of the interval.
         if self.window is not None or key is None or is_larger(head, MAX_TERM_ARGUMENTS):
             return Continuation(self._complete_values)
         dispatcher = self.network.dispatcher
@@ -560,7 +597,7 @@ class EventRule:
         return self.network.tracker.fire(self, match, self._head(match.values), after)
 
     def fire(self, head: Term, start: int, end: int, after: Frame, token: Any = None) -> Frame:
-        """Return the frame that dispatches the head, or sets its alarm, and goes on with ``after``."""
+        """Return the frame that dispatches the head, or sets its alarm, and continues with ``after``."""
         if self.meter is not None and self.meter(1):
             return after
         network = self.network

@@ -1,8 +1,20 @@
-"""The rule that nodes belong to and what it is part of, as far as nodes look at them.
+"""Goals of rules: conditions, actions, and expressions of aggregates.
 
-Goals of rules: conditions that are part of a match, and actions.
+The nodes of a rule call Prolog goals. `RuleGoal` compiles a goal for the variables that are bound where it stands:
 
-The goals of a program that aggregates ask: numbers of expressions, conditions of steps, folds of its own.
+* a condition is called with `RuleGoal.test`; its first solution counts and extends the values of the match;
+* an action is called with `RuleGoal.act` or `RuleGoal.act_on_all`. It runs as a part of the event's dispatch, so the
+  machine can be interrupted in it, and continues with the head of the rule.
+
+Values without variables are the usual case. The goal is compiled with them as inputs and returns only the values of
+its other variables. If a value contains variables, a second form of the goal takes and returns all values, because
+the solution may bind any of them.
+
+An error in a goal is reported and counts as failure; the engine continues. A condition may make events, whose rules
+have conditions that make events; the depth of this is limited. `Evaluators` compiles the expressions and goals of
+aggregates and windows.
+
+The protocols describe buffers and the nodes that the clock wakes, which have several implementations.
 """
 
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Protocol, Sequence, Tuple
@@ -24,42 +36,42 @@ if TYPE_CHECKING:
 
 
 class Buffer(Protocol):
-    """Where matches wait.
+    """A place where matches are stored.
 
     Attributes:
-        forbids: whether what waits is about what must not happen.
+        forbids: whether its matches belong to a negated pattern.
     """
 
     forbids: bool
 
     @property
     def span(self) -> Optional[int]:
-        """For how many nanoseconds what waits is of use; None for no bound."""
+        """Retention time in ns; None for no bound."""
 
     def mend(self) -> List[PartialMatch]:
-        """Put right what an interrupt may have left half done; return what waits, oldest first."""
+        """Repair the buffer after an interrupt; return the stored matches, oldest first."""
 
 
 class Wakeful(Protocol):
-    """What nodes that the clock wakes belong to: a rule, or what stands beside rules.
+    """Owner of nodes that the clock wakes: a rule, or the output rate limiter of a subscription.
 
     Attributes:
-        serial: its place among them: lower ones are served first.
+        serial: position among the owners; lower ones are served first.
     """
 
     serial: int
 
     @property
     def active(self) -> bool:
-        """Whether it takes events."""
+        """Whether it receives events."""
 
 
 class Woken(Protocol):
     """A node that the clock wakes.
 
     Attributes:
-        woken: the instant at which it is to be woken.
-        place: its place among the nodes of the same.
+        woken: the instant at which it is woken next; None if it is not.
+        place: position among the nodes of the same owner.
     """
 
     woken: Optional[int]
@@ -67,18 +79,18 @@ class Woken(Protocol):
 
     @property
     def rule(self) -> "Wakeful":
-        """What it belongs to."""
+        """The owner."""
 
     def ring(self, instant: int, after: Frame, /) -> Frame:
-        """Return the frame that does what is due, and goes on with ``after``."""
+        """Return the frame that processes everything that is due, and continues with ``after``."""
 
 
 class UnderWay:
-    """What the conditions of all rules share while they are tested.
+    """State of condition tests, shared by all rules.
 
     Attributes:
-        nested: how many of them are being tested, one within the other.
-        checked: the interval that ``t1/1`` and ``t2/1`` give, of the innermost that has one.
+        nested: number of conditions being tested, one within the other.
+        checked: interval that ``t1/1`` and ``t2/1`` return: that of the innermost condition that has one.
     """
 
     nested: int = 0
@@ -86,21 +98,21 @@ class UnderWay:
 
 
 Test = Callable[[Values, int, int], Optional[Values]]
-"""Takes values and interval of a match; gives the values with what was found, or None where it fails."""
+"""Takes values and interval of a match; returns the values with those that were found, or None if the test fails."""
 
 
 _MAX_CONDITION_DEPTH = 30
-"""How often a condition may make an event whose rules have a condition that makes an event, and so on."""
+"""Maximum depth of conditions that make events whose rules have conditions that make events."""
 _FINDALL = functor("findall", 3)
 
 
 class RuleGoal:
-    """A goal of a rule, compiled for the variables that are known where it stands.
+    """A goal of a rule, compiled for the variables that are bound where it stands.
 
     Args:
-        rule: whose goal it is.
+        rule: the rule that contains it.
         goal: the goal.
-        known: whose values a match carries.
+        known: variables of the values of a match.
 
     Attributes:
         result_vars: ``known``, then the other variables of the goal.
@@ -119,7 +131,7 @@ class RuleGoal:
         self.result_vars = [*self.known, *self.outputs]
         self._from_outside = (
             rule.network.logic.from_outside
-        )  # other ways to call it are compiled when they are needed
+        )  # read here, because the other forms of the goal are compiled later
         self._compiled: Dict[Tuple[object, ...], CompiledGoal] = {}
         self._inputs = inputs
         self._plain = self._compile(inputs, self.outputs, False)
@@ -127,7 +139,10 @@ class RuleGoal:
         self._under_way = rule.network.under_way
 
     def test(self, values: Values) -> Optional[Values]:
-        """Return the values with those of the first solution, or None; an error counts as failure and is reported."""
+        """Return the values extended by those of the first solution; None if there is none.
+
+        An error counts as failure and is reported.
+        """
         current = self._dispatcher.current
         under_way = self._under_way
         under_way.nested += 1
@@ -142,6 +157,8 @@ class RuleGoal:
                 return values + found if found else values
             return self._open().test(values)
         except PrologError as error:
+            # An error may leave a nested dispatch unfinished; the event that was served before the condition is
+            # current again.
             self._dispatcher.restore(current, self._dispatcher.cause)
             self.failed(error)
             return None
@@ -158,16 +175,16 @@ class RuleGoal:
         solved: EventAction,
         after: Frame,
     ) -> Frame:
-        """Return the frame that calls the goal once and goes on with ``solved``; with ``after`` if it fails.
+        """Return the frame that calls the goal once and continues with ``solved``, or with ``after`` if it fails.
 
         Args:
-            term: the event, where the match is of one; handed on.
-            values: those of the match that it is called for.
-            start: where the match starts; handed on.
-            end: where it ends; handed on.
-            ground: whether it is known that no value has variables.
-            solved: takes what was handed on, with the values that were found after the others.
-            after: the frame to go on with.
+            term: the event, if the match consists of one; passed to ``solved``.
+            values: values of the match.
+            start: start of the match; passed to ``solved``.
+            end: end of the match; passed to ``solved``.
+            ground: whether the values are known to be without variables.
+            solved: receives the match with the values of the solution appended to the others.
+            after: the frame to continue with.
         """
         given = values if self._takes_all else tuple([values[at] for at in self.positions])
         if ground or are_ground(given):
@@ -182,9 +199,9 @@ class RuleGoal:
         return self._plain
 
     def alone(self, completion: Continuation) -> Continuation:
-        """Return what calls the goal for an event alone and goes on with a completion.
+        """Return the continuation that calls the goal for a single event and continues with a completion.
 
-        Most often the event has no variables, and the goal is a call that is done in one step.
+        Usually the event has no variables, and the goal is a call that is executed in one step; that case is fused.
         """
         act, solved = self.act, completion.action
         dispatcher = self._dispatcher
@@ -208,9 +225,11 @@ class RuleGoal:
         solved: EventAction,
         after: Frame,
     ) -> Frame:
-        """Return the frame that goes on with ``solved`` for every solution of the goal, in order; see `act`."""
+        """Return the frame that continues with ``solved`` for each solution of the goal, in order; see `act`."""
         given = tuple([values[at] for at in self.positions])
         ground = ground or are_ground(given)
+        # All solutions are computed first: events that follow from the first solution must not change the later
+        # ones.
         goal = self._compile(self._inputs, self.outputs, True) if ground else self._open(True)
 
         def each(term: Term, found: Values, start: int, end: int, after: Frame) -> Frame:
@@ -229,15 +248,15 @@ class RuleGoal:
     def noting_cause(
         self, match: PartialMatch, solved: EventAction, after: Frame
     ) -> Tuple[EventAction, Frame]:
-        """Have events that the goal makes know what it was called for, until it is over.
+        """Record the match as the cause of the events that the goal makes, until it ends.
 
         Returns:
-            What to hand to `act` instead of ``solved`` and ``after``.
+            The arguments for `act` in place of ``solved`` and ``after``.
         """
         return self._dispatcher.caused_by((self.rule, match), solved, after)
 
     def _open(self, every: bool = False) -> CompiledGoal:
-        """Return the goal for values with variables: it gives all values anew, as its solution leaves them."""
+        """Return the goal for values with variables; it returns all values, as its solution leaves them."""
         return self._compile(self.known, self.result_vars, every)
 
     def _compile(self, inputs: Sequence[Var], outputs: Sequence[Var], every: bool) -> CompiledGoal:
@@ -268,9 +287,9 @@ def goal_test(call: RuleGoal, timed: bool, captured: Optional[Tuple[int, int]]) 
 
     Args:
         call: the goal.
-        timed: whether ``t1/1`` and ``t2/1`` hold in it.
-        captured: where the interval of the condition's pattern stands among the values, if it is tested
-            further up; a variable there means that the pattern is in a branch that was not taken.
+        timed: whether ``t1/1`` and ``t2/1`` are available in it.
+        captured: positions of the interval of the condition's pattern among the values, if it is tested further up;
+            a variable there means that the pattern is in a branch that was not taken.
     """
     goal = call.test
     under_way = call.rule.network.under_way
@@ -299,33 +318,33 @@ def goal_test(call: RuleGoal, timed: bool, captured: Optional[Tuple[int, int]]) 
 _IS = functor("is", 2)
 
 Evaluate = Callable[[Term, Values], Term]
-"""Gives the number of an expression, from the expression and the values of the match that it was made of."""
+"""Returns the value of an expression, given the expression and the values of the match that it was made from."""
 Folding = Callable[[Sequence[Term]], Optional[Term]]
-"""Gives the result of a program's own aggregate for values, oldest first."""
+"""Returns the result of a user-defined aggregate for values, oldest first."""
 Holding = Callable[[Values], bool]
-"""Tells whether a goal holds for values."""
+"""Returns whether a goal has a solution for values."""
 
 
 class Evaluators:
-    """Makes the goals that windows and aggregates ask.
+    """Compiles the goals of windows and aggregates.
 
     Args:
-        rule: the rule to which they belong.
+        rule: the rule that contains them.
     """
 
     def __init__(self, rule: "EventRule"):
         self._rule = rule
 
     def evaluating(self, kind: str, measured: Term, names: Sequence[Var]) -> Evaluate:
-        """Return a function that evaluates what an aggregate measures, by `is`.
+        """Return a function that evaluates the expression of an aggregate by `is`.
 
-        The expression that stands in the rule is evaluated. The values of its variables have to be numbers: `is`
-        would evaluate an atom such as `e` and a text of one character, too.
+        The values of its variables must be numbers: `is` would also evaluate an atom such as `e` and a text of one
+        character.
 
         Args:
-            kind: the name of the aggregate.
-            measured: the expression, as it stands in the rule.
-            names: the variables of the matches.
+            kind: name of the aggregate.
+            measured: the expression in the rule.
+            names: variables of the matches.
         """
         number, expression = Var(), Var()
         goal: List[CompiledGoal] = []
@@ -337,6 +356,7 @@ class Evaluators:
             for place in at:
                 if not fits(values[place]):
                     raise unfit(kind, values[place])
+            # Compiled at the first use: most expressions are variables whose values are numbers already.
             if not goal:
                 logic = self._rule.network.logic
                 goal.append(logic.compile_goal((_IS, number, expression), [expression], [number]))
@@ -352,7 +372,7 @@ class Evaluators:
         return evaluate
 
     def holding(self, goal: Term, names: Sequence[Var], called: str) -> Holding:
-        """Return what asks a goal, given the values of some variables."""
+        """Return a function that calls a goal, given the values of some variables."""
         compiled = self._rule.network.logic.compile_goal(goal, list(names), [])
 
         def holds(values: Values) -> bool:
@@ -365,10 +385,12 @@ class Evaluators:
         return holds
 
     def folded(self, names: Tuple[Atom, Atom, Atom]) -> Folding:
-        """Return what calls the predicates of a program's own aggregate; None where one of them fails.
+        """Return a function that calls the predicates of a user-defined aggregate.
 
-        The first gives a state, the second takes a value and a state and gives the next one, the third takes a state
-        and gives the result.
+        It returns None if one of them fails.
+
+        The first predicate returns the initial state, the second one takes a value and a state and returns the next
+        state, and the third one takes a state and returns the result.
         """
         logic = self._rule.network.logic
         value, state, found = Var(), Var(), Var()

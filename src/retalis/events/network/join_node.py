@@ -1,4 +1,21 @@
-"""The node that puts two matches together."""
+"""Join node: a pair of matches, combined by an interval operator.
+
+This is the two-input node of the Rete network. The matches of each operand are stored in a `MatchBuffer`, keyed by
+the shared variables. A match that arrives at one operand looks up partners in the other buffer; the consumption
+policy selects the partners and decides which matches remain stored. A pair is a result if
+
+1. it satisfies the interval operator (``seq``, ``and``, Allen's relations),
+2. it is not longer than a ``within`` bound,
+3. no negated match lies in the gap between the operands, and
+4. its conditions succeed.
+
+These tests and the construction of the result are compiled to one Python function per direction (`JoinNode._join`).
+If an operand is a plain event and nothing inspects its matches, the join is also fused with the dispatch of the
+event (`fused_join`), and creates no match object for an event that completes a pair immediately.
+
+For ``seq`` and other operators that order their operands, only left operands are stored if events arrive in order.
+Right operands are stored only if the left one may be late (``out_of_order``) or revived by a retraction.
+"""
 
 from typing import TYPE_CHECKING, AbstractSet, Any, Callable, Dict, Hashable, List, Optional, Sequence, Tuple
 
@@ -30,21 +47,21 @@ if TYPE_CHECKING:
 
 
 class JoinNode(NetworkNode):
-    """Puts two matches together by an operator, an interval bound, absences and conditions.
+    """Combines two matches by an operator, an interval bound, negations and conditions.
 
     Args:
-        rule: the rule it belongs to.
-        operator: which pairs fit, and their interval.
-        left: the node of the left operand.
-        right: the node of the right operand.
-        keep: the variables that anything else in the rule looks at.
-        gap: the variables under which the gap between the sides is carried on, for an absence tested above.
-        captured: pairs of variables under which its interval is carried on, for conditions tested above.
-        double: whether one event may be in both sides.
-        names: what names the matches of the left operand, and those of the right one.
+        rule: the rule that it belongs to.
+        operator: defines which pairs are results, and their interval.
+        left: node of the left operand.
+        right: node of the right operand.
+        keep: variables that are used elsewhere in the rule.
+        gap: variables that receive the gap between the operands, for a negation that is tested further up; or None.
+        captured: pairs of variables that receive the interval of the result, for conditions tested further up.
+        double: whether one event may be in both operands.
+        names: functions that return the identity of the matches of the left and of the right operand.
 
     Attributes:
-        revived: whether a match of the left and of the right side may be there after all, by a revision.
+        revived: whether a match of the left and of the right operand can be revived by a retraction.
     """
 
     revived = (False, False)
@@ -72,6 +89,7 @@ class JoinNode(NetworkNode):
         self.pairs = tuple((at, in_right[var]) for var, at in in_left.items() if var in in_right)
         self.left_buffer = MatchBuffer(rule, tuple(one for one, _ in self.pairs))
         self.right_buffer = MatchBuffer(rule, tuple(two for _, two in self.pairs))
+        # Values of the result as source expressions: variables that nothing above uses are dropped here (projection).
         taken = [(f"lv[{at}]", var) for at, var in enumerate(left.vars) if var in keep]
         taken += [
             (f"rv[{at}]", var) for at, var in enumerate(right.vars) if var in keep and var not in in_left
@@ -92,35 +110,38 @@ class JoinNode(NetworkNode):
         self.kept_sides = RetainedMatches(self.right_buffer)
 
     def test(self, test: Test, names: Sequence[Var]) -> None:
-        """Add a condition; ``names`` are the variables it leaves."""
+        """Add a condition; ``names`` are the variables after it."""
         self.tests.append(test)
         self.vars = list(names)
 
     def absent(self, absence: NegationBuffer, negated: NetworkNode) -> None:
-        """Add a pattern that must not match between the sides."""
+        """Add a pattern that must not match between the operands."""
         self.absences.append(absence)
         self.negated.append(negated)
 
     def buffers(self) -> Sequence[Buffer]:
-        """Return where matches wait."""
+        """Return the buffers of the node."""
         absences = [*self.absences, *(absence for absence, _ in self.carried)]
         negated = [buffer for absence in absences for buffer in absence.buffers()]
         return (self.left_buffer, self.right_buffer, *negated)
 
     def sweeps(self, mode: NetworkOptions) -> List[RuledOutSweep]:
-        """Return what drops first sides that are ruled out; see `NetworkNode.sweeps`."""
+        """Return the sweeps that remove ruled-out first operands; see `NetworkNode.sweeps`."""
         if mode.out_of_order or mode.tracked or mode.revised:
-            return []  # a first side may come after what rules it out, or that may be taken back
+            # A first operand may arrive after the match that rules it out, or that match may be retracted.
+            return []
         found = []
         for absence in self.absences:
             sources = [self.taken[position] for _, position in absence.shared]
+            # If the negated pattern shares a variable with the second operand, different second operands have
+            # different negated matches, and no first operand is ruled out for all of them.
             if absence.has_borders() and all(source.startswith("lv[") for source in sources):
                 positions = [int(source[3:-1]) for source in sources]
                 found.append(RuledOutSweep(self.left_buffer, absence, positions))
         return found
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
-        """Set the bounds; see `NetworkNode.set_span`."""
+        """Set the interval bound and the retention time; see `NetworkNode.set_span`."""
         self.span = span
         self.left_buffer.span = self.right_buffer.span = limit
         late = self.rule.mode.out_of_order
@@ -128,26 +149,27 @@ class JoinNode(NetworkNode):
             absence.buffer.span = kept_for_late(span, limit) if late else limit
 
     def kept(self) -> Any:
-        """Return what it knows; see `NetworkNode.kept`."""
+        """Return the state of the node; see `NetworkNode.kept`."""
         return (list(self.completed), self.kept_sides.kept())
 
     def restore(self, kept: Any) -> None:
-        """Know that; see `NetworkNode.restore`."""
+        """Set the state of the node; see `NetworkNode.restore`."""
         completed, sides = kept
         self.completed.update(dict.fromkeys(completed))
         self.kept_sides.restore(sides)
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
-        """Connect the node, and those of a sequence on its left; see `NetworkNode.bind`."""
+        """Connect the node, and the join nodes on its left; see `NetworkNode.bind`."""
         node: NetworkNode = self
         fuse: Optional[Fuse] = None
+        # A long sequence is a deep tree on the left, so it is walked by a loop instead of recursion.
         while isinstance(node, JoinNode):
             out, fuse = node.bind_right(out, mode)
             node = node.left
         _bind(node, out, mode, fuse)
 
     def bind_right(self, out: Emit, mode: NetworkOptions) -> Tuple[Emit, Optional[Fuse]]:
-        """Connect all but the left side; return where that sends its matches, and what fuses it."""
+        """Connect all but the left operand; return the action for its matches, and the function that fuses it."""
         operator = self.operator
         self.out = out
         self.joined = self._join(True)
@@ -155,7 +177,8 @@ class JoinNode(NetworkNode):
         self.right_buffer.reach = reach_of(operator.name, self.span, True)
         self.left_buffer.least_end = None
         for absence in self.absences:
-            if absence.has_borders() and not absence.shared:  # one bound holds for all first sides
+            # Without shared variables the bound is the same for all first operands, so the search can use it.
+            if absence.has_borders() and not absence.shared:
                 self.left_buffer.least_end = absence.least_end
         left_name, right_name = self._names if mode.policy.replacing else (None, None)
         self.left_buffer.identify(None if operator.everything else left_name)
@@ -169,15 +192,15 @@ class JoinNode(NetworkNode):
         return found
 
     def _is_late(self, mode: NetworkOptions) -> bool:
-        """Tell whether a first side of a sequence may come after the second."""
+        """Return whether the first operand of a sequence may arrive after the second one."""
         return mode.out_of_order and not self.operator.either
 
     def _is_revised(self, mode: NetworkOptions) -> bool:
-        """Tell whether a revision can make a match of a sequence whose sides come in their order."""
+        """Return whether a retraction can revive operands of a sequence that arrive in order."""
         return mode.revised and not self.operator.either and not mode.out_of_order
 
     def _keeps(self, mode: NetworkOptions) -> bool:
-        """Tell whether second sides are kept for a first one that a revision sets free."""
+        """Return whether second operands are kept for a first one that a retraction may revive."""
         return self._is_revised(mode) and self.revived[0]
 
     def _left_side(self) -> MatchSide:
@@ -200,7 +223,10 @@ class JoinNode(NetworkNode):
     def _bind_sides(
         self, left: MatchSide, right: MatchSide, out: Emit, mode: NetworkOptions
     ) -> Tuple[Emit, Optional[Fuse]]:
-        """Connect the right side by the policy; return what the left one does, and what fuses it."""
+        """Connect the right operand by the policy.
+
+        Return the action of the left one, and the function that fuses it.
+        """
         policy, operator, late = mode.policy, self.operator, self._is_late(mode)
         both = operator.either
         only_waits = waiting_only(left), self._fuse(left, False, out, mode)
@@ -218,23 +244,25 @@ class JoinNode(NetworkNode):
         if not policy.consuming:
             _bind(self.right, taking_all(right, out), mode, fuse)
             return (taking_all(left, out), self._fuse(left, True, out, mode)) if both or late else only_waits
+        # `and` with one event in both operands: each event may complete one pair only.
         once = self.completed if self.double and both and operator.alone else None
         _bind(self.right, taking_one(right, policy.newest, True, out, once), mode, fuse)
         if not both and not late:
             return only_waits
         arrive = taking_one(left, policy.newest, True, out, once)
+        # The event of a right operand is stored when it has been tried as a left operand too; see `_wait_later`.
         if right.wait and both:
             return self._after_waiting(arrive), None
         return arrive, self._fuse(left, True, out, mode)
 
     def _fuse(self, side: MatchSide, takes: bool, out: Emit, mode: NetworkOptions) -> Optional[Fuse]:
-        """Return what fuses a side whose events are taken one by one; None where nothing does.
+        """Return the function that fuses an operand with the dispatch of its events; None if it cannot be fused.
 
         Args:
-            side: the side.
-            takes: whether it takes partners; else it only waits.
-            out: where pairs go.
-            mode: how the network runs.
+            side: the operand.
+            takes: whether its matches join with partners; else they are only stored.
+            out: receives the results.
+            mode: options of the network.
         """
         rule = self.rule
         if not self._may_fuse(mode):
@@ -256,7 +284,7 @@ class JoinNode(NetworkNode):
         return lambda plain: fused_side(side, pair, taking, rule, plain, out)
 
     def _may_fuse(self, mode: NetworkOptions) -> bool:
-        """Tell whether nothing looks at the events by which matches come to be."""
+        """Return whether nothing inspects the events of the matches, so that no match object is needed."""
         rule = self.rule
         looked_at = mode.tracked or mode.revised or rule.double or rule.skipping is not None
         return not looked_at and not rule.collects
@@ -270,9 +298,10 @@ class JoinNode(NetworkNode):
         return lambda plain: fused_absence(absence, rule, _is_whole(negated), plain)
 
     def _wait_later(self, match: PartialMatch, key: Hashable) -> None:
-        """Let a right side wait when its event has been tried as a left side too.
+        """Store a right operand when its event has been tried as a left operand too.
 
-        Else it would replace an older one of the same event that the left side still has to meet.
+        Stored immediately, it would replace an older one of the same event that the left operand must still join
+        with.
         """
         if match.event is None and self.operator.either:
             self.rule.settle(self.right_buffer)
@@ -281,7 +310,10 @@ class JoinNode(NetworkNode):
             self.rule.add_later(self.right_buffer, match, key)
 
     def _after_waiting(self, arrive: Emit) -> Emit:
-        """Have what a left side makes of several events find the right side of its last one."""
+        """Return an action that first stores the right operands of the current event.
+
+        A left operand that consists of several events may join with the right operand of its own last event.
+        """
         rule = self.rule
         buffer = self.right_buffer
 
@@ -293,15 +325,17 @@ class JoinNode(NetworkNode):
         return arrive_after_waiting
 
     def _join(self, left_arrives: bool) -> Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]]:
-        """Compile the test and the result of a pair; the arriving match is the first argument."""
+        """Compile the tests and the result of a pair; the arriving match is the first argument."""
         operator = self.operator
         names: Dict[str, Any] = {"Match": PartialMatch}
+        # The order of the lines is from cheap to expensive: interval, span, negations, conditions.
         lines = [
             f"def made({'l, r' if left_arrives else 'r, l'}):",
             "    s1 = l.start; e1 = l.end; s2 = r.start; e2 = r.end",
             f"    if not ({operator.fits}):",
             "        return None",
         ]
+        # `and` of two different events: one event may not be both operands.
         if operator.alone and self.double:
             lines += ["    if l.event is not None and l.event == r.event:", "        return None"]
         lines += [f"    start = {operator.start}", f"    end = {operator.end}"]
@@ -345,9 +379,10 @@ class JoinNode(NetworkNode):
         return noting
 
     def retry(self, pair: Tuple[PartialMatch, PartialMatch], after: Frame) -> Frame:
-        """Join two matches again, what was between them having been taken back."""
+        """Join two matches again, after the negated match between them was retracted."""
         left, right = pair
         mode = self.rule.mode
+        # Meanwhile the operands may have been consumed by other pairs, or retracted themselves.
         if left.buffer is None or right.used is not None:
             return after
         if right.buffer is None and self._right_waits(mode):
@@ -369,12 +404,12 @@ class JoinNode(NetworkNode):
 
 
 def _is_whole(node: NetworkNode) -> bool:
-    """Tell whether the matches of a node are events whose arguments are the values."""
+    """Return whether the matches of a node are events whose arguments are the values."""
     return isinstance(node, EventNode) and node.whole
 
 
 def _bind(node: NetworkNode, out: Emit, mode: NetworkOptions, fuse: Optional[Fuse]) -> None:
-    """Connect a side; only a leaf is fused with its node."""
+    """Connect an operand; only event nodes can be fused with the join."""
     if fuse is not None and isinstance(node, EventNode):
         node.bind(out, mode, fuse)
     else:

@@ -1,6 +1,21 @@
-"""The values of a run of repetitions: where each of them stands, and what result they make.
+"""Kleene node: repetitions (``star_times``) and aggregates after a first match.
 
-Repetitions and aggregates: a first match starts a run, and later matches extend it in place.
+``P seq (Q star_times)`` is a Kleene closure, in SASE terms under skip-till-next-match: a match of P starts a `Run`,
+and later matches of Q extend it in place; each of them extends one run, or all runs if the policy does not consume.
+Every extension emits a result that contains all repetitions so far. ``P seq aggregate(K, Q, R)`` is evaluated the
+same way, with an accumulator instead of a list of repetitions, so a result costs the same for any number of
+repetitions.
+
+Conditions are divided by the data that they need:
+
+* *step tests* use one repetition and the start; they decide whether the repetition extends the run;
+* *tests* use the run as a whole and are part of the match: a repetition that fails one does not extend the run;
+* *late tests* use the result of an aggregate: the repetition extends the run, but the result is not emitted;
+* conditions that need patterns further left are tested above. Their values are passed on as a list of items, one for
+  each repetition (see `Items`).
+
+If an event is retracted, the repetitions that contain it are removed and the run is computed again
+(`KleeneNode.results_again`).
 """
 
 from typing import (
@@ -49,19 +64,19 @@ if TYPE_CHECKING:
 
 
 class KleeneValues(NetworkNode):
-    """What a node of runs knows of their values.
+    """Values of a run: positions of variables, and construction of the result.
 
     Args:
-        first: the node of what starts a run.
-        repeated: the node of what extends it.
+        first: node of the matches that start a run.
+        repeated: node of the matches that extend it.
 
     Attributes:
-        step_vars: the variables that a repetition's own conditions know, and what they find.
-        fixed: those of them that have one value in a run, since they stand elsewhere in the rule.
+        step_vars: variables that the step tests of a repetition know, and those that these tests bind.
+        fixed: those of them that have one value in a run, because they are used elsewhere in the rule.
     """
 
     _found: Callable[[Values], Values]
-    """Takes the values that are found here and not carried on."""
+    """Returns the values that are computed here and not passed on."""
 
     def __init__(self, first: NetworkNode, repeated: NetworkNode):
         self.first = first
@@ -76,7 +91,10 @@ class KleeneValues(NetworkNode):
         self.open_vars: List[Var] = []
 
     def open(self, names: Sequence[Var]) -> None:
-        """Have variables that no repetition gives a value, and that stand elsewhere, be the same in all."""
+        """Add variables that no repetition binds and that are used elsewhere.
+
+        They are the same in all repetitions.
+        """
         here = set(self.step_vars)
         self.open_vars = [var for var in names if var not in here]
         self.step_vars = [*self.step_vars, *self.open_vars]
@@ -88,13 +106,14 @@ class KleeneValues(NetworkNode):
         result: Optional[Term],
         items: Optional[Items],
     ) -> None:
-        """Say what the run gives on, when all conditions on repetitions are known.
+        """Set the values of the result, when all conditions on repetitions are known.
 
         Args:
-            outside: the variables that stand elsewhere in the rule.
-            collector: what an aggregate does; None for ``star_times``.
-            result: the term of an aggregate's result.
-            items: where conditions on each repetition are tested further up, what they get.
+            outside: variables that are used elsewhere in the rule.
+            collector: accumulator of an aggregate; None for ``star_times``.
+            result: term of an aggregate's result.
+            items: layout of the values of each repetition, if conditions on repetitions are tested further up; else
+                None.
         """
         own = self.first.vars
         of_first = set(own)
@@ -128,9 +147,10 @@ class KleeneValues(NetworkNode):
         self._captures += 1
 
     def test(self, test: Test, names: Sequence[Var], late: bool) -> None:
-        """Add a condition; ``names`` are the variables it leaves.
+        """Add a condition; ``names`` are the variables after it.
 
-        One that looks at an aggregate's result (``late``) decides what fires; any other is part of the match.
+        A condition on an aggregate's result (``late``) decides whether the result is emitted; any other is part of
+        the match.
         """
         (self.late_tests if late else self.tests).append(test)
         self.vars = list(names)
@@ -146,7 +166,7 @@ class KleeneValues(NetworkNode):
     def _fit(
         self, first: Values, items: Term, fixed: Optional[Values], start: int, end: int
     ) -> Optional[Values]:
-        """Return the values of a run with those of its conditions, the result still open; None where one fails."""
+        """Return the values of a run after its conditions, with the result unbound; None if a condition fails."""
         values: Any = first
         if self.items is not None:
             values += (items,)
@@ -163,7 +183,7 @@ class KleeneValues(NetworkNode):
         return values  # type: ignore[no-any-return]
 
     def result_of(self, run: Run, values: Values) -> Optional[PartialMatch]:
-        """Return the result of a run as it stands, or None where it is not to fire."""
+        """Return the result of a run in its present state, or None if it is not to be emitted."""
         found: Any = values
         start, end = run.start, run.last
         collector = self.collector
@@ -180,11 +200,12 @@ class KleeneValues(NetworkNode):
                 return None
         own = Found(self._found(found))
         event = run.event if run.fixed is None else None
-        # Without what is held the start would look like a condition around a match.
+        # The `TrackedMatch` is needed even if it is empty: with one part, the match would look like a condition
+        # around its start.
         return PartialMatch(found, start, end, event, None, (run.first, run.held, own))
 
     def _with_open(self, run: Run, values: Values, value: Term) -> Tuple[Values, Term]:
-        """Have a result say what conditions have made of the variables that no repetition gives a value."""
+        """Bind the variables that no repetition binds by the values that conditions gave them."""
         trail: Trail = []
         for var, at in zip(run.open, self._open_at):
             unify(var, values[at], trail)
@@ -193,7 +214,7 @@ class KleeneValues(NetworkNode):
         return found
 
     def _with_result(self, values: Values, value: Term) -> Optional[Values]:
-        """Put the result where its variables stand among the values."""
+        """Put the result in the place of its variables in the values."""
         if self.result_is_open:
             at = self._result_at
             return (*values[:at], value, *values[at + 1 :])
@@ -210,18 +231,18 @@ class KleeneValues(NetworkNode):
 
 
 class KleeneNode(KleeneValues):
-    """``P seq (Q star_times)`` and ``P seq aggregate(K, Q, R)``.
+    """Node of ``P seq (Q star_times)`` and ``P seq aggregate(K, Q, R)``.
 
     Args:
-        rule: the rule it belongs to.
-        first: the node of P.
-        repeated: the node of Q.
+        rule: the rule that it belongs to.
+        first: node of P.
+        repeated: node of Q.
         double: whether one event may be in both.
-        names: what names the matches of P, and those of Q.
-        keep: the variables that anything else in the rule looks at.
+        names: functions that return the identity of the matches of P and of Q.
+        keep: variables that are used elsewhere in the rule.
 
     Attributes:
-        revived: whether a match of P and of Q may be there after all, by a revision.
+        revived: whether a match of P and of Q can be revived by a retraction.
     """
 
     revived = (False, False)
@@ -250,22 +271,22 @@ class KleeneNode(KleeneValues):
         self.kept_sides = RetainedMatches(self.incoming)
 
     def buffers(self) -> Sequence[Buffer]:
-        """Return where matches wait."""
+        """Return the buffers of the node."""
         carried = [buffer for absence, _ in self.carried for buffer in absence.buffers()]
         return (self.buffer, self.incoming, *carried)
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
-        """Set the bounds; see `NetworkNode.set_span`."""
+        """Set the interval bound and the retention time; see `NetworkNode.set_span`."""
         self.span = span
         self.buffer.span = limit
         self.incoming.span = limit
 
     def kept(self) -> Any:
-        """Return what it knows; see `NetworkNode.kept`."""
+        """Return the state of the node; see `NetworkNode.kept`."""
         return self.kept_sides.kept()
 
     def restore(self, kept: Any) -> None:
-        """Know that; see `NetworkNode.restore`."""
+        """Set the state of the node; see `NetworkNode.restore`."""
         self.kept_sides.restore(kept)
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
@@ -285,6 +306,8 @@ class KleeneNode(KleeneValues):
         self.incoming.identify(self._repeated_name if policy.replacing and not self.keeps else None)
         self._found = found_here(self.vars, self._same_at, self._keep)
         self.out = out
+        # The repetitions are connected first: an event that is both starts a run only after it has extended earlier
+        # ones.
         if policy.consuming:
             self.repeated.bind(self._extend_one(out, policy.newest), mode)
         else:
@@ -302,6 +325,8 @@ class KleeneNode(KleeneValues):
             run = Run(match, self.empty, len(self.open_vars))
             key = buffer.key_of(run)
             older = buffer.namesake(run, key)
+            # The same occurrence may arrive twice, for example by two branches of an `or`; it must not reset its
+            # run.
             if older is not None and older.start == run.start and older.end == run.end:
                 return after
             buffer.add(run, key)
@@ -315,9 +340,9 @@ class KleeneNode(KleeneValues):
         return arrive
 
     def _results_of_earlier(self, run: Run, key: Hashable) -> List[PartialMatch]:
-        """Return the results of a late start with the repetitions that came before it, in their order.
+        """Return the results of a late start with the repetitions that arrived before it, in their order.
 
-        One that a revision has set free has those that came after it and are left.
+        A revived start takes the repetitions that arrived after it and are still available.
         """
         results = []
         came = arrival(run) if self.keeps else 0
@@ -334,7 +359,9 @@ class KleeneNode(KleeneValues):
         return results
 
     def _wait(self, match: PartialMatch, key: Hashable) -> None:
-        """Have a repetition wait for late starts; where its event may be one, only after it was tried as that."""
+        """Store a repetition for late starts."""
+        # An event that may also be a start is stored after it was tried as such; else it would replace an older
+        # repetition that the start needs.
         if self.waits_later:
             self.rule.add_later(self.incoming, match, key)
         elif self.late:
@@ -372,6 +399,7 @@ class KleeneNode(KleeneValues):
             runs: Iterable[PartialMatch] = self.buffer.partners_now(key, match.start, match.end)
             if ordered:
                 runs = that_came_before(match, runs, self.rule.network.tracker)
+            # The repetition is stored before results are emitted: a start that follows from a result must find it.
             if waits:
                 self._wait(match, key)
             if not runs:
@@ -388,10 +416,15 @@ class KleeneNode(KleeneValues):
         return arrive
 
     def extend(self, run: Run, match: PartialMatch, keyed: bool) -> Tuple[bool, Optional[PartialMatch]]:
-        """Extend a run if the match fits; returns whether it did, and the result to emit.
+        """Extend a run if the match satisfies all tests; return whether it did, and the result to emit.
 
-        ``keyed`` tells that the shared variables are known to have the same values.
+        Args:
+            run: the run.
+            match: the repetition.
+            keyed: whether the shared variables are known to have the same values.
         """
+        # `star_times` requires each repetition to follow the one before it; an aggregate only requires it to follow
+        # the start.
         if match.start <= (run.last if self.collector is None else run.end):
             return False, None
         last = run.last if run.last >= match.end else match.end
@@ -409,7 +442,8 @@ class KleeneNode(KleeneValues):
             step = test(step, match.start, match.end)
             if step is None:
                 return False, None
-            values = step[: len(values)]  # it may have given open variables of the start a value
+            # The test may have bound variables of the start.
+            values = step[: len(values)]
         extended, result = self._take(run, match, values, step, last)
         if extended and self.tracked:
             self.rule.network.tracker.hold_repetition(run, match, self)
@@ -418,7 +452,10 @@ class KleeneNode(KleeneValues):
     def _extend_noting(
         self, run: Run, match: PartialMatch, keyed: bool
     ) -> Tuple[bool, Optional[PartialMatch]]:
-        """As `extend`; what an absence has kept from it is noted, to be tried again when that is taken back."""
+        """Extend a run as `extend` does.
+
+        If a negation prevents it, record that, to try again if the cause is retracted.
+        """
         tracker = self.rule.network.tracker
         tracker.blocker = None
         extended, result = self.extend(run, match, keyed)
@@ -429,7 +466,7 @@ class KleeneNode(KleeneValues):
     def _take(
         self, run: Run, match: PartialMatch, values: Values, step: Values, last: int
     ) -> Tuple[bool, Optional[PartialMatch]]:
-        """Add a repetition to a run if what they have together passes; returns as `extend`."""
+        """Add a repetition to a run if the values together satisfy the tests; return as `extend`."""
         fixed: Any = tuple([step[at] for at in self.fixed_at])
         if run.fixed is not None:
             fixed = agreed(run.fixed, fixed)
@@ -448,6 +485,7 @@ class KleeneNode(KleeneValues):
             except RuleError as error:
                 self.rule.network.rule_failed(self.rule, error)
                 return False, None
+        # All tests have passed. From here on the run must not stay half extended, see `Run.become`.
         run.become(last, fixed, items, values, state)
         if self.tracked:
             run.taken.append(match)
@@ -461,15 +499,16 @@ class KleeneNode(KleeneValues):
         return True
 
     def results_again(self, run: Run) -> List[PartialMatch]:
-        """Return the results, computed again, that held repetitions whose events were taken back.
+        """Return the results, computed again, that contained repetitions whose events were retracted.
 
-        At a limit the run has the repetitions so far.
+        If pattern work reaches its limit, the run has the repetitions so far.
         """
         if taken_back(run.first):
             return []
         repetitions = [pair for pair in zip(run.taken, run.steps) if stands(pair[0])]
         if len(repetitions) == len(run.taken):
             return []
+        # Results before the first retracted repetition remain valid and are not emitted again.
         sound = next(at for at, match in enumerate(run.taken) if not stands(match))
         run.restart(self.empty)
         results = []
@@ -480,11 +519,11 @@ class KleeneNode(KleeneValues):
         return results if self.rule.active else []
 
     def unmade(self) -> List[TrackedMatch]:
-        """Return what does not hold any more though it was not made of what was forgotten: nothing."""
+        """Return the results that become invalid without containing the forgotten matches: none."""
         return []
 
     def retry(self, what: Union[PartialMatch, Tuple[Run, PartialMatch]], after: Frame) -> Frame:
-        """Fire a result that was computed again, or extend a run by a repetition that something had ruled out."""
+        """Emit a result that was computed again, or extend a run by a repetition that a negation had prevented."""
         result: Optional[PartialMatch]
         if isinstance(what, PartialMatch):
             result = what

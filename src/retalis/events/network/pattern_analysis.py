@@ -1,6 +1,15 @@
-"""Conditions that look at patterns further left: what they need is carried with a match until it meets those.
+"""Pattern analysis: deferred conditions, and properties of patterns that determine their nodes.
 
-What is read off the parts of a pattern before and after their nodes are made.
+A condition is tested at the lowest node that knows its variables, as in predicate pushdown. In a rule such as ``a(X)
+seq (b(Y) where Y > X)`` the condition belongs to ``b`` but uses a variable of a pattern further left. It is
+*deferred*: the values and the interval that it needs are passed on with each match, and the join with the left
+operand tests it (`deferred_test`). Negations with conditions on outer variables are deferred in the same way; their
+gap is passed on, and the node that knows all variables owns the `NegationBuffer`.
+
+If some branches of a pattern bind the variables earlier, the test is also tried there (`early_test`). A match that
+has passed is marked by replacing the start of its interval by a variable, so it is not tested twice.
+
+A condition on each repetition of a run is deferred together with a list of the values of all repetitions (`Items`).
 """
 
 from typing import (
@@ -46,28 +55,28 @@ if TYPE_CHECKING:
 
 _ITEMS = functor("items", 2)
 ITEM = "item of a run"
-"""The name of the terms that have the values of one repetition after a zero, since they may be none."""
+"""Functor name of the values of one repetition; a zero precedes these, because there may be none."""
 
 
 class Carrying(Protocol):
-    """A node, or an absence, that looks at absences.
+    """A node or negation buffer with deferred negations.
 
     Attributes:
-        carried: those, with the nodes of what they negate.
+        carried: their negation buffers, with the nodes of their negated patterns.
     """
 
     carried: List[Tuple[NegationBuffer, NetworkNode]]
 
 
 class Built(NamedTuple):
-    """A node, with what is to be known of it above.
+    """A node, and properties that the nodes above need.
 
     Attributes:
         node: the node.
-        deferred: the conditions in it that are still to be tested.
-        joined: the leaves whose events complete something of several events, in the order in which they are served.
-        single: the leaves whose events the node passes on one by one.
-        branches: of an ``or`` all leaves, branch by branch.
+        deferred: conditions below that have not been tested.
+        joined: event nodes whose events complete matches of several events, in the order in which they are served.
+        single: event nodes whose matches are passed on one by one.
+        branches: all event nodes of an ``or``, branch by branch; else None.
     """
 
     node: NetworkNode
@@ -78,25 +87,25 @@ class Built(NamedTuple):
 
     @property
     def leaves(self) -> List[EventNode]:
-        """All leaves, in the order in which they are served: those of an ``or`` branch by branch."""
+        """All event nodes, in the order in which they are served; those of an ``or`` branch by branch."""
         return [*self.joined, *self.single] if self.branches is None else self.branches
 
     def with_negated(
         self, node: NetworkNode, deferred: "List[DeferredConditions]", negated: "Built"
     ) -> "Built":
-        """Return what is built by a node over this one and over a negated pattern."""
+        """Return the result for a node above this one and above a negated pattern."""
         joined = [*self.joined, *negated.leaves]
         branches = None if self.branches is None else [*self.branches, *negated.leaves]
         return Built(node, deferred, joined, self.single, branches)
 
 
 class Items:
-    """What conditions on each repetition of a run look at, where they are tested further up.
+    """Layout of the values of each repetition of a run, for conditions on repetitions that are tested further up.
 
     Attributes:
-        var: the variable under which it is carried on, newest repetition first.
-        names: the variables that each repetition has values of its own for.
-        same: the variables that have one value in the whole match, since they stand elsewhere in the rule.
+        var: variable that is bound to the list, newest repetition first.
+        names: variables that have separate values in each repetition.
+        same: variables with one value in the whole match, because they are used elsewhere in the rule.
     """
 
     def __init__(self, same: Set[Var]):
@@ -106,12 +115,12 @@ class Items:
 
 
 class Negated:
-    """A negated pattern, built as often as it is looked at: each place where it is has nodes of its own.
+    """A negated pattern, which is built once for each place that tests it: each has nodes of its own.
 
     Args:
-        build: builds it.
-        twins: takes what was built anew, with what was built first.
-        nodes: the nodes of the rule, to which it adds those that are built.
+        build: builds the nodes.
+        twins: receives each further copy together with the first one.
+        nodes: nodes of the rule, to which the built nodes are added.
     """
 
     def __init__(
@@ -136,7 +145,7 @@ class Negated:
         return built
 
     def make(self) -> Built:
-        """Return the pattern as it was built first, or built anew for another place."""
+        """Return the nodes that were built first, or at a further call a copy."""
         if not self._made:
             self._made = True
             return self.first
@@ -145,7 +154,7 @@ class Negated:
         return again
 
     def needs(self, context: AbstractSet[Var], known: Set[Var]) -> Set[Var]:
-        """Return those variables of a context that it looks at and that are not known."""
+        """Return the variables of a context that the pattern uses and that are not known."""
         mentioned = set(self.first.node.vars)
         for one in self.first.deferred:
             mentioned |= one.needs
@@ -153,17 +162,17 @@ class Negated:
 
 
 class DeferredConditions(NamedTuple):
-    """A condition that looks at variables of patterns further left, so that it is tested where those are known.
+    """A condition on variables of patterns further left, which is tested where those are known.
 
     Attributes:
-        needs: the variables it waits for.
-        goal: the goal, or None for an absence.
-        timed: whether the goal sees ``t1/1`` and ``t2/1``.
-        absent: what is `Negated`, and whether any time before counts, for an absence.
-        start: the variable under which the start of its pattern is carried on.
-        end: the variable of its end.
-        items: for a condition on each repetition of a run, what is carried on of those.
-        each: what is tested on each of them.
+        needs: variables that it requires.
+        goal: the goal; None for a negation.
+        timed: whether the goal uses ``t1/1`` and ``t2/1``.
+        absent: for a negation the negated pattern, and whether any time before the match counts.
+        start: variable that is bound to the start of its pattern's interval.
+        end: variable that is bound to the end of its pattern's interval.
+        items: for a condition on each repetition of a run, the layout of their values.
+        each: the condition on one repetition.
     """
 
     needs: Set[Var]
@@ -176,20 +185,20 @@ class DeferredConditions(NamedTuple):
     each: "Optional[DeferredConditions]" = None
 
     def of_each(self, items: Items) -> "DeferredConditions":
-        """Return the same condition on each repetition of a run."""
+        """Return the same condition for each repetition of a run."""
         return self._replace(items=items, each=self)
 
     def may_be_tried(self, names: List[Var]) -> bool:
-        """Tell whether a match with these variables may already give all that it waits for a value."""
+        """Return whether a match with these variables may already bind all variables that the condition requires."""
         return self.items is None and self.needs.issubset(names)
 
 
 def ready_where(
     deferred: List[DeferredConditions], sure: Set[Var], context: AbstractSet[Var]
 ) -> Tuple[List[DeferredConditions], List[DeferredConditions]]:
-    """Part conditions into those that can be tested where some variables are sure to be known, and the others.
+    """Divide conditions into those that can be tested where some variables are bound, and the others.
 
-    What no pattern further left could give a value is not waited for.
+    Variables that no pattern further left could bind are not required.
     """
     ready: List[DeferredConditions] = []
     later: List[DeferredConditions] = []
@@ -203,20 +212,20 @@ def ready_where(
 
 
 def with_item(items: Term, values: Values) -> Term:
-    """Return what is carried of repetitions with one more."""
+    """Return the list of repetition values with one more item."""
     return (_ITEMS, (functor(ITEM, len(values) + 1), 0, *values), items)
 
 
 def deferred_test(
     rule: "EventRule", node: Carrying, one: DeferredConditions, names: List[Var]
 ) -> Tuple[Test, List[Var]]:
-    """Return the test of a condition at a node that knows all it looks at, and the names that it leaves.
+    """Return the test of a condition at a node that knows all of its variables, and the variables after it.
 
     Args:
-        rule: whose condition it is.
-        node: where it is tested, a node or an absence; it keeps the absences that are looked at.
+        rule: the rule of the condition.
+        node: the node, or negation buffer, that tests it and owns its negation buffers.
         one: the condition.
-        names: the variables that are known there.
+        names: variables that are known there.
     """
     if one.items is not None and one.each is not None:
         return _test_of_each(rule, node, one.items, one.each, names)
@@ -235,9 +244,10 @@ def deferred_test(
 def early_test(
     rule: "EventRule", node: Carrying, one: DeferredConditions, names: List[Var]
 ) -> Tuple[Test, List[Var]]:
-    """Return a test as `deferred_test` does, for where some of what the condition waits for may still be open.
+    """Return a test like `deferred_test`, for a node where some required variables may be unbound.
 
-    A match where it is open goes on untested; one that has passed is marked, and not tested further up.
+    A match with such variables is passed on untested. A match that has passed is marked, and is not tested further
+    up.
     """
     test, left = deferred_test(rule, node, one, names)
     places = positions(names)
@@ -249,6 +259,8 @@ def early_test(
         if any(deref(values[at]).__class__ is Var for at in needed):
             return values + tuple([Var() for _ in new])
         found = test(values, start, end)
+        # The mark: a variable in place of the start. The tests above read it as "in a branch that was not taken"
+        # and pass.
         return None if found is None else (*found[:mark], Var(), *found[mark + 1 :])
 
     return early, left
@@ -257,6 +269,8 @@ def early_test(
 def _test_of_each(
     rule: "EventRule", node: Carrying, items: Items, one: DeferredConditions, names: List[Var]
 ) -> Tuple[Test, List[Var]]:
+    # Each repetition is tested with its own values after those of the match. Bindings of variables that belong to
+    # the whole match are passed from one repetition to the next.
     at = names.index(items.var)
     mentioned = [] if one.goal is None else variables(one.goal)
     here = set(names)
@@ -271,7 +285,8 @@ def _test_of_each(
         if rest.__class__ is Var:
             return base
         oldest_first = []
-        while rest.__class__ is tuple:  # until NO_ITEMS
+        # The list ends with NO_ITEMS.
+        while rest.__class__ is tuple:
             oldest_first.append(rest[1][2:])
             rest = rest[2]
         tested: Term = NO_ITEMS
@@ -287,12 +302,12 @@ def _test_of_each(
 
 
 def absence_of(rule: "EventRule", negated: Built, names: List[Var], ever: bool) -> NegationBuffer:
-    """Return what looks for matches of a negated node.
+    """Return the negation buffer for the matches of a negated node.
 
     Args:
-        rule: whose it is.
-        negated: what was built for the negated pattern; what is deferred in it looks at the variables asked for.
-        names: the variables of what is asked for.
+        rule: the rule that owns it.
+        negated: result of building the negated pattern; deferred conditions in it use the variables of the pair.
+        names: variables of the pair.
         ever: whether any time before counts.
     """
     conditions = negated.deferred
@@ -317,7 +332,8 @@ def absence_of(rule: "EventRule", negated: Built, names: List[Var], ever: bool) 
         for test in tests:
             both = test(both, match.start, match.end)
             if both is None:
-                tracker.blocker = before  # what is in the way of the negated match
+                # This match is suppressed by a negation of its own, which is not what blocks the pair.
+                tracker.blocker = before
                 return False
         return True
 
@@ -326,10 +342,11 @@ def absence_of(rule: "EventRule", negated: Built, names: List[Var], ever: bool) 
 
 
 def _absence_test(absence: NegationBuffer, at: Tuple[int, int], ever: bool) -> Test:
-    """Return the test of an absence whose gap is carried among the values."""
+    """Return the test of a negation whose gap is among the values."""
 
     def test(values: Values, start: int, end: int) -> Optional[Values]:
-        low: Any = values[at[0]]  # an instant, or a variable in a branch that was not taken
+        # An instant, or a variable in a branch that was not taken.
+        low: Any = values[at[0]]
         high: Any = values[at[1]]
         if low.__class__ is Var:
             return values
@@ -345,7 +362,7 @@ TestedCondition = Union[Condition, DeferredConditions]
 
 
 class Wrapping(NamedTuple):
-    """The conditions that belong to one operator, inner ones first."""
+    """An operator and the conditions that belong to it, inner ones first."""
 
     core: Pattern
     span: Optional[int]
@@ -354,7 +371,7 @@ class Wrapping(NamedTuple):
 
 
 def may_be_revived(pattern: Pattern) -> bool:
-    """Tell whether taking an event back may make a match of a pattern, instead of only unmaking some."""
+    """Return whether retracting an event can create a match of a pattern, instead of only removing some."""
     kinds = (Absent, Star, Aggregate, Windowed, Shaped, Awaited)
     return any(isinstance(part, kinds) for part in walk(pattern))
 
@@ -367,7 +384,10 @@ def in_goals(conditions: List[Condition]) -> VarSet:
 def those_about_a_result_last(
     conditions: Sequence[TestedCondition], known: Sequence[Var], result: Sequence[Var]
 ) -> List[Tuple[bool, TestedCondition]]:
-    """Return the conditions of an aggregate, and whether each looks at the result or at what follows from it."""
+    """Return the conditions of an aggregate, and for each whether it depends on the result.
+
+    A condition depends on the result also if it uses a variable that such a condition binds.
+    """
     shown = set(result)
     early, late = [], []
     for condition in conditions:
@@ -381,10 +401,11 @@ def those_about_a_result_last(
 
 
 def served(either: bool, left: Built, right: Built) -> List[EventNode]:
-    """Return the leaves of a pair in the order in which they take an event that fits several of them.
+    """Return the event nodes of a pair in the order in which they receive an event that matches several of them.
 
-    Of a sequence the right side comes first: it completes before the left one waits. Else what is made of several
-    events comes before a single event, and of two such the left one; of two single events the right one.
+    In a sequence, the right operand comes first: it completes a pair before the left one is stored. Otherwise nodes
+    that complete matches of several events precede those of single events; of the former the left operand is first,
+    of single events the right one.
     """
     if not either:
         return [*right.leaves, *left.leaves]
@@ -392,7 +413,7 @@ def served(either: bool, left: Built, right: Built) -> List[EventNode]:
 
 
 def meet(left: Built, right: Built) -> bool:
-    """Tell whether one event may be in both sides of a pair."""
+    """Return whether one event may be in both operands of a pair."""
 
     def kinds(built: Built) -> Set[Term]:
         found = set()
@@ -406,7 +427,7 @@ def meet(left: Built, right: Built) -> bool:
 
 
 def unwrap(pattern: Pattern) -> Wrapping:
-    """Take the conditions off a pattern until the operator that they belong to."""
+    """Return the operator below the conditions of a pattern, together with these conditions."""
     span: Optional[int] = None
     conditions: List[Condition] = []
     absent: Optional[Absent] = None
@@ -423,5 +444,5 @@ def unwrap(pattern: Pattern) -> Wrapping:
 
 
 def used_twice(terms: List[Term], pattern: Pattern) -> Set[Var]:
-    """Return the variables that stand more than once in terms and a pattern."""
+    """Return the variables that occur more than once in terms and a pattern."""
     return {var for var, number in occurrences(terms, pattern).items() if number > 1}

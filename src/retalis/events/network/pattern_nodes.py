@@ -1,12 +1,18 @@
-"""What tells the matches of a node apart, beside the events that they are made of.
+"""Nodes of the Rete network: events, conditions, alternatives, actions and negation.
 
-A value that a goal, a repetition or an aggregate has given may still be open when it is found, and get its value
-from an event further up: two matches are of the same term only if it is the same in the end.
+Each rule has a tree of nodes that mirrors its pattern. A node receives matches from the nodes below it and emits its
+own to ``out``. An action takes a match and the next frame, and returns the frame to continue with. Matches of one
+event are processed depth-first: a match reaches the root, and the rule fires, before the next match is made.
 
-Nodes of the network: what runs for each part of a rule's pattern.
+The nodes are connected for given options by `NetworkNode.bind`, from the root down. Each ``bind`` compiles the
+options into a closure; if an option changes, the nodes are connected again and stored matches remain.
 
-A node takes matches from the nodes below it and emits its own to ``out``; both take a match and the next
-frame and return the frame to go on with. `NetworkNode.bind` connects them for a policy, from the root down.
+A rule whose pattern is a single event with conditions and goals (`NetworkNode.alone`) needs no match objects. Its
+nodes are connected by `NetworkNode.bind_alone`, and pass values instead.
+
+`MatchKeys` determines the identity of the matches of a pattern. Usually it follows from their events. A value that a
+goal, a repetition or an aggregate has computed may still be unbound, and be bound by an event further up; such
+values belong to the identity, because two matches consist of the same terms only if these are equal in the end.
 """
 
 from operator import itemgetter
@@ -44,13 +50,13 @@ Name = Callable[[PartialMatch], Hashable]
 
 
 class MatchKeys:
-    """Names the matches of the patterns of one rule.
+    """Identity functions for the matches of the patterns of one rule.
 
     Args:
-        shared: the variables that stand in the rule more than once.
+        shared: variables that occur in the rule more than once.
 
     Attributes:
-        carried: the variables of the rule that are carried on from node to node.
+        carried: variables of the rule that are passed on from node to node.
     """
 
     def __init__(self, shared: AbstractSet[Var]):
@@ -58,18 +64,19 @@ class MatchKeys:
         self._given: Dict[int, FrozenSet[Var]] = {}
 
     def name(self, names: Sequence[Var], pattern: Pattern) -> Name:
-        """Return what names the matches of a pattern, given the variables whose values they carry."""
+        """Return the identity function of a pattern's matches, given the variables of their values."""
         carried = [(at, var) for at, var in enumerate(names) if var in self.carried]
         return naming([at for at, var in carried if var not in self._by_events(pattern)])
 
     def _by_events(self, pattern: Pattern) -> FrozenSet[Var]:
-        """Return the variables that the events of a match always give values to; those of a part are kept."""
+        """Return the variables that the events of a match always bind; cached for each part of the pattern."""
         found = self._given.get(id(pattern))
         if found is None:
             found = self._given[id(pattern)] = self._given_by(pattern)
         return found
 
     def _given_by(self, pattern: Pattern) -> FrozenSet[Var]:
+        # There may be no repetition, so only the start is certain.
         if isinstance(pattern, (Star, Aggregate)):
             return self._by_events(pattern.first)
         if isinstance(pattern, Windowed):
@@ -83,19 +90,19 @@ class MatchKeys:
 
 
 def naming(positions: List[int]) -> Name:
-    """Return what names matches by their events and by their values at some positions."""
+    """Return an identity function by events and by the values at some positions."""
     if not positions:
         return identity
     return lambda match: Named(identity(match), tuple([term_key(match.values[at]) for at in positions]))
 
 
 def found_here(names: Sequence[Var], known: int, carried: AbstractSet[Var]) -> Callable[[Values], Values]:
-    """Return what takes the values that a node has found itself and does not carry on; see `Found`.
+    """Return a function for the values that a node has computed itself and does not pass on; see `Found`.
 
     Args:
-        names: the variables of its values.
-        known: how many of them it was given.
-        carried: the variables that are carried on, and named where a match waits.
+        names: variables of its values.
+        known: number of values that it received.
+        carried: variables that are passed on, and belong to the identity of stored matches.
     """
     at = [place for place in range(known, len(names)) if names[place] not in carried]
     if len(at) == len(names) - known:
@@ -104,16 +111,16 @@ def found_here(names: Sequence[Var], known: int, carried: AbstractSet[Var]) -> C
 
 
 Fuse = Callable[[EventAction], EventAction]
-"""Makes a fused action of the plain one; see `Audience.listen`."""
+"""Makes a fused action from the plain one; see `Dispatcher.listen`."""
 
 
 class NetworkNode:
     """One part of a rule's pattern.
 
     Attributes:
-        place: among the nodes of the rule: it is after those below it.
-        vars: whose values its matches carry, in their order.
-        limit: how many nanoseconds a match below can be a part of; None for no bound.
+        place: position among the nodes of the rule; a node follows those below it.
+        vars: variables of the values of its matches, in order.
+        limit: retention time of matches below, in ns; None for no bound.
     """
 
     vars: List[Var]
@@ -121,59 +128,62 @@ class NetworkNode:
     windowed = True
     """Whether the window of a label is tested here."""
     alone = False
-    """Whether the pattern is one event, with conditions and goals: it needs no matches, only values."""
+    """Whether the pattern is one event with conditions and goals, so that values are passed instead of matches."""
     forbids = False
-    """Whether it is part of what must not happen: no match skips that."""
+    """Whether it belongs to a negated pattern; its matches are not skipped after a match."""
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
-        """Send matches to ``out`` from now on, by the policy and flags of ``mode``; what waits stays."""
+        """Send matches to ``out`` from now on, according to ``mode``; stored matches remain."""
         raise NotImplementedError
 
     def bind_alone(self, completion: Continuation) -> None:
-        """Send values to ``completion`` from now on, without making matches; for nodes that are `alone`."""
+        """Send values to ``completion`` from now on, without creating matches; for nodes that are `alone`."""
         raise NotImplementedError
 
     def buffers(self) -> Sequence[Buffer]:
-        """Return where matches wait in this node itself."""
+        """Return the buffers of this node itself."""
         return ()
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
-        """Set the longest interval of this node's matches, and how long those that wait can be of use."""
+        """Set the longest interval of the node's matches, and the retention time of stored ones, in ns.
+
+        None for no bound.
+        """
 
     def sweeps(self, mode: NetworkOptions) -> Sequence[RuledOutSweep]:
-        """Return what drops matches of the node that can hardly complete, when there are many."""
+        """Return the sweeps that remove matches of the node that can hardly complete, if there are many."""
         return ()
 
     def clear(self) -> None:
-        """Forget what the node itself knows of the past."""
+        """Reset the state of the node itself."""
 
     def mend(self) -> None:
-        """Put right what an interrupt may have left half done in the node itself."""
+        """Repair the state of the node itself after an interrupt."""
 
     def held(self) -> int:
-        """Return how many matches are held in the node itself, beside those that wait in buffers."""
+        """Return the number of matches in the state of the node itself, besides those in buffers."""
         return 0
 
     def keys(self) -> int:
-        """Return the number of keys that have a state in the node itself."""
+        """Return the number of keys in the state of the node itself."""
         return 0
 
     def bytes(self) -> int:
-        """Return an estimate of the memory of what is held in the node itself."""
+        """Return an estimate of the memory of the state of the node itself."""
         return 0
 
     def kept(self) -> Any:
-        """Return what the node itself knows beside what waits in its buffers; see `restore`."""
+        """Return the state of the node itself besides the matches in its buffers; see `restore`."""
 
     def restore(self, kept: Any) -> None:
-        """Know, newly connected, what another node knew that is the same; what waits is put back after that."""
+        """Set the state that an equal node returned, before the stored matches are put back."""
 
 
 class EventNode(NetworkNode):
-    """Waits for events that unify with a term.
+    """Receives the events that unify with a term.
 
     Attributes:
-        whole: whether all events of its functor do, and the values are their arguments.
+        whole: whether all events of its functor do, so that the values are their arguments.
     """
 
     def __init__(self, rule: "EventRule", term: Term):
@@ -185,16 +195,18 @@ class EventNode(NetworkNode):
         self.vars = variables(term)
 
     def bind(self, out: Emit, mode: NetworkOptions, fuse: Optional[Fuse] = None) -> None:
-        """Listen; the token of an event is asked for only where something looks at it.
+        """Listen to events.
 
         Args:
-            out: where its matches go.
-            mode: how the network runs.
-            fuse: makes a fused action of the plain one; None where there is none.
+            out: receives the matches.
+            mode: options of the network.
+            fuse: makes a fused action from the plain one; None if there is none.
         """
         rule = self.rule
         token = rule.network.dispatcher.token
 
+        # One closure for each combination of options: the first one runs for most events, and must not test
+        # anything. The token of an event is created only if something needs its identity.
         def arrive(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             return out(PartialMatch(values, start, end, None, term, None), after)
 
@@ -204,6 +216,7 @@ class EventNode(NetworkNode):
 
         def arrive_known(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             event = token()
+            # Matches of the previous event are stored before this event looks for partners.
             if rule.later:
                 rule.add_those_of_other_events(event)
             if rule.timed:
@@ -229,12 +242,12 @@ class EventNode(NetworkNode):
             rule.listen(self, arrive_unskipped)
 
     def bind_alone(self, completion: Continuation) -> None:
-        """Listen for a rule whose pattern is one event; see `NetworkNode.alone`."""
+        """Listen to events for a rule whose pattern is a single event; see `NetworkNode.alone`."""
         self.rule.listen(self, completion.action, completion.fused)
 
 
 class FilterNode(NetworkNode):
-    """Lets through what passes tests: conditions on an event, an ``or``, or what an action has left."""
+    """Passes on the matches that satisfy tests: conditions on an event, an ``or``, or the solution of an action."""
 
     def __init__(
         self, child: NetworkNode, names: Sequence[Var], tests: Sequence[Test], keep: AbstractSet[Var]
@@ -248,7 +261,7 @@ class FilterNode(NetworkNode):
         self.span: Optional[int] = None
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
-        """Set the bounds; see `NetworkNode.set_span`."""
+        """Set the interval bound; see `NetworkNode.set_span`."""
         self.span = span
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
@@ -267,6 +280,8 @@ class FilterNode(NetworkNode):
                 values = test(values, start, end)
                 if values is None:
                     return after
+            # A new match is needed only if a condition has bound variables; those bindings are part of its
+            # identity.
             if values is not match.values:
                 match = PartialMatch(values, start, end, match.event, None, (match, Found(own(values))))
             return out(match, after)
@@ -309,7 +324,7 @@ class BindNode(NetworkNode):
 
 
 class OrNode(NetworkNode):
-    """Emits what any of its branches emits; variables of the other branches are left open."""
+    """Emits the matches of all branches; variables of the other branches remain unbound."""
 
     def __init__(self, children: Sequence[NetworkNode], keep: AbstractSet[Var]):
         self.children = children
@@ -341,7 +356,8 @@ class ActionNode(NetworkNode):
     """Calls a goal for each match: once, or for all of its solutions.
 
     Attributes:
-        lets: tells by its start whether a match may fire, for the first that is called when all is matched; or None.
+        lets: tells for the start of a match whether it may fire; None except for the first goal after the whole
+            pattern.
     """
 
     def __init__(self, child: NetworkNode, call: RuleGoal, every: bool, keep: AbstractSet[Var]):
@@ -356,7 +372,7 @@ class ActionNode(NetworkNode):
         self.span: Optional[int] = None
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
-        """Set the bounds; see `NetworkNode.set_span`."""
+        """Set the interval bound; see `NetworkNode.set_span`."""
         self.span = span
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
@@ -394,7 +410,7 @@ class ActionNode(NetworkNode):
         act = call.act_on_all if self.every else call.act
         complete = completion.action
         span = self.span
-        # Values of conditions and goals below may have variables where the event has none.
+        # Conditions and goals below may return values with variables although the event has none.
         only_of_event = isinstance(self.child, EventNode)
         dispatcher = call.rule.network.dispatcher
 
@@ -413,7 +429,7 @@ class ActionNode(NetworkNode):
 
 
 class NotNode(NetworkNode):
-    """Lets a match through if no event of another kind ended before it started."""
+    """Passes on a match if no match of another pattern ended before it started."""
 
     def __init__(self, rule: "EventRule", child: NetworkNode, negated: NetworkNode, absence: NegationBuffer):
         self.child = child
@@ -440,16 +456,18 @@ class NotNode(NetworkNode):
         absence.bind(self.negated, mode)
 
     def buffers(self) -> Sequence[Buffer]:
-        """Return where matches wait."""
+        """Return the buffers of the node."""
         return self.absence.buffers()
 
 
 class EarlyTestNode(NetworkNode):
-    """Tests an absence above a match for which all is known that it looks at; others go on, to be tested further up.
+    """Tests a deferred negation on the matches for which all of its variables are known.
+
+    Others are tested further up.
 
     Attributes:
         test: the test; see `early_test`.
-        carried: the absences that are looked at, with the nodes of what they negate.
+        carried: negation buffers of the test, with the nodes of their negated patterns.
     """
 
     test: Test
@@ -481,12 +499,12 @@ class EarlyTestNode(NetworkNode):
             absence.bind(negated, mode)
 
     def buffers(self) -> Sequence[Buffer]:
-        """Return where matches wait."""
+        """Return the buffers of the node."""
         return [buffer for absence, _ in self.carried for buffer in absence.buffers()]
 
 
 def _unskipped(node: Union[NotNode, EarlyTestNode], emit: Emit) -> Emit:
-    """Return what takes those matches of a node that were suppressed and that no other has skipped since."""
+    """Return an action for matches that were suppressed, which ignores those that a match has skipped meanwhile."""
     skipping = node.rule.skipping
     if skipping is None or node.forbids:
         return emit

@@ -1,8 +1,16 @@
-"""The node of a pattern that has to happen several times in sequence: what so many nodes of `seq` would do.
+"""Repeat node: a pattern that has to happen a number of times in sequence.
 
-In the usual case, all sequences that wait take the next repetition, and one more begins with it: nothing is done for
-each of them (see `trains`). What does not go on with the others waits apart, by the number of its repetitions. Where
-this does not hold (nothing is used up, first sides come late, values have variables), there are nodes of `seq`.
+``Q ntimes N`` means the same as ``Q seq Q seq ... seq Q``, which would need N - 1 join nodes and would move every
+open sequence from one buffer to the next with each repetition. In the usual case each repetition extends *all* open
+sequences, so `RepeatNode` keeps them in a `RunGroup` (see `run_groups`), and a repetition costs the same for any N.
+
+Sequences leave their group and are stored separately, by number of repetitions, if they cannot take the same
+repetition as the others: a repetition that overlaps the one before, a ``within`` bound that some exceed, or
+identical events under the policy ``recent``. They join the group again when the policy allows it.
+
+The group requires that partners are consumed, that events arrive in order, and that the shared values have no
+variables. Otherwise the node builds the join nodes after all (`RepeatNode._part`) and sends its matches to them.
+Both forms have the same results; `test_ntimes` compares them.
 """
 
 from typing import (
@@ -51,36 +59,35 @@ _SEQ = OPERATORS[SEQ]
 
 
 class _Relay(NetworkNode):
-    """Stands for one of the repetitions where these have nodes of their own."""
+    """Represents one of the repetitions if they are joined by nodes of their own."""
 
     def __init__(self, like: NetworkNode, shared: Collection[Var]):
         self.vars = [var if var in shared else Var() for var in like.vars]
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
-        """Send matches to ``out`` from now on."""
+        """Set the action that receives the matches."""
         self._out = out
 
     def take(self, match: PartialMatch, after: Frame) -> Frame:
-        """Send on a match of its own, which may wait by itself."""
+        """Pass on a copy of a match, which can be stored by itself."""
         own = PartialMatch(match.values, match.start, match.end, match.event, match.term, match.parts)
         return self._out(own, after)
 
 
 class RepeatNode(NetworkNode):
-    """Puts a number of matches of one pattern together, one after the other.
+    """Combines a number of consecutive matches of one pattern.
 
     Args:
-        rule: the rule it belongs to.
-        child: the node of the pattern; of each event it makes one match at most.
-        times: how many repetitions there are, at least two.
-        keep: the variables that anything else in the rule looks at. Each repetition has the same values of them.
-
-        named: gives what names matches that carry the values of some variables.
+        rule: the rule that it belongs to.
+        child: node of the pattern; makes at most one match of each event.
+        times: number of repetitions, at least two.
+        keep: variables that are used elsewhere in the rule. They have the same value in each repetition.
+        named: returns the identity function for matches with the values of some variables.
 
     Attributes:
-        limit: for how many nanoseconds what waits is of use; None for no bound.
-        trains: the sequences that go on together, by their values.
-        visits: how many sequences, or numbers of repetitions, were looked at one by one.
+        limit: retention time of stored matches in ns; None for no bound.
+        trains: run groups, by their values.
+        visits: number of sequences, or repetition counts, that were visited one by one; for tests of the complexity.
     """
 
     def __init__(
@@ -112,12 +119,12 @@ class RepeatNode(NetworkNode):
         self.visits = 0
 
     def buffers(self) -> Sequence[Buffer]:
-        """Return where matches wait."""
+        """Return the buffers of the node."""
         right = [joining.right_buffer for joining in self._joinings]
         return (self._moving, *self._buffers.values(), *right)
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
-        """Set the bounds; see `NetworkNode.set_span`."""
+        """Set the interval bound and the retention time; see `NetworkNode.set_span`."""
         self.span = span
         self.limit = limit
         for buffer in self._buffers.values():
@@ -143,12 +150,12 @@ class RepeatNode(NetworkNode):
         self.child.bind(self._arrive, mode)
 
     def kept(self) -> Any:
-        """Return what it knows; see `NetworkNode.kept`."""
+        """Return the state of the node; see `NetworkNode.kept`."""
         apart = [(key, list(numbers)) for key, numbers in self._apart.items()]
         return self._together, list(self._buffers), list(self.trains.values()), apart
 
     def restore(self, kept: Any) -> None:
-        """Know that; see `NetworkNode.restore`."""
+        """Set the state of the node; see `NetworkNode.restore`."""
         together, numbers, trains, apart = kept
         if self._together and not together:
             self._part()
@@ -158,7 +165,7 @@ class RepeatNode(NetworkNode):
         self._apart = {key: dict.fromkeys(found) for key, found in apart}
 
     def number_of_buffers(self, kept: Any) -> int:
-        """Return how many buffers it has once it has restored what another node knew."""
+        """Return the number of buffers that the node has after it has restored a state."""
         together, numbers, _, _ = kept
         known = {*self._buffers, *numbers}
         if self._together and together:
@@ -182,25 +189,30 @@ class RepeatNode(NetworkNode):
             counted(self._served(), self.rule.meter), lambda relay, then: relay.take(match, then), after
         )
 
-    # ---- together ------------------------------------------------------------------------------------
+    # ---- run groups ----------------------------------------------------------------------------------
 
     def _take(self, match: PartialMatch, key: Hashable) -> Optional[PartialMatch]:
-        """Have what waits take a repetition; return what is complete with it."""
+        """Extend the open sequences with a repetition; return the match that it completes, or None."""
         train = self.trains.get(key)
         apart = self._apart.get(key)
         if train is None:
             train = RunGroup(self, key)
+        # A repetition must follow the last one of the group. If it does not, only sequences stored separately can
+        # take it.
         if match.start <= train.end:
             return self._take_apart(train, match, apart)
         train.renew(self.times)
         if apart:
             self._join_train(train, match, apart)
+        # Sequences that are too old expire by the rule's clock. A time stamp in the far future does not move the
+        # clock, so sequences that cannot take it must stay available for later repetitions.
         if self.span is not None and match.end > self.rule.clock:
             self._leave_behind(train, match)
         longest = train.advance(match, self.times)
         self.trains[key] = train
         self.visits += 1
         made = None
+        # The result is made before its cursor leaves the group, which may drop the log.
         if longest is not None:
             made = train.match_of(longest, self.times)
             longest.leave()
@@ -213,13 +225,17 @@ class RepeatNode(NetworkNode):
         return made
 
     def _join_train(self, train: RunGroup, match: PartialMatch, apart: Dict[int, None]) -> None:
-        """Have those that wait apart go on with the train in the place of those there, as the policy says."""
+        """Add separately stored sequences to a group, in place of those with the same length.
+
+        The policy decides which of two sequences with the same length stays in the group.
+        """
         newest = self._mode.policy.newest
         for number in list(apart):
             self.visits += 1
             token = train.at(number)
             if token is not None and newest and self._fits(token, match):
-                continue  # it is newer than those that wait apart
+                # It is newer than those that wait apart.
+                continue
             other = self._first_fit(number, train.key, match, apart)
             if other is None:
                 continue
@@ -231,14 +247,14 @@ class RepeatNode(NetworkNode):
             self.rule.keep(other, self.limit)
 
     def _leave_behind(self, train: RunGroup, match: PartialMatch) -> None:
-        """Have wait apart what would be too long with a match of which the rule's clock knows nothing."""
+        """Store the sequences separately that would be too long with a match that does not move the rule's clock."""
         for number, token in list(train.present()):
             self.visits += 1
             if not self._fits(token, match):
                 self._stop(train, token, number)
 
     def _replace(self, train: RunGroup, apart: Dict[int, None]) -> None:
-        """Have those in the train take the place of those apart that are of the same events."""
+        """Remove the separately stored sequences that consist of the same events as the ones in the group."""
         for number in apart:
             token, buffer = train.at(number), self._buffers[number]
             if token is not None and train.key in buffer.newest:
@@ -249,9 +265,11 @@ class RepeatNode(NetworkNode):
     def _take_apart(
         self, train: RunGroup, match: PartialMatch, apart: Optional[Dict[int, None]]
     ) -> Optional[PartialMatch]:
-        """Have what waits apart take a repetition that began before the last one of the train had ended."""
+        """Extend the separately stored sequences with a repetition that overlaps the last one of the group."""
         made = None
         apart = apart or {}
+        # Longest first: a sequence that is extended becomes one of the next length, and must not take the same
+        # repetition again.
         for number in sorted(apart, reverse=True):
             self.visits += 1
             other = self._first_fit(number, train.key, match, apart)
@@ -271,7 +289,7 @@ class RepeatNode(NetworkNode):
     def _first_fit(
         self, number: int, key: Hashable, match: PartialMatch, apart: Dict[int, None]
     ) -> Optional[PartialMatch]:
-        """Return which of those that wait apart a repetition takes."""
+        """Return the separately stored sequence of a length that takes a repetition, or None."""
         buffer = self._buffers[number]
         if key not in buffer.newest:
             del apart[number]
@@ -286,7 +304,7 @@ class RepeatNode(NetworkNode):
         return self.span is None or match.end - one.start <= self.span
 
     def _set_apart(self, train: RunGroup, match: PartialMatch, number: int) -> None:
-        """Have a new sequence wait apart; it is newer than that of the train."""
+        """Store a new sequence separately; it is newer than the one with the same length in the group."""
         token = train.at(number)
         if token is not None:
             if self._mode.policy.replacing and identity(train.match_of(token, number)) == identity(match):
@@ -296,10 +314,12 @@ class RepeatNode(NetworkNode):
         self._wait_apart(match, number, train.key)
 
     def _stop(self, train: RunGroup, token: RunCursor, number: int) -> None:
-        """Have a sequence leave the train and wait apart, since when it took its last repetition."""
+        """Remove a sequence from a group and store it separately, with the age that it had in the group."""
         match = train.match_of(token, number)
         token.leave()
         rule = self.rule
+        # Storing a match assigns the next order. The sequence is as old as its last repetition, so the counter is
+        # set back for this call.
         before, rule.order = rule.order, train.order - number
         try:
             self._wait_apart(match, number, train.key)
@@ -309,6 +329,7 @@ class RepeatNode(NetworkNode):
     def _wait_apart(self, match: PartialMatch, number: int, key: Hashable) -> None:
         buffer = self._buffer(number)
         buffer.add(match, key)
+        # The lengths are cleared lazily, when a key is used. Keys that are never used again would accumulate.
         if key not in self._apart and len(self._apart) > 2 * self.rule.waiting + 1000:
             self._apart = {}
             for at, other in self._buffers.items():
@@ -328,14 +349,14 @@ class RepeatNode(NetworkNode):
 
     def _set_up(self, buffer: MatchBuffer, number: int) -> None:
         buffer.reach = reach_of(SEQ, self.span, False)
-        # Those under one key have the same values, of which longer sequences need not be told apart.
+        # Matches of one key have the same values, so these do not belong to the identity of longer sequences.
         name = self._names[0] if number == 1 else identity
         buffer.identify(name if self._mode.policy.replacing else None)
 
-    # ---- events that are taken back ------------------------------------------------------------------
+    # ---- retracted events ----------------------------------------------------------------------------
 
     def _note(self, train: RunGroup, match: PartialMatch) -> None:
-        """Have the events of a repetition know that all of the train holds them."""
+        """Register the group with the events of a repetition."""
         number = train.taken - 1
         for occurrence in known_in(match):
             if occurrence.gone:
@@ -344,17 +365,18 @@ class RepeatNode(NetworkNode):
             occurrence.held.append((self, train, number))
 
     def forget(self, train: RunGroup, number: int) -> bool:
-        """Remove all that is made of a repetition whose event was taken back; nothing follows from that."""
+        """Remove all sequences that contain a repetition whose event was retracted; nothing follows from that."""
         for _, token in list(train.present()):
             if token.since <= number:
                 token.leave()
         return False
 
-    # ---- with nodes of seq ---------------------------------------------------------------------------
+    # ---- join nodes ----------------------------------------------------------------------------------
 
     def _part(self) -> None:
-        """Have all sequences wait in nodes of seq from now on."""
+        """Switch to join nodes, and move all sequences to their buffers."""
         for train in sorted(self.trains.values(), key=lambda one: one.order):
+            # Oldest group first, longest sequence first: the order in which they were stored.
             for number, token in list(train.present()):
                 self._stop(train, token, number)
         self._apart = {}
@@ -379,12 +401,15 @@ class RepeatNode(NetworkNode):
         return (one if number == 1 else some), one
 
     def _give(self, match: PartialMatch, after: Frame) -> Frame:
-        """Send on a match of all repetitions as those are that went on together, whose place it may take."""
+        """Emit a match of all repetitions with the parts that a run group gives it; it may replace one of those."""
         joined_at_once(match, self.times)
         return self._out(match, after)
 
     def _served(self) -> Iterator[_Relay]:
-        """Yield what takes a match, the last repetition first; what can complete nothing only where it may wait."""
+        """Yield the relays that a match is sent to, last repetition first.
+
+        Relays whose join node has no stored partner are skipped, unless the match may be stored there.
+        """
         relays, late = self._relays, self._mode.out_of_order
         for number in range(self.times - 1, 0, -1):
             if late or self._buffers[number].newest:

@@ -1,16 +1,26 @@
-"""For how long what waits can be of use."""
+"""Retention times: how long a partial match can still contribute to a result.
+
+A rule such as ``(a seq b) within 10`` can discard an ``a`` ten seconds after its start, because no later ``b``
+completes the pattern in time. The compiler derives one retention time per operand from the ``within`` bounds above
+it. Drools Fusion calls this inferred event expiration.
+
+Two cases differ. If events arrive in order, a bound on the whole pattern is also a bound on the time for which an
+operand is stored. If ``out_of_order`` is on, the first operand of a sequence may arrive after the second one.
+Negated matches (``cnot``, ``fnot``) must then be stored longer than positive ones: they may still rule out a pair
+whose first operand is late.
+"""
 
 from typing import NamedTuple, Optional
 
 
 class Retention(NamedTuple):
-    """The shortest interval bound above a pattern, in ns: what waits longer than that is of no use; None for none.
+    """Retention times of one operand, in ns: the smallest interval bounds above it; None for no bound.
 
     Attributes:
-        in_order: where first sides of sequences do not come late.
-        late: where they may. What must not happen is kept for them then, and so longer than what takes part.
-        part: for a part of the rule's match: the longest interval of it that is of use. None also for what must not
-            happen.
+        in_order: if the first operands of sequences never arrive late.
+        late: if they may arrive late.
+        part: the longest interval of a useful match, for a pattern that is a part of the rule's match. None also for
+            a negated pattern.
     """
 
     in_order: Optional[int] = None
@@ -18,13 +28,17 @@ class Retention(NamedTuple):
     part: Optional[int] = None
 
     def within(self, span: Optional[int]) -> "Retention":
-        """Return the limit of what stands below a bound."""
+        """Return the retention below a ``within`` of ``span`` nanoseconds, or this one if there is no bound."""
         if span is None:
             return self
         return Retention(least(self.in_order, span), least(self.late, span), least(self.part, span))
 
     def of_negated(self, span: Optional[int]) -> "Retention":
-        """Return the limit of what is negated between sides that are no longer than ``span`` together."""
+        """Return the retention of a pattern that is negated between two operands.
+
+        Args:
+            span: the longest time in ns that the two operands can span together; None if unbounded.
+        """
         return Retention(self.in_order, kept_for_late(span, self.late))
 
 
@@ -32,15 +46,19 @@ UNLIMITED = Retention()
 
 
 def least(one: Optional[int], other: Optional[int]) -> Optional[int]:
-    """Return the smaller of two bounds, either of which may be None for none."""
+    """Return the smaller of two bounds; None counts as infinity."""
     if one is None:
         return other
     return one if other is None else min(one, other)
 
 
 def kept_for_late(span: Optional[int], limit: Optional[int]) -> Optional[int]:
-    """Return for how long what lies between two sides is kept where the first may come late; None forever.
+    """Return the retention of a negated match if the first operand may arrive late; None means forever.
 
-    The second side waits for ``limit``, and the two are no longer than ``span`` together, in ns.
+    Args:
+        span: the longest time in ns that the two operands can span together; None if unbounded.
+        limit: retention time of the second operand in ns; None if unbounded.
     """
+    # The second operand may be stored for `limit` until the late first operand arrives and opens the gap. The gap
+    # then reaches back up to `span` from the end of the second operand.
     return None if span is None or limit is None else span + limit

@@ -1,4 +1,18 @@
-"""From the pattern of a rule to its nodes: which conditions are tested where, and how long a match can be of use."""
+"""Rule compiler: from the pattern of a rule to its tree of network nodes.
+
+The compiler walks the pattern top-down and builds the nodes bottom-up, as the NFACompiler of Flink or the Rete
+builder of Drools do. On the way down it passes the *context* (variables of the patterns further left) and the
+*retention* (the smallest interval bounds above). Each part returns `Built`: its node, its event nodes in the order
+in which they are served, and the conditions that could not be tested below because they need variables of the
+context.
+
+Conditions belong to the nearest operator below them. `unwrap` collects them, `_split` divides them into those that
+the operator can test and those that it must defer, and the join with the left operand tests the deferred ones.
+
+A sequence of n patterns is a left-deep tree; its pairs are collected in a list and built in a loop, so a long
+sequence needs no deep recursion. The order of the event nodes matters if one event matches several of them: right
+operands are served before left ones, so that an event completes a match before it is stored.
+"""
 
 from functools import partial
 from typing import TYPE_CHECKING, Any, Dict, List, Optional, Sequence, Set, Tuple, TypeVar, Union
@@ -79,15 +93,14 @@ class RuleCompiler(StreamCompiler):
 
     Args:
         rule: the rule at run time.
-        head: the terms beside the pattern that use its variables.
+        head: the terms besides the pattern that use its variables.
         pattern: the pattern.
 
     Attributes:
-        nodes: all nodes, each with the bound on its own interval and the shortest bound there is from it
-            upwards.
-        ringing: the operators on streams, in the order in which the clock wakes them. As for events, the right side
-            of a pair comes before the left one: what completes something is taken before it replaces what waits.
-        twins: what negated patterns were built anew, and what they were built as first.
+        nodes: all nodes, each with its own interval bound and the retention of its stored matches.
+        ringing: the operators on streams in the order in which the clock wakes them. As for events, the right
+            operand of a pair precedes the left one: a match is completed before it is replaced.
+        twins: further copies of negated patterns, each with the first one.
     """
 
     def __init__(self, rule: "EventRule", head: List[Term], pattern: Pattern):
@@ -102,7 +115,7 @@ class RuleCompiler(StreamCompiler):
         self._bound_by: Dict[int, VarSet] = {}
 
     def build(self) -> NetworkNode:
-        """Return the root of the network."""
+        """Return the root of the tree."""
         built = self._build(self.pattern, frozenset(), UNLIMITED)
         if built.deferred:
             raise RuleError("a condition uses variables that no pattern to its left binds", self.rule.place)
@@ -110,6 +123,7 @@ class RuleCompiler(StreamCompiler):
             leaf.rank = rank
         for place, stream in enumerate(self.ringing):
             stream.place = place
+        # Copies of a negated pattern receive an event together with the first one, whichever node tests them.
         for built_again, first in self.twins:
             for leaf, other in zip(built_again.leaves, first.leaves):
                 leaf.rank = other.rank
@@ -123,9 +137,9 @@ class RuleCompiler(StreamCompiler):
         """Build a pattern.
 
         Args:
-            pattern: what to build.
-            context: the variables of the patterns to its left.
-            limit: the shortest interval bound above it; None for none.
+            pattern: the pattern.
+            context: variables of the patterns to its left.
+            limit: smallest interval bounds above it; None for none.
         """
         pairs: List[Tuple[Pair, Wrapping, Retention]] = []
         begun = len(self.ringing)
@@ -139,13 +153,14 @@ class RuleCompiler(StreamCompiler):
             pairs.append((core, wrapping, inner))
             pattern = core.left
         built = self._build_core(core, wrapping, context, inner)
-        while pairs:  # a long sequence is not a deep recursion
+        # Innermost pair first.
+        while pairs:
             pair, wrapping, inner = pairs.pop()
             built = self._joining(pair, wrapping, context, inner, built, begun)
         return built
 
     def _build_core(self, core: Pattern, wrapping: Wrapping, context: VarSet, inner: Retention) -> Built:
-        """Build what is not a pair of patterns."""
+        """Build a pattern that is not a pair."""
         if isinstance(core, (Star, Aggregate)):
             return self._running(core, wrapping, context, inner)
         if isinstance(core, Repeated):
@@ -175,7 +190,7 @@ class RuleCompiler(StreamCompiler):
         return self._filtered(built, wrapping, context)
 
     def _repeated(self, core: Repeated, context: VarSet, limit: Retention) -> Built:
-        """Build a pattern that happens several times; written out where repetitions need nodes of their own."""
+        """Build a repeated pattern, by a `RepeatNode` if possible, else written out as a sequence."""
         if core.is_of_single_events():
             before = len(self.nodes)
             one = self._build(core.pattern, context | self._bound(core.pattern), limit)
@@ -188,7 +203,7 @@ class RuleCompiler(StreamCompiler):
         return self._build(core.written_out(), context, limit)
 
     def _bound(self, pattern: Pattern) -> VarSet:
-        """Return the variables that a match of a pattern may give values to; of a sequence looked for once."""
+        """Return the variables that a match of a pattern may bind; cached for the parts of a sequence."""
         found = self._bound_by.get(id(pattern))
         if found is None:
             if isinstance(pattern, Pair) and id(pattern.left) in self._bound_by:
@@ -208,7 +223,7 @@ class RuleCompiler(StreamCompiler):
         return node
 
     def _filtered(self, built: Built, wrapping: Wrapping, context: VarSet) -> Built:
-        """Put the conditions of an event, ``or`` or action after its node."""
+        """Add a node with the conditions of an event, ``or`` or action above its node."""
         conditions, put_off = self._split(wrapping.conditions, wrapping.core, context)
         node = built.node
         for one in put_off:
@@ -227,14 +242,16 @@ class RuleCompiler(StreamCompiler):
     def _split(
         self, conditions: List[Condition], core: Pattern, context: VarSet
     ) -> Tuple[List[TestedCondition], List[DeferredConditions]]:
-        """Tell which conditions of an operator may have to wait for variables of patterns to its left.
+        """Divide the conditions of an operator into those that it can test and those that are deferred.
 
         Returns:
-            All of them in their order, a condition or what is `DeferredConditions`, and the latter alone.
+            All conditions in order, deferred ones as `DeferredConditions`, and the deferred ones alone.
         """
         if not conditions:
             return [], []
         parted: List[TestedCondition] = []
+        # A variable that only some branches bind counts as unbound: the condition must then wait for the left
+        # operand.
         known = surely_bound_by(core, False, True)
         for condition in conditions:
             mentioned = set(variables(condition.goal))
@@ -249,9 +266,9 @@ class RuleCompiler(StreamCompiler):
     def _test(
         self, node: Any, condition: TestedCondition, names: List[Var]
     ) -> Optional[Tuple[Test, List[Var]]]:
-        """Return the test of a condition where it belongs, and the names that it leaves.
+        """Return the test of a condition and the variables after it; None if it cannot be tested at this node.
 
-        One that waits is tried on what may give it all that it waits for; None where nothing can.
+        A deferred condition is tried at a node that may bind all variables that it requires.
         """
         if isinstance(condition, DeferredConditions):
             return early_test(self.rule, node, condition, names) if condition.may_be_tried(names) else None
@@ -263,18 +280,20 @@ class RuleCompiler(StreamCompiler):
     ) -> DeferredConditions:
         start, end = Var(), Var()
         self.keep |= {start, end}
-        if goal is not None:  # where they are found differs from match to match
+        # Matches may differ in the node that binds these variables.
+        if goal is not None:
             found = variables(goal)
             self.keep.update(found)
             self._telling.carried.update(found)
         return DeferredConditions(needs, goal, timed, absent, start, end)
 
     def _captured(self, node: NetworkNode, one: DeferredConditions) -> NetworkNode:
-        """Have a node's interval carried on for a condition."""
+        """Add a node that passes on the interval of a match, for a condition."""
         return self._add(BindNode(node, one.start, one.end), None, UNLIMITED)
 
     def _to_the_right(self, pattern: Pattern, context: VarSet, limit: Retention, begun: int) -> Built:
-        """Build the right side of a pair, whose left one has the operators on streams from ``begun`` on."""
+        """Build the right operand of a pair whose left one has the operators on streams from ``begun`` on."""
+        # The clock wakes the operators of the right operand first, see `ringing`; the left ones were built before.
         left = self.ringing[begun:]
         del self.ringing[begun:]
         built = self._build(pattern, context, limit)
@@ -288,7 +307,8 @@ class RuleCompiler(StreamCompiler):
         right = self._to_the_right(core.right, here, limit, begun)
         below = [*left.deferred, *right.deferred]
         sure: Set[Var] = set()
-        if below or wrapping.absent is not None:  # it walks all that is on the left
+        # Only then: the analysis visits the whole left operand.
+        if below or wrapping.absent is not None:
             sure = surely_bound_by(core, False, True)
         ready, deferred = ready_where(below, sure, context) if below else ([], [])
         conditions, put_off = self._split(wrapping.conditions, core, context)
@@ -338,7 +358,7 @@ class RuleCompiler(StreamCompiler):
         ready: List[DeferredConditions],
         conditions: Sequence[TestedCondition],
     ) -> None:
-        """Have a pair tested by the conditions that its sides have put off, and by its own."""
+        """Add the conditions that the operands of a pair have deferred, and those of the pair itself."""
         for one in below:
             if one in ready:
                 node.test(*deferred_test(self.rule, node, one, node.vars))
@@ -352,9 +372,9 @@ class RuleCompiler(StreamCompiler):
     def _test_gap(
         self, node: JoinNode, one: DeferredConditions, conditions: Sequence[TestedCondition]
     ) -> List[DeferredConditions]:
-        """Have the gap of a pair tested by an absence that looks at others; return what is left for above."""
+        """Test a negation with conditions on outer variables, or return it for the nodes above."""
         if not one.needs - in_goals([test for test in conditions if isinstance(test, Condition)]):
-            # it has variables to which the conditions give values
+            # The conditions of the pair bind all of its variables.
             node.test(*deferred_test(self.rule, node, one, node.vars))
             return []
         if one.may_be_tried(node.vars):
@@ -423,7 +443,7 @@ class RuleCompiler(StreamCompiler):
         return Built(node, [*deferred, *put_off], [*repeated.leaves, *first.joined], first.single)
 
     def _outside(self, pattern: Pattern, values: Sequence[Term] = ()) -> Set[Var]:
-        """Return the variables that stand in the rule elsewhere than in a pattern (and what an aggregate takes)."""
+        """Return the variables that are used in the rule outside of a pattern and of the given terms."""
         inside = occurrences(list(values), pattern)
         return {var for var, number in self._counts.items() if number > inside.get(var, 0)}
 

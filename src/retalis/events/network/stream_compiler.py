@@ -1,6 +1,15 @@
-"""From the steps of a window as they are read to such as its operator runs.
+"""Stream compiler: nodes of windows, rate operators, timeouts and row patterns.
 
-From the parts of a pattern that look at streams to how their nodes are to make items and matches.
+This part of the rule compiler builds the nodes of operators that evaluate a stream of matches instead of joining
+pairs. For each it creates a `StreamNodeSpec`: functions that make stream elements from the values of matches, the
+operator itself (`streams`), and a function that makes values from its results.
+
+* ``aggregate(K, Q, R, W)``: an accumulator over a window (sliding, tumbling, hopping, by time or count). Variables
+  that are used outside of the pattern are the key of the stream (PARTITION BY).
+* a window with steps: row pattern recognition (MATCH_RECOGNIZE); `planned` compiles the conditions (DEFINE) of the
+  row pattern variables to an NFA.
+* ``P with S``: rate operators such as throttle and debounce.
+* ``P seq absent(Q, N)``: a timeout that a match of Q cancels.
 """
 
 from fractions import Fraction
@@ -58,16 +67,16 @@ if TYPE_CHECKING:
 
 
 GivenGoal = Callable[[Term, Sequence[Var], str], Holding]
-"""Gives what asks a goal, given the values of some variables and what reports call it."""
+"""Returns a function that calls a goal, given the goal, its variables, and its name in reports."""
 
 
 def planned(form: WindowForm, before: int, holding: GivenGoal) -> RowPatternNFA:
-    """Return the plan of the steps of a window.
+    """Return the NFA of the row pattern of a window.
 
     Args:
         form: the window.
-        before: how many values of an item come before those that conditions look at.
-        holding: gives what asks a goal.
+        before: number of values of an element that precede those that conditions use.
+        holding: returns a function that calls a goal.
     """
     places = {var: at for at, var in enumerate(form.looked_at, before)}
     names = [one.name for one in form.steps]
@@ -78,6 +87,8 @@ def planned(form: WindowForm, before: int, holding: GivenGoal) -> RowPatternNFA:
         for one in conditions(goal, names, at, places):
             own = [var for var in variables(one.goal) if var in places]
             holds = holding(one.goal, [*own, *(back.stands for back in one.back)], called)
+            # Each navigation (PREV, LAST of a step) is registered once for the whole pattern, and conditions refer
+            # to it by number.
             back = [
                 marks.setdefault(
                     StepNavigation(back.kind, -1 if back.kind == "prev" else back.step), len(marks)
@@ -106,7 +117,7 @@ def _holds(
     item: StreamElement,
     asked: Sequence[StreamElement],
 ) -> bool:
-    """Tell whether a goal holds for values of an item and of those that it looks back at."""
+    """Return whether a goal has a solution for values of an element and of the elements that it navigates to."""
     values = [item.values[at] for at in own]
     if backs:
         values += [one.values[at] for one, at in zip(asked, backs)]
@@ -128,18 +139,19 @@ _SHAPES: Dict[str, Callable[[int], StreamOperator]] = {
     "debounce": lambda span: Debounce(span),
     "change": lambda span: DistinctUntilChanged(),
 }
+# Reports of events that arrive too late, by operator.
 _LATE = "an event came when the window that it belongs to was over, and is not measured"
 _LATE_DEBOUNCED = "an event came when the time was over in which a newer one could have come"
 _LATE_AWAITED = "an event came when the time was over in which something was not to happen after it"
 
 
 def stream_of_shape(part: Shaped) -> StreamOperator:
-    """Return the operator that ``P with S`` is."""
+    """Return the operator of ``P with S``."""
     return _SHAPES[part.shape](part.span)
 
 
 def shaping(part: Shaped, names: Sequence[Var]) -> StreamNodeSpec:
-    """Return how a node of ``P with S`` makes items, from the variables of P's matches."""
+    """Return the specification of a node of ``P with S``, given the variables of P's matches."""
     by = _builder(part.by, names)
     value = _builder(() if part.value is None else (part.value,), names)
 
@@ -158,14 +170,14 @@ def measuring(
     result: Result,
     asking: Evaluators,
 ) -> StreamNodeSpec:
-    """Return how a node of ``aggregate(K, Q, R, W)`` makes items, from the variables of Q's matches.
+    """Return the specification of a node of ``aggregate(K, Q, R, W)``, given the variables of Q's matches.
 
     Args:
         part: the pattern.
-        names: the variables of Q's matches.
-        groups: those that stand elsewhere in the rule.
-        result: gives the values of its matches.
-        asking: makes the goals that are asked of items.
+        names: variables of Q's matches.
+        groups: those that are used elsewhere in the rule; they are the key.
+        result: returns the values of its matches.
+        asking: compiles the goals.
     """
     places = positions(names)
     at = [places[var] for var in groups]
@@ -182,6 +194,7 @@ def measuring(
 
     def item(values: Values) -> Tuple[Values, Values]:
         found = build(values)
+        # Values are nearly always numbers, so expressions are evaluated only if one is not.
         if numbers:
             for value in found:
                 if value.__class__ not in (int, float):
@@ -210,7 +223,7 @@ def measuring(
 
 
 def _fused_form(part: Windowed, places: Dict[Var, int], groups: Sequence[Var]) -> Optional[FusedWindow]:
-    """Return the form of a window that `fused_window` takes, for measures of variables; None for others."""
+    """Return the form of a window that `fused_window` takes: only variables are measured; None for other windows."""
     if (
         part.window.kind != "last"
         or part.listed
@@ -227,13 +240,16 @@ def _fused_form(part: Windowed, places: Dict[Var, int], groups: Sequence[Var]) -
 
 
 def _fresh(part: Windowed, groups: Sequence[Var]) -> Optional[List[Var]]:
-    """Return what is written for the results where that is a new variable for each; else None."""
+    """Return the terms of the results if these are different new variables, else None."""
     fresh = [term for term in part.results if term.__class__ is Var and term not in groups]
     return fresh if len(set(fresh)) == len(part.results) else None
 
 
 def _evaluating(evaluate: Evaluate, scope: Optional[int]) -> Evaluate:
-    """Return what gives the number of an expression; where it has none, a step's own measure gets it as it is."""
+    """Return the evaluation of an expression.
+
+    For a measure of one step, an expression without a value is returned as it is.
+    """
     if scope is None:
         return evaluate
 
@@ -241,7 +257,8 @@ def _evaluating(evaluate: Evaluate, scope: Optional[int]) -> Evaluate:
         try:
             return evaluate(term, values)
         except RuleError:
-            return term  # only that step may not take it, and refuses it then
+            # Only that step may not take it, and refuses it then.
+            return term
 
     return evaluated
 
@@ -251,7 +268,7 @@ def _number(value: Term, evaluate: Optional[Evaluate], values: Values) -> Term:
 
 
 def _measures(part: Windowed, folded: Callable[[Any], Folding]) -> Callable[[], List[Any]]:
-    """Return what makes the measures of one group."""
+    """Return a function that creates the accumulators of one key."""
     made = []
     place = 0
     for kind, setting, value in zip(part.kinds, part.settings, part.values):
@@ -271,14 +288,14 @@ def awaiting(
     condition: Optional[Callable[[Values, PartialMatch], bool]],
     name: Callable[[PartialMatch], Hashable],
 ) -> StreamNodeSpec:
-    """Return how a node of ``P seq absent(Q, N)`` makes items.
+    """Return the specification of a node of ``P seq absent(Q, N)``.
 
     Args:
-        span: the time that has to pass, in ns.
-        names: the variables of P's matches.
-        absent: the variables of Q's matches.
-        condition: tests the values of P and a match of Q, where Q has conditions about P; else None.
-        name: names the matches of P.
+        span: the time that must pass, in ns.
+        names: variables of P's matches.
+        absent: variables of Q's matches.
+        condition: tests the values of P and a match of Q, if Q has conditions on P; else None.
+        name: returns the identity of a match of P.
     """
     places = positions(names)
     shared = [(at, places[var]) for at, var in enumerate(absent) if var in places]
@@ -304,7 +321,7 @@ def awaiting(
 
 
 def _builder(terms: Sequence[Term], names: Sequence[Var]) -> Callable[[Values], Values]:
-    """Return what gives the values of terms, from those of variables."""
+    """Return a function that makes the values of terms from those of variables."""
     built = [compile_builder(term, list(names), "operator on a stream") for term in terms]
     if not built:
         return lambda values: ()
@@ -315,10 +332,10 @@ def _builder(terms: Sequence[Term], names: Sequence[Var]) -> Callable[[Values], 
 
 
 def resulting(part: Windowed, groups: Sequence[Var]) -> Tuple[List[Var], Result]:
-    """Return the variables of a window's matches, and what gives their values.
+    """Return the variables of a window's matches, and the function that makes their values.
 
-    That takes the values of the groups and the results, and gives None where a term that is written for a result
-    does not fit it.
+    The function takes the values of the key and the results. It returns None if the term of a result does not unify
+    with it.
     """
     listed, terms, known = part.listed, part.results, set(groups)
     fresh = _fresh(part, groups)
@@ -344,7 +361,7 @@ def resulting(part: Windowed, groups: Sequence[Var]) -> Tuple[List[Var], Result]
 
 
 class StreamCompiler:
-    """The part of what builds the nodes of a rule that builds those of operators on streams.
+    """Base of the rule compiler that builds the nodes of operators on streams.
 
     Args:
         rule: the rule.
@@ -370,7 +387,13 @@ class StreamCompiler:
     def _streamed(
         self, core: Union[Windowed, Shaped, Awaited], context: VarSet, part: Optional[int]
     ) -> Built:
-        """Build an operator on streams; ``part`` is the longest interval of its matches that is of use, in ns."""
+        """Build an operator on streams.
+
+        Args:
+            core: the operator.
+            context: variables of the patterns to its left.
+            part: longest interval of a useful match, in ns; None for no bound.
+        """
         if isinstance(core, Awaited):
             return self._awaited(core, context)
         pattern = core.collected if isinstance(core, Windowed) else core.pattern
@@ -397,7 +420,7 @@ class StreamCompiler:
         return Built(node, [], below.leaves, [])
 
     def _awaited(self, core: Awaited, context: VarSet) -> Built:
-        """Build a pattern after which another does not happen for some time."""
+        """Build a pattern after which another one must not happen for some time."""
         below = self._build(core.pattern, context, UNLIMITED)
         here = context | frozenset(bound_by(core.pattern))
         negated = self._negated(core, here, UNLIMITED)

@@ -1,10 +1,16 @@
-"""What reaches a node while its operator calls goals of the program: it is put off until the operator is done.
+"""Stream node: runs an operator on streams within the network.
 
-Such a goal may make events that come to the same node, have partial matches dropped, or set flags.
+`StreamNode` passes the matches of its patterns to an operator of `streams` (a window, a rate operator, a timeout),
+and emits a match for each of its outputs. Operators that produce output when time passes are woken by the clock
+(`StreamNode.ring`). Three mechanisms surround the operator:
 
-What operators on streams would have given on without an event that is taken back: they are run again.
-
-The node of an operator on streams: hands matches over, gives on what comes of them, is woken by the clock.
+* *Reentrancy*: an operator may call goals of the program (conditions of steps, user-defined aggregates). Such a goal
+  may make events that reach the same node, or change flags. `ReentrancyQueue` defers these until the operator has
+  returned.
+* *Revision*: if events may be retracted, `Replay` records the elements that the operator has received and its
+  outputs. After a retraction it runs a new operator over the remaining elements; outputs that are missing then are
+  retracted, and new ones are emitted. Elements beyond a limit become part of an initial state and are final.
+* *Fusion*: for a plain event, the node and the operator are compiled to one function (`fused_window`).
 """
 
 from collections import Counter, deque
@@ -58,16 +64,17 @@ if TYPE_CHECKING:
 
 
 PutOff = Callable[[Frame], Frame]
-"""Does what was put off, and returns the frame that goes on with another."""
+"""Does deferred work, and returns the next frame; takes the frame to continue with."""
 
 
 class ReentrancyQueue:
-    """What one node has put off; as code of a frame it does that, one after the other.
+    """Deferred work of one node; as frame code it executes the work in order.
 
-    Each is done with the event being served that was when it came, so that no chain of events goes on without end.
+    Each piece of work runs as part of the event that was served when it was deferred, so the limit on chains of
+    events applies to it.
 
     Attributes:
-        at_work: whether the operator is.
+        at_work: whether the operator is running.
     """
 
     def __init__(self, dispatcher: Dispatcher):
@@ -76,16 +83,16 @@ class ReentrancyQueue:
         self.at_work = False
 
     def clear(self) -> None:
-        """Forget what was put off, after an interrupt."""
+        """Drop all deferred work, after an interrupt."""
         self.at_work = False
         self._steps.clear()
 
     def put_off(self, step: PutOff) -> None:
-        """Do something later."""
+        """Defer work."""
         self._steps.append((self._dispatcher.current, step))
 
     def while_at_work(self, work: Callable[[], Any]) -> Any:
-        """Return what work returns, which is that of the operator."""
+        """Run the operator and return its result."""
         self.at_work = True
         try:
             return work()
@@ -93,13 +100,14 @@ class ReentrancyQueue:
             self.at_work = False
 
     def before(self, after: Frame) -> Frame:
-        """Return the frame that does what was put off, and goes on with ``after``."""
+        """Return the frame that executes the deferred work, and continues with ``after``."""
         return (self, self._dispatcher.current, after) if self._steps else after
 
     def run(self, frame: Frame) -> Frame:
-        """Do the next of it."""
+        """Execute the next piece of work."""
         dispatcher = self._dispatcher
         _, current, after = frame
+        # All work is done: the event that was served before becomes current again.
         if not self._steps:
             dispatcher.restore(current, dispatcher.cause)
             return after  # type: ignore[no-any-return]
@@ -109,15 +117,15 @@ class ReentrancyQueue:
 
 
 KEPT = 10_000
-"""How many items are remembered in one node; what is older is settled but for those that are held."""
+"""Elements that are remembered in one node; older ones are final, except those in the operator's state."""
 
 
 class Replay:
-    """Remembers what an operator on streams has taken and given on.
+    """Log of the elements that an operator has received and of its outputs, to run it again after a retraction.
 
     Args:
-        begin: makes the operator anew.
-        known: what it knows already; that is settled.
+        begin: creates the operator.
+        known: its state so far, which is final.
     """
 
     def __init__(self, begin: Callable[[], StreamOperator], known: KnownState = ()):
@@ -132,37 +140,40 @@ class Replay:
         return len(self._taken)
 
     def begin_step(self, stream: StreamOperator) -> None:
-        """Settle what has been, if it is much, before the operator takes an item or gives on what is due."""
+        """Make the log part of the final state if it is long.
+
+        Called before the operator processes an element or an alarm.
+        """
         if len(self._taken) >= KEPT or len(self._given) >= KEPT:
             self._base = _copied(stream.kept())
             self._taken, self._given = [], []
 
     def took(self, channel: int, item: StreamElement, now: int) -> None:
-        """Remember an item that was taken."""
+        """Record an element."""
         self._taken.append((channel, _again(item), now))
 
     def gave(self, output: StreamOutput, held: TrackedMatch) -> None:
-        """Remember what was given on, and what stands for it."""
+        """Record an output, and the object that represents it in the lineage."""
         self._given.append((output, held))
 
     def forget(self, match: PartialMatch) -> bool:
-        """Forget a match when the operator is run again; return True, as that may give other outputs then."""
+        """Exclude a match when the operator is run again; return True, because that may change its outputs."""
         self._forgotten[id(match)] = match
         return True
 
     def run_again(
         self, now: int, meter: Optional[Meter]
     ) -> Optional[Tuple[StreamOperator, List[TrackedMatch]]]:
-        """Run the operator again over what is left.
+        """Run the operator again over the remaining elements.
 
         Args:
             now: the present instant.
-            meter: counts the items as pattern work; None if nothing is counted.
+            meter: counts the elements as pattern work; None if nothing is counted.
 
         Returns:
-            The operator as it stands then, and what stands for outputs that are no longer there. Those that are
-            new are kept for `take_new`. None if pattern work had to stop: then nothing here is of use any more, as
-            outputs that were left out would be taken back.
+            The new operator, and the lineage objects of outputs that are missing now; new outputs are available from
+            `take_new`. None if pattern work was stopped: the outputs would be incomplete, and valid ones would be
+            retracted.
         """
         forgotten = self._forgotten
         self._taken = [one for one in self._taken if id(one[1].match) not in forgotten]
@@ -177,7 +188,10 @@ class Replay:
         outputs += stream.ring(now)
         if meter is not None and meter(0):
             return None
-        outputs = [output for output in outputs if output.error is None]  # such was reported already
+        # Errors were reported the first time.
+        outputs = [output for output in outputs if output.error is None]
+        # Outputs are compared as multisets: equal outputs may occur several times, and each old one needs its own
+        # counterpart.
         there = Counter(_key(output) for output in outputs)
         stand: List[Tuple[StreamOutput, TrackedMatch]] = []
         lost: List[TrackedMatch] = []
@@ -192,7 +206,8 @@ class Replay:
                 lost.append(held)
         self._given = stand
         self._new = []
-        for output in reversed(outputs):  # of equal ones the last are those that are new
+        # Of equal outputs, the last ones are new.
+        for output in reversed(outputs):
             if there[_key(output)]:
                 there[_key(output)] -= 1
                 self._new.append(output)
@@ -200,30 +215,31 @@ class Replay:
         return stream, lost
 
     def take_new(self) -> List[StreamOutput]:
-        """Return the outputs that `run_again` has found to be there now and that were not before, once."""
+        """Return the outputs that are new after `run_again`, once."""
         found, self._new = self._new, []
         return found
 
     def kept(self) -> Tuple[Any, ...]:
-        """Return what is remembered; see `restore`."""
+        """Return the log; see `restore`."""
         given = [((list(output.items), *output[1:]), held) for output, held in self._given]
         return (self._base, self._taken, given)
 
     def restore(self, kept: Tuple[Any, ...]) -> None:
-        """Remember what another one did."""
+        """Set the log that another one returned."""
         self._base, self._taken, given = kept
         self._given = [(StreamOutput(tuple(items), *rest), held) for (items, *rest), held in given]
-        if self._base:  # what cannot be run again is to fail now, not when an event is taken back
+        # A state that cannot be restored must fail now, not at a retraction.
+        if self._base:
             self._begin().restore(_copied(self._base))
 
 
 def _again(item: StreamElement) -> StreamElement:
-    """Return the same item as it came."""
+    """Return a copy of an element as it was received."""
     return StreamElement(item.match, item.start, item.end, item.by, item.values)
 
 
 def _copied(data: Any) -> Any:
-    """Return what an operator knows with copies of the items, which change as it goes on."""
+    """Return the state of an operator with copies of its elements, which the operator changes."""
     if isinstance(data, StreamElement):
         made = _again(data)
         made.order = data.order
@@ -236,7 +252,7 @@ def _copied(data: Any) -> Any:
 
 
 def _without_what_is_gone(data: Any) -> Any:
-    """Return what an operator knows without the items whose events were taken back."""
+    """Return the state of an operator without the elements whose events were retracted."""
     if data.__class__ is list:
         return [
             _without_what_is_gone(one)
@@ -249,7 +265,7 @@ def _without_what_is_gone(data: Any) -> Any:
 
 
 def _key(output: StreamOutput) -> Hashable:
-    """Return what tells one output from another: what it is made of last, its interval, and what was found."""
+    """Return the identity of an output: its last element, its interval, and its results."""
     last = output.items[-1]
     named = last.by if output.found else ()
     found = tuple([term_key(one) for one in (*named, *output.found)])
@@ -261,17 +277,17 @@ Take = Callable[[Optional[PartialMatch], Values, int, int], List[StreamOutput]]
 
 
 class StreamNodeSpec(NamedTuple):
-    """How a node makes items of matches, and matches of outputs.
+    """Specification of a node: functions that make elements from matches, and matches from outputs.
 
     Attributes:
-        stream: makes the operator, for a policy.
-        item: gives the by and the values of an item from those of a match.
-        result: gives the values of a match from those of a group and the results, None where these do not fit;
-            None itself where matches are given on that came.
-        clocked: whether items are taken by the present instant.
-        past: what reports say of items that come too late to be taken.
+        stream: creates the operator for the options of the network.
+        item: returns the key and the values of an element from the values of a match.
+        result: returns the values of a match from the key and the results, or None if these do not unify with the
+            terms of the rule; None if the node emits the matches that it received.
+        clocked: whether elements are processed at the present instant.
+        past: text of reports about elements that arrive too late.
         calls: whether the operator calls goals of the program.
-        fused: the window, if it can be fused; None for others.
+        fused: the window, if it can be fused; else None.
     """
 
     stream: Callable[[NetworkOptions], StreamOperator]
@@ -284,21 +300,21 @@ class StreamNodeSpec(NamedTuple):
 
 
 class StreamNode(NetworkNode):
-    """Hands the matches of patterns to an operator on streams.
+    """Passes the matches of patterns to an operator on streams.
 
     Args:
-        rule: the rule it belongs to.
-        children: the nodes of the patterns, by their channels; see `StreamOperator.take`.
-        names: the variables of its values.
-        making: how items and matches are made.
-        pattern: the part of the rule's pattern that the node evaluates.
+        rule: the rule that it belongs to.
+        children: nodes of the patterns, by channel; see `StreamOperator.take`.
+        names: variables of its values.
+        making: its specification.
+        pattern: the part of the rule's pattern that it evaluates.
 
     Attributes:
-        woken: the instant at which the clock is to wake it; None where none is.
-        late: how many matches came too late to be taken.
+        woken: instant at which the clock wakes it next; None if it does not.
+        late: number of matches that arrived too late.
         evicted: number of keys that were dropped because there were too many.
-        place: its place among the nodes of the rule.
-        carried: absences among the conditions of what must not happen, with the nodes of what they negate.
+        place: position among the nodes of the rule.
+        carried: negation buffers in the conditions of a negated pattern, with the nodes of their negated patterns.
     """
 
     def __init__(
@@ -337,7 +353,7 @@ class StreamNode(NetworkNode):
         return stream
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
-        """Set the bounds; see `NetworkNode.set_span`."""
+        """Set the interval bound and the retention time; see `NetworkNode.set_span`."""
         self.span = span
         rule = self.rule
         self._bounds = KeyBounds(limit, least(limit, rule.idle), rule.network.key_bounds.keys)
@@ -379,12 +395,13 @@ class StreamNode(NetworkNode):
 
         fused = self.making.fused
         action: EventAction = arrive
-        if fused is not None and not self.rule.mode.revised:  # twice the time of the whole event without it
+        # Without fusion an event takes twice the time.
+        if fused is not None and not self.rule.mode.revised:
             action = fused_window(fused, self.span, self, arrive, complete, too_large)
         self.children[0].bind_alone(Continuation(action))
 
     def _connect(self, out: Emit, mode: NetworkOptions) -> None:
-        """Give matches on to ``out``, and run by a mode; what is held stays."""
+        """Set the action for results, and the options; the operator's state remains."""
         self.out = out
         if mode != self._began:
             self._change(mode)
@@ -392,7 +409,7 @@ class StreamNode(NetworkNode):
         self._wake()
 
     def _change(self, mode: NetworkOptions) -> None:
-        """Run by another mode."""
+        """Run the operator with other options."""
         if not self._is_put_off(lambda: self._change(mode)):
             self._began = mode
             self._rebuild()
@@ -403,7 +420,7 @@ class StreamNode(NetworkNode):
             )
 
     def _is_put_off(self, work: Callable[[], None]) -> bool:
-        """Tell whether something has to wait for the operator, which is at work; it is done then."""
+        """Defer work if the operator is running; return whether it was deferred."""
         postponing = self._postponing
         if postponing is None or not postponing.at_work:
             return False
@@ -416,14 +433,14 @@ class StreamNode(NetworkNode):
         return True
 
     def _rebuild(self) -> None:
-        """Have a new operator know what the one knew: in another mode, or after an interrupt."""
+        """Replace the operator by a new one with the same state: for other options, or after an interrupt."""
         kept = self.stream.kept()
         self.stream = self._begin(self._began or NetworkOptions(), self.rule.meter)
         self.stream.restore(kept)
         self.stream.late, self.stream.evicted = self.late, self.evicted
 
     def mend(self) -> None:
-        """Put right what an interrupt may have left half done: what is held is counted and filed anew."""
+        """Repair the operator after an interrupt: its state is counted and indexed again."""
         if self._postponing is not None:
             self._postponing.clear()
             if self._began not in (None, self.rule.mode):
@@ -433,11 +450,11 @@ class StreamNode(NetworkNode):
         self._wake()
 
     def buffers(self) -> Sequence[Buffer]:
-        """Return where matches wait."""
+        """Return the buffers of the node."""
         return [buffer for absence, _ in self.carried for buffer in absence.buffers()]
 
     def _arriving(self, channel: int, mode: NetworkOptions) -> Emit:
-        """Return what takes the matches of one of the patterns."""
+        """Return the action for the matches of one pattern."""
         take = self._taking(channel, mode)
         with_match = mode.tracked or self.making.result is None
         postponing = self._postponing
@@ -460,7 +477,10 @@ class StreamNode(NetworkNode):
         return arrive
 
     def _taking(self, channel: int, mode: NetworkOptions) -> "Take":
-        """Return what takes a match, or only its values and interval, and gives what comes of it."""
+        """Return a function that passes a match to the operator and returns its outputs.
+
+        The match itself is optional; its values and interval are required.
+        """
         make, clocked = self.making.item, self.making.clocked or mode.revised
         network = self.rule.network
         meter = self.rule.meter
@@ -486,7 +506,8 @@ class StreamNode(NetworkNode):
                 network.came_late(self.rule, self.making.past)
             if stream.crowded != crowded or stream.evicted != self.evicted:
                 self._report_dropped(stream.crowded - crowded)
-            while len(stream) > network.cap:  # an item can add several partial matches to a window of steps
+            # One element can add several partial matches to a row pattern.
+            while len(stream) > network.cap:
                 outputs = [*outputs, *self._drop()]
             if stream.next is not None:
                 self._wake()
@@ -495,15 +516,15 @@ class StreamNode(NetworkNode):
         return take
 
     def _drop(self) -> List[StreamOutput]:
-        """Drop the oldest item with its partial matches; return the outputs that follow from it."""
+        """Drop the oldest element with its partial matches; return the outputs that follow from that."""
         self.rule.dropped += 1
         self.rule.network.dropped(self.rule)
         return self.stream.drop_oldest()
 
     def _report_dropped(self, ways: int = 0) -> None:
-        """Count and report dropped ways, and the keys that the operator has dropped because there were too many.
+        """Count and report dropped partial matches of row patterns, and keys that the operator has dropped.
 
-        Only what an event itself drops is reported: a replay or an explanation runs the same items again.
+        Only drops caused by an event are reported: a replay or an explanation processes the same elements again.
         """
         for _ in range(ways):
             self.rule.dropped += 1
@@ -520,7 +541,7 @@ class StreamNode(NetworkNode):
             self.rule.network.wake(self, instant)
 
     def ring(self, instant: int, after: Frame) -> Frame:
-        """Return the frame that gives on what is due, and goes on with ``after``."""
+        """Return the frame that emits the outputs that are due, and continues with ``after``."""
         self.woken = None
         if self.rule.skipping is not None:
             self.rule.skipping.wakes()
@@ -542,11 +563,11 @@ class StreamNode(NetworkNode):
         return emit_each(counted(self._matches(outputs, came), self.rule.meter), self.out, after)
 
     def _matches(self, outputs: Iterable[StreamOutput], came: int = 0) -> Iterator[PartialMatch]:
-        """Yield the matches of outputs, but for those that are too long or do not fit.
+        """Yield the matches of outputs, without those that are too long or do not unify.
 
         Args:
             outputs: the outputs.
-            came: the number of the event at which they are there, where that is none of their own.
+            came: number of the event that caused them, if it is none of their own; else 0.
         """
         span = self.span
         for output in outputs:
@@ -556,7 +577,7 @@ class StreamNode(NetworkNode):
                     yield match
 
     def _match(self, output: StreamOutput, came: int) -> Optional[PartialMatch]:
-        """Return the match of an output; None where its results do not fit what is written for them."""
+        """Return the match of an output; None if its results do not unify with the terms of the rule."""
         if output.error is not None:
             self.rule.network.rule_failed(self.rule, output.error)
             return None
@@ -565,6 +586,8 @@ class StreamNode(NetworkNode):
         values = () if result is None else result(last.by, output.found)
         if values is None:
             return None
+        # Each output has its own lineage object, so it can be retracted without the others that contain the same
+        # matches.
         held = self._held(output, came) if self.stream.tracked else ()
         if result is not None:
             start, end = output.start, output.end
@@ -581,36 +604,37 @@ class StreamNode(NetworkNode):
         return PartialMatch(match.values, match.start, match.end, match.event, match.term, (match, *held))
 
     def _held(self, output: StreamOutput, came: int) -> Tuple[TrackedMatch, ...]:
-        """Return what stands for an output where events are tracked, and knows what it is made of."""
+        """Return the lineage object of an output, which refers to the matches that it consists of."""
         parts = tuple(
             [item.match for item in output.items if item.match is not None]
-        )  # else it came untracked
+        )  # untracked elements have no match
         held = TrackedMatch(PartialMatch((), output.start, output.end, None, None, parts), NOTHING_HELD)
         held.number = max(held.number, came)
         if self.replay is not None:
             self.replay.gave(output, held)
         return (held,)
 
-    # ---- what an event that is taken back changes ----------------------------------------------------
+    # ---- retracted events ----------------------------------------------------------------------------
 
     def _note(self, channel: int, item: StreamElement, now: int) -> None:
-        """Remember an item, and have its events know that it is one of them."""
+        """Record an element, and register it with the events that it contains."""
         assert self.replay is not None
         self.replay.took(channel, item, now)
         for occurrence in known_in(item.match):
             occurrence.held.append((self, self, item.match))
 
     def forget(self, node: "StreamNode", match: PartialMatch) -> bool:
-        """Forget a match whose events were taken back; tell whether what is given on may be another without it."""
+        """Exclude a match whose events were retracted; return whether the outputs may change."""
         return self.replay is not None and self.replay.forget(match)
 
     def unmade(self) -> List[TrackedMatch]:
-        """Return what stands for outputs that do not hold without what was forgotten."""
+        """Return the lineage objects of outputs that are invalid without the excluded matches."""
         if self.replay is None:
             return []
         found = self.replay.run_again(self.rule.network.time(), self.rule.meter)
         if found is None:
-            self._begin_anew()  # its outputs so far stand
+            # Its outputs so far remain valid.
+            self._begin_anew()
             return []
         self.stream, lost = found
         self.late, self.evicted = self.stream.late, self.stream.evicted
@@ -618,19 +642,19 @@ class StreamNode(NetworkNode):
         return lost
 
     def results_again(self, node: "StreamNode") -> List[PartialMatch]:
-        """Return the matches that are there without what was forgotten, and were not before."""
+        """Return the matches that are valid without the excluded matches and were not before."""
         if self.replay is None or not self.rule.active:
             return []
         return list(self._matches(self.replay.take_new()))
 
     def retry(self, what: PartialMatch, after: Frame) -> Frame:
-        """Give such a match on."""
+        """Emit such a match."""
         return after if taken_back(what) else self.out(what, after)
 
-    # ---- what lasts ----------------------------------------------------------------------------------
+    # ---- state ---------------------------------------------------------------------------------------
 
     def clear(self) -> None:
-        """Forget all."""
+        """Reset the operator."""
         if not self._is_put_off(self.clear):
             self._begin_anew()
 
@@ -642,7 +666,7 @@ class StreamNode(NetworkNode):
         self.late = self.evicted = 0
 
     def held(self) -> int:
-        """Return how many matches, or keys, are held."""
+        """Return the number of matches, or keys, in the operator's state."""
         return len(self.stream)
 
     def keys(self) -> int:
@@ -650,15 +674,15 @@ class StreamNode(NetworkNode):
         return self.stream.keys
 
     def bytes(self) -> int:
-        """Return an estimate of the memory of what is held."""
+        """Return an estimate of the memory of the state."""
         return self.stream.bytes
 
     def kept(self) -> Any:
-        """Return what it knows; see `NetworkNode.kept`."""
+        """Return the state of the node; see `NetworkNode.kept`."""
         return (self.stream.kept(), self.late, None if self.replay is None else self.replay.kept())
 
     def restore(self, kept: Any) -> None:
-        """Know that; see `NetworkNode.restore`."""
+        """Set the state of the node; see `NetworkNode.restore`."""
         known, self.late, replayed = kept
         self.stream.restore(known)
         if self.replay is not None and replayed is not None:
