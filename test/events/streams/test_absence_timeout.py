@@ -128,12 +128,12 @@ def test_many_that_are_not_superfluous_are_held_no_longer_either():
     for came in arrivals:
         operator.take(item_of(came), came.now, came.channel)
         assert len(operator) == min(came.at + 1, 300)
-    (border,) = operator._absent.values()  # noqa: SLF001
+    (border,) = operator._forbidden.values()  # noqa: SLF001
     assert border.number == 300 and len(border.items) <= 600
     operator.take(item_of(arrivals[0]), 2270, 0)
     assert len(operator) == len(border.items) == 29
     operator.take(item_of(arrivals[0]), 9000, 0)
-    assert len(operator) == 0 and not operator._absent  # noqa: SLF001
+    assert len(operator) == 0 and not operator._forbidden  # noqa: SLF001
 
 
 def test_what_is_replaced_or_ruled_out_leaves_the_heap():

@@ -1,1 +1,1 @@
-"""Dispatch of events to the listeners whose patterns can match them."""
+"""Dispatch of events to the listeners with matching patterns."""

@@ -1,9 +1,13 @@
-"""Decision trees of the dispatcher: which listeners an event can concern, by the constants in their patterns.
+"""Discrimination tree over the patterns of listeners, and filters that drop events before they are created.
 
-Gates: whether an event can match any listener, tested before it is made.
+This is the alpha side of a Rete network. The plan for the events of one functor is a tree of `SwitchNode`, each of
+which tests one argument by its constant or functor, as ``switch_on_constant`` and ``switch_on_structure`` of the WAM
+do. A leaf is the sequence of matchers and actions that remain (`Steps`). A node tests the argument where most
+patterns have a constant; patterns with a variable there appear in every branch. Branches are built when an event
+first reaches them, so a tree has the size of the data, not of all combinations.
 
-A message that is taken apart gives many events of which few are wanted. A gate tells from the arguments that
-are at hand already, by the same tests that the dispatcher makes, which events nobody listens to.
+A `PushdownFilter` follows the same tree with the arguments that are known before an event term exists (predicate
+pushdown). A message that is split into many events, of which few are needed, is filtered without creating terms.
 """
 
 from collections import Counter
@@ -18,23 +22,23 @@ from .listeners import Listener, ListenerStep
 
 Path = Tuple[int, ...]
 Steps = Tuple[ListenerStep, ...]
-"""What is left of a plan when all tests are made: pairs of matcher and action, in order."""
+"""Leaf of a plan: pairs of matcher and action, in order."""
 
 NOBODY: Steps = ()
 
 
-_OTHER = object()
+_UNKNOWN_KEY = object()
 _MAX_TESTS = 6
-"""How many tests a plan makes at most; the matchers make the rest."""
+"""Maximum depth of a plan; the matchers test the remaining arguments."""
 
 
 def make_plan(listeners: List[Listener]) -> "Plan":
-    """Return the steps, or a `SwitchNode` between them, for listeners that are in order."""
+    """Return the plan for listeners that are in order: a `SwitchNode` or the steps."""
     return _plan(listeners, (), _MAX_TESTS)
 
 
 def takes_all(pattern: Term) -> bool:
-    """Tell whether a pattern's arguments are variables, all different."""
+    """Return whether all arguments of a pattern are distinct variables."""
     if pattern.__class__ is not tuple:
         return False
     arguments = pattern[1:]
@@ -43,9 +47,20 @@ def takes_all(pattern: Term) -> bool:
 
 
 class SwitchNode:
-    """A test of one argument: by its constant or functor it gives the rest of the plan.
+    """Test of one argument, whose constant or functor selects the rest of the plan.
 
-    The branches are planned when an event first goes there.
+    Branches are built when an event first reaches them.
+
+    Attributes:
+        path: argument positions from the root of the event to the tested term.
+        at: position of the argument for a path of length 1, else 0.
+        table: built branches by key; None for a branch that is not built yet.
+        default: branch for keys that no pattern has; None until it is built.
+        all: branch for events with a variable at the path; None until it is built.
+        groups: listeners whose pattern has a constant or functor at the path, by key.
+        any: listeners whose pattern has a variable there.
+        tested: paths of this node and all nodes above it.
+        depth: number of tests that may follow, including this one.
     """
 
     __slots__ = ("path", "at", "table", "default", "all", "groups", "any", "tested", "depth")
@@ -65,7 +80,7 @@ class SwitchNode:
 
     def branch(self, term: Any) -> "Plan":
         """Return the rest of the plan for an event."""
-        value: Any = term[self.at] if self.at else _walk(term, self.path)
+        value: Any = term[self.at] if self.at else _subterm(term, self.path)
         kind = value.__class__
         if kind is Lazy:
             key: Hashable = value.functor
@@ -73,26 +88,28 @@ class SwitchNode:
             key = value[0]
         elif kind is Atom or kind is int or kind is String:
             key = value
+        # Bound variables are rare here, because most events are built without them, so they are tested last.
         elif kind is Var:
             value = deref(value)
             if value.__class__ is Var:
+                # An unbound variable in an event can unify with every constant: all patterns remain candidates.
                 if self.all is None:
-                    self.all = self._among(*self.groups.values())
+                    self.all = self._plan_of_groups(*self.groups.values())
                 return self.all
             key = _key(value)
         else:
             key = _key(value)
-        plan: Any = self.table.get(key, _OTHER)
-        if plan is _OTHER:
+        plan: Any = self.table.get(key, _UNKNOWN_KEY)
+        if plan is _UNKNOWN_KEY:
             plan = self.default
             if plan is None:
-                plan = self.default = self._among()
+                plan = self.default = self._plan_of_groups()
         elif plan is None:
-            plan = self.table[key] = self._among(self.groups[key])
+            plan = self.table[key] = self._plan_of_groups(self.groups[key])
         return plan  # type: ignore[no-any-return]
 
-    def _among(self, *groups: List[Listener]) -> "Plan":
-        """Return the plan of those in some groups and of those who take any value here."""
+    def _plan_of_groups(self, *groups: List[Listener]) -> "Plan":
+        """Return the plan for the listeners of some groups and those with a variable at the path."""
         listeners = sorted(chain(self.any, *groups), key=_order)
         return _plan(listeners, self.tested, self.depth - 1)
 
@@ -114,41 +131,42 @@ def _plan(listeners: List[Listener], tested: Tuple[Path, ...], depth: int) -> "P
 
 
 def _best_path(listeners: List[Listener], tested: Tuple[Path, ...]) -> Optional[Path]:
-    """Return the argument where most of the patterns have a constant; None where no test is worth its cost."""
-    found: Dict[Path, int] = Counter()
+    """Return the path where most patterns have a constant or functor, or None."""
+    path_counts: Dict[Path, int] = Counter()
     for listener in listeners:
         for path in _constant_paths(listener.pattern):
             if path not in tested:
-                found[path] += 1
-    if not found:
+                path_counts[path] += 1
+    if not path_counts:
         return None
-    path, _ = min(found.items(), key=lambda item: (-item[1], len(item[0]), item[0]))
+    path, _ = min(path_counts.items(), key=lambda item: (-item[1], len(item[0]), item[0]))
     return path
 
 
 def _constant_paths(pattern: Term) -> List[Path]:
-    """Return the places of a pattern's constants and of its inner functors, outer ones first."""
-    found: List[Path] = []
+    """Return the paths of the constants and inner functors of a pattern, in breadth-first order."""
+    paths: List[Path] = []
     level: List[Tuple[Path, Term]] = [((), pattern)]
-    while level and len(found) < 32:
+    # The limits keep the analysis of large patterns short; a few paths near the root separate patterns well.
+    while level and len(paths) < 32:
         deeper: List[Tuple[Path, Term]] = []
         for path, term in level:
             if term.__class__ is tuple and len(path) < 3:
-                for at, argument in enumerate(term[1:], 1):
+                for position, argument in enumerate(term[1:], 1):
                     if argument.__class__ is not Var:
-                        found.append((*path, at))
-                        deeper.append(((*path, at), argument))
+                        paths.append((*path, position))
+                        deeper.append(((*path, position), argument))
         level = deeper
-    return found
+    return paths
 
 
 def _key_at(pattern: Term, path: Path) -> Hashable:
-    """Return the key of the constant at a path of a pattern; None where a variable stands there or above."""
+    """Return the key of a pattern at a path, or None if there is a variable at the path or above it."""
     term = pattern
-    for at in path:
-        if term.__class__ is not tuple or len(term) <= at:
+    for position in path:
+        if term.__class__ is not tuple or len(term) <= position:
             return None
-        term = term[at]
+        term = term[position]
     return None if term.__class__ is Var else _key(term)
 
 
@@ -160,31 +178,31 @@ def _key(term: Term) -> Hashable:
     return freeze(term)
 
 
-def _walk(term: Term, path: Path) -> Term:
-    """Return what stands at a path of an event; a variable on the way stands for anything below it.
+def _subterm(term: Term, path: Path) -> Term:
+    """Return the subterm of an event at a path; a variable above the path represents everything below it.
 
-    Where the event has no such place, NOBODY's pattern with a constant there can match; any number will do.
+    If the event has no such subterm, patterns that have one do not match it, and the result is an arbitrary number.
     """
-    for at in path:
+    for position in path:
         term = deref(term)
         if term.__class__ is Var:
             return term
-        if term.__class__ is not tuple or len(term) <= at:
+        if term.__class__ is not tuple or len(term) <= position:
             return 0
-        term = term[at]
+        term = term[position]
     return term
 
 
 Passes = Callable[..., bool]
-"""Takes seconds, nanoseconds and the arguments at a gate's positions."""
+"""Predicate on seconds, nanoseconds and the arguments at the positions of a filter."""
 
 
 class PushdownFilter:
-    """The gate for the events of one functor; made by `Audience.gate`.
+    """Filter for the events of one functor; created by `ListenerIndex.gate`.
 
     Attributes:
-        plan: what the dispatcher does with such events; None while that is not known.
-        passes: tells whether an event may concern anybody, or its time is unusual or none.
+        plan: the plan of the dispatcher for these events; None while it is not known.
+        passes: returns whether an event can match a listener, or its time is invalid, so that it must be reported.
     """
 
     __slots__ = ("plan", "passes", "__weakref__")
@@ -194,36 +212,40 @@ class PushdownFilter:
 
     def __init__(self, positions: Tuple[int, ...], plan: Optional[Plan]):
         self.plan = plan
-        self.passes = _passing(positions)(self)
+        self.passes = _filter_factory(positions)(self)
 
 
-_TIME = (
+_VALID_TIME = (
     "seconds.__class__ is nanoseconds.__class__ is int and 0 <= seconds < LAST and 0 <= nanoseconds < SECOND"
 )
-_NAMES = {"Choice": SwitchNode, "Atom": Atom, "NOBODY": NOBODY, "LAST": LAST // SECOND, "SECOND": SECOND}
+_NAMES = {"SwitchNode": SwitchNode, "Atom": Atom, "NOBODY": NOBODY, "LAST": LAST // SECOND, "SECOND": SECOND}
 
 
-def _passing(positions: Tuple[int, ...]) -> Callable[[PushdownFilter], Passes]:
-    """Return a factory of `PushdownFilter.passes`, which follows the plan as far as it tests known arguments."""
-    parameters = ", ".join(["seconds", "nanoseconds", *[f"a{at}" for at in positions]])
-    chosen = [
-        Block(f"{'if' if number == 0 else 'elif'} at == {at}:", [f"value = a{at}"])
-        for number, at in enumerate(positions)
+def _filter_factory(positions: Tuple[int, ...]) -> Callable[[PushdownFilter], Passes]:
+    """Return a factory for `PushdownFilter.passes`, which follows a plan as far as it tests known arguments."""
+    parameters = ", ".join(["seconds", "nanoseconds", *[f"a{position}" for position in positions]])
+    # The path of a nested test is not among the known arguments: its node has ``at == 0``, which no position equals,
+    # so the filter passes the event.
+    argument_selection = [
+        Block(f"{'if' if number == 0 else 'elif'} at == {position}:", [f"value = a{position}"])
+        for number, position in enumerate(positions)
     ]
     walk: List[Statement] = [
         "at = plan.at",
-        *chosen,
+        *argument_selection,
         Block("else:", ["return True"]),
         Block("if value.__class__ is not Atom:", ["return True"]),
         "plan = plan.table.get(value, plan.default)",
     ]
     body: List[Statement] = [
+        # A plan of None is neither a node nor `NOBODY`, so the filter is open while the plan is not known. Only
+        # atoms are looked up in the tables; other kinds of arguments pass.
         "plan = gate.plan",
-        *([Block("while plan.__class__ is Choice:", walk)] if positions else []),
-        f"return plan is not NOBODY or not ({_TIME})",
+        *([Block("while plan.__class__ is SwitchNode:", walk)] if positions else []),
+        f"return plan is not NOBODY or not ({_VALID_TIME})",
     ]
     source = source_of(
         [Block("def made(gate):", [Block(f"def passes({parameters}):", body), "return passes"])]
     )
-    made: Callable[[PushdownFilter], Passes] = shared_function(source, _NAMES, "gate")
-    return made
+    factory: Callable[[PushdownFilter], Passes] = shared_function(source, _NAMES, "gate")
+    return factory

@@ -1,4 +1,14 @@
-"""From an event to those who listen to its kind, in order, depth first."""
+"""Dispatcher: runs the listeners of an event and of all events that are derived from it, depth first.
+
+An event is dispatched by following the plan of its functor and calling matcher and action of each listener in order.
+An action returns the next frame of the machine. If it returns the frame that it got, it is finished; otherwise the
+machine runs the returned frame first, and that frame continues with the remaining listeners. Derived events of low
+depth are dispatched by recursive calls, deeper ones by the loop of the machine, so chains of any length need no
+Python stack.
+
+`Dispatcher.current` is the context of the event that is being dispatched, `Dispatcher.cause` the rule or event that
+events created now follow from. Both must be restored on every exit, including errors and interrupts.
+"""
 
 from itertools import count
 from typing import Any, Callable, Dict, Optional, Tuple, TypeVar
@@ -18,23 +28,23 @@ Result = TypeVar("Result")
 
 
 class Dispatcher(ListenerIndex):
-    """Hands events to listeners.
+    """Dispatcher of events to listeners.
 
     Args:
-        logic: the program's logic, whose machine runs the frames.
-        max_depth: how many events may be derived one from the other; the first of all is none of them.
+        logic: the Prolog system whose machine runs the frames.
+        max_depth: maximum length of a chain of events that are derived one from another, without the first event.
 
     Attributes:
-        current: the `Context` of the event that is being served; None for none.
-        mark: makes the token of an event; tracking replaces it.
-        at_once: to this depth events are served inside the call that makes them.
-        tracked: whether tokens tell what events came from.
-        retractions: how often events were taken back, with what came from them.
-        cause: where that is tracked, the rule and match whose goal is running, or the token of the event that asked
-            the query that is answered.
-        shortcuts: by the functor of an event, what can take the values of a rule's match in place of the event:
-            takes the rule and the action that makes the event; gives an action that may be fused, or None where
-            the rule's head does not allow it.
+        current: `Context` of the event that is being dispatched, or None.
+        mark: creates the token of an event; lineage tracking replaces it.
+        at_once: depth up to which derived events are dispatched by recursive calls.
+        tracked: whether tokens record the lineage of events.
+        retractions: number of retractions, each with all events that depended on the retracted one.
+        cause: with tracking, the rule and match whose goal is running, or the token of the event whose query is
+            answered.
+        shortcuts: by functor of an event, a function that replaces creating the event by an action on the values of a
+            match. It takes the rule and the action that creates the event, and returns an action that may be fused,
+            or None if the head of the rule does not allow it.
     """
 
     def __init__(self, logic: Optional[PrologSystem] = None, max_depth: int = 1000) -> None:
@@ -55,11 +65,11 @@ class Dispatcher(ListenerIndex):
         self.retractions = 0
 
     def mend(self) -> None:
-        """Make the plans anew and serve nothing, after an interrupt."""
+        """Clear all plans and reset the context, after an interrupt."""
         self._changed(None)
         self.restore(None, None)
 
-    def dispatch(  # noqa: C901  (each event takes it)
+    def dispatch(  # noqa: C901  (on the path of every event)
         self,
         term: Any,
         start: int,
@@ -69,24 +79,24 @@ class Dispatcher(ListenerIndex):
         ground: Optional[bool] = None,
         own: bool = True,
     ) -> Frame:
-        """Return the frame that serves an event and then goes on with ``after``.
+        """Return the frame that dispatches an event and then goes on with ``after``.
 
-        Where nobody listens, or all is done already, that is ``after`` itself. Callers have nothing left to do
-        but to return the frame: listeners may have been served when it is returned.
+        If nothing remains to be done, the result is ``after`` itself. Listeners may have run already when this
+        returns, so callers must return the frame without doing anything else.
 
         Args:
             term: the event, an atom or compound term.
-            start: the instant at which it began.
-            end: the instant at which it ended.
+            start: start of the event in ns.
+            end: end of the event in ns.
             after: the frame to go on with.
-            token: what tells the event from others, where its maker has one already.
-            ground: whether it has no variables, where its maker knows.
-            own: whether the term has no bound variables, and its unbound ones are its own; otherwise a copy
-                is served, which is made only where somebody listens.
+            token: identity of the event, if it has one already.
+            ground: whether the event has no variables, if that is known.
+            own: whether the term has no bound variables and shares no unbound ones; otherwise the event is copied,
+                but only if it has listeners.
 
         Raises:
-            UsageError: where the term is not an event, the interval is reversed, or the chain of derived events
-                is too long.
+            UsageError: if the term is not an event, it ends before it starts, or the chain of derived events is too
+                long.
         """
         if start > end:
             raise UsageError(f"an event cannot end before it starts ({start} > {end} ns)")
@@ -98,6 +108,7 @@ class Dispatcher(ListenerIndex):
         else:
             term = deref(term)
             functor = functor_of_event(term)
+        # The cache is bounded, so a plan may have been evicted; `plan` then builds it again.
         plan: Any = self._plans.get(functor)
         if plan is None:
             plan = self.plan(functor)
@@ -105,17 +116,19 @@ class Dispatcher(ListenerIndex):
             plan = plan.branch(term)
         if not plan:
             return after
+        # After the plan is known: events without listeners are never copied.
         if not own:
-            term, ground = _own(term)
+            term, ground = _owned_copy(term)
         parent = self.current
         depth = 1 if parent is None else parent[DEPTH] + 1
         context = [term, start, end, parent, depth, ground, self.cause, token]
         steps = iter(plan)
         frame: Frame = (SERVE, self, steps, context, after)
+        # Each level of recursion uses several Python frames. The loop of the machine uses none.
         if depth > self.at_once:
-            return self._later(frame, depth)
+            return self._deferred(frame, depth)
         self.current = context
-        for matcher, action in steps:  # as `_Serve.run`, whose call would be 5 % of a short event
+        for matcher, action in steps:  # inlined from `_Serve.run`, because a call costs 5 % of a short event
             values = matcher(term)
             if values is not None:
                 next_frame = action(term, values, start, end, frame)
@@ -125,13 +138,14 @@ class Dispatcher(ListenerIndex):
         return after
 
     def serve(self, term: Any, start: int, end: int, ground: Optional[bool]) -> None:
-        """Serve an event that comes in, with all that is derived from it, by a fused action if there is one.
+        """Dispatch an input event and all events derived from it, by a fused action if possible.
 
-        If anything raises, what was being served before is being served again. The arguments and the errors are
-        those of `dispatch`.
+        If an exception is raised, the previous context is restored. Arguments and errors are those of `dispatch`.
         """
         current, cause, done = self.current, self.cause, self._done
         try:
+            # A fused action gets no values, so the event must be ground, and it must be an input event: only then is
+            # no other dispatch in progress that the action would have to return to.
             fused = (
                 self.fused.get(term[0]) if ground and current is None and term.__class__ is tuple else None
             )
@@ -141,14 +155,15 @@ class Dispatcher(ListenerIndex):
                 self.current = [term, start, end, None, 1, True, cause, None]
                 frame = fused(term, None, start, end, done)  # type: ignore[arg-type]
             if frame is not done:
+                # Most events are finished by now; only goals that need the machine leave a frame.
                 self._run(frame)
             self.current = current
         except BaseException:
             self.restore(current, cause)
             raise
 
-    def _later(self, frame: Frame, depth: int) -> Frame:
-        """Return the frame of an event that the machine's loop is to serve, where that may still be derived."""
+    def _deferred(self, frame: Frame, depth: int) -> Frame:
+        """Return the frame of a derived event for the loop of the machine, if the limits allow it."""
         if depth > self._deepest:
             raise UsageError(f"more than {self.max_depth} events were derived one from another")
         if self._budget.closed:
@@ -156,7 +171,7 @@ class Dispatcher(ListenerIndex):
         return frame
 
     def _refuse_past_limits(self) -> None:
-        """Raise an error where all is used up that what came in may use: it derives no more long chains of events."""
+        """Raise an error if the input event has used up its resource limits."""
         try:
             self._budget.admit()
         except PrologError as error:
@@ -175,20 +190,22 @@ class Dispatcher(ListenerIndex):
         end: int,
         after: Frame,
     ) -> Frame:
-        """Return the frame to go on with when a goal was called once for the event that is being served.
+        """Return the next frame after calling a goal once for the current event.
 
-        What is to be handed on comes as arguments: functions made for each call would cost more than the rest of it.
+        The values for the callbacks are passed as arguments, because creating a closure per call would cost more than
+        the rest of the call.
 
         Args:
-            goal: what to call.
+            goal: the goal.
             given: its inputs.
-            on_error: is told of values and error where the goal raised one.
-            solved: takes term, values with the outputs of the first solution after them, start, end and next frame.
-            term: handed on.
-            values: handed on.
-            start: handed on.
-            end: handed on.
-            after: the frame to go on with where there is no solution, too.
+            on_error: called with ``values`` and the error if the goal raises one.
+            solved: called with term, values with the outputs of the first solution appended, start, end and next
+                frame.
+            term: passed to ``solved``.
+            values: passed to ``solved``.
+            start: passed to ``solved``.
+            end: passed to ``solved``.
+            after: the next frame, also if there is no solution.
         """
         context = self.current
         if context is not None and context[DEPTH] > AT_ONCE:
@@ -196,12 +213,12 @@ class Dispatcher(ListenerIndex):
                 context, goal, given, on_error, solved, term, values, start, end, after
             )
         try:
-            found = goal.test(given)
+            outputs = goal.test(given)
         except PrologError as error:
             self.current = context
             on_error(values, error)
             return after
-        return after if found is None else solved(term, values + found, start, end, after)
+        return after if outputs is None else solved(term, values + outputs, start, end, after)
 
     def _call_by_frames(
         self,
@@ -218,7 +235,7 @@ class Dispatcher(ListenerIndex):
     ) -> Frame:
         """Return the frame that calls a goal by steps of the machine; see `call`.
 
-        Apart from `call`, whose own variables would be slower if functions inside of it used them.
+        This is a separate function, because closures would make the variables of `call` slower cell variables.
         """
 
         def failed(error: PrologError) -> None:
@@ -226,30 +243,32 @@ class Dispatcher(ListenerIndex):
             on_error(values, error)
 
         return self._machine.attempt(  # type: ignore[no-any-return]
-            goal, given, lambda found: solved(term, values + found, start, end, after), after, failed
+            goal, given, lambda outputs: solved(term, values + outputs, start, end, after), after, failed
         )
 
     @property
     def tokens(self) -> int:
         """The number that the next event gets, where events are told apart by numbers."""
+        # Reading the next value of a counter consumes it, so the counter is replaced.
         number = next(self._tokens)
         self._tokens = count(number)
         return number
 
     @tokens.setter
     def tokens(self, number: int) -> None:
+        """The number of the next event, if events are identified by numbers."""
         self._tokens = count(number)
 
     def state(self) -> Tuple[Any, Any]:
-        """Return what is being served and why, for `restore`."""
+        """Return the current context and cause, for `restore`."""
         return self.current, self.cause
 
     def restore(self, current: Any, cause: Any) -> None:
-        """Serve again what was being served, for the cause that it had: what came in between is over, or has failed.
+        """Restore an earlier context and cause.
 
         Args:
-            current: what was `current`; None for nothing.
-            cause: what was `cause`; that of now where nothing in between leaves another.
+            current: earlier value of `current`; None for no event.
+            cause: earlier value of `cause`.
         """
         self.current = current
         self.cause = cause
@@ -257,27 +276,27 @@ class Dispatcher(ListenerIndex):
     def caused_by(
         self, cause: Any, then: Callable[..., Frame], after: Frame
     ) -> Tuple[Callable[..., Frame], Frame]:
-        """Have events know the rule and match whose goal makes them, until that goal is over.
+        """Set the cause of the events that a goal creates, until the goal is finished.
 
         Returns:
-            What to go on with in place of ``then`` and ``after``.
+            Replacements for ``then`` and ``after``, which restore the previous cause.
         """
         before = self.cause
 
-        def over(*found: Any) -> Frame:
+        def restoring(*solution: Any) -> Frame:
             self.cause = before
-            return then(*found)
+            return then(*solution)
 
         self.cause = cause
-        return over, (CAUSE_AGAIN, self, before, after)
+        return restoring, (CAUSE_AGAIN, self, before, after)
 
     def following(self, token: object, after: Frame) -> Frame:
-        """Have events know the one that they follow from by its token; return the frame that ends this."""
+        """Set the cause of events to the event with a token; return the frame that ends this."""
         before, self.cause = self.cause, token
         return CAUSE_AGAIN, self, before, after
 
     def undisturbed(self, work: Callable[[], Result]) -> Result:
-        """Return what work returns; where it raises, what was being served before is being served again."""
+        """Return the result of ``work``; if it raises an exception, restore the context first."""
         state = self.state()
         try:
             return work()
@@ -286,7 +305,7 @@ class Dispatcher(ListenerIndex):
             raise
 
     def apart(self, work: Callable[[], Result]) -> Result:
-        """Return what work returns; what it dispatches follows from nothing that is being served."""
+        """Return the result of ``work``; the events that it dispatches are not derived from the current event."""
         state = self.state()
         self.restore(None, None)
         try:
@@ -295,32 +314,32 @@ class Dispatcher(ListenerIndex):
             self.restore(*state)
 
     def ground(self) -> bool:
-        """Tell whether the event that is being served has no variables."""
-        context = self._served()
+        """Return whether the current event has no variables."""
+        context = self._current_context()
         if context[GROUND] is None:
             context[GROUND] = is_ground(context[TERM])
         return context[GROUND]  # type: ignore[no-any-return]
 
     def is_of_ground(self, match: Any) -> bool:
-        """Tell whether a match is of the event alone that is being served, and that has no variables."""
+        """Return whether a match consists of the current event only, and that event has no variables."""
         context = self.current
         return match.parts is None and context is not None and match.term is context[TERM] and self.ground()
 
     def token(self) -> Any:
-        """Return what tells the event that is being served from all others."""
-        context = self._served()
+        """Return the unique token of the current event."""
+        context = self._current_context()
         if context[TOKEN] is None:
             context[TOKEN] = self.mark(context)
         return context[TOKEN]
 
-    def _served(self) -> Context:
+    def _current_context(self) -> Context:
         context: Optional[Context] = self.current
         assert context is not None
         return context
 
 
-def _own(term: Term) -> Tuple[Term, bool]:
-    """Return an event whose variables are its own, and whether it has none."""
+def _owned_copy(term: Term) -> Tuple[Term, bool]:
+    """Return an event that shares no variables, and whether it is ground."""
     if is_plain(term):
         return term, True
     fresh: Dict[Var, Term] = {}

@@ -1,6 +1,8 @@
-"""Who listens to events: found by their functor and then by the constants in patterns.
+"""Index of listeners: by functor of the pattern, then by the constants in its arguments.
 
-Both are dictionaries, so an event costs nothing for listeners whose constants differ.
+Both levels are dictionaries, so an event has no cost for listeners with other constants. The index also owns what
+depends on the set of listeners, and invalidates it when a listener is added or removed: plans (see
+`discrimination_tree`), pushdown filters, fused actions and argument projections.
 """
 
 from itertools import count
@@ -20,17 +22,17 @@ def nothing() -> None:
     """Do nothing."""
 
 
-_GATES = 1000
-"""Functors with gates from which on it is looked which gates are still used."""
+_MIN_FILTERS_TO_SWEEP = 1000
+"""Number of functors with filters above which unused filters are removed."""
 
 
 class ListenerIndex:
-    """The listeners of events, with the plans, gates and fused actions that follow from them.
+    """Listeners of events, with the plans, filters and fused actions that are derived from them.
 
     Attributes:
-        fused: actions that take the events of a functor without their values, by functor; see `listen`.
-        unread: which arguments of events nobody reads.
-        on_change: called when listeners have come or gone; it may not fail, nor take long.
+        fused: by functor, action that takes an event without its values; see `listen`.
+        unread: arguments of events that no listener reads.
+        on_change: called when listeners are added or removed; it must be fast and must not fail.
     """
 
     def __init__(self) -> None:
@@ -39,8 +41,8 @@ class ListenerIndex:
         self.on_change: Callable[[], object] = nothing
         self._plans: Cache[Functor, Plan] = Cache(10_000, 16 << 20)
         self.fused: Dict[Functor, EventAction] = {}
-        self._gates: Dict[Functor, WeakValueDictionary[Tuple[int, ...], PushdownFilter]] = {}
-        self._many_gates = _GATES
+        self._filters: Dict[Functor, WeakValueDictionary[Tuple[int, ...], PushdownFilter]] = {}
+        self._sweep_threshold = _MIN_FILTERS_TO_SWEEP
         self._matchers: WeakValueDictionary[Hashable, Matcher] = WeakValueDictionary()
         self._order = count()
 
@@ -53,26 +55,27 @@ class ListenerIndex:
         fused: bool = False,
         unused: AbstractSet[Var] = frozenset(),
     ) -> Listener:
-        """Have ``action`` called for every event that unifies with ``pattern``.
+        """Add a listener, whose ``action`` is called for every event that unifies with ``pattern``.
 
-        A listener added while an event is dispatched sees later events only.
+        A listener that is added while an event is dispatched gets later events only.
 
         Args:
-            stage: when it is served.
-            pattern: an atom, a compound term, or a variable for any event. It is copied.
-            action: does its part and returns the frame to go on with, ``next`` if there is nothing more to do.
-            rank: place within the stage; by default after all there are.
-            fused: whether ``action`` may get None for the values, which are the arguments of the event then. It
-                does for events without variables that come in, if no other listener takes events of the functor
-                and the pattern takes all of them.
-            unused: variables of the pattern whose values nobody looks at, so that they may be `NOT_READ`. Where
-                the pattern is one of them, it gets events as they come, with `NOT_READ` in them.
+            stage: phase in which it is called.
+            pattern: an atom, a compound term, or a variable for all events. It is copied.
+            action: processes a match and returns the next frame, which is its argument ``next`` if it is finished.
+            rank: position within the phase; by default after all others.
+            fused: whether ``action`` accepts None for the values, which are then the arguments of the event. This is
+                done for ground input events, if the functor has no other listener and the pattern matches all its
+                events.
+            unused: variables of the pattern whose values are not read, so that they may be `NOT_READ`. If the pattern
+                itself is one of them, the listener gets events that contain `NOT_READ`.
 
         Raises:
-            UsageError: for a pattern that no event can match (a number, a string).
+            UsageError: if the pattern is a number or a string, which no event is.
         """
         unread = unread_positions(pattern, unused)
         partial = pattern.__class__ is Var and pattern in unused
+        # The caller may bind the variables of its own pattern later.
         pattern = copy(pattern)
         functor = _functor_of(pattern)
         key = term_key(pattern)
@@ -82,48 +85,51 @@ class ListenerIndex:
         order = (int(stage), *(rank or (next(self._order),)), next(self._order))
         listener = Listener(order, pattern, functor, matcher, action, fused, unread, partial)
         self._listeners.setdefault(functor, {})[listener] = None
+        # The listener must be in the table before `guard` runs; see `ArgumentProjection.tell`.
         self.unread.guard(listener)
         self._changed(functor)
         return listener
 
     def remove(self, listener: Listener) -> None:
-        """Take a listener away; removing it twice is not an error."""
+        """Remove a listener; removing it twice is not an error."""
         group = self._listeners.get(listener.functor, {})
+        # The value of a present listener is None, so the default 0 marks an absent one.
         if group.pop(listener, 0) is None:
             if not group:
                 del self._listeners[listener.functor]
             self._changed(listener.functor)
 
     def keep_only(self, stage: ListenerPhase, chosen: Collection[Listener]) -> None:
-        """Take away all listeners of a stage but some."""
+        """Remove all listeners of a phase except some."""
         for group in list(self._listeners.values()):
             for listener in list(group):
                 if listener.order[0] == stage and listener not in chosen:
                     self.remove(listener)
 
     def gate(self, functor: Functor, positions: Tuple[int, ...] = ()) -> PushdownFilter:
-        """Return what tells whether an event of a functor can concern anybody, see `PushdownFilter`.
+        """Return a filter that decides whether an event can match a listener, see `PushdownFilter`.
 
         Args:
-            functor: of the events.
-            positions: which of their arguments are looked at, counted from 1.
+            functor: functor of the events.
+            positions: the arguments that are known to the caller, counted from 1.
         """
-        gates = self._gates.get(functor)
+        gates = self._filters.get(functor)
         if gates is None:
-            if len(self._gates) >= self._many_gates:  # of rules and clauses that come and go
-                self._gates = {key: found for key, found in self._gates.items() if len(found)}
-                self._many_gates = 2 * len(self._gates) + _GATES
-            gates = self._gates[functor] = WeakValueDictionary()
+            if len(self._filters) >= self._sweep_threshold:  # filters of removed rules and clauses
+                self._filters = {key: filters for key, filters in self._filters.items() if len(filters)}
+                self._sweep_threshold = 2 * len(self._filters) + _MIN_FILTERS_TO_SWEEP
+            gates = self._filters[functor] = WeakValueDictionary()
         gate = gates.get(positions)
         if gate is None:
             gate = gates[positions] = PushdownFilter(positions, self._plans.get(functor))
         return gate
 
     def takes_name(self, name: str) -> bool:
-        """Return whether a pattern names events with this name; patterns for all events do not count."""
+        """Return whether a pattern has this event name; patterns for all events are ignored."""
         return any(functor is not None and functor.name == name for functor in list(self._listeners))
 
     def _changed(self, functor: Optional[Functor]) -> None:
+        # A listener for all events takes part in every plan.
         self.on_change()
         if functor is None:
             self._plans.clear()
@@ -131,22 +137,23 @@ class ListenerIndex:
         else:
             self._plans.pop(functor, None)
             self.fused.pop(functor, None)
-        for gates in list(self._gates.values()) if functor is None else self._gates_of(functor):
+        for gates in list(self._filters.values()) if functor is None else self._filters_of(functor):
             for gate in list(gates.values()):
                 gate.plan = None
 
-    def _gates_of(self, functor: Functor) -> "List[WeakValueDictionary[Tuple[int, ...], PushdownFilter]]":
-        gates = self._gates.get(functor)
+    def _filters_of(self, functor: Functor) -> "List[WeakValueDictionary[Tuple[int, ...], PushdownFilter]]":
+        gates = self._filters.get(functor)
         return [] if gates is None else [gates]
 
     def plan(self, functor: Functor) -> Plan:
-        """Return what is done with the events of a functor, and have its gates know it."""
+        """Build and return the plan for the events of a functor, and pass it to the filters."""
         listeners = [*self._listeners.get(functor, ()), *self._listeners.get(None, ())]
         listeners.sort(key=lambda listener: listener.order)
         plan = self._plans.keep(functor, make_plan(listeners), len(functor.name))
-        for gates in self._gates_of(functor):
+        for gates in self._filters_of(functor):
             for gate in list(gates.values()):
                 gate.plan = plan
+        # Without values, an action cannot tell a match from a mismatch, so the pattern must accept all events.
         if len(listeners) == 1 and listeners[0].fused and takes_all(listeners[0].pattern):
             self.fused[functor] = listeners[0].action
         return plan
@@ -156,7 +163,7 @@ def functor_of_event(term: Term) -> Functor:
     """Return the functor of an event.
 
     Raises:
-        UsageError: for what is none.
+        UsageError: if the term is not an event.
     """
     functor = _functor_of(term)
     if functor is None:
@@ -171,8 +178,8 @@ def _functor_of(term: Term) -> Optional[Functor]:
         UsageError: for a number or string.
     """
     if term.__class__ is tuple:
-        found: Functor = term[0]
-        return found
+        functor: Functor = term[0]
+        return functor
     if term.__class__ is Atom:
         return term.functor
     if term.__class__ is Var:

@@ -1,6 +1,12 @@
-"""Event patterns compiled to Python: from an event term to the values of the pattern's variables.
+"""Compilers from terms to Python functions: matchers for event patterns, and builders for rule heads.
 
-Terms built from values by compiled code: heads of rules, and what aggregates collect.
+A matcher takes an event and returns the values of the variables of a pattern, or None. It is generated as straight
+code: unpack a compound, compare its constants, go on with its compound arguments. Events are almost always ground; if
+an event has a variable where the pattern has a constant or compound, or if two occurrences of a pattern variable have
+values that are not obviously equal, the generated code falls back to general unification of a copy of the pattern.
+
+A builder is the inverse: it creates a term from values. Generated sources contain no data of the program, only
+structure, so `shared_function` compiles equal structures once.
 """
 
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
@@ -12,37 +18,36 @@ from ...prolog.terms.types import Atom, CompoundTerm, Lazy, String, Term, Trail,
 from ...prolog.terms.unification import same_constant, undo, unify
 
 Matcher = Callable[[Term], Optional[Values]]
-"""Takes an event term (no bound variables in it); gives the values of the pattern's variables, or None."""
+"""Function from an event without bound variables to the values of the variables of a pattern, or None."""
 
 
 def compile_matcher(pattern: Term) -> Matcher:
-    """Return the matcher of a pattern; values come in the order of ``terms.variables(pattern)``.
+    """Return the matcher of a pattern; values are in the order of ``terms.variables(pattern)``.
 
-    The event's functor is not looked at: the dispatcher has chosen by it. Events without variables are taken
-    apart in straight code; where a variable of the event stands in the way, or the pattern is large, terms are
-    unified in general.
+    The functor of the event is not tested, because the dispatcher has selected the matcher by it.
     """
     pattern = resolve(pattern)
     if pattern.__class__ is Var:
-        return _whole
+        return _match_anything
     if pattern.__class__ is not tuple:
-        return _nothing
+        return _match_constant
+    # Very large functions take CPython long to compile, and unpacking has a limit of arguments.
     if is_larger(pattern, MAX_TERM_ARGUMENTS):
         order = variables(pattern)
         return lambda term: unify_pattern(pattern, order, term)
-    return _MatcherWriter(pattern).matcher()
+    return _MatcherGenerator(pattern).matcher()
 
 
-def _whole(term: Term) -> Optional[Values]:
+def _match_anything(term: Term) -> Optional[Values]:
     return (term,)
 
 
-def _nothing(term: Term) -> Optional[Values]:
+def _match_constant(term: Term) -> Optional[Values]:
     return ()
 
 
-class _MatcherWriter:
-    """Writes the source of one matcher."""
+class _MatcherGenerator:
+    """Generator for the source of one matcher."""
 
     def __init__(self, pattern: CompoundTerm):
         self.pattern = pattern
@@ -56,15 +61,16 @@ class _MatcherWriter:
         self.names["general"] = _general(self.pattern, order)
         pending: List[Tuple[str, CompoundTerm]] = [("term", self.pattern)]
         while pending:
-            pending.extend(reversed(self._take_apart(*pending.pop())))
+            # Depth first, left to right, so that the order of tests follows the order of the pattern.
+            pending.extend(reversed(self._unpack(*pending.pop())))
         values = ", ".join(self.places[var] for var in order)
         self.lines.append(f"    return ({values}{',' if len(order) == 1 else ''})")
         source = "def made(term):\n" + "\n".join(self.lines) + "\n"
-        made: Matcher = shared_function(source, self.names, "matcher")
-        return made
+        matcher: Matcher = shared_function(source, self.names, "matcher")
+        return matcher
 
-    def _take_apart(self, name: str, pattern: CompoundTerm) -> List[Tuple[str, CompoundTerm]]:
-        """Unpack a compound; test its constants; return its compound arguments with their names."""
+    def _unpack(self, name: str, pattern: CompoundTerm) -> List[Tuple[str, CompoundTerm]]:
+        """Emit unpacking and constant tests for a compound; return its compound arguments with their names."""
         inner: List[Tuple[str, CompoundTerm]] = []
         tests: List[str] = []
         targets = []
@@ -117,7 +123,7 @@ class _MatcherWriter:
 
 
 def _same(left: Term, right: Term) -> bool:
-    """Tell whether two values are surely the same term; general unification decides the rest."""
+    """Return whether two values are certainly the same term; if not, general unification decides."""
     try:
         return bool(freeze(left) == freeze(right))
     except ValueError:
@@ -125,9 +131,10 @@ def _same(left: Term, right: Term) -> bool:
 
 
 def _general(pattern: Term, order: List[Var]) -> Callable[[Term, Optional[Term]], Optional[Values]]:
-    """Return what matches when straight code cannot: ``met`` is what stood in the way, None for any."""
+    """Return the general matcher; ``met`` is the value that stopped the generated code, or None."""
 
     def general(term: Term, met: Optional[Term]) -> Optional[Values]:
+        # Generated code has compared a constant with ``met``. If ``met`` is not a variable, they differ for good.
         if met is not None and deref(met).__class__ is not Var:
             return None
         return unify_pattern(pattern, order, term)
@@ -136,7 +143,7 @@ def _general(pattern: Term, order: List[Var]) -> Callable[[Term, Optional[Term]]
 
 
 def unify_pattern(pattern: Term, order: List[Var], term: Term) -> Optional[Values]:
-    """Unify a copy of the pattern with the event; nothing stays bound."""
+    """Unify a copy of the pattern with the event, and undo all bindings."""
     fresh: Dict[Var, Term] = {var: Var() for var in order}
     trail: Trail = []
     values: Optional[Values] = None
@@ -147,26 +154,26 @@ def unify_pattern(pattern: Term, order: List[Var], term: Term) -> Optional[Value
 
 
 def compile_builder(term: Term, order: Sequence[Var], title: str) -> Callable[[Values], Term]:
-    """Return a function that makes ``term`` from the values of ``order``; other variables are new each time."""
+    """Return a function that creates ``term`` from the values of ``order``, with new variables for all others."""
     term = resolve(term)
     if is_ground(term):
         return lambda values: term
     if is_larger(term, MAX_TERM_ARGUMENTS):
         return lambda values: copy(term, dict(zip(order, values)))
     names = codegen.BoundNames({})
-    lines, result = builder_source(term, {var: f"v[{at}]" for at, var in enumerate(order)}, names)
+    lines, result = builder_source(term, {var: f"v[{index}]" for index, var in enumerate(order)}, names)
     source = "\n    ".join(["def made(v):", *lines, f"return {result}"]) + "\n"
-    made: Callable[[Values], Term] = shared_function(source, names.values, title)
-    return made
+    builder: Callable[[Values], Term] = shared_function(source, names.values, title)
+    return builder
 
 
 def builder_source(term: Term, known: Mapping[Var, str], names: codegen.BoundNames) -> Tuple[List[str], str]:
-    """Return the lines that make a term, and the expression that it is after them.
+    """Return statements that create a term, and an expression for the term after them.
 
     Args:
-        term: the term, not `MAX_TERM_ARGUMENTS`; variables that are not known are new each time.
-        known: the expressions of the values of variables.
-        names: get what the lines name.
+        term: the term, not larger than `MAX_TERM_ARGUMENTS`; unknown variables are fresh in each call.
+        known: expressions for the values of variables.
+        names: collects the objects that the statements refer to.
     """
     places = dict(known)
     lines: List[str] = []
@@ -189,7 +196,7 @@ def builder_source(term: Term, known: Mapping[Var, str], names: codegen.BoundNam
 def _build(
     term: Term, leaf: Callable[[Term], str], constant: Callable[[object], str], lines: List[str]
 ) -> str:
-    """Write one assignment for each compound with variables, inner ones first; return the name of the whole."""
+    """Emit one assignment per compound with variables, inner ones first; return the name of the outermost one."""
     if term.__class__ is not tuple:
         return leaf(term)
     stack: List[List[Any]] = [[term, []]]
@@ -203,6 +210,7 @@ def _build(
                 return name
             stack[-1][1].append(name)
             continue
+        # An explicit stack, because terms may be nested deeper than the recursion limit.
         item = source[len(done) + 1]
         if item.__class__ is not tuple:
             done.append(leaf(item))

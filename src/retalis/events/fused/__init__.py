@@ -1,1 +1,1 @@
-"""Fused paths: generated functions that do the work of several listeners."""
+"""Fused paths: generated functions that each do the work of several network nodes."""

@@ -1,4 +1,10 @@
-"""Actions of rules: a goal of a single event, the event that a rule makes, and a synchronized query."""
+"""Fused actions of rules with a single event: goal call, emission of the head, and synchronized query.
+
+The general path creates a match, calls the goal through the machine, builds the head event and dispatches it. The
+functions generated here do the same on the values of the event directly. Each begins with the conditions under which
+that is allowed (ground event, low depth, a goal without choice points) and otherwise calls the general path (`plain`)
+before anything has changed. Results are the same on both paths.
+"""
 
 from typing import Any, Callable, List, NamedTuple, Optional, Sequence
 
@@ -16,22 +22,22 @@ from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import AT_ONCE, DEPTH, GROUND, RESTORE_CONTEXT
 from ..dispatch.matcher_compiler import builder_source
 
-_OPEN_GATE = PushdownFilter((), None)
-"""A gate that lets everything pass, as its plan is never known."""
+_OPEN_FILTER = PushdownFilter((), None)
+"""Filter that passes all events, because its plan stays unknown."""
 
 
 class Continuation(NamedTuple):
-    """The action for the values of a match of one event, with what is known about it.
+    """Action for the values of a match of one event, with properties that allow to shorten it.
 
     Attributes:
         action: the action.
-        fused: whether it may get None for the values of a pattern that takes all events of its functor.
-        gate: that of the event that it makes: where nobody wants it, the action has nothing to do.
+        fused: whether the action accepts None for the values of a pattern that matches all events of its functor.
+        gate: filter for the event that the action creates; if it has no listeners, the action has no effect.
     """
 
     action: EventAction
     fused: bool = False
-    gate: PushdownFilter = _OPEN_GATE
+    gate: PushdownFilter = _OPEN_FILTER
 
 
 def firing_action(
@@ -41,20 +47,21 @@ def firing_action(
     gate: PushdownFilter,
     failed: Callable[[UsageError, Frame], Frame],
 ) -> EventAction:
-    """Return the action that emits a rule's head for a match.
+    """Return the action that emits the head of a rule for a match.
 
     Args:
-        head: the head, which is no alarm.
+        head: the head, not an alarm.
         order: the variables, in the order of the values of a match.
         rule: the rule.
-        gate: that of the event.
-        failed: takes the error of an event that is none, and the next frame; returns that.
+        gate: filter for the head event.
+        failed: called with the error if the head is not a valid event, and the next frame; returns a frame.
     """
     names = codegen.BoundNames({})
-    lines, event = builder_source(head, {var: f"values[{at}]" for at, var in enumerate(order)}, names)
+    lines, event = builder_source(head, {var: f"values[{index}]" for index, var in enumerate(order)}, names)
     body: List[Statement] = [
         "firings.number += 1",
         "firings.last = end",
+        # The firing is counted first: metrics must not depend on whether the event has listeners.
         Block("if gate.plan is NOBODY:", ["return after"]),
         *lines,
         Block("try:", [f"return dispatch({event}, start, end, after)"]),
@@ -68,7 +75,7 @@ def firing_action(
         NOBODY=NOBODY,
         UsageError=UsageError,
     )
-    if rule.meter is not None:  # as the function that `Budget.meter` returns
+    if rule.meter is not None:  # inlined from the function that `Budget.meter` returns
         budget = rule.network.logic.machine.budget
         body[:0] = [
             "pattern_steps[0] = steps_left = pattern_steps[0] - 1",
@@ -76,8 +83,8 @@ def firing_action(
         ]
         names.values.update(pattern_steps=budget.pattern_steps, stops=budget.stops, rule=rule)
     source = source_of([Block("def made(term, values, start, end, after):", body)])
-    made: EventAction = shared_function(source, names.values, "head of a rule")
-    return made
+    action: EventAction = shared_function(source, names.values, "head of a rule")
+    return action
 
 
 def goal_action(
@@ -92,11 +99,11 @@ def goal_action(
 
     Args:
         goal: the goal; its inputs are the values of the match, and it has no outputs.
-        inputs: how many there are.
+        inputs: number of inputs.
         rule: the rule.
-        failed: takes the error of the goal.
-        plain: does the same, for any event.
-        completion: goes on where the goal succeeds.
+        failed: called with the error of the goal.
+        plain: the general path, for any event.
+        completion: action if the goal succeeds.
     """
     machine = rule.network.logic.machine
     names = {
@@ -115,13 +122,13 @@ def goal_action(
         "done": machine.done,
         "undo": undo,
     }
-    made: EventAction = shared_function(_goal_source(inputs), names, "goal of a rule")
-    return made
+    action: EventAction = shared_function(_goal_source(inputs), names, "goal of a rule")
+    return action
 
 
 def _goal_source(inputs: int) -> str:
-    """Return the source of the action of a goal with so many inputs."""
-    values = ", ".join(f"a{at}" for at in range(inputs))
+    """Return the source of the action for a goal with a number of inputs."""
+    values = ", ".join(f"a{index}" for index in range(inputs))
     body: List[Statement] = [
         "context = dispatcher.current",
         Block(
@@ -132,28 +139,29 @@ def _goal_source(inputs: int) -> str:
         Block("else:", [f"{values}, = values"]),
         f"frame = (code, {values}, done)",
         "mark = len(trail)",
-        "asked = budget.goal",
-        Block(  # as `Machine.check`, in an entry that has been entered
+        "outer_goal = budget.goal",
+        Block(  # inlined from `Machine.check`, within an entry of the machine
             "try:",
             [
                 Block("if budget.closed:", ["budget.admit()"]),
                 "budget.goal = goal",
-                "left = code.run(frame)",
-                "found = (left is done and len(trail) == mark) or machine.settle(left, mark)",
+                "last = code.run(frame)",
+                "solved_goal = (last is done and len(trail) == mark) or machine.settle(last, mark)",
             ],
         ),
         Block(
             "except Exception as exc:",
             [
                 "dispatcher.current = context",
-                "budget.goal = asked",
+                "budget.goal = outer_goal",
                 "failed(machine.error(exc, frame, mark))",
                 "return after",
             ],
         ),
+        # Interrupts arrive as BaseException at any point; bindings must not survive them.
         Block("except BaseException:", ["undo(trail, mark)", "raise"]),
-        Block("finally:", ["budget.goal = asked"]),
-        Block("if not found:", ["return after"]),
+        Block("finally:", ["budget.goal = outer_goal"]),
+        Block("if not solved_goal:", ["return after"]),
         Block("if gate.plan is NOBODY:", ["firings.number += 1", "firings.last = end", "return after"]),
         f"return solved(term, ({values},), start, end, after)",
     ]
@@ -168,14 +176,14 @@ def question_action(
     plain: EventAction,
     meter: Optional[Meter],
 ) -> EventAction:
-    """Return the action that asks a synchronized query with the values of a match, without making its event.
+    """Return the action that runs a synchronized query for the values of a match, without creating its event.
 
     Args:
-        dispatcher: of the events.
+        dispatcher: the dispatcher of the events.
         key: functor of the event.
-        known: how many of the values of a match, the first ones, are ground where the event is.
-        ask: what the listener does; takes values, start, end and the next frame.
-        plain: makes the event and has it served.
+        known: number of leading values of a match that are ground if the event is.
+        ask: action of the listener of the event; takes values, start, end and the next frame.
+        plain: creates the event and dispatches it.
         meter: counts the pattern work of the rule; see `Budget.meter`.
     """
     gate, ground, at_once = dispatcher.gate(key), dispatcher.ground, dispatcher.at_once
@@ -184,6 +192,7 @@ def question_action(
         context = dispatcher.current
         if values is None:
             values = term[1:]  # type: ignore[index]
+        # Exactly one listener, the query itself, may take the event; otherwise the event must exist for the others.
         plan: Any = gate.plan
         if plan is None:
             plan = dispatcher.plan(key)
@@ -199,6 +208,7 @@ def question_action(
         if meter is not None and meter(1):
             return after
         dispatcher.current = [TRUE, start, end, context, context[DEPTH] + 1, True, dispatcher.cause, None]
+        # The context of the event that is not created is pushed nevertheless: the query sees its interval and depth.
         following = (RESTORE_CONTEXT, dispatcher, context, after)
         frame = ask(values, start, end, following)
         if frame is not following:

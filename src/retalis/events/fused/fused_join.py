@@ -1,8 +1,12 @@
-"""An event that is a side of a pair, or that must not happen, served by one function.
+"""Fused join inputs: one generated function per operand of a join, and per negated event.
 
-The plain way is `waiting_only`, `taking_one` and `taking_all` on a `MatchBuffer`, for a `Joining` node. The functions
-generated here do the same to the same matches if the key is an atom, an integer or a string and one partner is
-enough. Everything else goes the plain way before a match is added or removed; the clock of the rule may have moved.
+The general path is `waiting_only`, `taking_one` and `taking_all` on a `MatchBuffer`, called by a join node. The
+functions generated here do the same to the same matches if the key is an atom, an integer or a string, and at most
+one partner is needed. All other cases call the general path before a match is added or removed; only the clock of the
+rule may have advanced.
+
+A generated function performs these steps: compute the join key, advance the clock and expire matches, look up the
+partner, compare intervals, run conditions and absences, then emit the pair or store the match.
 """
 
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
@@ -18,26 +22,25 @@ from ..matches.partial_matches import EventMatch, Found, PartialMatch
 from .fused_actions import Continuation
 
 SPARE = 1000
-"""Matches that may have left a rule's arrivals before these are looked through."""
+"""Number of removed matches in the list of arrivals of a rule above which the list is compacted."""
 
 _RETURN = "return after"
-_COMPLETE = "return complete(None, met, start, end, after)"
+_EMIT_COMPLETE = "return complete(None, met, start, end, after)"
 
 
 class FusedPair(NamedTuple):
-    """A two-sided node, as its fused sides see it.
+    """Join node, with the properties that its fused operands need.
 
     Attributes:
-        whole: whether the matches of its left and of its right side are events whose arguments are the values.
-        operator: which pairs fit, and their interval.
-        span: the longest interval of a pair, in ns; None for no bound.
-        taken: the variables of the values of a pair, and the sources of these: of ``lv[0]``, the first value of the
-            left match, and the like.
-        blocks: what tells for each absence whether it is in the way.
-        tests: of a pair.
-        tested: the further variables to which the tests give values.
-        found: takes those of these values that are not carried on.
-        complete: takes the values of a whole match; None where pairs are given on as matches.
+        whole: for the left and the right operand, whether the values of a match are the arguments of the event.
+        operator: the operator; it determines which intervals fit, and the interval of a pair.
+        span: maximum interval of a pair in ns; None for no limit.
+        taken: the variables of a pair, and the source of each: ``lv[0]`` is the first value of the left match.
+        blocks: for each absence a function that returns whether it prevents the pair.
+        tests: conditions of a pair.
+        tested: additional variables that the conditions bind.
+        found: selects those of these values that are not passed on with the match.
+        complete: action for the values of a complete match; None if pairs are emitted as partial matches.
     """
 
     whole: Tuple[bool, bool]
@@ -52,12 +55,12 @@ class FusedPair(NamedTuple):
 
 
 class PartnerChoice(NamedTuple):
-    """The choice of partners by a side; None in its place for a side that only waits.
+    """Selection of partners by an operand, from the consumption policy.
 
     Attributes:
-        newest: whether it looks at the newest first; else at the oldest.
-        consumes: whether it takes one partner and consumes it; else it takes all.
-        among: gives a match one of the partners but one that does not fit; see `among_others`.
+        newest: whether the newest partner is tried first, otherwise the oldest one.
+        consumes: whether one partner is taken and consumed; otherwise all partners are taken.
+        among: combines a match with one of the partners except the one that does not fit; see `among_others`.
     """
 
     newest: bool
@@ -73,15 +76,15 @@ def fused_side(
     plain: EventAction,
     emit: Emit,
 ) -> EventAction:
-    """Return the action of an event that is a side of a pair.
+    """Return the action for an event that is an operand of a join.
 
     Args:
-        side: the side.
+        side: the operand.
         pair: the node.
-        choice: how it chooses partners; None where it only waits.
+        choice: selection of partners; None for an operand that only waits.
         rule: the rule.
-        plain: the plain way.
-        emit: takes pairs as matches, where they are no whole ones.
+        plain: the general path.
+        emit: receives pairs as matches, if these are not complete.
     """
     names = {
         **_common_names(rule, side.own, plain),
@@ -93,25 +96,27 @@ def fused_side(
         "among": None if choice is None else choice.among,
         "Found": Found,
     }
-    names.update((f"absence{at}", one) for at, one in enumerate(pair.blocks))
-    names.update((f"test{at}", one) for at, one in enumerate(pair.tests))
-    return _SideWriter(side, pair, rule).action(choice, names)
+    names.update((f"absence{number}", function) for number, function in enumerate(pair.blocks))
+    names.update((f"test{number}", function) for number, function in enumerate(pair.tests))
+    return _OperandGenerator(side, pair, rule).action(choice, names)
 
 
 def fused_absence(absence: NegationBuffer, rule: Any, whole: bool, plain: EventAction) -> EventAction:
-    """Return the action of an event that must not happen, where no other waits under its key; see `fused_side`.
+    """Return the action for a negated event, used if no other negated event waits under its key; see `fused_side`.
 
     Args:
-        absence: where it waits.
+        absence: the buffer of the negated events.
         rule: the rule.
-        whole: whether its values are its arguments.
-        plain: the plain way.
+        whole: whether the values are the arguments of the event.
+        plain: the general path.
     """
-    writer = _Writer(absence.buffer, rule, whole)
+    writer = _ActionGenerator(absence.buffer, rule, whole)
     names = {**_common_names(rule, absence.buffer, plain), "absence": absence}
     return writer.made(
         [
             *writer.key([one for one, _ in absence.shared]),
+            # A waiting event without a key may be a duplicate of this one or may dominate it; the general path
+            # compares them.
             Block("if key in waiting or None in waiting:", [writer.plain]),
             Block("if absence.borders:", ["absence.borders.pop(key, None)"]),
             *writer.clock(True),
@@ -124,7 +129,7 @@ def fused_absence(absence: NegationBuffer, rule: Any, whole: bool, plain: EventA
 
 
 def _common_names(rule: Any, own: MatchBuffer, plain: EventAction) -> Dict[str, Any]:
-    """Return what the functions of all sides may name."""
+    """Return the objects that all generated functions refer to."""
     return {
         "rule": rule,
         "network": rule.network,
@@ -143,13 +148,13 @@ def _common_names(rule: Any, own: MatchBuffer, plain: EventAction) -> Dict[str, 
     }
 
 
-class _Writer:
-    """Generates the action of an event that may wait. The source contains only spans and sizes of the program.
+class _ActionGenerator:
+    """Generator for the action of an event that may wait. Of the program, sources contain only times and sizes.
 
     Args:
-        own: where it waits.
-        rule: its rule.
-        whole: whether its values are its arguments.
+        own: the buffer in which the event waits.
+        rule: the rule.
+        whole: whether the values are the arguments of the event.
     """
 
     def __init__(self, own: MatchBuffer, rule: Any, whole: bool) -> None:
@@ -161,42 +166,43 @@ class _Writer:
         self.queue = "queue" if own.span == rule.expiries.span else "queued"
 
     def made(self, body: Sequence[Statement], names: Dict[str, Any], title: str) -> EventAction:
-        """Return the action of a body."""
+        """Return the compiled action."""
         source = source_of([Block("def made(term, values, s, e, after):", body)])
         action: EventAction = shared_function(source, names, title)
         return action
 
-    def key(self, places: Sequence[int]) -> List[Statement]:
-        """Return the statements that take the key from values at some places."""
-        names = ["key"] if len(places) == 1 else [f"x{at}" for at in range(len(places))]
-        found: List[Statement] = []
-        for name, place in zip(names, places):
-            found += [
-                f"{name} = term[{place + 1}]" if self.whole else f"{name} = values[{place}]",
+    def key(self, indices: Sequence[int]) -> List[Statement]:
+        """Return statements that compute the key from the values at some indices."""
+        names = ["key"] if len(indices) == 1 else [f"x{at}" for at in range(len(indices))]
+        statements: List[Statement] = []
+        for name, index in zip(names, indices):
+            statements += [
+                f"{name} = term[{index + 1}]" if self.whole else f"{name} = values[{index}]",
                 Block(f"if {name}.__class__ not in PLAIN:", [self.plain]),
             ]
-        return found if len(places) == 1 else [*found, f"key = {tuple_source(names)}"]
+        return statements if len(indices) == 1 else [*statements, f"key = {tuple_source(names)}"]
 
     def clock(self, waits: bool) -> List[Statement]:
-        """Return the statements that move the rule's clock, and leave what is out of order to the plain way."""
+        """Return statements that advance the clock of the rule; events out of order take the general path."""
         span, queue = self.own.span, self.queue
         late: List[Statement] = []
         if waits and span is not None:
             late = [Block(f"if s is not e and s + {span} < e:", [self.plain])]
-        found: List[Statement] = []
+        statements: List[Statement] = []
         if self.rule.timed:
-            found.append(Block("if e > rule.clock:", [*self._tick(), *late]))
+            statements.append(Block("if e > rule.clock:", [*self._tick(), *late]))
         if late:
-            found += [
+            statements += [
                 Block(f"elif s + {span} < rule.clock:", [self.plain]),
                 *([] if queue == "queue" else [f"{queue} = expiries.of({span})"]),
                 Block(f"if {queue} and {queue}[-1].start > s:", [self.plain]),
             ]
-        return found
+        return statements
 
     def _tick(self) -> List[Statement]:
-        """Return the statements that move the clock to the end of the event, and drop what has expired."""
+        """Return statements that set the clock to the end of the event, and drop expired matches."""
         return [
+            # `tick` rejects timestamps too far in the future; ``allowed`` is its last limit.
             Block("if e > rule.allowed:", ["rule.tick(e)"]),
             Block(
                 "else:",
@@ -217,15 +223,15 @@ class _Writer:
         ]
 
     def wait(self, anew: bool, keyed: bool = True) -> List[Statement]:
-        """Return the statements by which a match begins to wait.
+        """Return statements that store a match in its buffer.
 
         Args:
-            anew: whether conditions were tested since the clock was moved, which may have led to other events.
-            keyed: whether it has a key.
+            anew: whether conditions ran after the clock was advanced; they may have caused other events.
+            keyed: whether the match has a key.
         """
         own = self.own
         keep = [] if self.whole else ["match.values = values"]
-        if own.name is not None and not keyed:  # others mostly wait under the same key, and ask for its name
+        if own.name is not None and not keyed:  # without a key, other matches compare their identity with it
             keep.append("match.identity = match.parts = None")
         file = []
         if own.span is not None:
@@ -255,13 +261,13 @@ class _Writer:
         ]
 
 
-class _SideWriter(_Writer):
-    """Generates the action of a side of a pair.
+class _OperandGenerator(_ActionGenerator):
+    """Generator for the action of an operand of a join.
 
     Args:
-        side: the side.
+        side: the operand.
         pair: the node.
-        rule: its rule.
+        rule: the rule.
     """
 
     def __init__(self, side: MatchSide, pair: FusedPair, rule: Any) -> None:
@@ -275,26 +281,30 @@ class _SideWriter(_Writer):
         side = self.side
         begin = self.key([one for one, _ in side.shared])
         if choice is not None:
+            # Partners under the key None have variables in their keys, and may unify with any key.
             begin.append(Block("if None in partners:", [self.plain]))
         begin += self.clock(side.waits or side.stays)
         wait = self.wait(choice is not None and self.tested, bool(side.shared))
         if choice is None:
             rest = wait
         elif choice.consumes:
-            rest = self._use_one(wait, choice.newest)
+            rest = self._consume_partner(wait, choice.newest)
         else:
-            rest = self._take_all(wait)
+            rest = self._join_all(wait)
         return self.made([*begin, *rest, _RETURN], names, "side of a pair")
 
-    def _use_one(self, wait: List[Statement], newest: bool) -> List[Statement]:
-        """Return the statements that use up the newest or the oldest partner."""
+    def _consume_partner(self, wait: List[Statement], newest: bool) -> List[Statement]:
+        """Return statements that consume the newest or the oldest partner."""
         last = "partner" if newest else "last"
         give = [
+            # The partner leaves before the pair is emitted: an event that the pair causes must not find it again.
             "other.remove(partner)",
             *(wait if self.side.stays else []),
-            *self._give(),
+            *self._emission(),
         ]
-        found = [Block("if met is not None and partner.buffer is not None:", give)] if self.tested else give
+        emission = (
+            [Block("if met is not None and partner.buffer is not None:", give)] if self.tested else give
+        )
         others = [
             Block(
                 f"if {last}.older is not {last}:",
@@ -310,7 +320,12 @@ class _SideWriter(_Writer):
                     *self._interval(),
                     Block(
                         f"if {self._fits()}:",
-                        [self._met(), *self._tests(), *found, *(others if self.tested else [])],
+                        [
+                            self._collected_values(),
+                            *self._tests(),
+                            *emission,
+                            *(others if self.tested else []),
+                        ],
                     ),
                     Block(f"elif {last}.older is not {last}:", [self.plain]),
                 ],
@@ -318,9 +333,9 @@ class _SideWriter(_Writer):
             *(wait if self.side.waits else []),
         ]
 
-    def _take_all(self, wait: List[Statement]) -> List[Statement]:
-        """Return the statements that take all partners, of which there may be one."""
-        give = self._give()
+    def _join_all(self, wait: List[Statement]) -> List[Statement]:
+        """Return statements that take all partners, if there is at most one."""
+        give = self._emission()
         return [
             "partner = partners.get(key)",
             Block("if partner is not None and partner.older is not partner:", [self.plain]),
@@ -330,7 +345,7 @@ class _SideWriter(_Writer):
             Block(
                 f"if {self._fits()}:",
                 [
-                    self._met(),
+                    self._collected_values(),
                     *self._tests(),
                     *([Block("if met is not None:", give)] if self.tested else give),
                 ],
@@ -338,50 +353,60 @@ class _SideWriter(_Writer):
         ]
 
     def _interval(self) -> List[str]:
-        """Return the statements that give the interval of a pair."""
+        """Return statements that compute the interval of a pair."""
         operator = self.pair.operator
         return [f"start = {self._instants(operator.start)}", f"end = {self._instants(operator.end)}"]
 
     def _fits(self) -> str:
-        """Return the condition that a partner fits by time."""
-        fits = [f"({self._instants(one)})" for one in self.pair.operator.comparisons]
+        """Return the condition on the intervals of a pair."""
+        fits = [f"({self._instants(comparison)})" for comparison in self.pair.operator.comparisons]
         fits += [] if self.pair.span is None else [f"end - start <= {self.pair.span}"]
         return " and ".join(fits) or "True"
 
-    def _met(self) -> str:
-        """Return the statement that takes the values of the pair."""
+    def _collected_values(self) -> str:
+        """Return the statement that collects the values of the pair."""
         return f"met = {tuple_source([self._value(source) for _, source in self.pair.taken])}"
 
     def _instants(self, source: str) -> str:
-        """Return the source of an operator with the instants of the side that has come and of its partner."""
-        one, two = ("1", "2") if self.side.left else ("2", "1")
-        times = {f"s{one}": "s", f"e{one}": "e", f"s{two}": "partner.start", f"e{two}": "partner.end"}
-        for name, here in times.items():
-            source = source.replace(name, here)
+        """Return the source of an operator, with its instants replaced by those of the event and its partner."""
+        this_side, other_side = ("1", "2") if self.side.left else ("2", "1")
+        times = {
+            f"s{this_side}": "s",
+            f"e{this_side}": "e",
+            f"s{other_side}": "partner.start",
+            f"e{other_side}": "partner.end",
+        }
+        # The names s1, e1, s2 and e2 do not occur in the replacements, so the order is irrelevant.
+        for name, expression in times.items():
+            source = source.replace(name, expression)
         return source
 
     def _value(self, source: str) -> str:
-        """Return the source of a value of the pair: the functor is the first item of an event."""
+        """Return the source of a value of the pair; item 0 of an event is its functor."""
         if source[:3] not in ("lv[", "rv["):
             return self._instants(source)
-        left, at = source[0] == "l", int(source[3:-1])
-        of = "" if left == self.side.left else "partner."
-        return f"{of}term[{at + 1}]" if self.pair.whole[0 if left else 1] else f"{of}values[{at}]"
+        left, index = source[0] == "l", int(source[3:-1])
+        prefix = "" if left == self.side.left else "partner."
+        return (
+            f"{prefix}term[{index + 1}]" if self.pair.whole[0 if left else 1] else f"{prefix}values[{index}]"
+        )
 
     def _tests(self) -> List[Statement]:
-        """Return the statements of absences and conditions: ``met`` is None after them where one fails."""
+        """Return statements for absences and conditions; they set ``met`` to None if one of them fails."""
         ended, began = ("e", "partner.start") if self.side.left else ("partner.end", "s")
         steps: List[Statement] = [
-            Block(f"if absence{at}(met, {ended}, {began}):", ["met = None"])
-            for at in range(len(self.pair.blocks))
+            Block(f"if absence{number}(met, {ended}, {began}):", ["met = None"])
+            for number in range(len(self.pair.blocks))
         ]
-        steps += [f"met = test{at}(met, start, end)" for at in range(len(self.pair.tests))]
-        return [step if at == 0 else Block("if met is not None:", [step]) for at, step in enumerate(steps)]
+        steps += [f"met = test{number}(met, start, end)" for number in range(len(self.pair.tests))]
+        return [
+            step if number == 0 else Block("if met is not None:", [step]) for number, step in enumerate(steps)
+        ]
 
-    def _give(self) -> List[Statement]:
-        """Return the statements that give a pair on."""
+    def _emission(self) -> List[Statement]:
+        """Return statements that emit a pair."""
         if self.pair.complete is not None:
-            return [_COMPLETE]
+            return [_EMIT_COMPLETE]
         parts = ["match", "partner"] if self.side.left else ["partner", "match"]
         parts += ["Found(found(met))"] if self.pair.tested else []
         return [

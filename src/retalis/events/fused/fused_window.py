@@ -1,7 +1,9 @@
-"""An item of a sliding window, served by one function: numbers that come in order, in a group that is there.
+"""Fused sliding windows: one generated function that adds a match to a time window and emits the results.
 
-The plain way is `Sliding.take` with `WindowGroup` and the measures. The function generated here does the same to the
-same groups and items; everything else goes the plain way before anything has changed.
+The general path is `SlidingTimeWindow.take` with a `KeyedWindow` and its accumulators. The function generated here
+does the same to the same objects if elements arrive in order, their key has a window already, and all measured values
+are plain numbers. All other cases (`_NEEDS_GENERAL_PATH`, and the checks of the measures) call the general path
+before anything has changed.
 """
 
 from heapq import heappush
@@ -12,19 +14,19 @@ from ...prolog.terms.term_traversal import PLAIN, term_key
 from ...prolog.terms.types import EventAction
 from ..streams.stream_elements import StreamElement
 
-_PLAIN_WAY = "return plain(term, values, start, end, after)"
-_STEPS = 2
-"""Steps of pattern work that the plain way counts for an item, without those of the event that is derived."""
+_GENERAL_PATH = "return plain(term, values, start, end, after)"
+_METERED_STEPS = 2
+"""Pattern work that the general path counts per element, without that of the derived event."""
 
 
 class FusedWindow(NamedTuple):
-    """A window over the values of matches.
+    """Window over the values of matches.
 
     Attributes:
-        span: of the window, in ns.
-        groups: where those values are that say to which group an item belongs.
-        kinds: the kinds of its measures.
-        values: where that is what each of them measures; None for one that takes no value.
+        span: length of the window in ns.
+        groups: indices of the values that are the key.
+        kinds: names of the measures.
+        values: index of the value of each measure; None for a measure without one.
     """
 
     span: int
@@ -34,13 +36,13 @@ class FusedWindow(NamedTuple):
 
 
 class _MeasureSource(NamedTuple):
-    """The source of one measure of a window; ``x`` with its number is the value of the new item.
+    """Source of one measure; ``x`` with its number is the value of the new element.
 
     Attributes:
-        check: tests the value; leaves unusual ones to the plain way.
-        add: adds the value of ``item`` to the measure of ``group``.
-        remove: removes the value of ``old`` from the measure of the group ``left``.
-        result: the expression of the result for ``number`` items.
+        check: tests the value; unusual ones take the general path.
+        add: adds the value of ``item`` to the accumulator of ``group``.
+        remove: removes the value of ``old`` from the accumulator of the keyed window ``left``.
+        result: expression for the result of ``number`` elements.
     """
 
     check: Sequence[Statement]
@@ -61,13 +63,15 @@ def _sum(at: int, place: int) -> _MeasureSource:
             Block(
                 f"if {x}.__class__ is float:",
                 [
+                    # See `ExactSum.factor`: the product is exact if it is an integer. Otherwise the scale must grow
+                    # first, which is left to `ExactSum.change`.
                     f"{scaled} = {x} * {total}.factor",
-                    Block(f"if not {scaled}.is_integer():", [_PLAIN_WAY]),
+                    Block(f"if not {scaled}.is_integer():", [_GENERAL_PATH]),
                     f"{scaled} = {scaled}.__trunc__()",
                 ],
             ),
             Block(f"elif {x}.__class__ is int:", [f"{scaled} = {x} << {total}.scale"]),
-            Block("else:", [_PLAIN_WAY]),
+            Block("else:", [_GENERAL_PATH]),
         ],
         [f"{total}.total += {scaled}", Block(f"if {x}.__class__ is float:", [f"{total}.floats += 1"])],
         [
@@ -85,6 +89,7 @@ def _sum(at: int, place: int) -> _MeasureSource:
 
 def _mean(at: int, place: int) -> _MeasureSource:
     total = f"s{at}"
+    # `ExactSum.over` without the call, for a sum with floats, whose average is a float in any case.
     exact = f"{total}.total / (number << {total}.scale)"
     return _sum(at, place)._replace(result=f"{exact} if {total}.floats else {total}.over(number)")
 
@@ -92,7 +97,11 @@ def _mean(at: int, place: int) -> _MeasureSource:
 def _lowest(at: int, place: int, sign: str = "") -> _MeasureSource:
     x, heap = f"x{at}", f"lowest{at}"
     return _MeasureSource(
-        [Block(f"if {x}.__class__ is not float and {x}.__class__ is not int or {x} != {x}:", [_PLAIN_WAY])],
+        [
+            Block(
+                f"if {x}.__class__ is not float and {x}.__class__ is not int or {x} != {x}:", [_GENERAL_PATH]
+            )
+        ],
         [
             f"{heap} = group.measures[{at}].lowest",
             f"{heap}.live += 1",
@@ -133,11 +142,11 @@ def fused_window(
 
     Args:
         window: the window.
-        limit: the longest interval of an output, in ns; None for no bound.
-        node: has the `Sliding` as ``stream``, and the rule's network, which says how many items it may hold.
-        plain: the plain way.
-        complete: takes the values of groups and the results.
-        too_large: reports a group whose results are too large for a float.
+        limit: maximum interval of an output in ns; None for no limit.
+        node: the stream node: its ``stream`` is the `SlidingTimeWindow`, its network limits the number of elements.
+        plain: the general path.
+        complete: receives the values of the key and the results.
+        too_large: reports a window whose results exceed the range of floats.
     """
     names: Dict[str, Any] = {
         "node": node,
@@ -148,7 +157,7 @@ def fused_window(
         "complete": complete,
         "too_large": too_large,
         "new": object.__new__,
-        "StreamItem": StreamElement,
+        "StreamElement": StreamElement,
         "PLAIN": PLAIN,
         "term_key": term_key,
         "heappush": heappush,
@@ -157,17 +166,17 @@ def fused_window(
     metered = node.rule.meter is not None
     if metered:
         names["pattern_steps"] = node.rule.network.logic.machine.budget.pattern_steps
-    made: EventAction = shared_function(_source(window, limit is not None, metered), names, "window")
-    return made
+    action: EventAction = shared_function(_source(window, limit is not None, metered), names, "window")
+    return action
 
 
 def _source(window: FusedWindow, limited: bool, metered: bool) -> str:
-    """Return the source: it has nothing of the program in it but numbers and places of groups and measures."""
+    """Return the source; of the program, it contains only numbers and indices."""
     read = [f"x{at} = values[{place}]" for at, place in enumerate(window.values) if place is not None]
     taken = [f"x{at}" for at, place in enumerate(window.values) if place is not None]
     measures = []
     for at, kind in enumerate(window.kinds):
-        place = sum(one is not None for one in window.values[:at])  # in the values of an item
+        place = sum(one is not None for one in window.values[:at])  # index in `StreamElement.values`
         measures.append(_MEASURES[kind](at, place))
     results = [*(f"k{at}" for at in range(len(window.groups))), *(one.result for one in measures)]
     body: List[Statement] = [
@@ -177,10 +186,11 @@ def _source(window: FusedWindow, limited: bool, metered: bool) -> str:
         *read,
         "groups = stream.states",
         "group = groups.get(key)",
-        Block(f"if {_UNCOMMON}:", [_PLAIN_WAY]),
-        *([Block(f"if pattern_steps[0] < {_STEPS}:", [_PLAIN_WAY])] if metered else []),
+        Block(f"if {_NEEDS_GENERAL_PATH}:", [_GENERAL_PATH]),
+        *([Block(f"if pattern_steps[0] < {_METERED_STEPS}:", [_GENERAL_PATH])] if metered else []),
         *(statement for one in measures for statement in one.check),
-        *([f"pattern_steps[0] -= {_STEPS}"] if metered else []),
+        *([f"pattern_steps[0] -= {_METERED_STEPS}"] if metered else []),
+        # All checks are done: from here on nothing calls the general path.
         "stream.clock = end",
         "before = end - span",
         Block(
@@ -189,6 +199,8 @@ def _source(window: FusedWindow, limited: bool, metered: bool) -> str:
                 "old = queue.popleft()",
                 Block("if old.gone:", ["continue"]),
                 "left = groups[old.key]",
+                # A window with elements out of order keeps heaps; removing from them is rare and left to the general
+                # method.
                 Block("if left.starts is not None:", ["stream.remove(old)", "continue"]),
                 "old.gone = True",
                 "left.members.popleft()",
@@ -198,7 +210,7 @@ def _source(window: FusedWindow, limited: bool, metered: bool) -> str:
                 Block("if not number:", ["del groups[old.key]"]),
             ],
         ),
-        "item = new(StreamItem)",
+        "item = new(StreamElement)",
         "item.match = None",
         "item.start = start",
         "item.end = end",
@@ -223,7 +235,7 @@ def _source(window: FusedWindow, limited: bool, metered: bool) -> str:
     return source_of([Block("def made(term, values, start, end, after):", body)])
 
 
-_UNCOMMON = " or ".join(
+_NEEDS_GENERAL_PATH = " or ".join(
     [
         "group is None",
         "group.starts is not None",
@@ -238,12 +250,12 @@ _UNCOMMON = " or ".join(
 
 
 def _key(groups: Sequence[int]) -> List[Statement]:
-    """Return the statements that take the key of a group from values at some places."""
+    """Return statements that compute the key from the values at some indices."""
     keys = ["key"] if len(groups) == 1 else [f"key{at}" for at in range(len(groups))]
-    found: List[Statement] = []
+    statements: List[Statement] = []
     for at, (key, place) in enumerate(zip(keys, groups)):
-        found += [
+        statements += [
             f"k{at} = {key} = values[{place}]",
             Block(f"if k{at}.__class__ not in PLAIN:", [f"{key} = term_key(k{at})"]),
         ]
-    return found if len(keys) == 1 else [*found, f"key = {tuple_source(keys)}"]
+    return statements if len(keys) == 1 else [*statements, f"key = {tuple_source(keys)}"]

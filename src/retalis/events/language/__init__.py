@@ -1,1 +1,1 @@
-"""The event language: parsing and checking of rules."""
+"""Event language: syntax trees, parsers and static checks of event rules."""

@@ -1,4 +1,9 @@
-"""What aggregates collect: how they begin, what a further value does, and what they show."""
+"""Aggregate functions of sequences: initial state, accumulation, and result.
+
+An aggregate function is a fold: `AggregateKind.add` maps a state and a value to the next state, and never changes
+the state in place. States are shared by partial matches that have a common prefix, so each partial match can be
+extended without a copy of what was collected.
+"""
 
 from math import isfinite
 from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple
@@ -10,16 +15,16 @@ from ..streams.accumulators import check_finite, check_ordered
 
 
 class AggregateKind(NamedTuple):
-    """A kind of aggregate.
+    """Aggregate function.
 
     Attributes:
-        name: how rules spell it.
-        arity: how many arguments it takes: what is collected, or none.
-        start: the state without any value.
-        initial: the result without any value; None where there is none.
-        add: gives the state with one more value.
-        result: gives the result of a state.
-        check: refuses the values that are not numbers of the right kind; None where values may be any terms.
+        name: name in rules.
+        arity: number of arguments: 1 with a collected value, else 0.
+        start: state without any value.
+        initial: result without any value; None if there is none.
+        add: returns the state with one more value.
+        result: returns the result of a state.
+        check: raises an error for a value that is not a suitable number; None if values can be any terms.
     """
 
     name: str
@@ -32,16 +37,16 @@ class AggregateKind(NamedTuple):
 
     @property
     def form(self) -> str:
-        """How it is written."""
+        """The function as it is written in rules."""
         return f"{self.name}(X)" if self.arity else self.name
 
     @property
     def numeric(self) -> bool:
-        """True if values have to be numbers."""
+        """Whether values must be numbers."""
         return self.check is not None
 
 
-def _same(state: Term) -> Term:
+def _identity(state: Term) -> Term:
     return state
 
 
@@ -66,14 +71,15 @@ def _sum(state: Any, value: Any) -> Any:
 
 
 def _average(state: Tuple[float, int]) -> Term:
-    total, number = state
-    if total.__class__ is int and total % number == 0:
-        return total // number
-    return total / number
+    total, count = state
+    # Integers whose average is an integer stay exact, as `avg` of integers of any size.
+    if total.__class__ is int and total % count == 0:
+        return total // count
+    return total / count
 
 
-def _listed(state: Any) -> Term:
-    """Return the list of a state, which is a chain with the newest value outermost: adding one costs the same."""
+def _list_of_state(state: Any) -> Term:
+    """Return the list of a state, which is nested pairs, newest value outermost: adding takes constant time."""
     items = []
     while state:
         state, value = state
@@ -85,10 +91,10 @@ def _listed(state: Any) -> Term:
 AGGREGATES: Dict[str, AggregateKind] = {
     kind.name: kind
     for kind in (
-        AggregateKind("count", 0, 0, 0, lambda state, value: state + 1, _same, None),
-        AggregateKind("sum", 1, 0, 0, _sum, _same, check_finite),
-        AggregateKind("min", 1, None, None, _least, _same, check_ordered),
-        AggregateKind("max", 1, None, None, _greatest, _same, check_ordered),
+        AggregateKind("count", 0, 0, 0, lambda state, value: state + 1, _identity, None),
+        AggregateKind("sum", 1, 0, 0, _sum, _identity, check_finite),
+        AggregateKind("min", 1, None, None, _least, _identity, check_ordered),
+        AggregateKind("max", 1, None, None, _greatest, _identity, check_ordered),
         AggregateKind(
             "avg",
             1,
@@ -98,19 +104,19 @@ AGGREGATES: Dict[str, AggregateKind] = {
             _average,
             check_finite,
         ),
-        AggregateKind("list", 1, (), NIL, lambda state, value: (state, value), _listed, None),
+        AggregateKind("list", 1, (), NIL, lambda state, value: (state, value), _list_of_state, None),
     )
 }
-"""By their names."""
+"""Aggregate functions by name."""
 
 
 class Collector:
-    """An aggregate of one rule: a kind, and how to get the value from a match.
+    """Aggregate of one rule: the function, and the access to the value in a match.
 
     Args:
-        kind: one of `AGGREGATES`.
-        value: gives the value from the values of a match.
-        evaluate: gives the number of a value that is an expression, from the values of the match.
+        kind: name of the function, in `AGGREGATES`.
+        value: returns the aggregated term from the values of a match.
+        evaluate: returns the number that an arithmetic expression has with the values of the match.
     """
 
     def __init__(self, kind: str, value: Callable[[Values], Term], evaluate: Callable[[Term, Values], Term]):
@@ -123,7 +129,7 @@ class Collector:
         self._evaluate = evaluate
 
     def is_state(self, state: Any) -> bool:
-        """Tell whether a value is what the aggregate may have collected."""
+        """Return whether a value is a valid state of the aggregate; used for states that are read from a file."""
         try:
             if self.kind.check is None:
                 if self.name == "count":
@@ -147,11 +153,12 @@ class Collector:
         """Return the state with the value of one more match.
 
         Raises:
-            RuleError: where it needs a number and gets none.
+            RuleError: if a numeric aggregate gets a value that is not a number.
         """
         value = self._value(values)
         check = self.kind.check
         if check is not None:
+            # Plain numbers are by far the most frequent values, and need no evaluation.
             if value.__class__ not in (int, float):
                 value = self._evaluate(value, values)
             check(value, self.name)

@@ -1,8 +1,13 @@
-"""What a program may call the events of a topic.
+"""Declared events and the types of their arguments.
 
-The kinds of values that a declared event has: one table, and what fits which.
+``:- event temperature(motor:atom, value:number).`` declares the arguments of an event by name and type. The module
+reads such declarations, checks that events in rules, clauses and input fit them, and checks the names that a
+program may give to the events of a topic.
 
-Declared events: ``:- event temperature(motor:atom, value:number).``, and what does not fit them.
+The type check works without running the program: each term belongs to one of a few *forms* (see `form_of`), and a
+`ValueType` is the set of forms that its values can have. Two types exclude each other if they share no form. A
+variable of a rule has the narrowest type of all its occurrences (see `VariableKinds`); two occurrences with types
+that exclude each other are reported, because no event can satisfy both.
 """
 
 from difflib import get_close_matches
@@ -64,16 +69,16 @@ _TAKEN = frozenset(
         "true",
     )
 )
-"""Names of which events mean something else, or which events do not have."""
+"""Names with a fixed meaning in rules, which events of a topic or declared events cannot have."""
 
 
 def means_other(name: str) -> bool:
-    """Tell whether a name means something else in rules."""
+    """Return whether a name has a fixed meaning in rules."""
     return name in _TAKEN
 
 
 def event_fault(name: str) -> Optional[str]:
-    """Return why the events of a topic cannot have a name, or None."""
+    """Return the reason why the events of a topic cannot have a name, or None."""
     fault = plain_fault(name)
     if fault is not None:
         return fault
@@ -91,18 +96,18 @@ _WORDS_OF_FLOATS = frozenset(("nan", "inf", "infinite"))
 
 
 _EITHER_WAY = frozenset(("word",))
-"""The form of ``nan`` and ``inf``, which are atoms in programs: nobody means a value to be that and nothing else."""
+"""Form of the atoms ``nan`` and ``inf``: both atoms and floats, so it proves neither type."""
 
 
 class ValueType(NamedTuple):
-    """A kind of values.
+    """Type of argument values.
 
     Attributes:
-        term: how it is written.
-        what: what one of them is called.
-        forms: of the terms that may be one, see `form_of`; a ``stamp`` is the list [Sec,NSec] of a message.
-        items: the kind of the items, where the kind is of lists and says so.
-        of_message: the name of the terms, where they are messages.
+        term: the type as it is written.
+        what: a value of the type in words, with its article.
+        forms: forms of terms with this type, see `form_of`; ``stamp`` is the list [Sec,NSec] of a message.
+        items: type of the items, for a list whose item type is declared.
+        of_message: name of the terms, for messages.
     """
 
     term: Term
@@ -112,18 +117,20 @@ class ValueType(NamedTuple):
     of_message: str = ""
 
     def excludes(self, other: "ValueType") -> bool:
-        """Tell whether no value is of both kinds."""
+        """Return whether no value has both types."""
         if self.of_message and other.of_message:
             return self.of_message != other.of_message
+        # ``nan`` and ``inf`` are atoms and numbers, so a shared form ``word`` alone does not make two types
+        # compatible.
         return not (self.forms & other.forms) - _EITHER_WAY
 
     def takes(self, value: Any) -> bool:
-        """Tell whether a value that is no variable is of the kind; what stands inside lists is not looked at."""
+        """Return whether a bound value has the type, without checking the items of lists."""
         if form_of(value) not in self.forms:
             return False
         if self.of_message:
-            found: str = value[0].name if value.__class__ is tuple else value.name
-            return found == self.of_message
+            name: str = value[0].name if value.__class__ is tuple else value.name
+            return name == self.of_message
         return self.term is not _TIME or _may_be_instant(value)
 
 
@@ -142,7 +149,7 @@ KINDS = _table(
     ("time", "an instant", "integer float cons stamp compound"),
     ("event", "an event", "atom quoted word compound"),
 )
-"""The kinds of arguments of declared events, all but those of messages and of lists of a kind."""
+"""Types that a declaration can name, except messages and ``list(Type)``."""
 
 SLOT_KINDS = _table(
     ("list", "a list", "nil cons"),
@@ -151,13 +158,13 @@ SLOT_KINDS = _table(
     ("bool", "true or false", "atom"),
     ("number", "a number", "integer float word"),
 )
-"""The kinds of slots in messages that are no messages."""
+"""Types of message slots that are not messages themselves."""
 
 _TIME = KINDS["time"].term
 
 
 def slot_kind(slot: Field) -> Optional[ValueType]:
-    """Return the kind of the values of a slot; None where they are messages."""
+    """Return the type of the values of a slot, or None if they are messages."""
     if slot.length is not None and not slot.is_bytes:
         return SLOT_KINDS["list"]
     if slot.type == "string" or slot.is_bytes:
@@ -170,7 +177,7 @@ def slot_kind(slot: Field) -> Optional[ValueType]:
 
 
 def form_of(value: Term) -> str:
-    """Return the form of a term, by which kinds are told; that of a variable is ""."""
+    """Return the form of a term, which decides the types it can have; "" for a variable."""
     if isinstance(value, Atom):
         if value is NIL:
             return "nil"
@@ -186,30 +193,30 @@ _FORMS: Dict[type, str] = {String: "text", int: "integer", float: "float"}
 
 
 def read_kind(named: Term) -> ValueType:
-    """Return the kind that a term names.
+    """Return the type that a term names.
 
     Raises:
-        UsageError: where there is no such kind.
+        UsageError: if no such type exists.
     """
     term, depth = deref(named), 0
     while isinstance(term, tuple) and term[0] is _LIST and depth < _MAX_LIST_DEPTH:
         term, depth = deref(term[1]), depth + 1
-    found = _plain_kind(term)
+    value_type = _plain_kind(term)
     for _ in range(depth):
-        found = ValueType((_LIST, found.term), "a list", KINDS["list"].forms, found)
-    return found
+        value_type = ValueType((_LIST, value_type.term), "a list", KINDS["list"].forms, value_type)
+    return value_type
 
 
 _MAX_LIST_DEPTH = 10
-"""How often lists may be in lists."""
+"""Levels of ``list(list(...))`` that a type may have."""
 
 
 def _plain_kind(term: Term) -> ValueType:
     if not isinstance(term, Atom):
         raise UsageError(f"a kind is {_known()}")
-    found = KINDS.get(term.name)
-    if found is not None:
-        return found
+    value_type = KINDS.get(term.name)
+    if value_type is not None:
+        return value_type
     if type_name(term.name) is not None:
         return ValueType(term, f"a message {term.name}", frozenset(("compound", "atom")), None, term.name)
     near = get_close_matches(term.name, KINDS, 1)
@@ -222,7 +229,7 @@ def _known() -> str:
 
 
 class ValuePart(NamedTuple):
-    """A value of which the kind is known, and by what its place is found: an argument, or an item of a list."""
+    """Value with a declared type, and its position: argument ``number`` of ``parent``, or an item of a list."""
 
     value: Term
     kind: ValueType
@@ -232,7 +239,7 @@ class ValuePart(NamedTuple):
 
 
 def parts_of_value(parent: CompoundTerm, number: int, kind: ValueType) -> Iterator[ValuePart]:
-    """Yield an argument of a term, which is to be of a kind, and the items of lists in it."""
+    """Yield argument ``number`` of a term, which has a declared type, and all items of lists in it."""
     stack = [ValuePart(deref(parent[number]), kind, parent, number)]
     while stack:
         part = stack.pop()
@@ -240,12 +247,13 @@ def parts_of_value(parent: CompoundTerm, number: int, kind: ValueType) -> Iterat
         value = part.value
         if part.kind.items is not None and isinstance(value, tuple) and value[0] is CONS:
             items, _ = list_parts(value)
-            for at in range(len(items), 0, -1):
-                stack.append(ValuePart(deref(items[at - 1]), part.kind.items, value, at, True))
+            # An item has no place of its own in the term: the list and the number of the item identify it.
+            for position in range(len(items), 0, -1):
+                stack.append(ValuePart(deref(items[position - 1]), part.kind.items, value, position, True))
 
 
 def _may_be_instant(value: Term) -> bool:
-    """Tell whether a term of the form of an instant is one, or may become one."""
+    """Return whether a term with the form of an instant is one, or can become one when it is bound."""
     if is_ground(value):
         try:
             from_any(value)
@@ -257,7 +265,7 @@ def _may_be_instant(value: Term) -> bool:
 
 UNDECLARED = atom("undeclared_events")
 STRICTLY = atom("error")
-"""The flag that has every event be declared, and its value then."""
+"""Value of the flag `UNDECLARED` that requires a declaration for every event."""
 
 _EXAMPLE = "temperature(motor:atom, value:number)"
 _BRANCHES = frozenset(
@@ -269,7 +277,7 @@ _EVENT = KINDS["event"]
 
 
 class Argument(NamedTuple):
-    """The name of an argument of an event, and the kind of its values."""
+    """Declared argument of an event: name and type."""
 
     name: str
     kind: ValueType
@@ -279,14 +287,14 @@ _RETRACTED = Argument("the event", _EVENT)
 
 
 class Declaration(NamedTuple):
-    """What a program says of the events of a name."""
+    """Declaration of the events of one name."""
 
     name: str
     arguments: Tuple[Argument, ...]
 
     @property
     def key(self) -> Functor:
-        """The functor of these events."""
+        """The functor of the declared events."""
         return functor(self.name, len(self.arguments))
 
     @property
@@ -294,14 +302,14 @@ class Declaration(NamedTuple):
         """The declaration as it is written."""
         if not self.arguments:
             return atom(self.name)
-        return (self.key, *((COLON, atom(one.name), one.kind.term) for one in self.arguments))
+        return (self.key, *((COLON, atom(argument.name), argument.kind.term) for argument in self.arguments))
 
 
 def declared_in(parent: CompoundTerm, spot: Spot) -> Iterator[Tuple[Declaration, Optional[Place]]]:
-    """Yield what the first argument of a term declares, one event or several with commas, and where.
+    """Yield the declarations in the first argument of a term, several if they are separated by commas, with places.
 
     Raises:
-        RuleError: what is wrong, and where.
+        RuleError: if a declaration is malformed.
     """
     stack = [(parent, 1)]
     while stack:
@@ -323,130 +331,135 @@ def _declaration(term: Term, place: Optional[Place], spot: Spot) -> Declaration:
         raise RuleError(f"{name} declares itself: the slots of its messages and their types are known", place)
     if means_other(name):
         raise RuleError(f"{name} means something else in rules: choose another name for the event", place)
-    found: Dict[str, Argument] = {}
+    arguments: Dict[str, Argument] = {}
     for number, part in enumerate(term[1:] if isinstance(term, tuple) else (), 1):
-        at = spot(term, number)
+        argument_place = spot(term, number)
         pair = deref(part)
-        called = deref(pair[1]) if isinstance(pair, tuple) and pair[0] is COLON else None
-        if not isinstance(pair, tuple) or not isinstance(called, Atom):
-            raise RuleError(f"an argument is declared by its name and kind, as in {_EXAMPLE}", at)
-        if called.name in found:
-            raise RuleError(f"two arguments of {name} are called {called.name}", at)
+        argument_name = deref(pair[1]) if isinstance(pair, tuple) and pair[0] is COLON else None
+        if not isinstance(pair, tuple) or not isinstance(argument_name, Atom):
+            raise RuleError(f"an argument is declared by its name and kind, as in {_EXAMPLE}", argument_place)
+        if argument_name.name in arguments:
+            raise RuleError(f"two arguments of {name} are called {argument_name.name}", argument_place)
         try:
-            found[called.name] = Argument(called.name, read_kind(pair[2]))
+            arguments[argument_name.name] = Argument(argument_name.name, read_kind(pair[2]))
         except UsageError as error:
-            raise RuleError(error.message, at) from error
-    return Declaration(name, tuple(found.values()))
+            raise RuleError(error.message, argument_place) from error
+    return Declaration(name, tuple(arguments.values()))
 
 
 class Declarations:
-    """The declarations that hold, and what does not fit them.
+    """Declarations in force, and checks of events against them.
 
     Args:
-        show: gives the text of a term.
-        found: what has been declared.
-        strict: whether every event is to be declared.
-        others: of the functor of an event that is not declared, whether it needs no declaration.
+        show: returns the text of a term.
+        declarations: the initial declarations.
+        strict: whether every event must be declared.
+        is_exempt: returns whether an undeclared event with a given functor needs no declaration.
     """
 
     def __init__(
         self,
         show: Callable[[Term], str],
-        found: Iterable[Declaration] = (),
+        declarations: Iterable[Declaration] = (),
         strict: bool = False,
-        others: Callable[[Functor], bool] = lambda key: False,
+        is_exempt: Callable[[Functor], bool] = lambda key: False,
     ):
         self._show = show
-        self._found = {one.name: one for one in found}
+        self._declared = {declaration.name: declaration for declaration in declarations}
         self.strict = strict
-        self._others = others
+        self._is_exempt = is_exempt
 
     def __bool__(self) -> bool:
-        return self.strict or bool(self._found)
+        return self.strict or bool(self._declared)
 
     def get(self, name: str) -> Optional[Declaration]:
-        """Return what is declared of the events of a name."""
-        return self._found.get(name)
+        """Return the declaration for events of a name, or None."""
+        return self._declared.get(name)
 
-    def add(self, one: Declaration) -> bool:
-        """Have a declaration hold; tell whether it is new.
+    def add(self, declaration: Declaration) -> bool:
+        """Add a declaration, and return whether it is new.
 
         Raises:
-            UsageError: where the name is declared otherwise.
+            UsageError: if the name has a different declaration.
         """
-        before = self._found.setdefault(one.name, one)
-        if before.term != one.term:
-            raise UsageError(f"{one.name} is declared already, as {self._show(before.term)}")
-        return before is one
+        # A file may be loaded again, and several files may share a declaration: repeating it is not an error.
+        before = self._declared.setdefault(declaration.name, declaration)
+        if before.term != declaration.term:
+            raise UsageError(f"{declaration.name} is declared already, as {self._show(before.term)}")
+        return before is declaration
 
     def wrong_functor(self, key: Functor) -> str:
-        """Return what is wrong with events of a functor, "" where nothing is."""
-        one = self._found.get(key.name)
-        if one is not None:
-            if len(one.arguments) == key.arity:
+        """Return the error for events with a functor, or "" if the functor is as declared."""
+        declaration = self._declared.get(key.name)
+        if declaration is not None:
+            if len(declaration.arguments) == key.arity:
                 return ""
-            number = counted(len(one.arguments), "argument")
-            return f"{key} is not as it is declared: {self._show(one.term)} has {number}"
-        if not self.strict or self._others(key):
+            number = counted(len(declaration.arguments), "argument")
+            return f"{key} is not as it is declared: {self._show(declaration.term)} has {number}"
+        if not self.strict or self._is_exempt(key):
             return ""
-        near = get_close_matches(key.name, self._found, 1)
-        meant = (
-            f"did you mean {self._show(self._found[near[0]].term)}?"
+        near = get_close_matches(key.name, self._declared, 1)
+        advice = (
+            f"did you mean {self._show(self._declared[near[0]].term)}?"
             if near
             else f"write :- event {_form(key)}."
         )
-        return f"{key} is not declared; {meant}"
+        return f"{key} is not declared; {advice}"
 
     def misfits(self, events: Iterable[EventTerm], spot: Spot, kinds: "VariableKinds") -> Iterator[RuleError]:
-        """Yield where events that stand together, in a rule or clause, do not fit their declarations."""
-        said: Set[Tuple[str, Optional[Place]]] = set()
+        """Yield an error for each misfit between events of one rule or clause and their declarations."""
+        reported: Set[Tuple[str, Optional[Place]]] = set()
         for event in events:
             stack = [event]
             while stack:
-                one = stack.pop()
-                for error in self._misfits(one, spot, kinds, stack):
-                    if (error.message, error.place) not in said:
-                        said.add((error.message, error.place))
+                current = stack.pop()
+                for error in self._misfits(current, spot, kinds, stack):
+                    if (error.message, error.place) not in reported:
+                        reported.add((error.message, error.place))
                         yield error
 
     def _misfits(
         self, event: EventTerm, spot: Spot, kinds: "VariableKinds", inner: List[EventTerm]
     ) -> Iterator[RuleError]:
-        """Yield where one event does not fit, and note the events in it."""
+        """Yield the errors of one event, and append events that it contains to ``inner``."""
         term: Any = deref(event.term)
         key = _functor(term)
         if key is None:
             return
-        wrong = "" if key is _REV else self.wrong_functor(key)
-        if wrong:
+        # ``rev(E)`` retracts an event: its argument is checked as an event, not as an argument of an event.
+        fault = "" if key is _REV else self.wrong_functor(key)
+        if fault:
             place = spot(term) if term.__class__ is tuple else spot(event.parent, event.number)
-            yield RuleError(wrong, place)
+            yield RuleError(fault, place)
             return
-        declared = self._found.get(key.name)
+        declared = self._declared.get(key.name)
         arguments = (_RETRACTED,) if key is _REV else () if declared is None else declared.arguments
-        for at, argument in enumerate(arguments, 1):
-            for part in parts_of_value(term, at, argument.kind):
+        for position, argument in enumerate(arguments, 1):
+            for part in parts_of_value(term, position, argument.kind):
                 where = f"{argument.name} of {key}"
                 is_var = part.value.__class__ is Var
                 text = (
-                    kinds.clash(part.value, part.kind, where) if is_var else self._no(part, where, declared)
+                    kinds.clash(part.value, part.kind, where)
+                    if is_var
+                    else self._type_error(part, where, declared)
                 )
                 if text:
-                    yield RuleError(text, spot(part.parent, part.number) or spot(term, at))
+                    yield RuleError(text, spot(part.parent, part.number) or spot(term, position))
                 elif part.kind is _EVENT and not is_var:
                     inner.append(EventTerm(part.value, part.parent, part.number))
 
-    def _no(self, part: ValuePart, where: str, one: Optional[Declaration]) -> str:
-        """Return why a value is not of its kind, "" where it is."""
+    def _type_error(self, part: ValuePart, where: str, declaration: Optional[Declaration]) -> str:
+        """Return the error for a value that does not have its type, or ""."""
         if part.kind.takes(part.value):
             return ""
         inside = "an item of " if part.is_item else ""
-        form = "" if one is None else f"; declared as {self._show(one.term)}"
+        form = "" if declaration is None else f"; declared as {self._show(declaration.term)}"
         return f"{inside}{where} is {part.kind.what}, found {self._show(part.value)}{form}"
 
     def refusal(self, term: Term) -> str:
-        """Return why an event that has come does not fit its declaration, "" where it does."""
+        """Return the reason why an incoming event does not fit its declaration, or ""."""
         parent = (_HOLDER, term)
+        # Values of one event are bound, so no variable can occur in two places: clashes need no report.
         for error in self.misfits([EventTerm(deref(term), parent, 1)], _nowhere, VariableKinds({}, False)):
             return error.message
         return ""
@@ -456,31 +469,34 @@ _HOLDER = functor("$event", 1)
 
 
 class VariableKinds:
-    """The variables of one rule or clause, and the kinds that they are found to be of.
+    """Types of the variables of one rule or clause, collected from all their occurrences.
 
     Args:
-        names: of the variables.
-        told: whether kinds that exclude each other are: not where the variables may stand in different branches.
+        names: names of the variables.
+        told: whether types that exclude each other are an error; False if the occurrences can lie in
+            different branches.
     """
 
     def __init__(self, names: Mapping[Var, str], told: bool = True):
         self._names = names
-        self._told = told
+        self._reports_clashes = told
         self._known: Dict[Term, Tuple[ValueType, str]] = {}
 
     def clash(self, var: Term, kind: ValueType, where: str) -> str:
-        """Note the kind of a variable; return that it has another one elsewhere, "" where it may be both."""
+        """Record a type of a variable, and return an error if another occurrence excludes it, else ""."""
         known, other = self._known.setdefault(var, (kind, where))
+        # The narrowest type is kept: a variable that is a number in one event and an integer in another one is an
+        # integer, and must be compared as such with the next occurrence.
         if kind.forms < known.forms:
             self._known[var] = (kind, where)
-        if not self._told or not known.excludes(kind):
+        if not self._reports_clashes or not known.excludes(kind):
             return ""
         name = self._names[var] if isinstance(var, Var) and var in self._names else "this variable"
         return f"{name} is {known.what} ({other}) and, here, {kind.what} ({where}): these are never the same"
 
 
 def head_event(parent: CompoundTerm, number: int) -> EventTerm:
-    """Return the event that a rule fires, now or later, whose head is an argument of a term."""
+    """Return the event in a rule head: the head itself, or the event inside an alarm, query or ``do``."""
     term = deref(parent[number])
     while isinstance(term, tuple) and (
         term[0] in ALARMS or term[0] in SYNCHRONIZED or SPELLINGS.get(term[0]) == "do"
@@ -490,13 +506,13 @@ def head_event(parent: CompoundTerm, number: int) -> EventTerm:
 
 
 def query_goals(head: Term) -> List[Subgoal]:
-    """Return what the query of a rule's head calls, where it has one."""
+    """Return the calls in the query of a rule head, if the head has one."""
     head = deref(head)
     return list(calls(head, 2)) if head.__class__ is tuple and head[0] in SYNCHRONIZED else []
 
 
 def has_branches(whole: Term) -> bool:
-    """Tell whether alternatives stand in a term, of which one only holds at a time."""
+    """Return whether a term contains alternatives, only one of which holds at a time."""
     stack = [whole]
     while stack:
         term = deref(stack.pop())
@@ -508,7 +524,7 @@ def has_branches(whole: Term) -> bool:
 
 
 def made_by_goals(goals: Iterable[Subgoal]) -> Iterator[EventTerm]:
-    """Yield the events that goals make, and those that begin and end states."""
+    """Yield the events that goals raise, and the events that start and end declared states."""
     for call in goals:
         term = call.term
         if isinstance(term, tuple) and declares_state(term):
@@ -517,17 +533,17 @@ def made_by_goals(goals: Iterable[Subgoal]) -> Iterator[EventTerm]:
                 if isinstance(part, tuple) and len(part) == 2:
                     yield EventTerm(deref(part[1]), part, 1)
         if term.__class__ is tuple and makes_event(term):
-            made = deref(term[1])
-            if made.__class__ is tuple and made[0] is _EVENT2 and len(term) == 2:
-                term, made = made, deref(made[1])
-            yield EventTerm(made, term, 1)
+            event = deref(term[1])
+            if event.__class__ is tuple and event[0] is _EVENT2 and len(term) == 2:
+                term, event = event, deref(event[1])
+            yield EventTerm(event, term, 1)
 
 
 def _functor(term: Term) -> Optional[Functor]:
-    """Return the functor of an event; None for what is none, or not known yet."""
+    """Return the functor of an event, or None for a variable and for other terms."""
     if isinstance(term, tuple):
-        found: Functor = term[0]
-        return found
+        key: Functor = term[0]
+        return key
     return term.functor if isinstance(term, Atom) else None
 
 

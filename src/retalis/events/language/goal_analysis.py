@@ -1,4 +1,8 @@
-"""What the goals of rules call, looked at before they run."""
+"""Static analysis of goals in rules: called predicates, and warnings about unknown ones.
+
+The analysis descends into control constructs and meta-predicates with a known meaning (`_GOALS_IN`). Predicates that
+any goal of the program could define by ``assert`` and the like are never reported.
+"""
 
 from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Set
 
@@ -44,11 +48,11 @@ _SEVERAL = frozenset((COMMA, CONS))
 
 
 _MAX_HINTS = 50
-"""Unknown predicates of one program for which known ones of nearly the same name are looked for among all."""
+"""Maximum number of unknown predicates in one program for which similar names are searched."""
 
 
 class Subgoal(NamedTuple):
-    """A goal inside a goal, and where it stands: in which term, as which argument."""
+    """Goal inside a goal, and its position: argument ``number`` of ``parent``."""
 
     term: Term
     parent: CompoundTerm
@@ -56,41 +60,44 @@ class Subgoal(NamedTuple):
 
 
 def calls(parent: CompoundTerm, number: int) -> Iterator[Subgoal]:
-    """Yield what a goal, an argument of a term, calls: itself, or what its control constructs call."""
+    """Yield the calls of a goal in argument ``number`` of a term, with control constructs replaced by their goals."""
     stack = [Subgoal(deref(parent[number]), parent, number)]
     while stack:
         call = stack.pop()
         term = call.term
-        places = _GOALS_IN.get(term[0]) if term.__class__ is tuple else None
-        if places is None or term.__class__ is not tuple:
+        positions = _GOALS_IN.get(term[0]) if term.__class__ is tuple else None
+        if positions is None or term.__class__ is not tuple:
             yield call
         else:
-            stack += [Subgoal(deref(term[at]), term, at) for at in reversed(places)]
+            stack += [Subgoal(deref(term[position]), term, position) for position in reversed(positions)]
 
 
 def asking_interval(parent: CompoundTerm, number: int) -> List[Subgoal]:
-    """Return the calls of ``t1/1`` and ``t2/1`` without which a goal, an argument of a term, has no solution."""
-    found: List[Subgoal] = []
+    """Return the calls of ``t1/1`` and ``t2/1`` that a goal, an argument of a term, needs for a solution."""
+    interval_calls: List[Subgoal] = []
     stack = [Subgoal(deref(parent[number]), parent, number)]
     while stack:
         call = stack.pop()
         term = call.term
+        # Only goals that always run are followed: a call in one branch of ``;`` or below ``\+`` may never run.
         if term.__class__ is tuple and term[0] in _FOR_GOALS:
-            stack += [Subgoal(deref(term[at]), term, at) for at in range(len(term) - 1, 0, -1)]
+            stack += [
+                Subgoal(deref(term[position]), term, position) for position in range(len(term) - 1, 0, -1)
+            ]
         elif term.__class__ is tuple and term[0] in _INTERVAL:
-            found.append(call)
-    return found
+            interval_calls.append(call)
+    return interval_calls
 
 
 class Unknown(NamedTuple):
-    """A call of a predicate that may not be there.
+    """Call of a predicate that may be undefined.
 
     Attributes:
-        key: of the predicate.
-        place: where the call is, or None.
-        caller: who calls it, where there is no place.
-        advice: what was probably meant.
-        module: by whose name it is called, if by any.
+        key: functor of the predicate.
+        place: position of the call, or None.
+        caller: name of the caller, for a call without a place.
+        advice: the intended call, if it is known.
+        module: module that qualifies the call, or None.
     """
 
     key: Functor
@@ -101,64 +108,66 @@ class Unknown(NamedTuple):
 
 
 def called_by(conditions: Term, caller: str) -> List[Unknown]:
-    """Return what the goals in a list call."""
-    found: List[Unknown] = []
+    """Return the calls of the goals in a list."""
+    unknown: List[Unknown] = []
     for goal in list_items(conditions) or ():
         for call in calls((CONS, goal), 1):
             if isinstance(call.term, Atom):
-                found.append(Unknown(call.term.functor, None, caller))
+                unknown.append(Unknown(call.term.functor, None, caller))
             elif isinstance(call.term, tuple):
-                found.append(Unknown(call.term[0], None, caller))
-    return found
+                unknown.append(Unknown(call.term[0], None, caller))
+    return unknown
 
 
 def unknown_calls(
-    logic: PrologSystem, found: List[Unknown], terms: Callable[[], List[Term]]
+    logic: PrologSystem, calls_to_check: List[Unknown], terms: Callable[[], List[Term]]
 ) -> Iterator[RuleError]:
-    """Yield a warning for each predicate that is called and not there, and that no goal in ``terms`` can add."""
-    missing = [one for one in found if one.key is not _CUT and not _is_there(logic, one)]
+    """Yield a warning for each called predicate that is undefined and that no goal in ``terms`` can define."""
+    missing = [call for call in calls_to_check if call.key is not _CUT and not _is_defined(logic, call)]
     if not missing:
         return
-    added = _added(terms())
+    # The search through all terms of the program is slow, so it happens only if a predicate is undefined.
+    added = _dynamic_predicates(terms())
     hints = _MAX_HINTS
     for key, place, caller, advice, _ in missing:
         if key not in added and _ANY not in added:
+            # Each predicate is reported once, at its first call.
             added.add(key)
             hints -= 1
-            meant = logic.similar(key) if hints >= 0 and not advice else []
-            hint = f"; did you mean {' or '.join(meant)}?" if meant else ""
+            similar = logic.similar(key) if hints >= 0 and not advice else []
+            hint = f"; did you mean {' or '.join(similar)}?" if similar else ""
             hint = f"; {advice}" if advice else hint
-            who = f"{caller}: " if caller else ""
-            yield RuleError(f"{who}there is no predicate {key} yet{hint}", place)
+            prefix = f"{caller}: " if caller else ""
+            yield RuleError(f"{prefix}there is no predicate {key} yet{hint}", place)
 
 
-def _is_there(logic: PrologSystem, call: Unknown) -> bool:
+def _is_defined(logic: PrologSystem, call: Unknown) -> bool:
     modules = logic.database.modules
     module = None if call.module is None else modules.named(call.module)
     return logic.defines(call.key if module is None else modules.resolve(module, call.key))
 
 
 _ANY: Any = object()
-"""Stands among functors for any: what a goal adds cannot be seen."""
+"""Marker among functors: a goal adds a predicate that cannot be determined statically."""
 
 
-def _added(terms: List[Term]) -> Set[Functor]:
-    """Return the functors of the predicates that goals in terms add, and `_ANY` where that cannot be seen."""
-    found: Set[Functor] = set()
+def _dynamic_predicates(terms: List[Term]) -> Set[Functor]:
+    """Return the functors of predicates that goals in terms add, and `_ANY` for those that are unknown."""
+    added: Set[Functor] = set()
     stack = list(terms)
     while stack:
         term = deref(stack.pop())
         if term.__class__ is not tuple:
             continue
         if term[0] in _CHANGES:
-            found |= _heads(deref(term[1]))
+            added |= _predicates_of(deref(term[1]))
         stack.extend(term[1:])
-    return found
+    return added
 
 
-def _heads(term: Term) -> Set[Functor]:
-    """Return what a term names: a predicate or clause, or several."""
-    found: Set[Functor] = set()
+def _predicates_of(term: Term) -> Set[Functor]:
+    """Return the functors of the predicates or clauses that a term denotes."""
+    heads: Set[Functor] = set()
     stack = [term]
     while stack:
         item = deref(stack.pop())
@@ -168,13 +177,14 @@ def _heads(term: Term) -> Set[Functor]:
             stack.append(item[1])
         elif item.__class__ is tuple and item[0] is SLASH:
             name, arity = deref(item[1]), deref(item[2])
-            found.add(
+            heads.add(
                 functor(name.name, arity) if isinstance(name, Atom) and isinstance(arity, int) else _ANY
             )
         elif item.__class__ is Var:
-            found.add(_ANY)
+            # ``assertz(X)`` with a variable can define any predicate.
+            heads.add(_ANY)
         elif item.__class__ is Atom:
-            found.add(item.functor)
+            heads.add(item.functor)
         elif item.__class__ is tuple:
-            found.add(item[0])
-    return found
+            heads.add(item[0])
+    return heads

@@ -1,4 +1,8 @@
-"""The operators of patterns, by the functors of the terms that they are read from."""
+"""Operators of patterns, indexed by the functors of the terms that they are parsed from.
+
+All tables are derived from `EVENT_OPERATORS`, the single list of operators that the parser of terms and the event
+language share.
+"""
 
 from typing import Dict, Tuple
 
@@ -9,7 +13,7 @@ from ...prolog.terms.types import Functor
 OPERATORS: Dict[str, EventOperator] = {
     one.name: one for one in EVENT_OPERATORS if one.kind is OperatorKind.PAIR
 }
-"""The operators between two patterns, by name."""
+"""Operators between two patterns, by name."""
 
 _RUNS = (OperatorKind.RUN, OperatorKind.AGGREGATE, OperatorKind.DEADLINE)
 
@@ -19,17 +23,17 @@ SPELLINGS: Dict[Functor, str] = {
     if one.kind not in (OperatorKind.RULE, *_RUNS)
     for key in one.keys
 }
-"""Functor of a term -> the operator that it is in patterns, in whose form it is read."""
+"""Functor of a term -> the operator that it denotes in a pattern."""
 
 RUNS: Dict[Functor, EventOperator] = {
     key: one for one in EVENT_OPERATORS if one.kind in _RUNS for key in one.keys
 }
-"""Functor of a term -> the operator that it is as the right side of a sequence, and nowhere else."""
+"""Functor of a term -> the operator that it denotes as the right operand of a sequence only."""
 
 ARROWS = frozenset(key for one in EVENT_OPERATORS if one.meant == "<-" for key in one.keys)
 
 NO_EVENTS = {one.name: len(one.patterns) for one in EVENT_OPERATORS if not one.names_events}
-"""What has a name that events do not have, and how many arguments it takes; with others it is an event."""
+"""Reserved names, which no event has, and their number of arguments; with another number they are events."""
 
 WRITTEN = tuple(
     (name, len(one.patterns), one.form)
@@ -37,26 +41,26 @@ WRITTEN = tuple(
     if one.form
     for name in one.functors or (one.name,)
 )
-"""The names of what is written as functor and arguments only, how many it takes, and how it is written."""
+"""Names of the constructs that are written in functional notation only, with arity and form."""
 
 
 def _forms() -> Dict[str, str]:
-    found: Dict[str, str] = {}
+    forms: Dict[str, str] = {}
     for name, number, form in WRITTEN:
-        before = f"{found[name]}, or {number}" if name in found else f"takes {counted(number, 'argument')}"
-        found[name] = f"{before}: {form}"
-    return found
+        before = f"{forms[name]}, or {number}" if name in forms else f"takes {counted(number, 'argument')}"
+        forms[name] = f"{before}: {form}"
+    return forms
 
 
 FORMS = _forms()
-"""The same in words, by the names."""
+"""Arity and form of each name of `WRITTEN`, in words for messages."""
 
 NO_FACTS = frozenset(key for one in EVENT_OPERATORS if not one.names_facts for key in one.keys[:1])
-"""Facts of these were meant as rules: they are the names of nothing else."""
+"""Functors that have no meaning as facts: a fact with one of them was intended as a rule."""
 
 
 def names_of_kind(kind: OperatorKind, **facts: bool) -> Tuple[str, ...]:
-    """Return how the operators of a kind are called of which these facts hold, in the order of the table."""
+    """Return the names of the operators of a kind for which the given facts hold, in the order of the table."""
     return tuple(
         [
             one.name

@@ -1,6 +1,12 @@
-"""The patterns of rules, read from terms and checked on the way.
+"""Parser of rule bodies: terms to patterns, with static checks.
 
-What the aggregates of a rule collect, checked when the rule is read.
+`PatternReader` descends through the term of a rule body and builds a tree of `pattern_tree` nodes. It dispatches on
+the kind of the operator (`PatternReader._forms`). While it reads, it collects what later checks need: called goals,
+awaited events, aggregates and windows, each with its term, so that an error can name its place in the source.
+
+Terms that only look like operators stay events (see `is_event`); an event that was probably intended as an operator
+or condition gets a warning (see `likely_mistakes`). `check_aggregate` and `check_window` run after the whole rule is
+read, because they need all occurrences of its variables.
 """
 
 from typing import Any, Callable, Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Tuple
@@ -40,7 +46,7 @@ from .pattern_tree import (
 from .window_parser import is_event, read_shape, read_window, what_follows
 
 Spot = Callable[..., Optional[Place]]
-"""Gives the place of a compound term: that of its functor, or with a number that of an argument."""
+"""Returns the place of a compound term: that of its functor, or that of the argument with a given number."""
 _GOALS_AS_PATTERN = frozenset((functor("prolog", 1), functor("query", 1), functor("db", 1)))
 _ABSENCES = " or ".join(names_of_kind(OperatorKind.ABSENCE))
 _BEFORE = " or ".join(names_of_kind(OperatorKind.ABSENCE, between=False))
@@ -48,7 +54,7 @@ _ABSENT = "absent"
 
 
 class EventTerm(NamedTuple):
-    """A term that is an event or a pattern of events, and where it stands: in which term, as which argument."""
+    """Term that is an event or an event pattern, and its position: argument ``number`` of ``parent``."""
 
     term: Term
     parent: CompoundTerm
@@ -56,21 +62,21 @@ class EventTerm(NamedTuple):
 
 
 class PatternReader:
-    """Turns the body of one rule into a pattern.
+    """Parser for the body of one rule.
 
     Args:
-        place: gives the place of a subterm in the rule's text, or None.
-        warn: takes what is not an error but probably a mistake.
-        anonymous: the variables ``_``: they stand once in the rule and have no name.
+        place: returns the place of a subterm in the text of the rule, or None.
+        warn: receives probable mistakes that are not errors.
+        anonymous: the variables ``_`` of the rule, which occur once and have no name.
 
     Attributes:
-        place: what gives the places.
-        inner: the rules defined by the way, ``(S <- Q)`` inside a pattern.
-        goals: what the goals call.
-        events: the events that are waited for.
-        untimed: calls of ``t1/1`` and ``t2/1`` that a goal cannot do without, where these do not hold.
+        place: the function ``place``.
+        inner: rules that are defined inside the pattern, ``(S <- Q)``.
+        goals: calls in the goals of the pattern.
+        events: the awaited events.
+        untimed: calls of ``t1/1`` and ``t2/1`` that a goal requires, in goals for which no interval is defined.
         aggregates: the aggregates, each with its term.
-        windows: those over windows, each with its term.
+        windows: the aggregates over windows, each with its term.
         absences: the terms of absences between two events.
     """
 
@@ -89,10 +95,10 @@ class PatternReader:
         self.absences: List[CompoundTerm] = []
 
     def read(self, parent: CompoundTerm, number: int) -> Pattern:
-        """Return the pattern that an argument of a term is.
+        """Return the pattern in argument ``number`` of a term.
 
         Raises:
-            RuleError: for what cannot fire.
+            RuleError: if the pattern cannot match.
         """
         term = deref(parent[number])
         if term.__class__ is not tuple:
@@ -102,6 +108,8 @@ class PatternReader:
             self.inner.append(term)
             return self._event(term, 1)
         name = SPELLINGS.get(head)
+        # Programs older than an operator may use its name for events; `is_event` tells the two apart by the
+        # arguments.
         if name is None or is_event(term):
             run = None if is_event(term) else RUNS.get(head)
             if run is None:
@@ -118,22 +126,23 @@ class PatternReader:
             return self._sequence(term)
         return Pair(name, self.operand(term, 1, name), self.operand(term, 2, name))
 
-    def _refused(self, name: str, term: CompoundTerm) -> Pattern:
+    def _unknown_operator(self, name: str, term: CompoundTerm) -> Pattern:
         raise self.error(f"there is no operator {name}; use {_ABSENCES} for the absence of an event", term)
 
-    def _limited(self, name: str, term: CompoundTerm) -> Within:
+    def _time_limit(self, name: str, term: CompoundTerm) -> Within:
+        # The bound is exclusive in the language and inclusive in the network, hence one nanosecond less.
         return Within(self.operand(term, 1, name), self.span(name, term) - 1)
 
-    def _conditional(self, name: str, term: CompoundTerm) -> Condition:
+    def _condition(self, name: str, term: CompoundTerm) -> Condition:
         pattern = self.operand(term, 1, name)
         return Condition(pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].timed)
 
-    def _acting(self, name: str, term: CompoundTerm) -> Action:
+    def _action(self, name: str, term: CompoundTerm) -> Action:
         pattern = self.operand(term, 1, name)
         return Action(pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].every)
 
     def operand(self, parent: CompoundTerm, number: int, operator: str) -> Pattern:
-        """Return the pattern that an operand is; see `read`."""
+        """Return the pattern of an operand; see `read`."""
         term = deref(parent[number])
         if term.__class__ is tuple and term[0] in _GOALS_AS_PATTERN:
             raise self.error(f"{term[0].name}(Goal) can only stand beside {SEQ}, not beside {operator}", term)
@@ -153,8 +162,9 @@ class PatternReader:
 
     def _sequence(self, term: CompoundTerm) -> Pattern:
         left, right = deref(term[1]), deref(term[2])
-        left_goal = self._called(left)
-        right_goal = self._called(right)
+        left_goal = self._goal_operand(left)
+        right_goal = self._goal_operand(right)
+        # A goal beside ``seq`` is a condition on the other operand. With two goals no event would ever start a match.
         if left_goal is not None and right_goal is not None:
             raise self.error("a sequence of two goals does not wait for any event", term)
         if right_goal is not None:
@@ -174,7 +184,7 @@ class PatternReader:
             self._warn(self.error(f"this is an ordinary event; {form}", right))
         return Pair(SEQ, first, self.read(term, 2))
 
-    def _called(self, term: Term) -> Optional[Term]:
+    def _goal_operand(self, term: Term) -> Optional[Term]:
         if term.__class__ is tuple and term[0] in _GOALS_AS_PATTERN:
             return self.goal(term, 1, term[0].name)
         return None
@@ -190,30 +200,32 @@ class PatternReader:
             )
         collected = self.operand(term, 2, operator.name)
         value = deref(kind[1]) if kind.__class__ is tuple else None
-        found = Aggregate(first, name, value, collected, deref(term[3]))
-        self.aggregates.append((found, term))
-        return found
+        aggregate = Aggregate(first, name, value, collected, deref(term[3]))
+        self.aggregates.append((aggregate, term))
+        return aggregate
 
     def _alternatives(self, name: str, term: CompoundTerm) -> Either:
         branches: List[Pattern] = []
+        # Nested alternatives become one node with many branches. An explicit stack, because programs can be generated
+        # with thousands of them, more than the recursion limit of Python.
         pending = [(term, 2), (term, 1)]
         while pending:
             parent, number = pending.pop()
-            one = deref(parent[number])
-            if one.__class__ is tuple and SPELLINGS.get(one[0]) == name:
-                pending += [(one, 2), (one, 1)]
+            branch = deref(parent[number])
+            if branch.__class__ is tuple and SPELLINGS.get(branch[0]) == name:
+                pending += [(branch, 2), (branch, 1)]
             else:
                 branches.append(self.operand(parent, number, name))
         return Either(tuple(branches))
 
-    def _windowed(self, name: str, term: CompoundTerm) -> Windowed:
-        found = read_window(self, term)
-        self.windows.append((found, term))
-        return found
+    def _window(self, name: str, term: CompoundTerm) -> Windowed:
+        window = read_window(self, term)
+        self.windows.append((window, term))
+        return window
 
-    def _shaped(self, name: str, term: CompoundTerm) -> Pattern:
-        parted = what_follows(term)
-        return read_shape(self, term) if parted is None else self.read((term[0], parted), 1)
+    def _stream_operator(self, name: str, term: CompoundTerm) -> Pattern:
+        regrouped = what_follows(term)
+        return read_shape(self, term) if regrouped is None else self.read((term[0], regrouped), 1)
 
     def _absence(self, name: str, term: CompoundTerm) -> Absent:
         pattern = self.operand(term, 1, name)
@@ -239,9 +251,13 @@ class PatternReader:
         pattern = self.operand(term, 1, name)
         if times == 1:
             return pattern
+        # Each ``_`` stands for a different value in each repetition, so each repetition gets fresh variables; named
+        # variables join the repetitions.
         own = tuple([var for var in bound_by(pattern, True) if var in self._anonymous])
         fresh = {var: Var() for var in own}
         self._anonymous |= set(fresh.values())
+        # The last repetition is kept apart: the node of the first ones then is an ordinary left operand, and a
+        # ``cnot`` covers the gap before the last one.
         last = with_others(pattern, fresh) if fresh else pattern
         before = Repeated(pattern, times - 1, own)
         if times > MAX_COMPOSED_REPETITIONS and not before.is_of_single_events():
@@ -252,10 +268,10 @@ class PatternReader:
         return Pair(SEQ, pattern if times == 2 else before, last)
 
     def span(self, name: str, term: CompoundTerm) -> int:
-        """Return the nanoseconds that the second argument of a term says.
+        """Return the second argument of a term, a number of seconds, in nanoseconds.
 
         Raises:
-            RuleError: where they are none.
+            RuleError: if the argument is not a positive number.
         """
         span = deref(term[2])
         if span.__class__ not in (int, float) or not span > 0 or span == float("inf"):
@@ -263,10 +279,10 @@ class PatternReader:
         return from_seconds(span)
 
     def goal(self, parent: CompoundTerm, number: int, operator: str) -> Term:
-        """Return the goal that an argument of a term is.
+        """Return the goal in argument ``number`` of a term, and record its calls.
 
         Raises:
-            RuleError: where it, or a part of it, cannot be called.
+            RuleError: if the goal or a part of it is not callable.
         """
         for call in calls(parent, number):
             if call.term.__class__ not in (tuple, Atom, Var):
@@ -277,26 +293,26 @@ class PatternReader:
         return deref(parent[number])
 
     def error(self, message: str, term: Term, number: int = 0) -> RuleError:
-        """Return an error at a term, or at an argument of it."""
+        """Return an error at a term, or at one of its arguments."""
         return RuleError(message, self.place(term, number))
 
     _forms: Dict[OperatorKind, Callable[["PatternReader", str, CompoundTerm], Pattern]] = {
         OperatorKind.PAIR: _pair,
         OperatorKind.ALTERNATIVES: _alternatives,
         OperatorKind.ABSENCE: _absence,
-        OperatorKind.REFUSED: _refused,
+        OperatorKind.REFUSED: _unknown_operator,
         OperatorKind.REPETITION: _repetition,
-        OperatorKind.LIMIT: _limited,
-        OperatorKind.CONDITION: _conditional,
-        OperatorKind.ACTION: _acting,
-        OperatorKind.WINDOW: _windowed,
-        OperatorKind.SHAPE: _shaped,
+        OperatorKind.LIMIT: _time_limit,
+        OperatorKind.CONDITION: _condition,
+        OperatorKind.ACTION: _action,
+        OperatorKind.WINDOW: _window,
+        OperatorKind.SHAPE: _stream_operator,
     }
-    """What reads a term, by the kind of its operator."""
+    """Parsing method for each kind of operator."""
 
 
 def _is_sequence(pattern: Pattern) -> bool:
-    """Tell whether a pattern is a sequence, looking through conditions."""
+    """Return whether a pattern is a sequence, possibly inside conditions."""
     while isinstance(pattern, (Condition, Within)):
         pattern = pattern.pattern
     return isinstance(pattern, Pair) and pattern.operator == SEQ
@@ -310,24 +326,26 @@ def check_aggregate(
     spot: Spot,
     warn: Callable[[RuleError], None],
 ) -> None:
-    """Check that an aggregate has something to collect.
+    """Check the value and the result of an aggregate.
 
     Args:
         part: the aggregate.
-        term: as it is written.
-        pattern: of the rule.
-        names: of the variables.
-        spot: gives the places of parts of the term.
-        warn: takes what is not an error but probably a mistake.
+        term: the aggregate as it is written.
+        pattern: the pattern of the rule.
+        names: names of the variables.
+        spot: returns the places of parts of the term.
+        warn: receives probable mistakes that are not errors.
 
     Raises:
-        RuleError: where what it is given is never a number and has to be one.
+        RuleError: if a numeric aggregate gets a value that can never be a number.
     """
     first, collected = set(bound_by(part.first)), set(bound_by(part.collected))
     mentioned = [] if part.value is None else variables(part.value)
     free = [var for var in mentioned if var not in first and var not in collected]
     numeric = AGGREGATES[part.kind].numeric
     if not numeric:
+        # An aggregate of terms may collect a variable that another part of the pattern binds later; only a variable
+        # that occurs nowhere else stays unbound.
         counts = occurrences([], pattern)
         free = [var for var in free if counts[var] == 1]
     if free:
@@ -341,6 +359,7 @@ def check_aggregate(
         warn(error)
     if part.value is not None and numeric and not _may_be_number(part.value):
         raise RuleError(f"{part.kind} needs numbers or arithmetic expressions", spot(deref(term[1])))
+    # The result would be unified with each collected value, so only equal ones would be reported.
     if part.result.__class__ is Var and part.result in (collected | set(mentioned)) - first:
         name = names.get(part.result, "a variable")
         message = (
@@ -358,18 +377,18 @@ def check_window(
     spot: Spot,
     warn: Callable[[RuleError], None],
 ) -> None:
-    """Check what a window measures, and warn if there is a window for each of its values.
+    """Check the measured values of a window, and warn about values that also partition it.
 
     Args:
         part: the aggregate over a window.
-        term: as it is written.
+        term: the aggregate as it is written.
         rule: the rule as it is written.
-        names: of the variables.
-        spot: gives the places of parts of the term.
-        warn: takes the warnings.
+        names: names of the variables.
+        spot: returns the places of parts of the term.
+        warn: receives the warnings.
 
     Raises:
-        RuleError: if a measure that needs numbers gets what is never a number.
+        RuleError: if a numeric measure gets a value that can never be a number.
     """
     for kind, value in zip(part.kinds, part.values):
         if value is not None and MEASURES[kind].numeric and not _may_be_number(value):
@@ -380,6 +399,7 @@ def check_window(
     inside = occurrences([*measured, *part.window.goals], part.collected)
     everywhere = occurrences([rule], None)
     for var in dict.fromkeys(one for value in measured for one in variables(value)):
+        # A window has one partition for each binding of the variables that occur outside of it.
         if everywhere.get(var, 0) > inside[var]:
             name = names.get(var, "a variable")
             message = (
@@ -389,7 +409,7 @@ def check_window(
 
 
 def _may_be_number(value: Term) -> bool:
-    """Tell whether there may be numbers for its variables with which a term is an expression."""
+    """Return whether a term is an arithmetic expression for some values of its variables."""
     stack = [value]
     while stack:
         term = deref(stack.pop())
@@ -397,6 +417,7 @@ def _may_be_number(value: Term) -> bool:
             if term.functor not in EVALUABLE:
                 return False
         elif term.__class__ is tuple:
+            # ``[X]`` is the arithmetic value of X, as in ISO Prolog, and may be one when it is called.
             if term[0] is CONS:
                 continue
             if term[0] not in EVALUABLE:

@@ -1,8 +1,8 @@
-"""Patterns of rules as trees.
+"""Syntax tree of patterns, and functions on it.
 
-How often variables stand in a rule.
-
-What a rule says, read and checked.
+A rule is parsed into a `RuleDefinition` whose pattern is a tree of named tuples, one class per operator. The tree is
+immutable and independent of the network that is compiled from it; saved states contain it, so its classes and fields
+are part of the format of state files.
 """
 
 from types import MappingProxyType
@@ -30,13 +30,13 @@ Pattern = Union[
 
 
 class Occurs(NamedTuple):
-    """An event that unifies with a term."""
+    """Event that unifies with a term."""
 
     term: Term
 
 
 class Pair(NamedTuple):
-    """Two patterns joined by an operator of `OPERATORS`."""
+    """Two patterns that are joined by an operator of `OPERATORS`."""
 
     operator: str
     left: "Pattern"
@@ -44,14 +44,14 @@ class Pair(NamedTuple):
 
 
 class Repeated(NamedTuple):
-    """A pattern several times in sequence; ``own`` are the variables that are fresh in each repetition."""
+    """Pattern that is repeated in sequence; the variables ``own`` are fresh in each repetition."""
 
     pattern: "Pattern"
     times: int
     own: Tuple[Var, ...]
 
     def written_out(self) -> "Pattern":
-        """Return the same as a sequence of patterns."""
+        """Return the equivalent sequence of patterns."""
         result: Pattern = self.pattern
         for _ in range(self.times - 1):
             fresh = {var: Var() for var in self.own}
@@ -59,25 +59,23 @@ class Repeated(NamedTuple):
         return result
 
     def is_of_single_events(self) -> bool:
-        """Tell whether each repetition is one event, and of each event there is one match at most."""
+        """Return whether each repetition is one event, and each event has at most one match."""
         parts = walk(self.pattern)
         if not all(isinstance(part, (Occurs, Either, Condition, Within)) for part in parts):
             return False
         terms = [part.term for part in parts if isinstance(part, Occurs)]
-        kinds = {term[0] if term.__class__ is tuple else term for term in terms}
-        return len(terms) == 1 or (
-            len(kinds) == len(terms) and not any(one.__class__ is Var for one in kinds)
-        )
+        keys = {term[0] if term.__class__ is tuple else term for term in terms}
+        return len(terms) == 1 or (len(keys) == len(terms) and not any(key.__class__ is Var for key in keys))
 
 
 class Either(NamedTuple):
-    """One of several patterns (``or``)."""
+    """Alternatives (``or``)."""
 
     branches: "Tuple[Pattern, ...]"
 
 
 class Absent(NamedTuple):
-    """A pattern, and no event of another one: between the sides of a sequence (``inside``), or ever before."""
+    """Pattern that matches if no match of another one lies inside a sequence (``inside``), or at any earlier time."""
 
     pattern: "Pattern"
     negated: "Pattern"
@@ -85,14 +83,14 @@ class Absent(NamedTuple):
 
 
 class Star(NamedTuple):
-    """A pattern, then another one any number of times."""
+    """Pattern that is followed by any number of repetitions of another one."""
 
     first: "Pattern"
     repeated: "Pattern"
 
 
 class Aggregate(NamedTuple):
-    """A pattern, then another one any number of times, collected into a result."""
+    """Pattern that is followed by any number of repetitions of another one, which are aggregated into a result."""
 
     first: "Pattern"
     kind: str
@@ -102,7 +100,7 @@ class Aggregate(NamedTuple):
 
 
 class Condition(NamedTuple):
-    """A pattern and a goal that has to have a solution; ``timed`` gives the goal ``t1/1`` and ``t2/1``."""
+    """Pattern with a goal that must have a solution; if ``timed``, the goal can call ``t1/1`` and ``t2/1``."""
 
     pattern: "Pattern"
     goal: Term
@@ -110,14 +108,14 @@ class Condition(NamedTuple):
 
 
 class Within(NamedTuple):
-    """A pattern that takes no longer than ``span`` nanoseconds."""
+    """Pattern whose matches take ``span`` nanoseconds at most."""
 
     pattern: "Pattern"
     span: int
 
 
 class Action(NamedTuple):
-    """A pattern and a goal to call: once (``do``), or for all of its solutions (``every``)."""
+    """Pattern with a goal that is called once per match (``do``), or for all of its solutions (``every``)."""
 
     pattern: "Pattern"
     goal: Term
@@ -125,16 +123,16 @@ class Action(NamedTuple):
 
 
 class StepForm(NamedTuple):
-    """A step of a window of steps: so many matches of its pattern for which a condition holds.
+    """Step of a row pattern: a pattern variable of MATCH_RECOGNIZE with its quantifier and its condition.
 
     Attributes:
-        name: its name.
-        least: how many, at least.
-        most: how many, at most; None for any number.
-        reluctant: whether it takes as few as it can, not as many.
-        later: whether matches that fit no step are passed over before each of its own.
-        goal: the condition, or None; it may look back by ``prev/1`` and the like.
-        until: what holds for a match that ends it, or None.
+        name: the name.
+        least: minimum number of rows.
+        most: maximum number of rows; None for no limit.
+        reluctant: whether the quantifier is reluctant, that is, prefers fewer rows.
+        later: whether rows that fit no step may be skipped before each row of this one.
+        goal: the condition of a row, or None; it can navigate with ``prev/1``, ``first`` and ``last``.
+        until: condition of a row that ends the step, or None.
     """
 
     name: str
@@ -147,23 +145,23 @@ class StepForm(NamedTuple):
 
     @property
     def goals(self) -> List[Term]:
-        """What it asks of matches."""
+        """The conditions of the step."""
         return [goal for goal in (self.goal, self.until) if goal is not None]
 
 
 class WindowForm(NamedTuple):
-    """Which matches are measured together, and when the result is given on.
+    """Window: the matches that are aggregated together, and the times at which a result is emitted.
 
     Attributes:
-        kind: ``last`` for those of the last ``span`` ns, ``newest`` for the last ``most``, ``every`` for windows of
-            ``span`` ns one after the other, ``first`` for such that begin with a match, ``batch`` for ``most`` at
-            a time, ``steps`` for those that take steps.
-        span: how long, in ns.
-        step: for ``every``, from one window's start to the next one's, in ns.
-        most: how many.
-        running: whether it is given on at each match, not only at a window's end.
-        steps: the steps.
-        looked_at: the variables of the pattern that the conditions of steps look at.
+        kind: ``last`` for a sliding window of ``span`` ns, ``newest`` for a sliding window of ``most`` matches,
+            ``every`` for windows of ``span`` ns that start every ``step`` ns, ``first`` for windows that start with
+            a match, ``batch`` for tumbling windows of ``most`` matches, ``steps`` for row patterns.
+        span: length in ns.
+        step: for ``every``, ns from one start to the next one.
+        most: number of matches.
+        running: whether each match emits a result, not only the end of a window.
+        steps: the steps of a row pattern.
+        looked_at: the variables of the pattern that conditions of steps use.
     """
 
     kind: str
@@ -176,22 +174,22 @@ class WindowForm(NamedTuple):
 
     @property
     def goals(self) -> List[Term]:
-        """What its steps ask of matches."""
+        """The conditions of all steps."""
         return [goal for step in self.steps for goal in step.goals]
 
 
 class Windowed(NamedTuple):
-    """The matches of a pattern that are in a window, measured together.
+    """Aggregation of the matches of a pattern that are in a window.
 
     Attributes:
         collected: the pattern.
-        kinds: the names of the measures.
-        settings: what each of them is set to, a term or a tuple of terms; None for most.
-        values: what each of them is of; None where it is of no value.
-        results: a term for the result of each measure; with ``listed`` one for the list of all of them.
-        listed: see there.
+        kinds: names of the measures.
+        settings: setting of each measure: a term, a tuple of terms, or None.
+        values: aggregated value of each measure; None for measures without a value.
+        results: term for the result of each measure; if ``listed``, one term for the list of all results.
+        listed: whether the results are unified as one list.
         window: the window.
-        scopes: for each measure the step that it looks at, or None for all.
+        scopes: for each measure the number of the step that it is restricted to, or None.
     """
 
     collected: "Pattern"
@@ -205,14 +203,14 @@ class Windowed(NamedTuple):
 
 
 class Shaped(NamedTuple):
-    """A pattern, of whose matches some go on: ``by`` says which are looked at together.
+    """Pattern whose matches pass a rate operator (throttle, burst, debounce, change), keyed by ``by``.
 
     Attributes:
         pattern: the pattern.
-        shape: which ones: the name of a shape.
-        span: so many ns; 0 where it is about no time.
-        value: what has to change, or None.
-        by: terms; matches for which they are the same are looked at together.
+        shape: name of the operator.
+        span: time in ns; 0 if the operator has none.
+        value: the value that must change, or None.
+        by: key terms; matches with equal keys share one state of the operator.
     """
 
     pattern: "Pattern"
@@ -223,7 +221,7 @@ class Shaped(NamedTuple):
 
 
 class Awaited(NamedTuple):
-    """A pattern, and no match of another one wholly within ``span`` ns after it."""
+    """Pattern that matches if no match of another one lies within ``span`` ns after it."""
 
     pattern: "Pattern"
     negated: "Pattern"
@@ -245,59 +243,62 @@ PATTERNS = (
     Shaped,
     Awaited,
 )
-"""All kinds of patterns."""
+"""All classes of pattern nodes."""
 SEQ = "seq"
 MAX_REPETITIONS = 10_000
-"""How many repetitions ``ntimes`` takes at most."""
+"""Maximum for ``ntimes``."""
 MAX_COMPOSED_REPETITIONS = 1_000
-"""The same where a repetition is more than one event: it is written out as a sequence then."""
+"""Maximum for ``ntimes`` of a pattern of several events, which is expanded into a sequence."""
 
 
 def with_others(part: Pattern, fresh: Mapping[Var, Var]) -> Any:
-    """Return a pattern with other variables in the place of some."""
+    """Return a pattern in which some variables are replaced by others."""
 
-    def renamed(found: Any) -> Any:
-        if isinstance(found, (*PATTERNS, WindowForm, StepForm)):
-            return found.__class__(*map(renamed, found))
-        if found.__class__ is tuple and (not found or found[0].__class__ is not Functor):
-            return tuple(map(renamed, found))  # the branches of an ``or``, the variables of repetitions
-        return rebuild(found, lambda var: fresh.get(var, var)) if found.__class__ in (tuple, Var) else found
+    def renamed(value: Any) -> Any:
+        if isinstance(value, (*PATTERNS, WindowForm, StepForm)):
+            return value.__class__(*map(renamed, value))
+        # Terms are tuples that begin with a functor; any other tuple is a field with several patterns or variables.
+        if value.__class__ is tuple and (not value or value[0].__class__ is not Functor):
+            return tuple(map(renamed, value))  # the branches of an ``or``, the variables of repetitions
+        return rebuild(value, lambda var: fresh.get(var, var)) if value.__class__ in (tuple, Var) else value
 
     return renamed(part)
 
 
 def bound_by(pattern: Pattern, negated: bool = False) -> List[Var]:
-    """Return the variables that a match of a pattern may give values to, from left to right; or all of them."""
-    found: Dict[Var, None] = {}
+    """Return the variables that a match may bind, from left to right, optionally with negated patterns."""
+    bound: Dict[Var, None] = {}
     for part in walk(pattern, negated):
         for term in own_terms(part):
             for var in variables(term):
-                found.setdefault(var)
-    return list(found)
+                bound.setdefault(var)
+    return list(bound)
 
 
 def surely_bound_by(pattern: Pattern, conditions: bool = True, empty: bool = False) -> Set[Var]:
-    """Return the variables that every match of a pattern gives values to.
+    """Return the variables that every match of a pattern binds.
 
     Args:
         pattern: the pattern.
-        conditions: whether those count that conditions give values to.
-        empty: whether matches of aggregates that have no repetitions yet count too.
+        conditions: whether variables that conditions bind are included.
+        empty: whether matches of aggregates without any repetition are considered too.
     """
     if isinstance(pattern, Either):
         branches = [surely_bound_by(branch, conditions, empty) for branch in pattern.branches]
+        # A match has one branch only, so a variable is bound for certain only if all branches bind it.
         return set.intersection(*branches)
     if isinstance(pattern, Star) or (empty and isinstance(pattern, Aggregate)):
+        # Zero repetitions are a match as well, and bind nothing.
         return surely_bound_by(pattern.first, conditions, empty)
     counts = conditions or not isinstance(pattern, Condition)
-    found = {var for term in own_terms(pattern) for var in variables(term)} if counts else set()
+    bound = {var for term in own_terms(pattern) for var in variables(term)} if counts else set()
     for child in children(pattern, False):
-        found |= surely_bound_by(child, conditions, empty)
-    return found
+        bound |= surely_bound_by(child, conditions, empty)
+    return bound
 
 
 def own_terms(part: Pattern) -> List[Term]:
-    """Return the terms that stand at one node of a pattern itself."""
+    """Return the terms of one node, without those of its children."""
     if isinstance(part, Occurs):
         return [part.term]
     if isinstance(part, (Condition, Action)):
@@ -313,18 +314,19 @@ def own_terms(part: Pattern) -> List[Term]:
 
 
 def walk(pattern: Pattern, negated: bool = False) -> List[Pattern]:
-    """Return the nodes of a pattern from left to right, what it negates only if asked for."""
-    found: List[Pattern] = []
+    """Return the nodes of a pattern from left to right; with ``negated`` also those of negated patterns."""
+    nodes: List[Pattern] = []
+    # No recursion: sequences of thousands of events are nested that deep.
     stack = [pattern]
     while stack:
         part = stack.pop()
-        found.append(part)
+        nodes.append(part)
         stack.extend(reversed(children(part, negated)))
-    return found
+    return nodes
 
 
 def children(part: Pattern, negated: bool = True) -> Tuple[Pattern, ...]:
-    """Return the patterns directly below a node, from left to right."""
+    """Return the children of a node, from left to right."""
     if isinstance(part, Pair):
         return (part.left, part.right)
     if isinstance(part, Either):
@@ -343,14 +345,14 @@ def children(part: Pattern, negated: bool = True) -> Tuple[Pattern, ...]:
 
 
 def same_rule_key(head: Optional[Term], pattern: Pattern) -> Hashable:
-    """Return a key: equal for rules that are the same but for the names of variables and spellings."""
+    """Return a key that is equal for rules that differ only in names of variables and spellings of operators."""
     return variant_key((functor("<-", 2), functor("none", 0) if head is None else head, _as_term(pattern)))
 
 
 def _as_term(pattern: Pattern) -> Term:
     parts: List[Term] = []
     for part in walk(pattern, True):
-        kind, marks = _marked(part)
+        kind, marks = _discriminator(part)
         parts.append((functor(kind, 0), *marks, *own_terms(part), *_conditions_of_steps(part)))
     return (functor("pattern", 0), *parts)
 
@@ -358,11 +360,11 @@ def _as_term(pattern: Pattern) -> Term:
 def _conditions_of_steps(part: Pattern) -> List[Term]:
     steps = part.window.steps if isinstance(part, Windowed) else ()
     none = functor("none", 1)(0)
-    return [none if goal is None else goal for one in steps for goal in (one.goal, one.until)]
+    return [none if goal is None else goal for step in steps for goal in (step.goal, step.until)]
 
 
-def _marked(part: Pattern) -> Tuple[str, Tuple[int, ...]]:
-    """Return a name and numbers that tell a part from others with the same terms."""
+def _discriminator(part: Pattern) -> Tuple[str, Tuple[int, ...]]:
+    """Return a name and numbers that distinguish a node from others with the same terms."""
     if isinstance(part, Pair):
         return part.operator, ()
     if isinstance(part, Aggregate):
@@ -372,7 +374,7 @@ def _marked(part: Pattern) -> Tuple[str, Tuple[int, ...]]:
     if isinstance(part, Windowed):
         settings = " ".join(map(repr, part.settings))
         kind = f"{part.window.kind} {' '.join(part.kinds)} {settings}"
-        kind += "".join(map(repr, (*(one[:5] for one in part.window.steps), *part.scopes)))
+        kind += "".join(map(repr, (*(step[:5] for step in part.window.steps), *part.scopes)))
         return kind, (*part.window[1:4], int(part.window.running), int(part.listed))
     return type(part).__name__, _numbers(part)
 
@@ -391,9 +393,9 @@ def _numbers(part: Pattern) -> Tuple[int, ...]:
     return (int(part.every),) if isinstance(part, Action) else ()
 
 
-def _each_variable(term: Term) -> List[Var]:
-    """Return every occurrence of a variable in a term."""
-    found: List[Var] = []
+def _variable_occurrences(term: Term) -> List[Var]:
+    """Return all occurrences of variables in a term."""
+    result: List[Var] = []
     stack = [term]
     while stack:
         item = stack.pop()
@@ -401,32 +403,32 @@ def _each_variable(term: Term) -> List[Var]:
             stack.extend(item[1:])
         elif item.__class__ is Var:
             if item.ref is None:
-                found.append(item)
+                result.append(item)
             else:
                 stack.append(item.ref)
-    return found
+    return result
 
 
 def occurrences(terms: List[Term], pattern: Optional[Pattern]) -> Dict[Var, int]:
-    """Count how often each variable stands in a rule."""
+    """Count the occurrences of each variable in a rule."""
     counts: Dict[Var, int] = {}
     parts = [] if pattern is None else walk(pattern, True)
     for term in [*terms, *(term for part in parts for term in own_terms(part))]:
-        for var in _each_variable(term):
+        for var in _variable_occurrences(term):
             counts[var] = counts.get(var, 0) + 1
     return counts
 
 
 class RuleDefinition(NamedTuple):
-    """What a rule says.
+    """Parsed rule.
 
     Attributes:
-        term: the rule as it was written, without its label.
-        head: the event that it fires; None for a pattern that only calls a goal.
-        pattern: its pattern, the goals of the head included.
-        label: its label, or None.
-        place: where it stands.
-        names: of its variables.
+        term: the rule as it is written, without its label.
+        head: the event that it raises; None for a pattern that only calls a goal.
+        pattern: the pattern, including the goals of the head.
+        label: the label, or None.
+        place: position in the source.
+        names: names of the variables.
     """
 
     term: Term
@@ -438,16 +440,17 @@ class RuleDefinition(NamedTuple):
 
     @property
     def key(self) -> Hashable:
-        """Equal for rules that are the same but for the names of variables, spellings and labels."""
+        """Key that is equal for rules that differ only in names of variables, spellings and labels."""
         return same_rule_key(self.head, self.pattern)
 
     @property
     def unused(self) -> FrozenSet[Var]:
-        """The variables that stand in one place of the rule only, where each place is matched once."""
+        """Variables with one occurrence, if each position in the rule is matched once."""
         if any(
             isinstance(part, (Repeated, Star, Aggregate, Windowed))
             for part in walk(self.pattern, negated=True)
         ):
             return frozenset()
+        # In repeated nodes, one occurrence in the text joins several events, so its binding matters.
         counts = occurrences([self.term], None)
         return frozenset(var for var, number in counts.items() if number == 1)

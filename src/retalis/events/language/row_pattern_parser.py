@@ -1,6 +1,15 @@
-"""Windows of steps, read from terms: ``steps([low, high(2, 5) where T > prev(T)])``."""
+"""Parser of row patterns: ``steps([low, high(2, 5) where T > prev(T)])``.
 
-from typing import Any, Container, Iterator, List, NamedTuple, Optional, Protocol, Sequence, Set, Tuple
+A row pattern corresponds to MATCH_RECOGNIZE of SQL. A step is a pattern variable with a quantifier: ``high(2, 5)`` is
+``HIGH{2,5}``, ``reluctant`` makes it reluctant, and its ``where`` goal is the DEFINE condition. ``prev(X)``,
+``first(Step, X)`` and ``last(Step, X)`` are the navigation functions; the parser replaces each of them by a fresh
+variable and records in a `LookBack` the value to bind it to.
+
+A condition is split at its commas into parts (`conditions`), so that each part can be evaluated as soon as the rows
+that it refers to exist.
+"""
+
+from typing import TYPE_CHECKING, Any, Container, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from ...foundation.errors import RuleError
 from ...prolog.terms.list_terms import list_items, make_list
@@ -8,35 +17,28 @@ from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.types import COMMA, Atom, CompoundTerm, Term, Var, atom, deref, functor
 from .pattern_tree import StepForm
 
+if TYPE_CHECKING:
+    from .pattern_parser import PatternReader
+
 MAX_STEPS = 100
-"""How many steps a window has at most."""
+"""Maximum number of steps of a row pattern."""
 _LATER, _UNTIL, _WHERE = functor("later", 1), functor("until", 1), functor("where", 2)
 _STEPS = functor("steps", 1)
 _GREEDY = "many"
 _RELUCTANT = "reluctant"
-_BACK = {functor("prev", 1): "prev", functor("first", 1): "first", functor("last", 1): "last"}
-_BACK_TO = {functor("first", 2): "first", functor("last", 2): "last"}
+_NAVIGATION = {functor("prev", 1): "prev", functor("first", 1): "first", functor("last", 1): "last"}
+_STEP_NAVIGATION = {functor("first", 2): "first", functor("last", 2): "last"}
 _FORM = "Name, Name(N), Name(N, M), Name(N, many), with reluctant or until(Goal) behind the numbers"
 
 
-class StepReader(Protocol):
-    """What reads patterns, see `PatternReader`."""
-
-    def goal(self, parent: CompoundTerm, number: int, operator: str) -> Term:
-        """Return the goal that an argument of a term is."""
-
-    def error(self, message: str, term: Term, number: int = 0) -> RuleError:
-        """Return an error at a term, or at an argument of it."""
-
-
 class LookBack(NamedTuple):
-    """A value of an earlier item that a condition asks for.
+    """Navigation of a condition to a value in an earlier row.
 
     Attributes:
-        kind: of which item of the match: ``prev`` for the one before, ``first`` or ``last`` of a step.
-        step: the step; any number for ``prev``.
-        var: which of its variables.
-        stands: the variable that stands for the value in the condition.
+        kind: ``prev`` for the preceding row, ``first`` or ``last`` for a row of a step.
+        step: number of the step; meaningless for ``prev``; -1 if there is no such step.
+        var: variable of the pattern in that row.
+        stands: variable that replaces the navigation in the condition.
     """
 
     kind: str
@@ -46,11 +48,11 @@ class LookBack(NamedTuple):
 
 
 class StepCondition(NamedTuple):
-    """A part of a condition: it is asked where all that it looks back at is there.
+    """Part of a condition; it is evaluated when all rows that it refers to exist.
 
     Attributes:
-        goal: the goal, with variables in the place of what it looks back at.
-        back: what these are.
+        goal: the goal, with a variable in place of each navigation.
+        back: the navigations.
     """
 
     goal: Term
@@ -58,43 +60,43 @@ class StepCondition(NamedTuple):
 
 
 def read_steps(
-    reader: StepReader, form: CompoundTerm, given: Set[Var]
+    reader: "PatternReader", form: CompoundTerm, given: Set[Var]
 ) -> Tuple[Tuple[StepForm, ...], Tuple[Var, ...]]:
-    """Return the steps of a window, and the variables of its pattern that their conditions look at.
+    """Return the steps of a row pattern, and the variables of the pattern that their conditions use.
 
     Args:
-        reader: reads goals, and makes errors.
-        form: the term of the window.
-        given: the variables that the pattern gives values to.
+        reader: reads goals, and creates errors with places.
+        form: the term of the row pattern.
+        given: the variables that the event pattern binds.
 
     Raises:
-        RuleError: where these are no steps, or such as never end.
+        RuleError: if a step is malformed or can never end.
     """
     items = list_items(form[1])
     if not items or len(items) > MAX_STEPS:
         raise reader.error(f"steps needs a list of 1 to {MAX_STEPS} steps", form, 1)
-    steps = [_step(reader, deref(one), form) for one in items]
-    names = [one.name for one in steps]
+    steps = [_step(reader, deref(step), form) for step in items]
+    names = [step.name for step in steps]
     for name in names:
         if names.count(name) > 1:
             raise reader.error(f"two steps are called {name}", form, 1)
-    if not any(one.least for one in steps):
+    if not any(step.least for step in steps):
         raise reader.error("one step at least has to be there: all of these may be left out", form, 1)
     _check_ends(reader, steps, form)
     looked_at: List[Var] = []
-    for at, one in enumerate(steps):
-        for goal in one.goals:
-            parts = conditions(goal, names, at, given)
+    for number, step in enumerate(steps):
+        for goal in step.goals:
+            parts = conditions(goal, names, number, given)
             for back in (back for part in parts for back in part.back):
                 if back.var not in given or back.step < 0:
-                    raise _nothing_there(reader, back, names, form)
+                    raise _navigation_error(reader, back, names, form)
             mentioned = [*variables(goal), *(back.var for part in parts for back in part.back)]
             looked_at += [var for var in mentioned if var in given]
     return tuple(steps), tuple(dict.fromkeys(looked_at))
 
 
-def _step(reader: StepReader, term: Any, form: CompoundTerm) -> StepForm:
-    """Return the step that a term says."""
+def _step(reader: "PatternReader", term: Any, form: CompoundTerm) -> StepForm:
+    """Return the step that a term denotes."""
     inner, later = term, False
     goal: Optional[Term] = None
     while inner.__class__ is tuple and inner[0] in (_LATER, _WHERE):
@@ -109,12 +111,14 @@ def _step(reader: StepReader, term: Any, form: CompoundTerm) -> StepForm:
         return StepForm(inner.name, 1, 1, False, later, goal, None)
     if inner.__class__ is not tuple or inner[0] in (_WHERE, _UNTIL):
         raise reader.error(f"a step is {_FORM}; and Step where Goal, later(Step)", form, 1)
-    return _counted(reader, inner, later, goal)
+    return _quantified_step(reader, inner, later, goal)
 
 
-def _counted(reader: StepReader, term: CompoundTerm, later: bool, goal: Optional[Term]) -> StepForm:
-    """Return the step that a term with numbers says."""
-    args: List[Any] = [deref(one) for one in term[1:]]
+def _quantified_step(
+    reader: "PatternReader", term: CompoundTerm, later: bool, goal: Optional[Term]
+) -> StepForm:
+    """Return the step that a term with a quantifier denotes."""
+    args: List[Any] = [deref(arg) for arg in term[1:]]
     reluctant, until = False, None
     option = args[-1]
     if option.__class__ is Atom and option.name == _RELUCTANT:
@@ -138,85 +142,95 @@ def _are_counts(least: Any, most: Any) -> bool:
     return most is None or (most.__class__ is int and 1 <= most >= least)
 
 
-def _check_ends(reader: StepReader, steps: Sequence[StepForm], form: CompoundTerm) -> None:
-    """Refuse a step that goes on for ever, so that no match would ever be whole."""
-    for at, one in enumerate(steps):
-        if one.reluctant or one.until is not None:
+def _check_ends(reader: "PatternReader", steps: Sequence[StepForm], form: CompoundTerm) -> None:
+    """Reject a step without an end, which would never complete a match."""
+    for number, step in enumerate(steps):
+        if step.reluctant or step.until is not None:
             continue
-        what = ""
-        if one.most is None and one.goal is None:
-            what = "a condition, a largest number" if not one.later else "a largest number"
-        elif one.later and one.most != one.least and not any(other.least for other in steps[at + 1 :]):
-            what = "a single number"  # else it would wait for more, which may never come
-        if what:
-            message = f"nothing ends the step {one.name}: give it {what}, reluctant, or until(Goal)"
+        missing = ""
+        if step.most is None and step.goal is None:
+            missing = "a condition, a largest number" if not step.later else "a largest number"
+        elif (
+            step.later
+            and step.most != step.least
+            and not any(later_step.least for later_step in steps[number + 1 :])
+        ):
+            # With ``later``, an optional further row could still arrive at any time, so the match would never be
+            # final.
+            missing = "a single number"  # else it would wait for more, which may never come
+        if missing:
+            message = f"nothing ends the step {step.name}: give it {missing}, reluctant, or until(Goal)"
             raise reader.error(message, form, 1)
 
 
-def _nothing_there(reader: StepReader, back: LookBack, names: Sequence[str], form: CompoundTerm) -> RuleError:
+def _navigation_error(
+    reader: "PatternReader", back: LookBack, names: Sequence[str], form: CompoundTerm
+) -> RuleError:
     if back.step < 0:
         return reader.error(f"there is no such step to look back at; there are {', '.join(names)}", form, 1)
     return reader.error(f"{back.kind} needs a variable that the pattern gives a value", form, 1)
 
 
 def conditions(goal: Term, names: Sequence[str], at: int, given: Container[Var]) -> List[StepCondition]:
-    """Return the parts of a condition, and at what each of them looks back.
+    """Return the parts of a condition, each with its navigations.
 
-    What stands between commas is a part; those that share a variable of their own are one, with what is between them.
+    Conjuncts that share a variable local to the condition form one part, together with the conjuncts between them.
 
     Args:
         goal: the condition.
-        names: those of the steps.
-        at: the step whose condition it is.
-        given: the variables that the pattern gives values to; others are the condition's own.
+        names: names of the steps.
+        at: number of the step that has the condition.
+        given: variables that the event pattern binds; all others are local to the condition.
     """
     conjuncts = list(_conjuncts(goal))
-    own = [[var for var in variables(one) if var not in given] for one in conjuncts]
-    last = {var: place for place, mentioned in enumerate(own) for var in mentioned}
+    own = [[var for var in variables(conjunct) if var not in given] for conjunct in conjuncts]
+    last = {var: position for position, mentioned in enumerate(own) for var in mentioned}
     parts: List[Term] = []
     end = -1
-    for place, one in enumerate(conjuncts):
-        if place > end:
-            parts.append(one)
+    for position, conjunct in enumerate(conjuncts):
+        # A local variable is bound in one conjunct and used in another one, so both must be solved as one goal.
+        if position > end:
+            parts.append(conjunct)
         else:
-            parts[-1] = (COMMA, parts[-1], one)
-        end = max([end, *(last[var] for var in own[place])])
-    return [_looking_back(one, names, at) for one in parts]
+            parts[-1] = (COMMA, parts[-1], conjunct)
+        end = max([end, *(last[var] for var in own[position])])
+    return [_with_navigations(conjunct, names, at) for conjunct in parts]
 
 
 def _conjuncts(goal: Term) -> Iterator[Term]:
     stack = [deref(goal)]
     while stack:
-        one: Any = stack.pop()
-        if one.__class__ is tuple and one[0] is COMMA:
-            stack += [deref(one[2]), deref(one[1])]
+        goal_part: Any = stack.pop()
+        if goal_part.__class__ is tuple and goal_part[0] is COMMA:
+            # Left conjunct last, so that it is popped first.
+            stack += [deref(goal_part[2]), deref(goal_part[1])]
         else:
-            yield one
+            yield goal_part
 
 
-def _looking_back(goal: Term, names: Sequence[str], at: int) -> StepCondition:
-    found: List[LookBack] = []
+def _with_navigations(goal: Term, names: Sequence[str], at: int) -> StepCondition:
+    navigations: List[LookBack] = []
 
     def replaced(term: Term) -> Term:
         term = deref(term)
         if term.__class__ is not tuple:
             return term
-        back = _back(term, names, at)
+        back = _navigation(term, names, at)
         if back is None:
-            return (term[0], *[replaced(one) for one in term[1:]])
-        found.append(back)
+            return (term[0], *[replaced(arg) for arg in term[1:]])
+        navigations.append(back)
         return back.stands
 
-    return StepCondition(replaced(goal), tuple(found))
+    return StepCondition(replaced(goal), tuple(navigations))
 
 
-def _back(term: CompoundTerm, names: Sequence[str], at: int) -> Optional[LookBack]:
-    """Return what a term looks back at, or None where it does not."""
-    kind = _BACK.get(term[0])
+def _navigation(term: CompoundTerm, names: Sequence[str], at: int) -> Optional[LookBack]:
+    """Return the navigation that a term denotes, or None."""
+    kind = _NAVIGATION.get(term[0])
     var: Any = deref(term[-1])
     if kind is not None and var.__class__ is Var:
         return LookBack(kind, at, var, Var())
-    kind = _BACK_TO.get(term[0])
+    kind = _STEP_NAVIGATION.get(term[0])
     name: Any = deref(term[1])
     if kind is None or name.__class__ is not Atom or var.__class__ is not Var:
         return None
@@ -224,21 +238,21 @@ def _back(term: CompoundTerm, names: Sequence[str], at: int) -> Optional[LookBac
 
 
 def steps_term(steps: Sequence[StepForm]) -> Term:
-    """Return the term that says a window of steps."""
-    return _STEPS(make_list([step_term(one) for one in steps]))
+    """Return the term of a row pattern."""
+    return _STEPS(make_list([step_term(step) for step in steps]))
 
 
-def step_term(one: StepForm) -> Term:
-    """Return the term that a step is written as."""
-    args: List[Term] = [] if one.least == one.most == 1 else [one.least]
-    if one.most != one.least:
-        args.append(atom(_GREEDY) if one.most is None else one.most)
-    extra: Optional[Term] = atom(_RELUCTANT) if one.reluctant else None
-    if one.until is not None:
-        extra = _UNTIL(one.until)
+def step_term(step: StepForm) -> Term:
+    """Return the term of a step."""
+    args: List[Term] = [] if step.least == step.most == 1 else [step.least]
+    if step.most != step.least:
+        args.append(atom(_GREEDY) if step.most is None else step.most)
+    extra: Optional[Term] = atom(_RELUCTANT) if step.reluctant else None
+    if step.until is not None:
+        extra = _UNTIL(step.until)
     if extra is not None:
         args = [*(args or [1]), extra]
-    made: Term = functor(one.name, len(args))(*args) if args else atom(one.name)
-    if one.goal is not None:
-        made = _WHERE(made, one.goal)
-    return _LATER(made) if one.later else made
+    term: Term = functor(step.name, len(args))(*args) if args else atom(step.name)
+    if step.goal is not None:
+        term = _WHERE(term, step.goal)
+    return _LATER(term) if step.later else term

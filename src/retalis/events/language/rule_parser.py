@@ -1,12 +1,13 @@
-"""Labels of rules and their properties: ``L : R`` and ``L([property(Name, Value), ...]) : R``.
+"""Parser of rule labels, rule heads and timer schedules.
 
-Heads that fire their event later: ``exceptionAlarm/2`` and ``exceptionAlarmAbsoluteDatime/2``.
+A label names a rule and sets its properties: ``L : R`` or ``L([property(Name, Value), ...]) : R``.
 
-Heads of rules, checked: what cannot be an event, an alarm or a query that waits is refused.
+A head is an event that the rule raises, or one of these wrappers around it: ``exceptionAlarm/2`` and
+``exceptionAlarmAbsoluteDatime/2`` raise it later (after a delay or at an instant), ``synchronized/3`` raises it when
+a query has a solution, ``do`` calls a goal in addition. `check_head` rejects heads that can never raise an event.
 
-When timers ring: ``every(Seconds)``, ``at(Hour, Minute, Second)``, ``after(Seconds)`` and their like.
-
-What makes events: heads of rules, and goals.
+The goal ``timer(Event, Schedule)`` raises events without any input. `Schedule` computes the instants of
+``every(Seconds)``, ``at(Hour, Minute, Second)``, ``after(Seconds)`` and the other forms; times of day are UTC.
 """
 
 from math import isfinite
@@ -29,13 +30,13 @@ WORDS: Dict[str, Tuple[str, ...]] = {
     "out_of_order": ("off", "on"),
     "after_match": ("keep", "skip_past_last", "skip_to_next"),
 }
-"""The properties whose values are words, with these; of those of one name, what was said last holds."""
+"""Properties whose value is one of several words. If a property is set twice, the last value holds."""
 KNOWN_PROPERTIES = ("event_rule_window", "window", "window_step", "ttl", *WORDS)
-_FORMS = "a label is an atom, or Label([property(Name, Value), ...])"
+_LABEL_FORM = "a label is an atom, or Label([property(Name, Value), ...])"
 
 
 class Property(NamedTuple):
-    """A property of a label."""
+    """Property of a label."""
 
     label: Term
     name: str
@@ -43,31 +44,31 @@ class Property(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Whether there is such a property."""
+        """Whether a property with this name exists."""
         return self.name in KNOWN_PROPERTIES
 
     @property
     def number(self) -> float:
-        """Its value, where that is a number and no problem."""
+        """The value of a valid numeric property."""
         value = self.value
         assert isinstance(value, (int, float))
         return value
 
     @property
     def word(self) -> Optional[str]:
-        """Its value, where that is a word and no problem; None for a number."""
+        """The value of a valid property of `WORDS`; None for a number."""
         return self.value.name if self.name in WORDS and isinstance(self.value, Atom) else None
 
     @property
     def problem(self) -> Optional[str]:
-        """What is wrong with it, or None."""
+        """Error in the property, or None."""
         if not self.known:
             known = ", ".join(KNOWN_PROPERTIES)
             return f"there is no property {self.name}; the properties are {known}{near(self.name, KNOWN_PROPERTIES)}"
         words = WORDS.get(self.name)
         if words is not None:
-            said = self.value.name if isinstance(self.value, Atom) else ""
-            return None if said in words else f"property {self.name} is {_one_of(words)}{near(said, words)}"
+            value = self.value.name if isinstance(self.value, Atom) else ""
+            return None if value in words else f"property {self.name} is {_one_of(words)}{near(value, words)}"
         if self.value.__class__ not in (int, float) or not (self.value >= 0 and isfinite(self.value)):
             return f"property {self.name} needs a number of seconds, 0 or more"
         return None
@@ -78,7 +79,7 @@ def _one_of(words: Tuple[str, ...]) -> str:
 
 
 def is_rule(term: Term) -> bool:
-    """Tell whether a term is an event rule, labelled or not."""
+    """Return whether a term is an event rule, with or without a label."""
     if term.__class__ is not tuple:
         return False
     if term[0] is RULE or term[0] is COLON:
@@ -88,12 +89,12 @@ def is_rule(term: Term) -> bool:
 
 
 def is_plain_rule(term: Term) -> bool:
-    """Tell whether a term is an event rule without a label."""
+    """Return whether a term is an event rule without a label."""
     return term.__class__ is tuple and (term[0] in ARROWS or SPELLINGS.get(term[0]) == "do")
 
 
 def labelled(term: CompoundTerm) -> Tuple[Optional[Term], Term]:
-    """Return label and rule; the label is None where there is none or it is malformed."""
+    """Return label and rule; the label is None if it is missing or malformed."""
     if term[0] is not RULE and term[0] is not COLON:
         return None, term
     label = deref(term[1])
@@ -107,23 +108,23 @@ def labelled(term: CompoundTerm) -> Tuple[Optional[Term], Term]:
 
 
 def label_error(term: CompoundTerm, spot: Spot) -> Optional[RuleError]:
-    """Return what is wrong with the label of a rule; None for what is none."""
+    """Return the error in the label of a rule, or None."""
     if not is_plain_rule(deref(term[2])) or labelled(term)[0] is not None:
         return None
     label = deref(term[1])
     if label.__class__ is Var:
-        return RuleError(f"{_FORMS}, not a variable", spot(term, 1))
+        return RuleError(f"{_LABEL_FORM}, not a variable", spot(term, 1))
     if label.__class__ is tuple and len(label) == 2:
         for item in list_items(label[1]) or ():
             part = deref(item)
             if not _is_property(part):
-                at = spot(part) if part.__class__ is tuple else spot(label)
-                return RuleError(f"expected {_property_meant(part)}; {_FORMS}", at)
-    return RuleError(_FORMS, spot(term, 1))
+                place = spot(part) if part.__class__ is tuple else spot(label)
+                return RuleError(f"expected {_property_meant(part)}; {_LABEL_FORM}", place)
+    return RuleError(_LABEL_FORM, spot(term, 1))
 
 
 def _property_meant(part: Term) -> str:
-    """Return the property that something in the list of a label was probably meant as."""
+    """Return the property that was probably intended by an invalid item in the list of a label."""
     name: Any = None
     value: Any = None
     if part.__class__ is tuple and len(part) == 2:
@@ -141,23 +142,25 @@ def _is_property(term: Term) -> bool:
     return term.__class__ is tuple and term[0] is _PROPERTY and deref(term[1]).__class__ is Atom
 
 
-_AFTER = functor("exceptionAlarm", 2)
-_AT = functor("exceptionAlarmAbsoluteDatime", 2)
-ALARMS = frozenset((_AFTER, _AT))
+_ALARM_AFTER = functor("exceptionAlarm", 2)
+_ALARM_AT = functor("exceptionAlarmAbsoluteDatime", 2)
+ALARMS = frozenset((_ALARM_AFTER, _ALARM_AT))
 _LEAP_YEAR = 2000
 
 
 def alarm_of(head: CompoundTerm, start: int, end: int) -> Optional[Tuple[Term, int, int]]:
-    """Return the event, its start and the instant at which it fires; None for a head that is not an alarm.
+    """Return the event of an alarm, its start and the instant at which it fires; None for any other head.
 
-    An instant before the start is none: as in the original engine, the head is an ordinary event then.
+    If the instant lies before the start, the result is None too: as in the original engine, the head then is an
+    ordinary event.
 
     Raises:
-        UsageError: where the duration or instant is wrong.
+        UsageError: if the delay or instant is invalid.
     """
-    if head[0] is _AFTER:
+    if head[0] is _ALARM_AFTER:
+        # The original engine counts alarms in whole seconds.
         instant = WholeSeconds(end + duration(head[2]))
-    elif head[0] is _AT:
+    elif head[0] is _ALARM_AT:
         instant = WholeSeconds(from_any(head[2]))
     else:
         return None
@@ -167,15 +170,15 @@ def alarm_of(head: CompoundTerm, start: int, end: int) -> Optional[Tuple[Term, i
 
 
 def is_absolute(head: Term) -> bool:
-    """Tell whether the head of an alarm names its instant."""
-    return head.__class__ is tuple and head[0] is _AT
+    """Return whether the head of an alarm contains its instant."""
+    return head.__class__ is tuple and head[0] is _ALARM_AT
 
 
 def duration(term: Term) -> int:
-    """Return the duration of an alarm in ns.
+    """Return the delay of an alarm in ns.
 
     Raises:
-        UsageError: where it is not a positive number.
+        UsageError: if the delay is not a positive number.
     """
     seconds = deref(term)
     if seconds.__class__ not in (int, float) or not seconds > 0:
@@ -184,18 +187,18 @@ def duration(term: Term) -> int:
 
 
 def require_alarm(head: CompoundTerm) -> None:
-    """Check what an alarm's head says of its instant before it has its values.
+    """Check the time in the head of an alarm as far as it is known before its variables are bound.
 
     Raises:
-        UsageError: where no values make it right.
+        UsageError: if no values of the variables make it valid.
     """
     when = deref(head[2])
     if when.__class__ is Var:
         return
-    if head[0] is _AFTER:
+    if head[0] is _ALARM_AFTER:
         duration(when)
-    elif head[0] is _AT:
-        filled = _filled(when)
+    elif head[0] is _ALARM_AT:
+        filled = _with_default_fields(when)
         try:
             from_any(filled)
         except UsageError as error:
@@ -207,19 +210,21 @@ def _is_datime(term: Term) -> bool:
     return term.__class__ is tuple and (term[0] is DATIME6 or term[0] is DATIME7)
 
 
-def _filled(when: Term) -> Term:
-    """Return an instant with values for its variables that are right if any are."""
+def _with_default_fields(when: Term) -> Term:
+    """Return an instant with its variables bound to values that are valid if any values are."""
     if when.__class__ is not tuple:
         return when
+    # A year, month or day of 1 exists in all formats, and 2000 is a leap year: if these values are invalid with the
+    # bound fields, all values are.
     if when[0] is CONS:
         items = list_items(when)
-        return 1 if items is None else make_list([_or(item, 1) for item in items])
+        return 1 if items is None else make_list([_bound_or(item, 1) for item in items])
     if _is_datime(when):
-        return (when[0], _or(when[1], _LEAP_YEAR), *(_or(field, 1) for field in when[2:]))
+        return (when[0], _bound_or(when[1], _LEAP_YEAR), *(_bound_or(field, 1) for field in when[2:]))
     return when
 
 
-def _or(term: Term, value: int) -> Term:
+def _bound_or(term: Term, value: int) -> Term:
     term = deref(term)
     return value if term.__class__ is Var else term
 
@@ -233,25 +238,25 @@ def check_head(head: Term, spot: Spot, place: Optional[Place], warn: Callable[[R
     """Check the head of a rule.
 
     Args:
-        head: the head, without what it does.
-        spot: gives the places of its parts.
-        place: its own.
-        warn: takes what is not an error but probably a mistake.
+        head: the head, without its ``do`` goal.
+        spot: returns the places of its parts.
+        place: the place of the head.
+        warn: receives probable mistakes that are not errors.
 
     Raises:
-        RuleError: for what never happens.
+        RuleError: if the head can never raise an event.
     """
     if head.__class__ not in (tuple, Atom, Var):
         raise RuleError("the head of a rule is an event: an atom or a compound term", place)
     if head.__class__ is not tuple:
         return
     operator = SPELLINGS.get(head[0])
-    wrong = head_error(head, operator)
-    if wrong is not None:
-        raise RuleError(wrong, place)
-    doubted = head_doubt(head, operator)
-    if doubted is not None:
-        warn(RuleError(doubted, place))
+    error_text = head_error(head, operator)
+    if error_text is not None:
+        raise RuleError(error_text, place)
+    warning = head_doubt(head, operator)
+    if warning is not None:
+        warn(RuleError(warning, place))
     if head[0] is _COLON:
         warn(RuleError("this is an event that contains a colon: a rule has one label", place))
     if head[0] in ALARMS:
@@ -267,7 +272,7 @@ def check_head(head: Term, spot: Spot, place: Optional[Place], warn: Callable[[R
 
 
 def _check_query(head: Any, spot: Spot) -> None:
-    """Check the query of a synchronized event, and what it waits for."""
+    """Check the query of a ``synchronized`` head, and the memories that it waits for."""
     for call in calls(head, 2):
         if call.term.__class__ not in (tuple, Atom, Var):
             raise RuleError(f"{head[0].name} needs a goal", spot(call.parent, call.number))
@@ -297,7 +302,7 @@ def _may_be_options(term: Term) -> bool:
 
 
 TIMER = functor("timer", 2)
-"""The goal that sets a timer: the event, and when."""
+"""Goal that sets a timer: the event, and its schedule."""
 
 FORMS = (
     "every(Seconds)",
@@ -307,7 +312,7 @@ FORMS = (
     "after(Seconds)",
 )
 SHORTEST = 0.001
-"""Seconds; the events of a shorter period would leave no time for others."""
+"""Minimum period in seconds: with a shorter one, the timer would leave no time for other events."""
 
 MAX_INTERVAL_SECONDS = 10**9
 _DAY = 86_400 * SECOND
@@ -317,14 +322,14 @@ _TIME_OF_DAY, _TIMER_AT, _TIMER_AFTER = functor("at", 3), functor("at", 1), func
 
 
 class Schedule(NamedTuple):
-    """When a timer rings.
+    """Schedule of a timer.
 
     Attributes:
-        term: as it was written.
-        period: from one time to the next in ns, or how long to wait where it rings once; 0 for one instant.
-        repeats: whether it rings again and again.
-        phase: an instant at which it rings, of those that repeat; None where they are counted from when it is set.
-        instant: the only one at which it rings, or None.
+        term: the schedule as it is written.
+        period: ns between two events, or the delay of a single one; 0 for a fixed instant.
+        repeats: whether the timer fires repeatedly.
+        phase: for a repeating timer an instant at which it fires; None if it counts from the time when it is set.
+        instant: the only instant at which it fires, or None.
     """
 
     term: Term
@@ -335,23 +340,24 @@ class Schedule(NamedTuple):
 
     @property
     def is_relative(self) -> bool:
-        """Whether it is a time to wait from when it was set, once."""
+        """Whether the schedule is a single delay from the time when the timer is set."""
         return self.instant is None and not self.repeats
 
     def next(self, now: int) -> Optional[int]:
-        """Return the first instant after now, for a timer that is set now; None where it is over."""
+        """Return the first instant after ``now`` for a timer that is set at ``now``; None if it has passed."""
         if self.instant is not None:
             return self.instant if self.instant > now else None
         if self.phase is None:
             return now + self.period
+        # The modulus of Python is never negative, so this also holds if ``phase`` lies after ``now``.
         return now + self.period - (now - self.phase) % self.period
 
 
 def schedule_of(term: Term) -> Schedule:
-    """Return when a timer is to ring.
+    """Return the schedule that a term denotes.
 
     Raises:
-        UsageError: what was expected.
+        UsageError: if the term is not a valid schedule.
     """
     when: Any = deref(term)
     kind = when[0] if when.__class__ is tuple else None
@@ -369,10 +375,11 @@ def schedule_of(term: Term) -> Schedule:
 
 
 def schedule_fault(term: Term) -> Optional[str]:
-    """Return why a timer cannot be set so, whatever the values of variables; None where it may be."""
+    """Return the reason why a schedule is invalid for all values of its variables, or None."""
     when: Any = deref(term)
     if when.__class__ is Var:
         return None
+    # A rule may bind the variables of a schedule to valid numbers; it is checked again when the timer is set.
     if when.__class__ is tuple and when[0] in _KINDS and not is_ground(when):
         return None
     try:
@@ -383,7 +390,7 @@ def schedule_fault(term: Term) -> Optional[str]:
 
 
 def sets_timer(term: Term) -> bool:
-    """Tell whether a term is a goal that sets a timer, and not a program's own ``timer(X, Y)``."""
+    """Return whether a term is a goal that sets a timer, and not a predicate ``timer/2`` of the program."""
     goal: Any = deref(term)
     if goal.__class__ is not tuple or goal[0] is not TIMER:
         return False
@@ -406,7 +413,7 @@ def _time_of_day(when: CompoundTerm) -> int:
     hour: Any
     minute: Any
     second: Any
-    hour, minute, second = [deref(one) for one in when[1:]]
+    hour, minute, second = [deref(field) for field in when[1:]]
     whole = hour.__class__ is int and minute.__class__ is int and second.__class__ in (int, float)
     if whole and 0 <= hour < 24 and 0 <= minute < 60 and 0 <= second < 60:
         instant: int = (hour * 60 + minute) * 60 * SECOND + from_seconds(second)
@@ -417,20 +424,20 @@ def _time_of_day(when: CompoundTerm) -> int:
 NEW_EVENT = frozenset(
     (*(functor("new_event", arity) for arity in (2, 3, 5)), functor("event", 1), functor("event", 2))
 )
-"""The goals that make an event of their first argument, at once."""
+"""Goals that immediately raise the event in their first argument."""
 
 
 def makes_event(term: Term) -> bool:
-    """Tell whether a term is a goal that makes an event, its first argument: now or later."""
+    """Return whether a term is a goal that raises the event in its first argument, immediately or by a timer."""
     return term.__class__ is tuple and (term[0] in NEW_EVENT or sets_timer(term))
 
 
 def made_by(head: Optional[Term]) -> Optional[Term]:
-    """Return the event that a rule with some head fires, now or later."""
+    """Return the event that a rule with some head raises, immediately or later."""
     if head is None:
         return None
     term: Any = deref(head)
     while term.__class__ is tuple and (term[0] in ALARMS or term[0] in SYNCHRONIZED):
         term = deref(term[1])
-    made: Term = term
-    return made
+    event: Term = term
+    return event

@@ -1,4 +1,8 @@
-"""States that are declared: ``state(S, from(F), until(U), Options)``."""
+"""Parser of declared states: ``state(S, from(F), until(U), Options)``.
+
+A declared state is a fluent of the event calculus: the event F initiates it, the event U terminates it. When it ends,
+S itself occurs as an event with the interval of the state.
+"""
 
 from typing import Any, Dict, Hashable, List, NamedTuple, Optional, Tuple
 
@@ -10,17 +14,17 @@ from ...prolog.terms.types import COMMA, Atom, Functor, Term, Var, deref, functo
 from .pattern_operators import SPELLINGS
 
 STATE = frozenset((functor("state", 3), functor("state", 4)))
-"""The goals that declare a state."""
+"""Goals that declare a state."""
 
 HOLDS = frozenset((functor("holds", 1), functor("holds", 2), functor("holds_at", 2)))
-"""The goals that ask whether a state holds, their first argument."""
+"""Goals that query whether the state in their first argument holds."""
 
 FORM = "state(S, from(Event), until(Event)) or state(S, from(Event), until(Event), Options)"
 PAST = 1000
-"""Intervals that are over and can be asked for, where a declaration does not say how many."""
+"""Default maximum for ended intervals that can be queried."""
 
 OPEN = 10_000
-"""States that may be open at once, where a declaration does not say how many."""
+"""Default maximum for states that hold at the same time."""
 
 _FROM, _UNTIL = functor("from", 1), functor("until", 1)
 _LIMITS = {"past": (0, 1_000_000), "open": (1, 1_000_000)}
@@ -28,16 +32,16 @@ _OPTIONS = "the options are within(Seconds), past(Number) and open(Number)"
 
 
 class StateForm(NamedTuple):
-    """What a declaration of a state says.
+    """Declaration of a state.
 
     Attributes:
-        term: all of it.
-        state: the state; also the event that happens when it is over.
-        begins: the event with whose end it begins.
-        ends: the event with whose start it ends.
-        within: after how many nanoseconds it ends by itself, or None.
-        past: how many intervals are kept that are over.
-        open: how many may be open at once.
+        term: the whole declaration.
+        state: the state, and also the event that occurs when it ends.
+        begins: the event whose end starts the state.
+        ends: the event whose start ends the state.
+        within: time in ns after which the state ends by itself, or None.
+        past: maximum number of stored intervals that have ended.
+        open: maximum number of instances that hold at the same time.
     """
 
     term: Term
@@ -50,7 +54,7 @@ class StateForm(NamedTuple):
 
     @property
     def events(self) -> Tuple[Term, Term, Term]:
-        """The events that it names."""
+        """The events in the declaration."""
         return self.state, self.begins, self.ends
 
     @property
@@ -60,12 +64,12 @@ class StateForm(NamedTuple):
 
     @property
     def key(self) -> Hashable:
-        """Equal for states that are the same but for the names of variables."""
+        """Key that is equal for states that differ only in names of variables."""
         return term_key(self.state)
 
 
 def declares_state(term: Term) -> bool:
-    """Tell whether a term is a goal that declares a state, and not a program's own ``state(X, Y, Z)``."""
+    """Return whether a term is a goal that declares a state, and not a predicate ``state/3`` of the program."""
     goal: Any = deref(term)
     if goal.__class__ is not tuple or goal[0] not in STATE:
         return False
@@ -74,26 +78,28 @@ def declares_state(term: Term) -> bool:
 
 
 def state_form(term: Term) -> StateForm:
-    """Return what a declaration says.
+    """Return the state that a term declares.
 
     Raises:
-        UsageError: what was expected.
+        UsageError: if the declaration is malformed.
     """
     goal: Any = deref(term)
     state = _event(goal[1], "a state")
-    begins, ends = _of(goal[2], _FROM), _of(goal[3], _UNTIL)
+    begins, ends = _event_in(goal[2], _FROM), _event_in(goal[3], _UNTIL)
+    # The end of a state raises an event of its name, which would start or end the state again without end.
     if _key(state) in (_key(begins), _key(ends)):
         raise UsageError("a state cannot begin or end with events of its own name")
+    # Instances of a state are told apart by their bound arguments from the start on.
     if not set(variables(state)) <= set(variables(begins)):
         raise UsageError("each variable of the state has to stand in from(...), which gives it its value")
     return StateForm(goal, state, begins, ends, **(_options(goal[4]) if len(goal) == 5 else {}))
 
 
-def _of(term: Term, kind: Functor) -> Term:
+def _event_in(term: Term, wrapper: Functor) -> Term:
     part: Any = deref(term)
-    if part.__class__ is not tuple or part[0] is not kind:
+    if part.__class__ is not tuple or part[0] is not wrapper:
         raise UsageError(f"expected {FORM}")
-    return _event(part[1], f"what stands in {kind.name}(...)")
+    return _event(part[1], f"what stands in {wrapper.name}(...)")
 
 
 def _event(term: Term, what: str) -> Term:
@@ -107,15 +113,15 @@ def _event(term: Term, what: str) -> Term:
 
 
 def _key(event: Term) -> Functor:
-    found: Functor = event[0] if event.__class__ is tuple else event.functor  # type: ignore[union-attr]
-    return found
+    key: Functor = event[0] if event.__class__ is tuple else event.functor  # type: ignore[union-attr]
+    return key
 
 
 def _options(term: Term) -> Dict[str, Any]:
     items: Optional[List[Term]] = list_items(term)
     if items is None:
         raise UsageError(f"expected a list of options; {_OPTIONS}")
-    found: Dict[str, Any] = {}
+    options: Dict[str, Any] = {}
     for item in items:
         option: Any = deref(item)
         name = option[0].name if option.__class__ is tuple and option[0].arity == 1 else ""
@@ -123,19 +129,19 @@ def _options(term: Term) -> Dict[str, Any]:
         if name == "within":
             if value.__class__ not in (int, float) or not 0 < value <= 1e9:
                 raise UsageError("within(Seconds) needs a number of seconds above 0")
-            found[name] = from_seconds(value)
+            options[name] = from_seconds(value)
         elif name in _LIMITS:
             low, high = _LIMITS[name]
             if value.__class__ is not int or not low <= value <= high:
                 raise UsageError(f"{name}(Number) needs an integer from {low} to {high}")
-            found[name] = value
+            options[name] = value
         else:
             raise UsageError(_OPTIONS)
-    return found
+    return options
 
 
 def asked_state(term: Term) -> Optional[Functor]:
-    """Return the functor of the state that a goal asks for, where it says which."""
+    """Return the functor of the state that a goal queries, or None if it is not fixed."""
     goal: Any = deref(term)
     if goal.__class__ is not tuple or goal[0] not in HOLDS:
         return None

@@ -1,9 +1,14 @@
-"""Windows and shapes of streams, read from terms: ``aggregate(K, Q, R, W)`` and ``P with S``.
+"""Parser of windows ``aggregate(K, Q, R, W)``, of rate operators ``P with S``, and of subscription patterns.
 
-What a subscription sends: all events of a pattern, or those of them that a shape lets through, ``P with S``.
+A window determines which matches of Q are aggregated together: the last ones by time or count (sliding), adjacent
+ones (tumbling), overlapping ones (hopping), or the rows of a row pattern. K names the measures, R the results.
+
+A rate operator S passes some matches of P only: ``throttle``, ``burst``, ``debounce`` and ``change`` correspond to
+throttleFirst, leading-edge debounce, debounce and distinctUntilChanged of ReactiveX. A subscription takes a single
+event, optionally with a rate operator.
 """
 
-from typing import Any, Dict, List, NamedTuple, Optional, Protocol, Sequence, Set, Tuple
+from typing import TYPE_CHECKING, Any, Dict, List, NamedTuple, Optional, Protocol, Sequence, Set, Tuple
 
 from ...foundation.errors import RuleError, UsageError
 from ...prolog.terms import timestamps
@@ -15,40 +20,39 @@ from ..streams.accumulators import MEASURES
 from .likely_mistakes import bracketed, near
 from .pattern_operators import SPELLINGS
 from .pattern_tree import Occurs, Pattern, Shaped, Windowed, WindowForm, bound_by
-from .row_pattern_parser import StepReader, read_steps, steps_term
+from .row_pattern_parser import read_steps, steps_term
 
-_ABSENT, _AGGREGATE = functor("absent", 2), functor("aggregate", 4)
+if TYPE_CHECKING:
+    from .pattern_parser import PatternReader
+
+_ABSENT_FUNCTOR, _AGGREGATE_FUNCTOR = functor("absent", 2), functor("aggregate", 4)
 SHORTEST = 1_000_000
-"""The shortest time between two results of a window, in ns."""
+"""Minimum time between two results of a window, in ns."""
 MAX_WINDOWS = 10_000
-"""In how many windows of ``last(N, every(M))`` an event may be."""
+"""Maximum number of windows of ``last(N, every(M))`` that contain one event."""
 MAX_WINDOW_ITEMS = 1_000_000
-"""How many events a window of a number of events takes at most."""
+"""Maximum size of a window of a number of events."""
 
 
 class FormReader(Protocol):
-    """What reads patterns, see `PatternReader`."""
+    """Reader of patterns: `PatternReader` for rules, `_SingleEvent` for subscriptions."""
 
     def operand(self, parent: CompoundTerm, number: int, operator: str) -> Pattern:
-        """Return the pattern that an operand is."""
+        """Return the pattern of an operand."""
 
     def span(self, name: str, term: CompoundTerm) -> int:
-        """Return the nanoseconds that the second argument of a term says."""
+        """Return the second argument of a term, a number of seconds, in nanoseconds."""
 
     def error(self, message: str, term: Term, number: int = 0) -> RuleError:
-        """Return an error at a term, or at an argument of it."""
-
-
-class WindowReader(FormReader, StepReader, Protocol):
-    """The same, and goals that windows ask."""
+        """Return an error at a term, or at one of its arguments."""
 
 
 class ShapeForm(NamedTuple):
-    """How a shape is written.
+    """Notation of a rate operator.
 
     Attributes:
-        form: with the terms by which matches are looked at together.
-        timed: whether its first argument is a number of seconds, else it is what has to change.
+        form: the forms in words, with and without a key.
+        timed: whether the first argument is a number of seconds; if not, it is the value that must change.
     """
 
     form: str
@@ -61,7 +65,7 @@ SHAPES: Dict[str, ShapeForm] = {
     "debounce": ShapeForm("debounce(Seconds) or debounce(Seconds, Key)", True),
     "change": ShapeForm("change(Value) or change(Value, Key)", False),
 }
-"""What may stand to the right of ``with``."""
+"""Rate operators, by name."""
 
 _WINDOWS = (
     "last(Seconds), last(N, events), last(Seconds, every(Seconds)), every(Seconds), every(Seconds, first), "
@@ -74,49 +78,52 @@ _OF_STEP = "of"
 
 
 def is_event(term: CompoundTerm) -> bool:
-    """Tell whether a term is an event that has the name of an operator on streams: by what stands in it.
+    """Return whether a term with the name of a stream operator is an event, judged by its arguments.
 
-    There may be such events in programs that were written before these operators.
+    Programs older than these operators may contain such events.
     """
-    if term[0] is _ABSENT:
+    if term[0] is _ABSENT_FUNCTOR:
         return deref(term[2]).__class__ not in (int, float)
-    if term[0] is not _AGGREGATE:
+    if term[0] is not _AGGREGATE_FUNCTOR:
         return False
     kind, window = deref(term[1]), deref(term[4])
     name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else ""
     measured = name in MEASURES or name == _OF_STEP or list_items(kind) is not None
+    # Both the kind and the window must look foreign: a misspelt kind with a proper window is reported as an error,
+    # instead of being taken for an event that never occurs.
     return not measured and not (window.__class__ is tuple and window[0].name in _WINDOW_NAMES)
 
 
 def what_follows(term: CompoundTerm) -> Optional[CompoundTerm]:
-    """Return ``(P with S) op Q`` for ``P with (S op Q)``, which is how it is read without brackets; else None.
+    """Return ``(P with S) op Q`` for ``P with (S op Q)``, the form that is parsed without brackets; otherwise None.
 
-    A shape is no pattern, so that what stands to the right of it can only be about all of ``P with S``.
+    A rate operator is not a pattern, so an operator to the right of it applies to all of ``P with S``.
     """
     path: List[CompoundTerm] = []
     shape = deref(term[2])
+    # ``with`` binds more loosely than the operators that may follow, so they are parsed as part of its right operand.
     while shape.__class__ is tuple and shape[0] in SPELLINGS:
         path.append(shape)
         shape = deref(shape[1])
     if not path or shape.__class__ is not tuple or shape[0].name not in SHAPES:
         return None
-    made: CompoundTerm = (term[0], term[1], shape)
-    for one in reversed(path):
-        made = (one[0], made, *one[2:])
-    return made
+    regrouped: CompoundTerm = (term[0], term[1], shape)
+    for operation in reversed(path):
+        regrouped = (operation[0], regrouped, *operation[2:])
+    return regrouped
 
 
 def read_shape(reader: FormReader, term: CompoundTerm) -> Shaped:
-    """Return the pattern that ``P with S`` is.
+    """Return the pattern ``P with S``.
 
     Raises:
-        RuleError: where there is no such shape, or it looks at what P does not give it.
+        RuleError: if the rate operator is malformed, or uses a variable that P does not bind.
     """
     pattern = reader.operand(term, 1, "with")
     shape: Any = deref(term[2])
     name = shape[0].name if shape.__class__ is tuple else ""
     if name not in SHAPES or len(shape) not in (2, 3):
-        forms = "; ".join(one.form for one in SHAPES.values())
+        forms = "; ".join(key.form for key in SHAPES.values())
         at = (shape,) if shape.__class__ is tuple else (term, 2)
         raise reader.error(f"with needs one of {forms}{near(name, SHAPES)}", *at)
     span, value = 0, None
@@ -129,93 +136,96 @@ def read_shape(reader: FormReader, term: CompoundTerm) -> Shaped:
         items = list_items(shape[2])
         by = tuple(items if items is not None else [deref(shape[2])])
     given = set(bound_by(pattern))
-    for number, found in ((1, value), *((2, one) for one in by)):
-        if found is not None and any(var not in given for var in variables(found)):
+    for number, used_term in ((1, value), *((2, key) for key in by)):
+        if used_term is not None and any(var not in given for var in variables(used_term)):
             raise reader.error(
                 f"{name} looks at a variable that no event of its pattern gives a value", shape, number
             )
     return Shaped(pattern, name, span, value, by)
 
 
-def read_window(reader: WindowReader, term: CompoundTerm) -> Windowed:
-    """Return the pattern that ``aggregate(K, Q, R, W)`` is.
+def read_window(reader: "PatternReader", term: CompoundTerm) -> Windowed:
+    """Return the pattern ``aggregate(K, Q, R, W)``.
 
     Raises:
-        RuleError: where there is no such aggregate or window, or it measures what Q does not give it.
+        RuleError: if a measure or the window is malformed, or a measured variable is not bound by Q.
     """
     kind = deref(term[1])
     several = list_items(kind)
     if several is not None and not several:
         raise reader.error("an aggregate needs one kind at least", term, 1)
-    kinds = [kind] if several is None else [deref(one) for one in several]
-    parted = [_of_step(one) for one in kinds]
-    read = [_measure(reader, one, term) for _, one in parted]
+    kinds = [kind] if several is None else [deref(measure) for measure in several]
+    restricted = [_restricted_measure(measure) for measure in kinds]
+    measures = [_measure(reader, measure, term) for _, measure in restricted]
     collected = reader.operand(term, 2, "aggregate")
     given = set(bound_by(collected))
-    for (_, one), (_, _, value) in zip(parted, read):
+    for (_, measure), (_, _, value) in zip(restricted, measures):
         if value is not None and any(var not in given for var in variables(value)):
             raise reader.error(
-                "what is measured has a variable that no event in the window gives a value", one
+                "what is measured has a variable that no event in the window gives a value", measure
             )
     items = list_items(term[3]) if several is not None else None
     if items is not None and len(items) != len(kinds):
         raise reader.error(f"{len(kinds)} aggregates have {len(kinds)} results, not {len(items)}", term, 3)
-    results = tuple([deref(term[3])] if items is None else [deref(one) for one in items])
+    results = tuple([deref(term[3])] if items is None else [deref(measure) for measure in items])
     window = _window(reader, deref(term[4]), term, given)
-    scopes = _scopes(reader, [step for step, _ in parted], window, term)
-    if "rate" in [name for name, _, _ in read] and window.kind == "batch" and window.most == 1:
+    scopes = _scopes(reader, [step for step, _ in restricted], window, term)
+    # The rate is computed between the first and the last event of a window.
+    if "rate" in [name for name, _, _ in measures] and window.kind == "batch" and window.most == 1:
         raise reader.error("one event has no rate", term, 4)
-    names, settings, values = zip(*read)
+    names, settings, values = zip(*measures)
     listed = several is not None and items is None
     return Windowed(collected, names, settings, values, results, listed, window, scopes)
 
 
-def _of_step(kind: Any) -> Tuple[Any, Any]:
-    """Return the step that a measure is of, or None, and what it measures."""
+def _restricted_measure(kind: Any) -> Tuple[Any, Any]:
+    """Return the step that a measure is restricted to, or None, and the measure."""
     if kind.__class__ is tuple and kind[0].name == _OF_STEP and len(kind) == 3:
         return deref(kind[1]), deref(kind[2])
     return None, kind
 
 
 def _scopes(
-    reader: WindowReader, steps: Sequence[Any], window: WindowForm, term: CompoundTerm
+    reader: "PatternReader", steps: Sequence[Any], window: WindowForm, term: CompoundTerm
 ) -> Tuple[Optional[int], ...]:
-    """Return the number of the step that each measure looks at, or None."""
-    known = [atom(one.name) for one in window.steps]
+    """Return for each measure the number of the step that it is restricted to, or None."""
+    step_names = [atom(step_name.name) for step_name in window.steps]
     for step in steps:
-        if step is not None and step not in known:
-            there = f"; there are {', '.join(one.name for one in known)}" if known else ""
-            message = f"of(Step, Kind) needs the name of a step of a window of steps{there}"
+        if step is not None and step not in step_names:
+            hint = (
+                f"; there are {', '.join(step_name.name for step_name in step_names)}" if step_names else ""
+            )
+            message = f"of(Step, Kind) needs the name of a step of a window of steps{hint}"
             raise reader.error(message, term, 1)
-    return tuple([None if step is None else known.index(step) for step in steps])
+    return tuple([None if step is None else step_names.index(step) for step in steps])
 
 
-def _measure(reader: WindowReader, kind: Any, term: CompoundTerm) -> Tuple[str, Any, Optional[Term]]:
-    """Return the name of a measure, its setting, and what it is of."""
+def _measure(reader: "PatternReader", kind: Any, term: CompoundTerm) -> Tuple[str, Any, Optional[Term]]:
+    """Return the name of a measure, its setting, and the measured term."""
     name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else ""
     args: Sequence[Term] = kind[1:] if kind.__class__ is tuple else ()
-    at = (kind,) if kind.__class__ is tuple else (term, 1)
-    found = MEASURES.get(name)
-    if found is None or len(args) != found.settings + found.takes:
-        known = ", ".join(one.form for one in MEASURES.values())
+    error_at = (kind,) if kind.__class__ is tuple else (term, 1)
+    measure = MEASURES.get(name)
+    if measure is None or len(args) != measure.settings + measure.takes:
+        known = ", ".join(arg.form for arg in MEASURES.values())
         raise reader.error(
-            f"there is no such aggregate; the aggregates are {known}{near(name, MEASURES)}", *at
+            f"there is no such aggregate; the aggregates are {known}{near(name, MEASURES)}", *error_at
         )
-    settings = [deref(one) for one in args[: found.settings]]
+    settings = [deref(arg) for arg in args[: measure.settings]]
     setting: Any = None
     if name == "quantile":
         setting = settings[0]
         if setting.__class__ not in (int, float) or not 0 <= setting <= 1:
-            raise reader.error("quantile needs a number from 0 to 1", *at)
+            raise reader.error("quantile needs a number from 0 to 1", *error_at)
     elif settings:
         setting = tuple(settings)
-        if not all(one.__class__ is Atom for one in settings):
-            raise reader.error(f"{found.form} needs the names of three predicates", *at)
-    return name, setting, deref(args[-1]) if found.takes else None
+        if not all(arg.__class__ is Atom for arg in settings):
+            raise reader.error(f"{measure.form} needs the names of three predicates", *error_at)
+    return name, setting, deref(args[-1]) if measure.takes else None
 
 
-def _window(reader: WindowReader, form: Any, term: CompoundTerm, given: Set[Var]) -> WindowForm:
-    """Return the window that a term says, over a pattern that gives values to some variables."""
+def _window(reader: "PatternReader", form: Any, term: CompoundTerm, given: Set[Var]) -> WindowForm:
+    """Return the window that a term denotes; ``given`` are the variables that the pattern binds."""
     name = form[0].name if form.__class__ is tuple else ""
     if name == "steps" and len(form) == 2:
         steps, looked_at = read_steps(reader, form, given)
@@ -247,8 +257,9 @@ def _window(reader: WindowReader, form: Any, term: CompoundTerm, given: Set[Var]
     raise reader.error(f"a window is {_WINDOWS}", *((form,) if form.__class__ is tuple else (term, 4)))
 
 
-def _hopping(reader: WindowReader, form: CompoundTerm, span: int, step: int) -> WindowForm:
-    """Return windows that the clock ends, one after the other; one event can make it end so many of them."""
+def _hopping(reader: "PatternReader", form: CompoundTerm, span: int, step: int) -> WindowForm:
+    """Return windows that the clock closes, at regular times."""
+    # One event that arrives late can close all windows that it is too new for, so their number must be bounded.
     if step < SHORTEST or span > MAX_WINDOWS * step:
         message = f"every needs 0.001 seconds at least, and last no more than {MAX_WINDOWS} times those of its every"
         raise reader.error(message, form)
@@ -263,7 +274,7 @@ def _seconds(reader: FormReader, name: str, term: CompoundTerm, number: int) -> 
 
 
 def shape_term(part: Shaped) -> Term:
-    """Return the term that says a shape."""
+    """Return the term of a rate operator."""
     first = timestamps.to_seconds(part.span) if part.value is None else part.value
     if not part.by:
         return functor(part.shape, 1)(first)
@@ -272,7 +283,7 @@ def shape_term(part: Shaped) -> Term:
 
 
 def window_term(form: WindowForm) -> Term:
-    """Return the term that says a window."""
+    """Return the term of a window."""
     if form.kind == "steps":
         return steps_term(form.steps)
     one, two = functor("every", 1), functor("every", 2)
@@ -282,45 +293,46 @@ def window_term(form: WindowForm) -> Term:
     if form.kind == "newest":
         return functor("last", 2)(form.most, atom("events"))
     if form.kind == "batch":
-        made = two(form.most, atom("events"))
+        term = two(form.most, atom("events"))
     elif form.kind == "first":
-        made = two(span, atom("first"))
+        term = two(span, atom("first"))
     elif form.span == form.step:
-        made = one(span)
+        term = one(span)
     else:
-        made = functor("last", 2)(span, one(timestamps.to_seconds(form.step)))
-    return functor("running", 1)(made) if form.running else made
+        term = functor("last", 2)(span, one(timestamps.to_seconds(form.step)))
+    return functor("running", 1)(term) if form.running else term
 
 
-_SINGLE = "a subscription takes single events: a rule may make one of a pattern"
-_NOTHING_AFTER = "a subscription takes P with S, and nothing after it"
+_NOT_SINGLE_ERROR = "a subscription takes single events: a rule may make one of a pattern"
+_TRAILING_OPERATOR_ERROR = "a subscription takes P with S, and nothing after it"
 
 
 def subscribed_event(term: Term) -> Term:
-    """Return the pattern of the events that a subscription takes: P of ``P with S``, else all of it."""
-    found: Any = deref(term)
-    return deref(found[1]) if _operator(found) == "with" else found
+    """Return the event pattern of a subscription: P of ``P with S``, otherwise the whole term."""
+    pattern: Any = deref(term)
+    return deref(pattern[1]) if _operator(pattern) == "with" else pattern
 
 
 def subscribed_shape(term: Term) -> Optional[Shaped]:
-    """Return which of them are sent; None where all are.
+    """Return the rate operator of a subscription, or None.
 
     Raises:
-        UsageError: what was expected.
+        UsageError: if the operator is malformed, or other operators follow it.
     """
-    found: Any = deref(term)
+    pattern: Any = deref(term)
     try:
-        if _operator(found) == "with":
-            if what_follows(found) is not None:
-                raise UsageError(_NOTHING_AFTER)
-            return read_shape(_SingleEvent(), found)
+        if _operator(pattern) == "with":
+            if what_follows(pattern) is not None:
+                raise UsageError(_TRAILING_OPERATOR_ERROR)
+            return read_shape(_SingleEvent(), pattern)
     except RuleError as error:
         raise UsageError(error.message) from None
-    left = found
-    while _operator(left):  # what is to the right of a shape
-        left = deref(left[1])
-        if _operator(left) == "with":
-            raise UsageError(_NOTHING_AFTER)
+    operand = pattern
+    # The operator that follows a rate operator is the outermost one: it is found by descending to the left.
+    while _operator(operand):
+        operand = deref(operand[1])
+        if _operator(operand) == "with":
+            raise UsageError(_TRAILING_OPERATOR_ERROR)
     return None
 
 
@@ -329,16 +341,16 @@ def _operator(term: Any) -> str:
 
 
 class _SingleEvent:
-    """Reads a pattern that is a single event; see `FormReader`."""
+    """Reader for the pattern of a subscription, which is a single event; see `FormReader`."""
 
     def operand(self, parent: CompoundTerm, number: int, operator: str) -> Pattern:
         event = deref(parent[number])
         if event.__class__ not in (tuple, Atom, Var) or _operator(event):
-            raise self.error(_SINGLE, event)
+            raise self.error(_NOT_SINGLE_ERROR, event)
         return Occurs(event)
 
     def span(self, name: str, term: CompoundTerm) -> int:
-        raise self.error(_SINGLE, term)  # for patterns that may take some time
+        raise self.error(_NOT_SINGLE_ERROR, term)  # only patterns of several events have a duration
 
     def error(self, message: str, term: Term, number: int = 0) -> RuleError:
         return RuleError(message)

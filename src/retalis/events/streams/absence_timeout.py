@@ -1,4 +1,14 @@
-"""What is given on when a time has passed in which something did not happen."""
+"""Absence with a timeout: an element is emitted if no forbidden element follows within a span of time.
+
+This operator implements ``P seq absent(Q, Seconds)``. Each match of P becomes a pending element with a deadline
+``span`` ns after its end. A match of Q cancels the pending elements that it correlates with and lies after. If the
+deadline passes first, the pending element is emitted.
+
+Events may arrive out of order, so forbidden elements are stored as well: one that arrived before the pending element
+may still lie after it in time. They are dropped when their start lies more than ``span`` ns before the clock. For the
+common case of complete correlation by a key, a forbidden element is dropped earlier if its neighbours in time cancel
+every pending element that it would cancel (see `_ForbiddenElements`).
+"""
 
 import heapq
 from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Optional, Tuple
@@ -6,19 +16,18 @@ from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Op
 from .stream_elements import NEVER, KeyedOperator, KnownState, StreamElement, StreamOutput
 
 _SMALL_QUEUE = 32
+"""Length up to which a list is compacted at every removal."""
 
 
 class Correlation(NamedTuple):
-    """How what is awaited and what must not happen are put together.
+    """Correlation of pending and forbidden elements.
 
     Attributes:
-        key: gives the values that they have in common, by the match and the channel; None where these have
-            variables, so that all have to be looked at.
-        rules_out: tells whether a match that must not happen, and that lies between, rules one out that is
-            awaited.
-        alike: whether it does so for all of the same key, where that has no variables.
-        name: gives what a match and a waiting one that it replaces have in common; None where none replaces
-            another.
+        key: returns the values that a match shares with the other channel, given the match and its channel; None if
+            these contain variables, so that all elements must be compared.
+        rules_out: returns whether a forbidden match that lies in the span cancels a pending match.
+        alike: whether equal keys without variables are sufficient to cancel.
+        name: returns a key under which a new match replaces a pending one; None if no match replaces another.
     """
 
     key: Callable[[Any, int], Hashable]
@@ -27,23 +36,25 @@ class Correlation(NamedTuple):
     name: Optional[Callable[[Any], Hashable]]
 
 
-class _Forbidden:
-    """What must not have happened, under one key; one goes where others rule out all that it does."""
+class _ForbiddenElements:
+    """Forbidden elements of one key, without those that are made redundant by their neighbours."""
 
     __slots__ = ("items", "number", "newest")
 
     def __init__(self) -> None:
-        self.items: List[StreamElement] = []  # some may be gone, where they are many
+        self.items: List[StreamElement] = []  # may contain dropped elements, see `count_removal`
         self.number = 0
         self.newest = NEVER
 
-    def add(self, item: StreamElement, span: int, thin: bool) -> List[StreamElement]:
-        """Add one; returns those that are superfluous now."""
+    def add(self, item: StreamElement, span: int, may_thin: bool) -> List[StreamElement]:
+        """Add an element, and return the elements that it makes redundant."""
         items = self.items
         self.newest = max(self.newest, item.start)
-        if thin and len(items) > 1:
+        if may_thin and len(items) > 1:
             first, middle = items[-2], items[-1]
             rising = first.start <= middle.start <= item.start and first.end <= middle.end <= item.end
+            # Three elements with rising starts and ends, within one span: every pending element that the middle one
+            # cancels is also cancelled by the first or the last one.
             if rising and item.end - first.start < span and not (first.gone or middle.gone):
                 items[-1] = item
                 return [middle]
@@ -51,30 +62,30 @@ class _Forbidden:
         self.number += 1
         return []
 
-    def left(self) -> None:
-        """Take note that one is gone; of many not each is taken out by itself."""
+    def count_removal(self) -> None:
+        """Count an element that was dropped; long lists are compacted only if half of them was dropped."""
         self.number -= 1
         if self.number < _SMALL_QUEUE or len(self.items) > 2 * self.number:
-            self.items = [one for one in self.items if not one.gone]
+            self.items = [item for item in self.items if not item.gone]
 
 
 class AbsenceTimeout(KeyedOperator):
-    """Gives an item on ``span`` ns after its end, if nothing that must not happen lay wholly between.
+    """Operator that emits an element ``span`` ns after its end unless a forbidden element lies wholly in between.
 
-    The key of an item that waits is what it has in common with what must not happen, and its name among those that
-    wait; of what must not happen it is the first alone.
+    The `StreamElement.key` of a pending element is a pair: its correlation key, and its name among the pending
+    elements of that key. For a forbidden element it is the correlation key alone.
 
     Args:
-        span: the time that has to pass.
-        agreement: which items have to do with one another.
+        span: time in ns without a forbidden element.
+        agreement: correlation of pending and forbidden elements.
     """
 
     def __init__(self, span: int, agreement: Correlation):
         super().__init__()
         self.span = span
         self.agreement = agreement
-        self._waiting: Dict[Hashable, Dict[Hashable, StreamElement]] = {}
-        self._absent: Dict[Hashable, _Forbidden] = {}
+        self._pending: Dict[Hashable, Dict[Hashable, StreamElement]] = {}
+        self._forbidden: Dict[Hashable, _ForbiddenElements] = {}
         self._number = 0
         self._reached = NEVER
         self._due: List[Tuple[int, int, StreamElement]] = []
@@ -89,40 +100,43 @@ class AbsenceTimeout(KeyedOperator):
     @property
     def keys(self) -> int:
         """See `StreamOperator.keys`."""
-        return len(self._waiting) + len(self._absent)
+        return len(self._pending) + len(self._forbidden)
 
     def drop_oldest(self) -> List[StreamOutput]:
-        """See `StreamOperator.drop_oldest`: of those that wait, else of what must not happen."""
-        self._settle()
+        """See `StreamOperator.drop_oldest`; pending elements are dropped before forbidden ones."""
+        self._update_deadline()
         if self._due:
-            self._leave(self._due[0][2])
-            self._settle()
+            self._drop_pending(self._due[0][2])
+            self._update_deadline()
         else:
             while self._by_start[0][2].gone:
                 heapq.heappop(self._by_start)
-            self._forget_before(self._by_start[0][0])
+            self._drop_forbidden_before(self._by_start[0][0])
         return []
 
     def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
         if now > self._reached:
             self._reached = (
-                now  # an event that an alarm of the past makes finds what was known then forgotten
+                now  # an alarm may raise an event in the past, after elements of that time were dropped
             )
-        self._forget_before(self._reached - self.span)
+        # A pending element ends after ``reached - span``, or its deadline has passed. A forbidden element must start
+        # after that end, so older ones are useless.
+        self._drop_forbidden_before(self._reached - self.span)
         self._order += 1
         item.order = self._order
         key = self.agreement.key(item.match, channel)
         if channel:
-            self._rule_out(item, key)
-            self._note_absent(item, key)
+            self._cancel_pending(item, key)
+            self._store_forbidden(item, key)
+        # The deadline has passed: forbidden elements that would cancel this element may have been dropped already.
         elif item.end + self.span <= self._reached:
             self.late += 1
         else:
             self._replace(item, key)
-            if not self._is_ruled_out(item, key):
-                self._wait(item)
-        self._settle()
+            if not self._is_cancelled(item, key):
+                self._add_pending(item)
+        self._update_deadline()
         return []
 
     def ring(self, instant: int) -> List[StreamOutput]:
@@ -130,9 +144,9 @@ class AbsenceTimeout(KeyedOperator):
         outputs = []
         while self.next is not None and self.next <= instant:
             due, _, item = self._due[0]
-            self._leave(item)
+            self._drop_pending(item)
             outputs.append(StreamOutput((item,), item.start, due))
-            self._settle()
+            self._update_deadline()
         return outputs
 
     def kept(self) -> KnownState:
@@ -144,70 +158,75 @@ class AbsenceTimeout(KeyedOperator):
     def restore(self, kept: KnownState) -> None:
         """See `StreamOperator.restore`."""
         self._order, self._reached, waiting, absent = kept
-        self._waiting, self._absent, self._due, self._by_start, self._number = {}, {}, [], [], 0
+        self._pending, self._forbidden, self._due, self._by_start, self._number = {}, {}, [], [], 0
         for item in [*waiting, *absent]:
             item.file()
         for item in waiting:
             self._replace(item, self.agreement.key(item.match, 0))
-            self._wait(item)
+            self._add_pending(item)
         for item in absent:
-            self._note_absent(item, self.agreement.key(item.match, 1))
-        self._settle()
+            self._store_forbidden(item, self.agreement.key(item.match, 1))
+        self._update_deadline()
 
     def _replace(self, item: StreamElement, key: Hashable) -> None:
-        """Give an item its key, and have the one leave that it replaces."""
+        """Set the key of an element, and drop the pending element that it replaces."""
         name = self.agreement.name
-        known = item.order if name is None else name(item.match)
-        item.key = (key, known)
-        older = self._waiting.get(key, {}).get(known)
-        if older is not None:
-            self._leave(older)
+        name_key = item.order if name is None else name(item.match)
+        item.key = (key, name_key)
+        replaced = self._pending.get(key, {}).get(name_key)
+        if replaced is not None:
+            self._drop_pending(replaced)
 
-    def _wait(self, item: StreamElement) -> None:
+    def _add_pending(self, item: StreamElement) -> None:
         key: Any = item.key
-        self._waiting.setdefault(key[0], {})[key[1]] = item
+        self._pending.setdefault(key[0], {})[key[1]] = item
         self._number += 1
         _push(self._due, item.end + self.span, item, self._number)
 
-    def _leave(self, item: StreamElement) -> None:
+    def _drop_pending(self, item: StreamElement) -> None:
         item.gone = True
         key: Any = item.key
-        waiting = self._waiting[key[0]]
+        waiting = self._pending[key[0]]
         del waiting[key[1]]
         if not waiting:
-            del self._waiting[key[0]]
+            del self._pending[key[0]]
         self._number -= 1
 
-    def _settle(self) -> None:
-        """Drop what has left from the top, and say when the next one is due."""
+    def _update_deadline(self) -> None:
+        """Remove dropped elements from the top of the heap, and set the next deadline."""
         while self._due and self._due[0][2].gone:
             heapq.heappop(self._due)
         self.next = self._due[0][0] if self._due else None
 
-    def _rule_out(self, absent: StreamElement, key: Hashable) -> None:
-        """Have all leave that wait and are ruled out."""
-        waiting = list(self._that_wait(key))
-        if self.meter is not None:  # not stopped half way: what is ruled out would be given on
+    def _cancel_pending(self, absent: StreamElement, key: Hashable) -> None:
+        """Drop all pending elements that a forbidden one cancels."""
+        waiting = list(self._candidates(key))
+        if (
+            self.meter is not None
+        ):  # before the loop: an interrupt within it would leave cancelled elements pending
             self.meter(len(waiting))
         for item in waiting:
             if self._lies_after(absent, item):
-                self._leave(item)
+                self._drop_pending(item)
 
-    def _that_wait(self, key: Hashable) -> Iterator[StreamElement]:
-        for one in list(self._waiting) if key is None else [key, None]:
-            yield from self._waiting.get(one, {}).values()
+    def _candidates(self, key: Hashable) -> Iterator[StreamElement]:
+        # A key of None may correlate with every key, so elements without a key are candidates for each search.
+        for candidate_key in list(self._pending) if key is None else [key, None]:
+            yield from self._pending.get(candidate_key, {}).values()
 
-    def _is_ruled_out(self, item: StreamElement, key: Hashable) -> bool:
-        """Tell whether something that has come before an item lies after it and rules it out."""
-        keys = list(self._absent) if key is None else [key, None]
-        borders = [self._absent[one] for one in keys if one in self._absent]
+    def _is_cancelled(self, item: StreamElement, key: Hashable) -> bool:
+        """Return whether a forbidden element that has arrived earlier cancels an element."""
+        keys = list(self._forbidden) if key is None else [key, None]
+        forbidden_groups = [
+            self._forbidden[candidate_key] for candidate_key in keys if candidate_key in self._forbidden
+        ]
         if self.meter is not None:
-            self.meter(sum(len(border.items) for border in borders))
+            self.meter(sum(len(group.items) for group in forbidden_groups))
         return any(
             self._lies_after(absent, item)
-            for border in borders
-            if border.newest > item.end
-            for absent in border.items
+            for group in forbidden_groups
+            if group.newest > item.end
+            for absent in group.items
             if not absent.gone
         )
 
@@ -216,31 +235,32 @@ class AbsenceTimeout(KeyedOperator):
             return False
         agreement = self.agreement
         key: Any = item.key
+        # The candidates were found by their key, so equality needs no further test.
         if agreement.alike and key is not None and absent.key is not None:
             return True
         return agreement.rules_out(item.match, absent.match)
 
-    def _note_absent(self, item: StreamElement, key: Hashable) -> None:
+    def _store_forbidden(self, item: StreamElement, key: Hashable) -> None:
         item.key = key
-        border = self._absent.setdefault(key, _Forbidden())
-        thin = self.agreement.alike and key is not None
+        group = self._forbidden.setdefault(key, _ForbiddenElements())
+        may_thin = self.agreement.alike and key is not None
         self._number += 1
-        for one in border.add(item, self.span, thin):
-            one.gone = True
+        for redundant in group.add(item, self.span, may_thin):
+            redundant.gone = True
             self._number -= 1
         _push(self._by_start, item.start, item, self._number)
 
-    def _forget_before(self, before: int) -> None:
-        """Forget what must not happen and has begun too long ago to be in the way of anything."""
+    def _drop_forbidden_before(self, before: int) -> None:
+        """Drop the forbidden elements that started too long ago to cancel a pending one."""
         while self._by_start and self._by_start[0][0] <= before:
             item = heapq.heappop(self._by_start)[2]
             if not item.gone:
                 item.gone = True
                 self._number -= 1
-                border = self._absent[item.key]
-                border.left()
-                if not border.number:
-                    del self._absent[item.key]
+                group = self._forbidden[item.key]
+                group.count_removal()
+                if not group.number:
+                    del self._forbidden[item.key]
 
 
 def _order(item: StreamElement) -> int:
@@ -248,7 +268,7 @@ def _order(item: StreamElement) -> int:
 
 
 def _push(heap: List[Tuple[int, int, StreamElement]], instant: int, item: StreamElement, number: int) -> None:
-    """Add an item to a heap; what is gone is dropped from it where it is the larger part."""
+    """Push an element on a heap, and compact the heap if more than half of it was dropped."""
     heapq.heappush(heap, (instant, item.order, item))
     if len(heap) > 2 * number + 64:
         heap[:] = [entry for entry in heap if not entry[2].gone]

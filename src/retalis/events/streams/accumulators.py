@@ -1,8 +1,14 @@
-"""Numbers that aggregates measure: which values are numbers, and sums, lowest numbers and quantiles of those.
+"""Accumulators of window aggregates: incremental state of ``sum``, ``median``, ``rate`` and the other measures.
 
-Sums are exact, however many numbers have gone, and rounded once where they are asked for.
+An accumulator is updated when an element enters or leaves a window, so the cost of a result does not grow with the
+window, except for measures that list their values. Three structures make removal possible:
 
-What windows measure of the items that are in them: one class for each kind of aggregate, and one table of them.
+* `ExactSum` holds a sum of floats as an integer over a power of two. Adding and removing are exact, and only the
+  result is rounded, so errors do not build up in a window that slides for days.
+* `Lowest` is a heap with lazy deletion for minimum and maximum.
+* `Ranked` is a pair of heaps around a quantile.
+
+`MEASURES` is the table of all measures.
 """
 
 import heapq
@@ -40,16 +46,16 @@ _MAX_BITS = 1024
 
 
 class ExactSum:
-    """The sum of the numbers that are in, as an integer over a power of two.
+    """Exact sum of the numbers that were added and not removed, as an integer over a power of two.
 
-    Floats are such fractions themselves, so that nothing is lost when one is taken out again.
+    Every finite float is such a fraction, so removing a number restores the earlier sum exactly.
 
     Attributes:
-        total: the sum times two to the ``scale``.
-        scale: the power of two, which only grows.
-        factor: the same as a float; that times a float is exact where it is an integer. Where it would be too large
-            it is no number.
-        floats: how many of the numbers are floats.
+        total: the sum times two to the power of ``scale``.
+        scale: the exponent, which never decreases.
+        factor: two to the power of ``scale`` as a float, or nan if that is too large. The product of this factor and
+            a float is exact if it is an integer.
+        floats: number of floats among the numbers.
     """
 
     __slots__ = ("total", "scale", "factor", "floats")
@@ -61,7 +67,7 @@ class ExactSum:
         self.floats = 0
 
     def change(self, value: Number, by: int) -> None:
-        """Add a number ``by`` times; -1 takes it out."""
+        """Add a number ``by`` times; -1 removes it."""
         if value.__class__ is int:
             self.total += by * int(value) << self.scale
             return
@@ -70,7 +76,7 @@ class ExactSum:
         self.change_fraction(over, under.bit_length() - 1, by)
 
     def change_fraction(self, over: int, bits: int, by: int) -> None:
-        """Add ``over / 2 ** bits`` so many times."""
+        """Add ``over / 2 ** bits``, ``by`` times."""
         if bits > self.scale:
             self.total <<= bits - self.scale
             self.scale = bits
@@ -78,7 +84,7 @@ class ExactSum:
         self.total += by * over << self.scale - bits
 
     def over(self, number: int) -> Number:
-        """Return the sum divided by a number: an integer where there are no floats and it is one, else a float."""
+        """Return the sum divided by ``number``: an integer if the result is exact and no number is a float."""
         whole = number << self.scale
         if not self.floats:
             quotient, rest = divmod(self.total, whole)
@@ -88,10 +94,12 @@ class ExactSum:
 
 
 def deviation(total: ExactSum, squares: ExactSum, number: int) -> float:
-    """Return the standard deviation of a sample of two numbers and more, from their sum and that of their squares.
+    """Return the standard deviation of a sample of two or more numbers, given their sum and the sum of their squares.
 
-    The square root of ``(n * squares - total ** 2) / (n * (n - 1))``, exact up to the root.
+    The formula is the square root of ``(n * squares - total ** 2) / (n * (n - 1))``, computed exactly up to the root.
     """
+    # Both terms of the numerator as integers over the same power of two: their difference is exact, so numbers that
+    # are large and close to each other lose no digits.
     bits = max(2 * total.scale, squares.scale)
     spread = number * squares.total << bits - squares.scale
     spread -= total.total**2 << bits - 2 * total.scale
@@ -100,11 +108,12 @@ def deviation(total: ExactSum, squares: ExactSum, number: int) -> float:
         square = spread / under
     except OverflowError:
         square = inf
+    # Outside of this range the quotient is subnormal or infinite although its root is an ordinary float.
     return sqrt(square) if _SMALL < square < _LARGE or not spread else _root(spread, under)
 
 
 def _root(over: int, under: int) -> float:
-    """Return the square root of a fraction that no float is near to, though one may be near to its root."""
+    """Return the square root of a fraction that is outside of the range of floats."""
     bits = (under.bit_length() - over.bit_length()) // 2 + 64
     if bits >= 0:
         return isqrt((over << 2 * bits) // under) / (1 << bits)
@@ -112,19 +121,19 @@ def _root(over: int, under: int) -> float:
 
 
 ADDING = frozenset(("sum", "avg", "stddev"))
-"""The aggregates that add their values with `is`, by name: their values may be expressions such as ``1 + 2``."""
+"""Aggregates that add their values; these may be arithmetic expressions such as ``1 + 2``."""
 
 
 def unfit(name: str, value: Term, expected: str = "a number") -> RuleError:
-    """Return the error of an aggregate for a value that it cannot measure."""
+    """Return the error for a value that an aggregate cannot process."""
     return RuleError(f"aggregate {name}: the value is '{beginning(write_term(value))}': expected {expected}")
 
 
 def check_finite(value: Any, name: str) -> None:
-    """Refuse a value that cannot be added.
+    """Reject a value that cannot be added.
 
     Raises:
-        RuleError: if the value is not a number, or not finite.
+        RuleError: if the value is not a finite number.
     """
     if not isinstance(value, (int, float)):
         raise unfit(name, value)
@@ -133,7 +142,7 @@ def check_finite(value: Any, name: str) -> None:
 
 
 def check_ordered(value: Any, name: str) -> None:
-    """Refuse a value that is neither more nor less than other numbers.
+    """Reject a value that has no order among numbers.
 
     Raises:
         RuleError: if the value is not a number, or is nan.
@@ -143,12 +152,12 @@ def check_ordered(value: Any, name: str) -> None:
 
 
 def is_number(value: Term) -> bool:
-    """Tell whether a value is a number, or a stamp, which is the number of its seconds."""
+    """Return whether a value is a number, or a timestamp, which counts as its number of seconds."""
     term: Any = deref(value)
     if term.__class__ in (int, float):
         return True
     if term.__class__ is not tuple:
-        return False  # an atom such as `e`, or a text of one character, is an expression, but not a number
+        return False  # atoms such as `e` and strings of one character are expressions, but not numbers
     try:
         timestamps.from_any(term)
     except UsageError:
@@ -157,7 +166,7 @@ def is_number(value: Term) -> bool:
 
 
 def is_number_expression(value: Term) -> bool:
-    """Tell whether a value is a number, or an arithmetic expression of numbers."""
+    """Return whether a value is a number, or an arithmetic expression of numbers."""
     stack = [value]
     seen: Set[int] = set()
     while stack:
@@ -166,17 +175,17 @@ def is_number_expression(value: Term) -> bool:
             continue
         if term.__class__ is not tuple or term[0] not in EVALUABLE:
             return False
-        seen.add(id(term))  # what is part of a term more than once is looked at once
+        seen.add(id(term))  # shared subterms are visited once
         stack.extend(term[1:])
     return True
 
 
 RankedNumber = Tuple[Number, int, Any]
-"""A number, the order of its item, the item: of equal numbers the first that came is meant."""
+"""Number, order of its element, and the element. Of equal numbers, the one that arrived first is the lowest."""
 
 
 class Lowest:
-    """The lowest of the numbers whose items are in; what has gone is dropped when it comes to the top."""
+    """Heap of the numbers of elements in a window, with lazy deletion."""
 
     __slots__ = ("heap", "live")
 
@@ -185,57 +194,58 @@ class Lowest:
         self.live = 0
 
     def add(self, value: Number, item: Any) -> None:
-        """Add the number of an item."""
+        """Add the number of an element."""
         self.live += 1
         heapq.heappush(self.heap, (value, item.order, item))
 
     def remove(self) -> None:
-        """Count one that has gone."""
+        """Count a removal; the element itself must be marked with `StreamElement.gone`."""
         self.live -= 1
+        # Compacting after half of the entries were removed costs amortised constant time per removal.
         if len(self.heap) > 2 * self.live + 64:
             self.heap = [entry for entry in self.heap if not entry[2].gone]
             heapq.heapify(self.heap)
 
     def top(self) -> Optional[RankedNumber]:
-        """Return the lowest."""
+        """Return the lowest entry, or None."""
         heap = self.heap
         while heap and heap[0][2].gone:
             heapq.heappop(heap)
         return heap[0] if heap else None
 
     def pop(self) -> RankedNumber:
-        """Take out the lowest; there has to be one."""
+        """Remove and return the lowest entry; the heap must not be empty."""
         self.top()
         self.live -= 1
         return heapq.heappop(self.heap)
 
 
 class Ranked:
-    """A quantile of the numbers whose items are in: those up to it in one heap, those above it in another.
+    """Quantile of the numbers of elements in a window: one heap for those up to the quantile, one for those above.
 
-    Between two numbers it is interpolated linearly, as numpy does by default.
+    Between two numbers the result is interpolated linearly, as numpy does by default.
 
     Args:
-        part: which quantile, 0 to 1; 0.5 for the median.
+        part: the quantile, from 0 to 1; 0.5 is the median.
     """
 
     __slots__ = ("part", "below", "above", "_is_below")
 
     def __init__(self, part: float):
         self.part = part
-        self.below = Lowest()  # of the negated numbers: the highest is on top
+        self.below = Lowest()  # numbers are negated, so the highest is on top
         self.above = Lowest()
         self._is_below: Any = {}
 
     def add(self, value: Number, item: Any) -> None:
-        """Add the number of an item."""
+        """Add the number of an element."""
         top = self.below.top()
         low = top is None or value <= -top[0]
         self._put(value, item, low)
         self._balance()
 
     def remove(self, item: Any) -> None:
-        """Take an item out that is gone."""
+        """Remove an element that is marked as gone."""
         (self.below if self._is_below.pop(item.order) else self.above).remove()
         self._balance()
 
@@ -248,6 +258,8 @@ class Ranked:
 
     def _balance(self) -> None:
         number = self.below.live + self.above.live
+        # The lower heap ends with the number at rank ``floor(part * (n - 1))``; the next one is on top of the other
+        # heap, so both neighbours of the quantile are available in constant time.
         wanted = int(self.part * (number - 1)) + 1 if number else 0
         while self.below.live < wanted:
             value, _, item = self.above.pop()
@@ -257,43 +269,46 @@ class Ranked:
             self._put(-value, item, False)
 
     def value(self) -> Optional[Number]:
-        """Return the quantile; None of nothing."""
+        """Return the quantile, or None if there are no numbers."""
         top = self.below.top()
         if top is None:
             return None
         low = -top[0]
-        place = self.part * (self.below.live + self.above.live - 1)
-        part = place - int(place)
-        if not part:
+        rank = self.part * (self.below.live + self.above.live - 1)
+        fraction = rank - int(rank)
+        if not fraction:
             return low
         entry = self.above.top()
-        assert entry is not None  # there is one above a place between two
-        found = low + (entry[0] - low) * part
-        if found - found == 0:
-            return found
-        return low * (1 - part) + entry[0] * part  # the difference of the two is too large for a float
+        assert entry is not None  # a rank between two numbers has one above it
+        interpolated = low + (entry[0] - low) * fraction
+        # The difference is infinite for two huge numbers of opposite sign; ``inf - inf`` is nan, which differs from
+        # 0.
+        if interpolated - interpolated == 0:
+            return interpolated
+        return low * (1 - fraction) + entry[0] * fraction
 
 
 Setting = Any
-"""What a measure is set to, by its kind: a number, or what calls the program's predicates; mostly None."""
+"""Setting of a measure: a number, or a function that calls predicates of the program; None for most measures."""
 Members = Deque[StreamElement]
-"""The items of a window in the order in which they came; some of them may be gone."""
+"""Elements of a window in order of arrival; elements marked as gone may remain for a while."""
 
 
 def live(members: Members) -> Iterator[StreamElement]:
-    """Yield those that are in the window, the oldest first."""
+    """Yield the elements that are in the window, the oldest first."""
     return (item for item in members if not item.gone)
 
 
 class Accumulator(Protocol):
-    """A measure of the items in one window.
+    """Incremental state of one measure for one window.
 
-    `check` comes before an item is taken, so that one with a wrong value leaves nothing half done.
+    `check` is called for all measures before an element is added to any of them, so a rejected value leaves no
+    accumulator half updated.
 
     Attributes:
-        picky: whether it refuses some values.
-        of_none: whether there is a result for no items.
-        lists: whether its result looks at each of the items.
+        picky: whether `check` rejects some values.
+        of_none: whether an empty window has a result.
+        lists: whether computing the result visits every element.
     """
 
     picky: bool
@@ -301,24 +316,29 @@ class Accumulator(Protocol):
     lists: bool
 
     def check(self, item: StreamElement, /) -> None:
-        """Refuse the value of an item.
+        """Reject the value of an element.
 
         Raises:
-            RuleError: where the measure cannot take it.
+            RuleError: if the measure cannot process the value.
         """
 
     def add(self, item: StreamElement, /) -> None:
-        """Take an item in."""
+        """Add an element."""
 
     def remove(self, item: StreamElement, /) -> None:
-        """Take out an item that is gone."""
+        """Remove an element that is marked as gone."""
 
     def result(self, members: Members, number: int, /) -> Optional[Term]:
-        """Return the result for so many items, one at least but for `of_none`; None where there is none."""
+        """Return the result, or None if there is none.
+
+        Args:
+            members: the elements.
+            number: number of elements that are not gone; at least 1 unless `of_none`.
+        """
 
 
-class _Plain:
-    """A measure that is read off the items."""
+class _StatelessMeasure:
+    """Base class, for measures without state of their own."""
 
     picky = False
     of_none = False
@@ -339,14 +359,14 @@ class _Plain:
         """See `Accumulator.remove`."""
 
 
-class _Count(_Plain):
+class _Count(_StatelessMeasure):
     of_none = True
 
     def result(self, members: Members, number: int) -> Optional[Term]:
         return number
 
 
-class _Sum(_Plain):
+class _Sum(_StatelessMeasure):
     picky = True
     of_none = True
 
@@ -397,7 +417,7 @@ class _Deviation(_Sum):
         return deviation(self.sum, self.squares, number) if number > 1 else None
 
 
-class _Least(_Plain):
+class _Minimum(_StatelessMeasure):
     picky = True
     sign = 1
 
@@ -419,11 +439,11 @@ class _Least(_Plain):
         return None if top is None else top[2].values[self.at]
 
 
-class _Greatest(_Least):
+class _Maximum(_Minimum):
     sign = -1
 
 
-class _Quantile(_Plain):
+class _Quantile(_StatelessMeasure):
     picky = True
 
     def __init__(self, at: int, name: str, setting: Setting):
@@ -443,19 +463,19 @@ class _Quantile(_Plain):
         return self.ranked.value()
 
 
-class _First(_Plain):
+class _First(_StatelessMeasure):
     def result(self, members: Members, number: int) -> Optional[Term]:
         value: Term = next(live(members)).values[self.at]
         return value
 
 
-class _Last(_Plain):
+class _Last(_StatelessMeasure):
     def result(self, members: Members, number: int) -> Optional[Term]:
         value: Term = next(item for item in reversed(members) if not item.gone).values[self.at]
         return value
 
 
-class _List(_Plain):
+class _List(_StatelessMeasure):
     of_none = True
     lists = True
 
@@ -463,7 +483,7 @@ class _List(_Plain):
         return make_list([item.values[self.at] for item in live(members)])
 
 
-class _CountDistinct(_Plain):
+class _CountDistinct(_StatelessMeasure):
     of_none = True
 
     def __init__(self, at: int, name: str, setting: Setting):
@@ -484,8 +504,8 @@ class _CountDistinct(_Plain):
         return len(self.numbers)
 
 
-class _Alike:
-    """The items of one value, in the order in which they came in; the first that is not gone is at ``at``."""
+class _EqualValues:
+    """Elements with one value in order of arrival; the first that is not gone has the index ``at``."""
 
     __slots__ = ("items", "at", "live")
 
@@ -498,41 +518,41 @@ class _Alike:
         self.items.append((order, item))
         self.live += 1
 
-    def left(self) -> None:
-        """Take note that one of them is gone."""
+    def count_removal(self) -> None:
+        """Count an element that is gone."""
         self.live -= 1
         items = self.items
         if len(items) > 2 * self.live + 16:
-            self.items = items = [one for one in items if not one[1].gone]
+            self.items = items = [entry for entry in items if not entry[1].gone]
             self.at = 0
         while self.at < len(items) and items[self.at][1].gone:
             self.at += 1
 
     def first(self) -> Tuple[int, StreamElement]:
-        """Return the oldest with its place among all that came in; there has to be one."""
+        """Return the oldest element with its order of arrival; there must be one."""
         return self.items[self.at]
 
 
-class _Distinct(_Plain):
-    """The values that are different; looks at each of them once, however many items have it."""
+class _Distinct(_StatelessMeasure):
+    """List of distinct values; each value is visited once, however many elements have it."""
 
     of_none = True
     lists = True
 
     def __init__(self, at: int, name: str, setting: Setting):
         super().__init__(at, name, setting)
-        self.alike: Dict[Hashable, _Alike] = {}
+        self.alike: Dict[Hashable, _EqualValues] = {}
         self._order = 0
 
     def add(self, item: StreamElement) -> None:
         self._order += 1
-        self.alike.setdefault(term_key(item.values[self.at]), _Alike()).add(self._order, item)
+        self.alike.setdefault(term_key(item.values[self.at]), _EqualValues()).add(self._order, item)
 
     def remove(self, item: StreamElement) -> None:
         key = term_key(item.values[self.at])
-        same = self.alike[key]
-        same.left()
-        if not same.live:
+        same_value = self.alike[key]
+        same_value.count_removal()
+        if not same_value.live:
             del self.alike[key]
 
     def result(self, members: Members, number: int) -> Optional[Term]:
@@ -544,10 +564,10 @@ def _place(entry: Tuple[int, StreamElement]) -> int:
     return entry[0]
 
 
-class _Rate(_Plain):
-    """The number of items per second, rounded once.
+class _Rate(_StatelessMeasure):
+    """Number of elements per second, rounded once.
 
-    The seconds are those of the window (``setting``), else those between the first end and the last.
+    The duration is that of the window (``setting``), or else the time from the first end to the last one.
     """
 
     def __init__(self, at: int, name: str, setting: Setting):
@@ -569,30 +589,31 @@ class _Rate(_Plain):
         if self.seconds is not None:
             return number * self.seconds.denominator / self.seconds.numerator
         low, high = self.first.top(), self.last.top()
-        assert low is not None and high is not None  # there is an item
+        assert low is not None and high is not None  # the window is not empty
+        # n elements span n - 1 intervals.
         span = high[2].end - low[2].end
         return (number - 1) * SECOND / span if span else None
 
 
-class _Fold(_Plain):
-    """A program's own measure: ``setting`` gives the result of the values, oldest first."""
+class _Fold(_StatelessMeasure):
+    """Aggregate that the program defines: ``setting`` computes the result from the values, oldest first."""
 
     lists = True
 
     def result(self, members: Members, number: int) -> Optional[Term]:
-        found: Optional[Term] = self.setting([item.values[self.at] for item in live(members)])
-        return found
+        result: Optional[Term] = self.setting([item.values[self.at] for item in live(members)])
+        return result
 
 
 class AccumulatorKind(NamedTuple):
-    """A kind of measure.
+    """Kind of measure.
 
     Attributes:
-        form: how rules write it; the last argument is what is measured.
-        settings: how many arguments come before that.
-        takes: whether it is of a value of each item.
-        numeric: whether values have to be numbers.
-        make: makes one from the place of its value among those of an item, its name, and what it is set to.
+        form: notation in rules; the last argument is the measured value.
+        settings: number of arguments before the measured value.
+        takes: whether elements have a measured value.
+        numeric: whether the values must be numbers.
+        make: creates an accumulator from the index of its value in an element, its name and its setting.
     """
 
     form: str
@@ -605,8 +626,8 @@ class AccumulatorKind(NamedTuple):
 MEASURES: Dict[str, AccumulatorKind] = {
     "count": AccumulatorKind("count", 0, False, False, _Count),
     "sum": AccumulatorKind("sum(X)", 0, True, True, _Sum),
-    "min": AccumulatorKind("min(X)", 0, True, True, _Least),
-    "max": AccumulatorKind("max(X)", 0, True, True, _Greatest),
+    "min": AccumulatorKind("min(X)", 0, True, True, _Minimum),
+    "max": AccumulatorKind("max(X)", 0, True, True, _Maximum),
     "avg": AccumulatorKind("avg(X)", 0, True, True, _Average),
     "stddev": AccumulatorKind("stddev(X)", 0, True, True, _Deviation),
     "median": AccumulatorKind("median(X)", 0, True, True, lambda at, name, _: _Quantile(at, name, 0.5)),
@@ -619,4 +640,4 @@ MEASURES: Dict[str, AccumulatorKind] = {
     "rate": AccumulatorKind("rate", 0, False, False, _Rate),
     "fold": AccumulatorKind("fold(Init, Step, Result, X)", 3, True, False, _Fold),
 }
-"""By their names."""
+"""Measures by name."""

@@ -1,4 +1,9 @@
-"""Operators that let some matches of a stream through: not too many, those that last, or where something changed."""
+"""Rate operators of streams: throttle, debounce, and distinct-until-changed, each with one state per key.
+
+These correspond to operators of ReactiveX: `Throttle` to throttleFirst, with ``every`` to a debounce on the leading
+edge, `Debounce` to debounce, and `DistinctUntilChanged` to the operator of that name. Time is the time of the events
+(their ends), not the time of their arrival, so the result does not depend on the speed of processing.
+"""
 
 import heapq
 from collections import OrderedDict
@@ -9,12 +14,12 @@ from .stream_elements import NEVER, KeyedOperator, KnownState, StreamElement, St
 
 
 class Throttle(KeyedOperator):
-    """Lets an item through where the last one of its key is ``span`` ns back and more, by the newest end.
+    """Operator that passes an element if the previous one of its key ended at least ``span`` ns earlier.
 
     Args:
-        span: how far.
-        every: whether the last one is any that came, so that the first of each burst is let through; else the last
-            that was let through.
+        span: the time in ns.
+        every: whether the previous element is the last one that arrived, so that the first element of each burst
+            passes; otherwise it is the last one that passed.
     """
 
     def __init__(self, span: int, every: bool):
@@ -35,29 +40,34 @@ class Throttle(KeyedOperator):
 
     def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
-        if self._is_ahead(item.end):
+        # A timestamp too far in the future passes, but does not block the elements that follow with a correct one.
+        if self._is_too_far_ahead(item.end):
             return [StreamOutput((item,), item.start, item.end)]
-        self._move_on(item.end)
-        self._forget_past()
+        self._advance(item.end)
+        self._drop_expired()
         before = self.states.get(item.key)
+        # States older than ``span`` were dropped, so an element passes exactly if its key has no state.
         if before is None or (self.every and item.end > before.end):
-            self._note(item)
+            self._store(item)
         return [StreamOutput((item,), item.start, item.end)] if before is None else []
 
-    def _note(self, item: StreamElement) -> None:
-        noted = StreamElement(None, item.start, item.end, item.by, ())  # the match itself is not held
+    def _store(self, item: StreamElement) -> None:
+        noted = StreamElement(
+            None, item.start, item.end, item.by, ()
+        )  # without the match, which would keep its events alive
         self._order += 1
         noted.order = self._order
         self.states[noted.key] = noted
-        if len(self.states) > self._most_keys:
+        if len(self.states) > self._max_keys:
             self.drop_oldest()
             self.evicted += 1
         heapq.heappush(self._by_end, (noted.end, noted.order, noted))
+        # With ``every``, each element replaces the state of its key and leaves an outdated heap entry.
         if len(self._by_end) > 2 * len(self.states) + 64:
-            self._by_end = [(one.end, one.order, one) for one in self.states.values()]
+            self._by_end = [(element.end, element.order, element) for element in self.states.values()]
             heapq.heapify(self._by_end)
 
-    def _forget_past(self) -> None:
+    def _drop_expired(self) -> None:
         before = self.clock - self.span
         while self._by_end and self._by_end[0][0] <= before:
             item = heapq.heappop(self._by_end)[2]
@@ -75,11 +85,11 @@ class Throttle(KeyedOperator):
         self._by_end = []
         for item in noted:
             item.file()
-            self._note(item)
+            self._store(item)
 
 
 class _LastValue:
-    """The value of a key's last item, the item in which it was new, and the clock at the last item."""
+    """Last value of a key, the element that introduced it, and the clock at the last element."""
 
     __slots__ = ("value", "item", "since")
 
@@ -90,55 +100,55 @@ class _LastValue:
 
 
 class DistinctUntilChanged(KeyedOperator):
-    """Lets an item through where what is looked at is another term than in the last one of its key, or the first."""
+    """Operator that passes the first element of a key, and each element whose value differs from the previous one."""
 
     KEY_BYTES, ITEM_BYTES = 950, 0
 
     def drop_oldest(self) -> List[StreamOutput]:
-        """See `StreamOperator.drop_oldest`: the key that was least recently used."""
+        """See `StreamOperator.drop_oldest`; drops the least recently used key."""
         self.states.popitem(last=False)
         return []
 
     def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
-        looked_at = item.values[0]
-        value: Hashable = looked_at if looked_at.__class__ in PLAIN else term_key(looked_at)
+        term = item.values[0]
+        value: Hashable = term if term.__class__ in PLAIN else term_key(term)
         end, key, states = item.end, item.key, self.states
-        if self.clock < end and (end <= self.newest_allowed or not self._is_ahead(end)):
+        if self.clock < end and (end <= self.newest_allowed or not self._is_too_far_ahead(end)):
             self.clock = end
         if self._idle is not None:
-            self._forget_idle()
-        known = states.get(key)
-        if known is not None:
+            self._drop_idle_keys()
+        state = states.get(key)
+        if state is not None:
             states.move_to_end(key)
-            known.since = self.clock
-            if known.value == value:
+            state.since = self.clock
+            if state.value == value:
                 return []
-        self._note(value, StreamElement(None, item.start, item.end, item.by, item.values))
+        self._store(value, StreamElement(None, item.start, item.end, item.by, item.values))
         return [StreamOutput((item,), item.start, item.end)]
 
-    def _note(self, value: Hashable, item: StreamElement) -> None:
+    def _store(self, value: Hashable, item: StreamElement) -> None:
         self.states[item.key] = _LastValue(value, item, self.clock)
-        if len(self.states) > self._most_keys:
-            self._make_room()
+        if len(self.states) > self._max_keys:
+            self._evict_keys()
 
     def kept(self) -> KnownState:
-        """See `StreamOperator.kept`: clocks of the last uses, and items, the least recently used key first."""
-        found = self.states.values()
-        return ([one.since for one in found], [one.item for one in found])
+        """See `StreamOperator.kept`: clocks of the last uses and elements, the least recently used key first."""
+        last_values = self.states.values()
+        return ([state.since for state in last_values], [state.item for state in last_values])
 
     def restore(self, kept: KnownState) -> None:
         """See `StreamOperator.restore`."""
         self.states.clear()
         for self.clock, item in zip(*kept):
             item.file()
-            self._note(term_key(item.values[0]), item)
+            self._store(term_key(item.values[0]), item)
 
 
 class Debounce(KeyedOperator):
-    """Gives an item on ``span`` ns after its end, if none of its key has come that ends as late, within these ns.
+    """Operator that emits an element ``span`` ns after its end if no later element of its key has arrived by then.
 
-    Of one key more than one may wait where ends are ahead of the clock, each ``span`` after the other at least.
+    Several elements of one key can be pending if their ends are ahead of the clock and at least ``span`` ns apart.
     """
 
     def __init__(self, span: int):
@@ -160,9 +170,9 @@ class Debounce(KeyedOperator):
 
     def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`."""
-        self._settle()
-        self._leave(self._due[0][2])
-        self._settle()
+        self._update_deadline()
+        self._drop_pending(self._due[0][2])
+        self._update_deadline()
         return []
 
     def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
@@ -170,20 +180,23 @@ class Debounce(KeyedOperator):
         if now > self._reached:
             self._reached = now
         end, span = item.end, self.span
-        if end + span <= self._reached or self._is_ahead(end):
+        # The deadline has passed already, or lies in a future that the stream must not wait for.
+        if end + span <= self._reached or self._is_too_far_ahead(end):
             self.late += 1
             return []
-        overtaken = False
-        for one in list(self.waiting.get(item.key, ())):
-            if one.end <= end < one.end + span:
-                self._leave(one)
-            elif end < one.end < end + span:
-                overtaken = True
-        if not overtaken:
+        is_superseded = False
+        for pending in list(self.waiting.get(item.key, ())):
+            # The order of arrival is not the order of ends: a pending element is replaced by a later one, and the new
+            # element is dropped if a pending one is later.
+            if pending.end <= end < pending.end + span:
+                self._drop_pending(pending)
+            elif end < pending.end < end + span:
+                is_superseded = True
+        if not is_superseded:
             self._order += 1
             item.order = self._order
-            self._wait(item)
-        self._settle()
+            self._add_pending(item)
+        self._update_deadline()
         return []
 
     def ring(self, instant: int) -> List[StreamOutput]:
@@ -191,12 +204,12 @@ class Debounce(KeyedOperator):
         outputs = []
         while self.next is not None and self.next <= instant:
             due, _, item = self._due[0]
-            self._leave(item)
+            self._drop_pending(item)
             outputs.append(StreamOutput((item,), item.start, due))
-            self._settle()
+            self._update_deadline()
         return outputs
 
-    def _wait(self, item: StreamElement) -> None:
+    def _add_pending(self, item: StreamElement) -> None:
         self.waiting.setdefault(item.key, []).append(item)
         self._number += 1
         heapq.heappush(self._due, (item.end + self.span, item.order, item))
@@ -204,24 +217,24 @@ class Debounce(KeyedOperator):
             self._due = [entry for entry in self._due if not entry[2].gone]
             heapq.heapify(self._due)
 
-    def _leave(self, item: StreamElement) -> None:
+    def _drop_pending(self, item: StreamElement) -> None:
         item.gone = True
         self._number -= 1
-        same = self.waiting[item.key]
-        same.remove(item)
-        if not same:
+        pending = self.waiting[item.key]
+        pending.remove(item)
+        if not pending:
             del self.waiting[item.key]
 
-    def _settle(self) -> None:
-        """Drop what has left from the top, and say when the next one is due."""
+    def _update_deadline(self) -> None:
+        """Remove dropped elements from the top of the heap, and set the next deadline."""
         while self._due and self._due[0][2].gone:
             heapq.heappop(self._due)
         self.next = self._due[0][0] if self._due else None
 
     def kept(self) -> KnownState:
         """See `StreamOperator.kept`."""
-        waiting = [item for same in self.waiting.values() for item in same]
-        return (self._order, self._reached, sorted(waiting, key=lambda one: one.order))
+        waiting = [item for elements in self.waiting.values() for item in elements]
+        return (self._order, self._reached, sorted(waiting, key=lambda element: element.order))
 
     def restore(self, kept: KnownState) -> None:
         """See `StreamOperator.restore`."""
@@ -229,5 +242,5 @@ class Debounce(KeyedOperator):
         self.waiting, self._due, self._number = {}, [], 0
         for item in waiting:
             item.file()
-            self._wait(item)
-        self._settle()
+            self._add_pending(item)
+        self._update_deadline()

@@ -1,13 +1,17 @@
-"""Steps that the items of a group may take: so many that pass the same tests, then so many that pass others.
+"""Row patterns over the elements of a partition: MATCH_RECOGNIZE with ``AFTER MATCH SKIP PAST LAST ROW``.
 
-A window of steps: matches in which the items of a group take one step after the other.
+A pattern is a sequence of variables with quantifiers, compiled into a `RowPatternNFA`. For each partition (key), a
+list of `ComputationState` is advanced by each element, ordered by preference: a state that started earlier comes
+first, then greedy or reluctant quantifiers decide, as backtracking would. A match is emitted when no preferred state
+can complete any more; all less preferred states are dropped with it, so matches do not overlap.
 
-All ways that a match may go on are followed at once, the preferred ones first. Ways that no further item can tell
-apart are one, so that nothing is tried again. The time for an item grows with the number of ways. Two limits bound
-it: one start has at most `MAX_WAYS_PER_START` ways, and the length of a window, which its rule limits, counts ways.
+Nothing is tried twice: two states that react alike to every future element are merged into the preferred one, as in
+the simulation of regular expressions by Thompson. The cost of an element is proportional to the number of states. Two
+limits bound it: at most `MAX_WAYS_PER_START` states per start, and the maximum length of the window, which counts
+states.
 
-If the interval of a match is bounded, ways that began too long ago are dropped at the next item of their group, and
-the whole group when it has been idle for that time: then all of its ways began before that.
+If the interval of a match is bounded, states that started too long ago are dropped at the next element of their
+partition; a partition without elements for that time is dropped as a whole.
 """
 
 from collections import OrderedDict, deque
@@ -19,19 +23,19 @@ from .stream_elements import NEVER, KeyedOperator, KnownState, StreamElement, St
 from .windows import MAX_TRACKED_ITEMS, measured
 
 LookedBack = Sequence[StreamElement]
-"""The items that a condition looks back at."""
+"""Elements that the navigations of a condition refer to."""
 Marks = Tuple[Optional[StreamElement], ...]
-"""The item at each mark of a match, or None where there is none yet."""
+"""Element of each navigation of a match, or None if there is none yet."""
 SCANNING = -1
-"""The step of a way in which no match has begun."""
+"""Step of a state in which no match has started."""
 
 
 class StepTest(NamedTuple):
-    """A part of a condition on an item.
+    """Part of the condition of a step.
 
     Attributes:
-        back: at which of the marks of a match it looks; it is not asked where one of these is not there yet.
-        holds: tells whether it holds for an item and those.
+        back: indices of the navigations that it uses; it is skipped while one of them has no element.
+        holds: returns whether the condition holds for an element and these navigations.
     """
 
     back: Tuple[int, ...]
@@ -39,15 +43,15 @@ class StepTest(NamedTuple):
 
 
 class RowPatternVariable(NamedTuple):
-    """So many items that pass the same tests.
+    """Pattern variable with its quantifier and conditions.
 
     Attributes:
-        least: how many, at least.
-        most: how many, at most; None for any number.
-        reluctant: whether as few as possible are taken, not as many.
-        later: whether items that fit nowhere are passed over before each of its own.
-        tests: what its items have to pass.
-        until: its end: it takes no item that passes these, and none after such a one.
+        least: minimum number of elements.
+        most: maximum number of elements; None for no limit.
+        reluctant: whether fewer elements are preferred.
+        later: whether elements that no step accepts are skipped before each of its own.
+        tests: conditions for its elements.
+        until: end condition: an element that satisfies it is not accepted and ends the variable.
     """
 
     least: int
@@ -59,14 +63,14 @@ class RowPatternVariable(NamedTuple):
 
 
 class StepTransitions(NamedTuple):
-    """What may come next in a match.
+    """Transitions of a computation state.
 
     Attributes:
-        steps: the steps that may take the next item, the preferred first.
+        steps: steps that may accept the next element, in order of preference.
         ends: whether the match may end instead.
-        left: the steps again, where each of them and of ``blocking`` passes over what fits nowhere; else None.
-        blocking: the steps that could take the next item but are less preferred than the end. They never take one,
-            because the match ends first; an item that one of them would take is not passed over.
+        left: the same steps if all of them and of ``blocking`` skip elements that do not fit, else None.
+        blocking: steps that are less preferred than the end. They never accept an element, because the match ends
+            first, but an element that one of them would accept is not skipped.
     """
 
     steps: Tuple[int, ...]
@@ -76,142 +80,152 @@ class StepTransitions(NamedTuple):
 
 
 class StepNavigation(NamedTuple):
-    """An item of a match that conditions look back at: its last one, or the first or last of a step."""
+    """Navigation of conditions: to the last element of a match, or to the first or last one of a step."""
 
     kind: str
     step: int
 
 
-_NOTHING = StepTransitions((), False, (), ())
+_NO_TRANSITIONS = StepTransitions((), False, (), ())
 
 
 class RowPatternNFA:
-    """What is the same for all matches of some steps.
+    """Nondeterministic automaton of a row pattern, with its transitions in a table.
 
     Args:
-        steps: the steps, of which one at least has to take an item.
-        marks: what conditions look back at.
+        steps: the pattern variables; at least one must accept an element.
+        marks: the navigations of all conditions.
     """
 
     def __init__(self, steps: Sequence[RowPatternVariable], marks: Sequence[StepNavigation]):
         self.steps = tuple(steps)
         self.marks = tuple(marks)
         self._table = [
-            [[self._listed(at, enough, more) for more in (False, True)] for enough in (False, True)]
-            for at in range(len(steps))
+            [[self._transitions(step, enough, more) for more in (False, True)] for enough in (False, True)]
+            for step in range(len(steps))
         ]
-        self._begin = self._from(0)
-        self._last = [self._from(at + 1).ends for at in range(len(steps))]
-        self._sure = [all(one.later and not one.until for one in self.steps[at:]) for at in range(len(steps))]
+        self._begin = self._transitions_into(0)
+        self._may_end_after = [self._transitions_into(step + 1).ends for step in range(len(steps))]
+        self._is_certain_from = [
+            all(variable.later and not variable.until for variable in self.steps[step:])
+            for step in range(len(steps))
+        ]
 
-    def choices(self, at: int, count: int) -> StepTransitions:
-        """Return what may come after a step has taken so many."""
-        if at == SCANNING:
+    def choices(self, step_number: int, count: int) -> StepTransitions:
+        """Return the transitions after a step has accepted ``count`` elements."""
+        if step_number == SCANNING:
             return self._begin
-        step = self.steps[at]
+        step = self.steps[step_number]
         more = step.most is None or count < step.most
-        return self._table[at][count >= step.least][more]
+        return self._table[step_number][count >= step.least][more]
 
-    def counted(self, at: int, count: int) -> int:
-        """Return how many a step has taken, as far as that makes a difference."""
-        step = self.steps[at]
+    def counted(self, step_number: int, count: int) -> int:
+        """Return the count of a step, capped where larger counts make no difference."""
+        step = self.steps[step_number]
         return min(count, step.least) if step.most is None else count
 
     def is_sure(self, choices: Tuple[int, ...]) -> bool:
-        """Tell whether a match that has these choices cannot fail any more, however long it takes."""
-        return self._sure[min(choices)]
+        """Return whether a match in these steps is certain to complete, however long that takes."""
+        return self._is_certain_from[min(choices)]
 
-    def meaning(self, at: int, count: int) -> Union[int, StepTransitions]:
-        """Return what a count means for what comes.
+    def meaning(self, step: int, count: int) -> Union[int, StepTransitions]:
+        """Return the part of a count that decides how a state reacts to future elements.
 
-        Of two ways in a step that turns out a match when it has taken enough, and that have the same choices, the one
-        that has taken more turns it out first: for these it is the choices.
+        If the match may end after this step, a state with a larger count completes no later than one with a smaller
+        count and the same transitions. The transitions then represent the count.
         """
-        return self.choices(at, count) if self._last[at] else count
+        return self.choices(step, count) if self._may_end_after[step] else count
 
-    def marked(self, marks: Marks, at: int, item: StreamElement) -> Marks:
-        """Return the marks of a match of which a step takes an item."""
-        found = []
+    def marked(self, marks: Marks, step: int, item: StreamElement) -> Marks:
+        """Return the navigations of a match after a step has accepted an element."""
+        marks_after = []
         for mark, before in zip(self.marks, marks):
-            here = mark.kind == "prev" or (mark.step == at and (mark.kind == "last" or before is None))
-            found.append(item if here else before)
-        return tuple(found)
+            is_reached = mark.kind == "prev" or (
+                mark.step == step and (mark.kind == "last" or before is None)
+            )
+            marks_after.append(item if is_reached else before)
+        return tuple(marks_after)
 
-    def _listed(self, at: int, enough: bool, more: bool) -> StepTransitions:
-        """Return as `choices`, for a step that has taken enough and may take more."""
-        further = self._from(at + 1) if enough else _NOTHING
+    def _transitions(self, step: int, enough: bool, more: bool) -> StepTransitions:
+        """Return the transitions of a step that has reached its minimum (``enough``) and may go on (``more``)."""
+        further = self._transitions_into(step + 1) if enough else _NO_TRANSITIONS
         steps, blocking = further.steps, further.blocking
-        if more and not self.steps[at].reluctant:
-            steps = (at, *steps)
+        if more and not self.steps[step].reluctant:
+            steps = (step, *steps)
+        # Reluctant and able to end: the end is preferred, so this step only blocks the skipping of elements.
         elif more and further.ends:
-            blocking = (*blocking, at)
+            blocking = (*blocking, step)
         elif more:
-            steps = (*steps, at)
-        return self._choices(steps, further.ends, blocking)
+            steps = (*steps, step)
+        return self._make_transitions(steps, further.ends, blocking)
 
-    def _from(self, at: int) -> StepTransitions:
-        """Return as `choices`, before a step has taken anything."""
-        if at == len(self.steps):
-            return self._choices((), True, ())
-        return self._listed(at, self.steps[at].least == 0, True)
+    def _transitions_into(self, step: int) -> StepTransitions:
+        """Return the transitions before a step has accepted an element."""
+        if step == len(self.steps):
+            return self._make_transitions((), True, ())
+        return self._transitions(step, self.steps[step].least == 0, True)
 
-    def _choices(self, steps: Tuple[int, ...], ends: bool, blocking: Tuple[int, ...]) -> StepTransitions:
-        # Passing over an item removes the steps that are not `later`; without any, nothing changes.
-        same = all(self.steps[at].later for at in (*steps, *blocking))
-        return StepTransitions(steps, ends, steps if same else None, blocking)
+    def _make_transitions(
+        self, steps: Tuple[int, ...], ends: bool, blocking: Tuple[int, ...]
+    ) -> StepTransitions:
+        # Skipping an element removes the steps that are not `later`. If there are none, nothing changes, and the
+        # state after a skipped element equals the one before it.
+        all_skip = all(self.steps[step].later for step in (*steps, *blocking))
+        return StepTransitions(steps, ends, steps if all_skip else None, blocking)
 
 
 def passes(tests: Sequence[StepTest], marks: Marks, item: StreamElement) -> bool:
-    """Tell whether an item passes all tests that are asked."""
+    """Return whether an element satisfies all tests whose navigations have elements."""
     for back, holds in tests:
-        looked_at = [one for one in (marks[at] for at in back) if one is not None]
-        if len(looked_at) == len(back) and not holds(item, looked_at):
+        elements = [element for element in (marks[position] for position in back) if element is not None]
+        if len(elements) == len(back) and not holds(item, elements):
             return False
     return True
 
 
 def ends(tests: Sequence[StepTest], marks: Marks, item: StreamElement) -> bool:
-    """Tell whether an item is one at which a step is over: some test is asked, and all that are hold."""
-    asked = [one for one in tests if all(marks[at] is not None for at in one.back)]
-    return bool(asked) and passes(asked, marks, item)
+    """Return whether an element ends a step: at least one test is applicable, and all applicable ones hold."""
+    applicable = [test for test in tests if all(marks[position] is not None for position in test.back)]
+    return bool(applicable) and passes(applicable, marks, item)
 
 
 MAX_WAYS_PER_START = 100
-"""Largest number of ways that are followed from one start; the preferred ones stay."""
+"""Maximum number of states with the same start; the preferred ones are kept."""
 
-_Refusing = Callable[[StreamElement], None]
-"""Refuses an item whose value a measure cannot take."""
-_Pairs = Tuple[Tuple[StreamElement, int], ...]
-"""Items, and the steps that have taken them."""
+_ValueCheck = Callable[[StreamElement], None]
+"""Rejects an element whose value a measure cannot process."""
+_StepAssignments = Tuple[Tuple[StreamElement, int], ...]
+"""Elements with the steps that accepted them."""
 
 
-class _Taken(NamedTuple):
-    """The items of a match, the newest first."""
+class _MatchedElements(NamedTuple):
+    """Elements of a match as a linked list, the newest first; states with a common prefix share it."""
 
     item: StreamElement
     step: int
-    before: "Optional[_Taken]"
+    before: "Optional[_MatchedElements]"
 
 
-class _Whole(NamedTuple):
-    """A match that is whole: its items, and the order of the first. It is given on when no preferred way is left."""
+class _CompletedMatch(NamedTuple):
+    """Completed match that waits until no preferred state is left: its elements, and the order of the first one."""
 
-    taken: _Taken
+    taken: _MatchedElements
     start: int
 
 
 class ComputationState:
-    """A way in which the items so far may be taken.
+    """Computation state: one assignment of the elements so far to steps.
 
     Attributes:
-        step: the step of its last item.
-        count: how many that step has taken, as far as that makes a difference.
-        left: after an item was passed over the steps that may still take one; else None.
-        marks: the items that conditions look back at.
-        taken: the items of the match that has begun.
-        start: the order of the first of these.
-        begun: the instant at which the first of these starts.
-        after: how many matches of its group came before that one, since there was one that waited.
+        step: step of the last element.
+        count: number of elements of that step, capped by `RowPatternNFA.counted`.
+        left: after a skipped element, the steps that can still accept one; otherwise None.
+        marks: elements of the navigations.
+        taken: elements of the match.
+        start: order of its first element.
+        begun: start of the first element in ns.
+        after: number of completed matches of the partition that are preferred to this state, counted since one had to
+            wait.
     """
 
     __slots__ = ("step", "count", "left", "marks", "taken", "start", "begun", "after")
@@ -222,7 +236,7 @@ class ComputationState:
         count: int,
         left: Optional[Tuple[int, ...]],
         marks: Marks,
-        taken: Optional[_Taken],
+        taken: Optional[_MatchedElements],
         start: int,
         begun: int,
         after: int,
@@ -237,22 +251,22 @@ class ComputationState:
         self.after = after
 
     def key(self, counted: Hashable) -> Hashable:
-        """Return what tells it from other ways by what comes; ``counted`` is what its count means for that."""
-        return (self.step, counted, self.left, tuple([id(one) for one in self.marks]))
+        """Return a key that is equal for states with the same future; ``counted`` is the meaning of the count."""
+        return (self.step, counted, self.left, tuple([id(element) for element in self.marks]))
 
 
 class PartitionState:
-    """The items of one group that are held, and how its matches go on.
+    """State of one partition: its computation states, waiting matches, and the elements that they use.
 
-    A match ends what is less preferred than it. So each way comes after all matches after which those before it come,
-    and one queue is enough for the matches that wait.
+    A completed match drops all less preferred states. Each state therefore comes after all matches that the states
+    before it come after, and one queue holds the waiting matches of all states.
 
     Attributes:
-        items: those that some way or match holds, and such as others have held since the oldest of them.
-        ways: the ways that are followed, the preferred first.
-        whole: the matches that wait, the oldest first: those after which the last way comes, but not the first one.
-        counted: the number of ways that the window has counted for this group.
-        since: the clock at its last item.
+        items: elements that a state or match uses, and all elements since the oldest of them.
+        ways: the computation states in order of preference.
+        whole: waiting matches, the oldest first: those that the last state comes after, but not the first one.
+        counted: number of states that the window has counted for this partition.
+        since: the clock at its last element.
     """
 
     __slots__ = ("items", "ways", "whole", "counted", "since")
@@ -262,12 +276,21 @@ class PartitionState:
         self.ways = ways
         self.counted = 0
         self.since = NEVER
-        self.whole: Deque[_Whole] = deque()
+        self.whole: Deque[_CompletedMatch] = deque()
 
-    def go_on(self, ways: List[ComputationState], whole: Optional[_Whole] = None) -> List[_Whole]:
-        """Go on in some ways, and return the matches that are decided; the last way comes after one that is new."""
-        known = ways[-1].after - (whole is not None)
-        for _ in range(self.ways[-1].after - known):
+    def go_on(
+        self, ways: List[ComputationState], whole: Optional[_CompletedMatch] = None
+    ) -> List[_CompletedMatch]:
+        """Replace the computation states, and return the matches that are now decided.
+
+        Args:
+            ways: the new states.
+            whole: a match that was completed by the same element; the last state comes after it.
+        """
+        # Matches are popped from the new end if the states that preferred them were dropped, and emitted from the old
+        # end if no state precedes them.
+        after = ways[-1].after - (whole is not None)
+        for _ in range(self.ways[-1].after - after):
             self.whole.pop()
         if whole is not None:
             self.whole.append(whole)
@@ -275,26 +298,26 @@ class PartitionState:
         return [self.whole.popleft() for _ in range(len(self.whole) - self.waiting())]
 
     def waiting(self) -> int:
-        """Return how many matches wait for one that is preferred."""
+        """Return the number of completed matches that wait for a preferred state."""
         return self.ways[-1].after - self.ways[0].after
 
     def oldest(self) -> Optional[int]:
-        """Return the order of the oldest item that is held."""
+        """Return the order of the oldest element in use, or None."""
         held = [way.start for way in self.ways if way.taken is not None]
         if self.whole:
             held.append(self.whole[0].start)
         return min(held, default=None)
 
 
-class _Onward:
-    """How a group goes on with an item.
+class _Successors:
+    """Successor states of a partition for one element, while they are computed.
 
     Attributes:
-        ways: its ways, the preferred first.
-        seen: the largest counts of these, by their keys.
-        whole: the match that the item has made whole; the last way comes after it.
-        start: the order of the first item of the newest way.
-        alternatives: the number of ways that have that start. An earlier start is preferred, so they are adjacent.
+        ways: the states in order of preference.
+        seen: largest count for each key of a state.
+        whole: the match that the element completes; the last state comes after it.
+        start: order of the first element of the newest state.
+        alternatives: number of states with that start. Earlier starts are preferred, so equal starts are adjacent.
     """
 
     __slots__ = ("ways", "seen", "whole", "start", "alternatives")
@@ -302,24 +325,24 @@ class _Onward:
     def __init__(self) -> None:
         self.ways: List[ComputationState] = []
         self.seen: Dict[Hashable, int] = {}
-        self.whole: Optional[_Whole] = None
+        self.whole: Optional[_CompletedMatch] = None
         self.start = 0
         self.alternatives = 0
 
     def holds(self, item: StreamElement) -> bool:
-        """Tell whether the item is held."""
+        """Return whether a state or match uses the element."""
         return self.whole is not None or any(
             way.taken is not None and way.taken.item is item for way in self.ways
         )
 
 
 class RowPatternWindow(KeyedOperator):
-    """Gives on matches of steps, which do not overlap. See `StreamOperator`.
+    """Window of a row pattern; emits matches that do not overlap. See `StreamOperator`.
 
     Args:
-        make: makes the measures of a match.
-        scopes: for each of them the step that it looks at, or None for all.
-        plan: the steps.
+        make: creates the measures of a match.
+        scopes: for each measure the step that it is restricted to, or None.
+        plan: the automaton.
     """
 
     KEY_BYTES, ITEM_BYTES = 1600, 1100
@@ -334,8 +357,8 @@ class RowPatternWindow(KeyedOperator):
         self.make = make
         self.scopes = scopes
         self.plan = plan
-        self._checks: List[_Refusing] = []
-        self._checks_of: List[List[_Refusing]] = [[] for _ in plan.steps]
+        self._checks: List[_ValueCheck] = []
+        self._checks_of: List[List[_ValueCheck]] = [[] for _ in plan.steps]
         for measure, scope in zip(make(), scopes):
             if measure.picky:
                 (self._checks if scope is None else self._checks_of[scope]).append(measure.check)
@@ -346,7 +369,7 @@ class RowPatternWindow(KeyedOperator):
         self._end = NEVER
 
     def __len__(self) -> int:
-        """Return the number of items, or of ways where that is larger."""
+        """Return the number of elements or of states, whichever is larger."""
         return max(self._number, self._ways)
 
     def _scanning(self, after: int = 0) -> ComputationState:
@@ -356,160 +379,170 @@ class RowPatternWindow(KeyedOperator):
         """See `StreamOperator.take`."""
         for check in self._checks:
             check(item)
-        clock, end, span, idle = self.clock, item.end, self._longest, self._idle
-        if clock < end and (end <= self.newest_allowed or not self._is_ahead(end)):
+        clock, end, span, idle = self.clock, item.end, self._max_span, self._idle
+        if clock < end and (end <= self.newest_allowed or not self._is_too_far_ahead(end)):
             clock = end
         group = self.states.get(item.key)
         if group is None or (idle is not None and group.since < clock - idle):
             group = PartitionState([self._scanning()])
-        ways = group.ways if span is None else self._in_time(group, clock - span)
+        ways = group.ways if span is None else self._started_since(group, clock - span)
         meter = self.meter
         if meter is not None and meter(len(ways)):
             return []
         item.order = self._order + 1
-        onward = self._go_on(ways, item)  # conditions may refuse it: nothing has changed until here
+        # A condition or check may raise an error. The element, the clock and the partition are changed only after
+        # this call, so a rejected element leaves no trace.
+        successors = self._successors(ways, item)
         self._order += 1
         self.clock, self._end = clock, end
         if idle is not None:
-            self._forget_idle()
+            self._drop_idle_keys()
         group.since = clock
-        if onward.holds(item):
+        if successors.holds(item):
             self._number += 1
             group.items.append(item)
-        found = group.go_on(onward.ways, onward.whole)
-        self._set(group, item.key)
-        return self._outputs(found)
+        decided = group.go_on(successors.ways, successors.whole)
+        self._store_partition(group, item.key)
+        return self._outputs(decided)
 
-    def _in_time(self, group: PartitionState, before: int) -> List[ComputationState]:
-        """Return the ways of a group without those that began before an instant."""
+    def _started_since(self, group: PartitionState, before: int) -> List[ComputationState]:
+        """Return the states of a partition, without those that started before an instant."""
         if all(way.begun >= before or way.taken is None for way in group.ways):
             return group.ways
-        left = [way for way in group.ways if way.begun >= before or way.taken is None]
-        return self._with_scanning(left, group)
+        remaining = [way for way in group.ways if way.begun >= before or way.taken is None]
+        return self._with_scanning(remaining, group)
 
     def _with_scanning(self, ways: List[ComputationState], group: PartitionState) -> List[ComputationState]:
-        """Return ways that are left of a group, with the way in which no match has begun."""
+        """Return the remaining states of a partition, with the scanning state at the end."""
         if not ways or ways[-1].step != SCANNING:
             ways.append(self._scanning(group.ways[-1].after))
         return ways
 
     def drop_oldest(self) -> List[StreamOutput]:
-        """See `StreamOperator.drop_oldest`: of the least recently used group, ways of its oldest item.
+        """See `StreamOperator.drop_oldest`; drops states of the least recently used partition.
 
-        Matches that have waited for these are given on.
+        The states that use its oldest element are dropped, and matches that have waited for them are emitted.
         """
         key, group = next(iter(self.states.items()))
         oldest = group.items[0].order
-        left = [way for way in group.ways if way.taken is None or way.start != oldest]
-        found = group.go_on(self._with_scanning(left, group))
-        self._set(group, key)
-        return self._outputs(found)
+        remaining = [way for way in group.ways if way.taken is None or way.start != oldest]
+        decided = group.go_on(self._with_scanning(remaining, group))
+        self._store_partition(group, key)
+        return self._outputs(decided)
 
-    def _forget(self, key: Hashable) -> None:
-        """Drop a group with its items and ways; matches that wait in it are lost."""
+    def _drop_key(self, key: Hashable) -> None:
+        """Drop a partition; matches that wait in it are lost."""
         group = self.states.pop(key)
         self._number -= len(group.items)
         self._ways -= group.counted
 
-    def _set(self, group: PartitionState, key: Hashable) -> None:
-        """Note a group that has gone on; items that are held no more are forgotten."""
-        first = group.oldest()
-        ways = 0 if first is None else len(group.ways) - (group.ways[-1].step == SCANNING)
+    def _store_partition(self, group: PartitionState, key: Hashable) -> None:
+        """Store a partition, count its states, and drop elements that are not used by any state."""
+        oldest = group.oldest()
+        ways = 0 if oldest is None else len(group.ways) - (group.ways[-1].step == SCANNING)
         self._ways += ways - group.counted
         group.counted = ways
-        if first is not None:
+        if oldest is not None:
             if key in self.states:
                 self.states.move_to_end(key)
             else:
                 self.states[key] = group
-                if len(self.states) > self._most_keys:
-                    self._make_room()
-            while group.items[0].order < first:
+                if len(self.states) > self._max_keys:
+                    self._evict_keys()
+            # Elements are dropped in order of arrival; those between used ones stay until the oldest use ends.
+            while group.items[0].order < oldest:
                 group.items.popleft()
                 self._number -= 1
         else:
             self._number -= len(group.items)
             self.states.pop(key, None)
 
-    # ---- one item ------------------------------------------------------------------------------------
-
-    def _go_on(self, ways: Sequence[ComputationState], item: StreamElement) -> _Onward:
-        """Return how ways go on with an item."""
-        onward = _Onward()
+    def _successors(self, ways: Sequence[ComputationState], item: StreamElement) -> _Successors:
+        """Return the successor states for an element."""
+        successors = _Successors()
         for way in ways:
-            takers, passing = self._takers(way, item)
-            for at in takers:
-                if self._takes(way, at, item, onward):
-                    return onward
+            takers, passing = self._accepting_steps(way, item)
+            for step in takers:
+                # A completed match, or one that is certain to complete, makes all less preferred states obsolete.
+                if self._accept(way, step, item, successors):
+                    return successors
             if way.step == SCANNING:
-                onward.ways.append(way)
+                successors.ways.append(way)
+            # An element is skipped only if no step accepts it: skipping is not an alternative to accepting.
             elif not takers and passing:
-                further = ComputationState(
+                successor = ComputationState(
                     way.step, way.count, passing, way.marks, way.taken, way.start, way.begun, way.after
                 )
-                if self._add(further, onward) and self.plan.is_sure(passing):
-                    return onward
-        return onward
+                if self._add(successor, successors) and self.plan.is_sure(passing):
+                    return successors
+        return successors
 
-    def _takers(self, way: ComputationState, item: StreamElement) -> Tuple[List[int], Tuple[int, ...]]:
-        """Return the steps that take an item, and those that may take a later one if none does."""
+    def _accepting_steps(
+        self, way: ComputationState, item: StreamElement
+    ) -> Tuple[List[int], Tuple[int, ...]]:
+        """Return the steps that accept an element, and the steps that remain if the element is skipped."""
         steps = self.plan.steps
         choices = self.plan.choices(way.step, way.count)
-        asked = choices.steps if way.left is None else way.left
-        open_ones = [at for at in asked if not (steps[at].until and ends(steps[at].until, way.marks, item))]
-        takers = [at for at in open_ones if passes(steps[at].tests, way.marks, item)]
-        passing = tuple([at for at in open_ones if steps[at].later])
+        candidates = choices.steps if way.left is None else way.left
+        open_steps = [
+            step
+            for step in candidates
+            if not (steps[step].until and ends(steps[step].until, way.marks, item))
+        ]
+        takers = [step for step in open_steps if passes(steps[step].tests, way.marks, item)]
+        passing = tuple([step for step in open_steps if steps[step].later])
         if not takers and passing:
-            for at in choices.blocking:
-                # A reluctant step has no `until`; after an item was passed over, only `later` steps can come next.
-                if (way.left is None or steps[at].later) and passes(steps[at].tests, way.marks, item):
+            for step in choices.blocking:
+                # A reluctant step has no `until`. After a skipped element, only `later` steps can follow.
+                if (way.left is None or steps[step].later) and passes(steps[step].tests, way.marks, item):
                     return takers, ()
         return takers, passing
 
-    def _takes(self, way: ComputationState, at: int, item: StreamElement, onward: _Onward) -> bool:
-        """Add the way in which a step takes an item; tell whether no way that is less preferred matters then."""
-        for check in self._checks_of[at]:
+    def _accept(self, way: ComputationState, step: int, item: StreamElement, successors: _Successors) -> bool:
+        """Add the state after a step has accepted an element; return whether less preferred states are obsolete."""
+        for check in self._checks_of[step]:
             check(item)
         plan = self.plan
-        count = plan.counted(at, way.count + 1 if way.step == at else 1)
-        taken = _Taken(item, at, way.taken)
+        count = plan.counted(step, way.count + 1 if way.step == step else 1)
+        taken = _MatchedElements(item, step, way.taken)
         start, begun = (item.order, item.start) if way.taken is None else (way.start, way.begun)
-        choices, whole, left, _ = plan.choices(at, count)
-        if choices:  # where all pass items over, they are left as after one that is passed over
-            marks = plan.marked(way.marks, at, item)
+        choices, whole, left, _ = plan.choices(step, count)
+        if choices:  # `left` is set if all steps skip elements: the state then equals the one after a skip
+            marks = plan.marked(way.marks, step, item)
             added = self._add(
-                ComputationState(at, count, left, marks, taken, start, begun, way.after), onward
+                ComputationState(step, count, left, marks, taken, start, begun, way.after), successors
             )
             if added and not whole and plan.is_sure(choices):
                 return True
         if whole:
-            onward.whole = _Whole(taken, start)
-            onward.ways.append(self._scanning(way.after + 1))
+            successors.whole = _CompletedMatch(taken, start)
+            # The search for the next match starts after this one: matches do not share elements.
+            successors.ways.append(self._scanning(way.after + 1))
         return whole
 
-    def _add(self, way: ComputationState, onward: _Onward) -> bool:
-        """Add a way, unless one that is preferred turns out a match whenever it does; tell if either is there."""
+    def _add(self, way: ComputationState, successors: _Successors) -> bool:
+        """Add a state unless a preferred one subsumes it; return whether either of them is present."""
         key = way.key(self.plan.meaning(way.step, way.count))
-        if onward.seen.get(key, -1) >= way.count:
+        # States are added in order of preference, so one with the same key and at least this count is preferred and
+        # completes no later: the new one can never win.
+        if successors.seen.get(key, -1) >= way.count:
             return True
-        if way.start != onward.start:
-            onward.start, onward.alternatives = way.start, 0
-        if onward.alternatives >= MAX_WAYS_PER_START:
+        if way.start != successors.start:
+            successors.start, successors.alternatives = way.start, 0
+        if successors.alternatives >= MAX_WAYS_PER_START:
             self.crowded += 1
             return False
-        onward.alternatives += 1
-        onward.seen[key] = way.count
-        onward.ways.append(way)
+        successors.alternatives += 1
+        successors.seen[key] = way.count
+        successors.ways.append(way)
         return True
 
-    # ---- what is given on ----------------------------------------------------------------------------
-
-    def _outputs(self, decided: Sequence[_Whole]) -> List[StreamOutput]:
-        outputs = [self._output(one) for one in decided]
+    def _outputs(self, decided: Sequence[_CompletedMatch]) -> List[StreamOutput]:
+        outputs = [self._output(match) for match in decided]
         return [output for output in outputs if output is not None]
 
-    def _output(self, whole: _Whole) -> Optional[StreamOutput]:
-        """Return what is given on for a match; None where a measure has no result."""
+    def _output(self, whole: _CompletedMatch) -> Optional[StreamOutput]:
+        """Return the output of a match, or None if a measure has no result."""
         pairs = _in_order(whole.taken)
         meter = self.meter
         if meter is not None and meter(len(pairs)):
@@ -517,13 +550,13 @@ class RowPatternWindow(KeyedOperator):
         items = [item for item, _ in pairs]
         start = min(item.start for item in items)
         end = max(self._end, *(item.end for item in items))
-        named = tuple(items[-MAX_TRACKED_ITEMS:]) if self.tracked else (items[-1],)
-        found, error = measured(lambda: self._results(pairs))
-        return None if found is None else StreamOutput(named, start, end, found, error)
+        contributors = tuple(items[-MAX_TRACKED_ITEMS:]) if self.tracked else (items[-1],)
+        results, error = measured(lambda: self._results(pairs))
+        return None if results is None else StreamOutput(contributors, start, end, results, error)
 
-    def _results(self, pairs: _Pairs) -> Optional[Values]:
-        """Return the results of the measures of a match; None where one has none."""
-        found = []
+    def _results(self, pairs: _StepAssignments) -> Optional[Values]:
+        """Return the results of the measures of a match, or None if one has no result."""
+        results = []
         for measure, scope in zip(self.make(), self.scopes):
             members = deque([item for item, step in pairs if scope is None or step == scope])
             for item in members:
@@ -531,26 +564,24 @@ class RowPatternWindow(KeyedOperator):
             result = measure.result(members, len(members)) if members or measure.of_none else None
             if result is None:
                 return None
-            found.append(result)
-        return tuple(found)
-
-    # ---- what lasts ----------------------------------------------------------------------------------
+            results.append(result)
+        return tuple(results)
 
     def kept(self) -> KnownState:
-        """See `StreamOperator.kept`: the items of each group, and by their orders its ways and matches that wait."""
+        """See `StreamOperator.kept`; states and waiting matches refer to elements by their order."""
         groups = [
             (
                 group.since,
                 list(group.items),
-                tuple([_numbers(way) for way in group.ways]),
-                tuple([_orders(_in_order(one.taken)) for one in group.whole]),
+                tuple([_state_fields(way) for way in group.ways]),
+                tuple([_orders(_in_order(match.taken)) for match in group.whole]),
             )
             for group in self.states.values()
         ]
         return (self.late, self._order, self.clock, groups)
 
     def restore(self, kept: KnownState) -> None:
-        """See `StreamOperator.restore`: where items are missing, those that are left are taken again."""
+        """See `StreamOperator.restore`; if elements are missing, the remaining ones are processed again."""
         self.late, self._order, self.clock, groups = kept
         self.states.clear()
         self._number = self._ways = 0
@@ -565,7 +596,7 @@ class RowPatternWindow(KeyedOperator):
         ways: Sequence[Tuple[object, ...]],
         whole: Sequence[Sequence[Tuple[int, int]]],
     ) -> None:
-        known = {item.order: item for item in items}
+        by_order = {item.order: item for item in items}
         group = PartitionState([self._scanning()])
         group.since = since
         for item in items:
@@ -573,54 +604,65 @@ class RowPatternWindow(KeyedOperator):
             group.items.append(item)
         self._number += len(items)
         try:
-            group.whole.extend(_Whole(_taken_of(one, known), one[0][0]) for one in whole)
-            group.ways = [self._way_of(way, known) for way in ways]
-            sound = len(group.whole) == group.waiting()
+            group.whole.extend(
+                _CompletedMatch(_matched_elements(match, by_order), match[0][0]) for match in whole
+            )
+            group.ways = [self._state_of(way, by_order) for way in ways]
+            is_consistent = len(group.whole) == group.waiting()
         except KeyError:
-            sound = False
-        if not sound:  # items are missing, or an interrupt came between one and the other
+            is_consistent = False
+        if not is_consistent:  # elements are missing, or an interrupt came between two updates
             group.whole.clear()
             group.ways = [self._scanning()]
             for item in items:
-                onward = self._go_on(group.ways, item)
-                group.go_on(onward.ways, onward.whole)
-        self._set(group, items[0].key)
+                successors = self._successors(group.ways, item)
+                group.go_on(successors.ways, successors.whole)
+        self._store_partition(group, items[0].key)
 
-    def _way_of(self, numbers: Tuple[Any, ...], known: Dict[int, StreamElement]) -> ComputationState:
-        """Return a way of which `_numbers` has told."""
+    def _state_of(self, numbers: Tuple[Any, ...], by_order: Dict[int, StreamElement]) -> ComputationState:
+        """Return the state that `_state_fields` has described."""
         step, count, left, marks, pairs, after = numbers
-        found = tuple([None if order is None else known[order] for order in marks])
+        navigations = tuple([None if order is None else by_order[order] for order in marks])
         if not pairs:
-            return ComputationState(step, count, left, found, None, 0, 0, after)
+            return ComputationState(step, count, left, navigations, None, 0, 0, after)
         order = pairs[0][0]
         return ComputationState(
-            step, count, left, found, _taken_of(pairs, known), order, known[order].start, after
+            step,
+            count,
+            left,
+            navigations,
+            _matched_elements(pairs, by_order),
+            order,
+            by_order[order].start,
+            after,
         )
 
 
-def _taken_of(pairs: Sequence[Tuple[int, int]], known: Dict[int, StreamElement]) -> _Taken:
-    """Return the items of a match by their orders."""
-    found: Optional[_Taken] = None
+def _matched_elements(
+    pairs: Sequence[Tuple[int, int]], by_order: Dict[int, StreamElement]
+) -> _MatchedElements:
+    """Return the elements of a match, given their orders."""
+    taken: Optional[_MatchedElements] = None
     for order, step in pairs:
-        found = _Taken(known[order], step, found)
-    assert found is not None  # a match has an item at least
-    return found
+        taken = _MatchedElements(by_order[order], step, taken)
+    assert taken is not None  # a match has at least one element
+    return taken
 
 
-def _in_order(taken: Optional[_Taken]) -> _Pairs:
-    """Return the items of a match, the oldest first."""
-    found = []
+def _in_order(taken: Optional[_MatchedElements]) -> _StepAssignments:
+    """Return the elements of a match, the oldest first."""
+    pairs = []
     while taken is not None:
-        found.append((taken.item, taken.step))
+        pairs.append((taken.item, taken.step))
         taken = taken.before
-    return tuple(reversed(found))
+    return tuple(reversed(pairs))
 
 
-def _numbers(way: ComputationState) -> Tuple[Any, ...]:
-    """Return what a way knows, with the orders of items in their place."""
-    marks = tuple([None if one is None else one.order for one in way.marks])
+def _state_fields(way: ComputationState) -> Tuple[Any, ...]:
+    """Return the fields of a state, with elements replaced by their orders."""
+    marks = tuple([None if element is None else element.order for element in way.marks])
     return (way.step, way.count, way.left, marks, _orders(_in_order(way.taken)), way.after)
 
 
-def _orders(pairs: _Pairs) -> Tuple[Tuple[int, int], ...]:
+def _orders(pairs: _StepAssignments) -> Tuple[Tuple[int, int], ...]:
     return tuple([(item.order, step) for item, step in pairs])

@@ -1,8 +1,8 @@
-"""Items and outputs of operators on streams, and the state that an operator holds for each key.
+"""Elements, outputs and the common protocol of stream operators, and the keyed state that they share.
 
-An operator holds a state for each key: the values by which its items are grouped. `KeyedOperator` bounds these states
-by time and by number. Keys are ordered by their last use, so that idle keys are found at the front of the order, and
-each event pays for at most one key that is dropped later.
+An operator partitions its elements by key and holds one state per key. `KeyedOperator` bounds these states by time
+and by number. Keys are ordered by their last use, so idle keys are at the front of the order and each event pays for
+at most one key that is dropped later.
 """
 
 from collections import OrderedDict
@@ -15,17 +15,17 @@ from ...prolog.terms.types import Values
 
 
 class StreamElement:
-    """A match that has come, as a stream sees it.
+    """Match in a stream.
 
     Attributes:
-        match: the match, where it is given on or tracked.
-        start: where its interval starts.
-        end: where it ends.
-        by: the values that say to which group it belongs.
-        key: the same, to be compared.
-        values: what is looked at: one value for each measure of a window, or that which may change.
-        order: the larger, the later it came.
-        gone: whether it has left the window.
+        match: the match, if it is emitted or tracked.
+        start: start of its interval in ns.
+        end: end of its interval in ns.
+        by: values of the key terms.
+        key: hashable form of ``by``.
+        values: processed values: one per measure of a window, or the value that may change.
+        order: number in the order of arrival.
+        gone: whether the element has left its operator; containers with lazy deletion skip it.
     """
 
     __slots__ = ("match", "start", "end", "by", "key", "values", "order", "gone")
@@ -39,27 +39,28 @@ class StreamElement:
         self.order = 0
         self.gone = False
         if len(by) == 1:
-            only = by[0]
-            self.key: Hashable = only if only.__class__ in PLAIN else term_key(only)
+            # Plain terms are their own keys, which saves a call for the most frequent case, one key term.
+            single = by[0]
+            self.key: Hashable = single if single.__class__ in PLAIN else term_key(single)
         else:
-            self.key = tuple([term_key(one) for one in by])
+            self.key = tuple([term_key(value) for value in by])
 
     def file(self) -> None:
-        """Be in, under the key that it has by its values."""
+        """Mark the element as present, and compute its key from its values."""
         self.gone = False
         by = self.by
-        self.key = term_key(by[0]) if len(by) == 1 else tuple([term_key(one) for one in by])
+        self.key = term_key(by[0]) if len(by) == 1 else tuple([term_key(value) for value in by])
 
 
 class StreamOutput(NamedTuple):
-    """What an operator on a stream gives on.
+    """Output of a stream operator.
 
     Attributes:
-        items: those that it is made of, in the order in which they came; the newest only where nobody tracks them.
-        start: where its interval starts.
-        end: where it ends.
-        found: the results of a window's measures; empty elsewhere.
-        error: why these could not be measured; nothing else follows from it, and nothing is given on.
+        items: the elements that contributed, in order of arrival; only the newest one unless elements are tracked.
+        start: start of the interval in ns.
+        end: end of the interval in ns.
+        found: results of the measures of a window; empty for other operators.
+        error: the error that prevented the results; in this case nothing is emitted.
     """
 
     items: Tuple[StreamElement, ...]
@@ -70,18 +71,18 @@ class StreamOutput(NamedTuple):
 
 
 KnownState = Tuple[Any, ...]
-"""What an operator knows, as numbers, terms, items and lists of them."""
+"""State of an operator as numbers, terms, elements and lists of them."""
 NEVER = -(1 << 63)
-"""An instant before all others."""
+"""Instant before all others."""
 
 
 class KeyBounds(NamedTuple):
-    """Bounds of the states of keys.
+    """Bounds for the states of keys.
 
     Attributes:
-        span: the longest interval of an output that is of use, in ns; None for no bound.
-        idle: the time in ns for which a key is kept without an item of its own; None for no bound.
-        keys: the largest number of keys.
+        span: longest interval of an output that can be used, in ns; None for no bound.
+        idle: time in ns after which a key without a new element is dropped; None for no bound.
+        keys: maximum number of keys.
     """
 
     span: Optional[int] = None
@@ -90,22 +91,22 @@ class KeyBounds(NamedTuple):
 
 
 class StreamOperator(Protocol):
-    """An operator on streams: a state that takes items and instants, and gives outputs on.
+    """Stream operator: a state machine that takes elements and instants, and returns outputs.
 
-    It knows nothing of rules, events and their dispatch, and is the same for the same items and instants: what an
-    event that is taken back has changed is found by running it again without that.
+    An operator has no access to rules, events and their dispatch. It is deterministic: the same elements and instants
+    give the same outputs. Revision relies on this: when an event is retracted, the operator is run again without it.
 
     Attributes:
-        next: the instant at which `ring` has something to give on; None where only items do.
-        late: how many items came too late to be taken.
-        crowded: number of alternatives that were not followed, because one start had too many.
+        next: instant at which `ring` has an output; None if only elements cause outputs.
+        late: number of elements that arrived too late.
+        crowded: number of alternatives that were not followed because one start had too many.
         evicted: number of keys that were dropped because there were too many.
-        bounds: bounds of the states of keys.
-        keys: number of keys that have a state.
-        bytes: estimate of the memory of the states: numbers of keys and items times constants that were measured.
-        tracked: whether outputs name the items that they are made of, a hundred at most, else the newest only.
-        meter: counts the items that are looked at as pattern work; None if nothing is counted.
-        allowed: gives the newest end that moves the time of the stream on; of later ones only the items are taken.
+        bounds: bounds for the states of keys.
+        keys: number of keys with a state.
+        bytes: estimated memory of the states: numbers of keys and elements times measured constants.
+        tracked: whether outputs contain up to 100 of the elements that they are made of, not only the newest one.
+        meter: counts visited elements as pattern work; None if nothing is counted.
+        allowed: returns the latest end that may advance the time of the stream.
     """
 
     next: Optional[int]
@@ -126,50 +127,52 @@ class StreamOperator(Protocol):
         """See the attributes."""
 
     def set_bounds(self, bounds: KeyBounds, /) -> None:
-        """Bound the states of keys from the next item on."""
+        """Set the bounds for the states of keys from the next element on."""
 
     def take(self, item: StreamElement, now: int, channel: int, /) -> List[StreamOutput]:
-        """Take an item, and return what is given on.
+        """Process an element and return the outputs.
 
         Args:
-            item: the item.
-            now: the present instant by the clock.
-            channel: 0, or 1 for what must not happen.
+            item: the element.
+            now: the present time of the clock in ns.
+            channel: 0, or 1 for elements that must not occur.
 
         Raises:
-            RuleError: where a value is not one that can be measured; nothing has changed then.
+            RuleError: if a value cannot be measured; the state is unchanged in this case.
         """
 
     def ring(self, instant: int, /) -> List[StreamOutput]:
-        """Return what is given on as the clock has come to an instant."""
+        """Return the outputs that are due when the clock reaches an instant."""
 
     def __len__(self) -> int:
-        """Return how many items, or keys, are held."""
+        """Return the number of stored elements or keys."""
 
     def drop_oldest(self) -> List[StreamOutput]:
-        """Forget the item, or the key, that is held for the longest time; return what is given on because of it."""
+        """Drop the oldest element or key, and return the outputs that this causes."""
 
     def kept(self) -> KnownState:
-        """Return what it knows; see `restore`."""
+        """Return the state; see `restore`."""
 
     def restore(self, kept: KnownState, /) -> None:
-        """Know what another one did that was made in the same way."""
+        """Set the state to one that an equal operator returned from `kept`."""
 
 
 class KeyedOperator:
-    """The common part of operators: the newest end, and the states of keys with their bounds. See `StreamOperator`.
+    """Base class of stream operators: the stream clock, and the states of keys with their bounds.
+
+    See `StreamOperator`.
 
     Attributes:
-        clock: the newest end of the items so far. Ends further in the future than stamps may be do not count.
-        newest_allowed: the result of the last call of ``allowed``, in ns.
-        states: the state of each key. For operators that drop idle keys the order is that of the last use, and
-            ``since`` of each state is the clock at that use.
+        clock: the newest end of the elements so far, without ends that are too far in the future.
+        newest_allowed: last result of ``allowed``, in ns.
+        states: state of each key. In operators that drop idle keys, the order is that of the last use, and the
+            attribute ``since`` of a state is the clock at that use.
     """
 
     KEY_BYTES = 450
-    """Memory of a key, without its items; measured with tracemalloc on CPython 3.11."""
+    """Memory of a key without its elements; measured with tracemalloc on CPython 3.11."""
     ITEM_BYTES = 450
-    """Memory of an item with two small arguments; measured with tracemalloc on CPython 3.11."""
+    """Memory of an element with two small arguments; measured with tracemalloc on CPython 3.11."""
 
     def __init__(self) -> None:
         self.next: Optional[int] = None
@@ -179,13 +182,13 @@ class KeyedOperator:
         self.allowed: Callable[[], int] = lambda: 1 << 64
         self.set_bounds(KeyBounds())
         self.clock = self.newest_allowed = NEVER
-        # The first key of a plain dict is searched for among all that were deleted before it.
+        # Finding the first key of a plain dict takes time linear in the number of keys deleted before it.
         self.states: OrderedDict[Hashable, Any] = OrderedDict()
 
     def set_bounds(self, bounds: KeyBounds) -> None:
         """See `StreamOperator.set_bounds`."""
         self.bounds = bounds
-        self._longest, self._idle, self._most_keys = bounds  # asked at each item
+        self._max_span, self._idle, self._max_keys = bounds  # local copies, read for each element
 
     def __len__(self) -> int:
         return len(self.states)
@@ -204,18 +207,19 @@ class KeyedOperator:
         """See `StreamOperator.ring`."""
         return []
 
-    def _is_ahead(self, end: int) -> bool:
-        """Tell whether an end is further in the future than stamps may be: others do not wait for its time."""
+    def _is_too_far_ahead(self, end: int) -> bool:
+        """Return whether an end is too far in the future to advance the time of the stream."""
+        # ``allowed`` reads the clock and only rises, so it is called only if its last result is not sufficient.
         if end > self.newest_allowed:
-            self.newest_allowed = self.allowed()  # which rises: it is asked where it may matter
+            self.newest_allowed = self.allowed()
         return end > self.newest_allowed
 
-    def _move_on(self, end: int) -> None:
-        if self.clock < end and (end <= self.newest_allowed or not self._is_ahead(end)):
+    def _advance(self, end: int) -> None:
+        if self.clock < end and (end <= self.newest_allowed or not self._is_too_far_ahead(end)):
             self.clock = end
 
-    def _forget_idle(self) -> None:
-        """Drop the keys whose last use is longer ago than the bound."""
+    def _drop_idle_keys(self) -> None:
+        """Drop the keys whose last use is too long ago."""
         if self._idle is None:
             return
         states, before = self.states, self.clock - self._idle
@@ -223,14 +227,14 @@ class KeyedOperator:
             key = next(iter(states))
             if states[key].since >= before:
                 return
-            self._forget(key)
+            self._drop_key(key)
 
-    def _make_room(self) -> None:
+    def _evict_keys(self) -> None:
         """Drop the least recently used keys if there are too many."""
-        while len(self.states) > self._most_keys:
-            self._forget(next(iter(self.states)))
+        while len(self.states) > self._max_keys:
+            self._drop_key(next(iter(self.states)))
             self.evicted += 1
 
-    def _forget(self, key: Hashable) -> None:
+    def _drop_key(self, key: Hashable) -> None:
         """Drop the state of a key."""
         del self.states[key]

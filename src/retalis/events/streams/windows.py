@@ -1,11 +1,19 @@
-"""The items of one group that are in a window: over which interval they lie, and what is measured of them.
+"""Windows over keyed streams: sliding, tumbling and hopping, by time or by count.
 
-Windows that are given on by their items: which of these are measured together, and when.
+Each key has a `KeyedWindow` with its elements and accumulators. A window class decides which elements are in, when
+they leave, and when a result is emitted:
 
-Items are in groups. Each window class says which of them are in, when they leave, and when a group is given on; what
-is measured is the same for all of them.
+* `SlidingTimeWindow` and `SlidingCountWindow` emit at each element.
+* `TumblingCountWindow` emits when it is full, or at each element (``running``).
+* `AnchoredTumblingWindow` starts at the first element of a key and emits when its time has passed.
+* `EagerTumblingWindow` and `HoppingWindow` are aligned to multiples of a time since 1970; the first one emits at each
+  element, the second one when the clock reaches the end of a window.
 
-Windows between instants: they begin with an item, or at multiples of a time since 1970, and end by the clock.
+Elements leave through lazy deletion: `StreamElement.gone` is set, and queues and heaps that file the element skip it.
+`Window._compact` compacts them when more than half of their entries are gone.
+
+An interrupt may stop a method between two statements. Counts are changed before or after a loop such that the next
+call repairs what was not finished.
 """
 
 import heapq
@@ -18,11 +26,11 @@ from .accumulators import Accumulator, Lowest
 from .stream_elements import KeyedOperator, KnownState, StreamElement, StreamOutput
 
 MAX_TRACKED_ITEMS = 100
-"""How many items an output names where they are tracked: the newest, so that long windows take no more for each."""
+"""Maximum number of elements in a tracked output, the newest ones, so that long windows stay cheap."""
 
 
 def measured(results: Callable[[], Optional[Values]]) -> Tuple[Optional[Values], Optional[RuleError]]:
-    """Return the results of measures, and what is reported in their place where something cannot be measured."""
+    """Return the results of measures, or an empty result with the error if something cannot be measured."""
     try:
         return results(), None
     except RuleError as error:
@@ -32,13 +40,13 @@ def measured(results: Callable[[], Optional[Values]]) -> Tuple[Optional[Values],
 
 
 class KeyedWindow:
-    """The items of one group that are in a window, and their measures.
+    """Elements of one key in a window, with their accumulators.
 
     Attributes:
-        since: the instant from which its time counts: the clock at its last item, or for windows that begin with an
-            item the end of that item.
-        starts: the starts of the items; None while the items have come in the order of their starts and ends.
-        ends: the ends of the items, negated; None under the same condition.
+        since: instant from which its time counts: the clock at the last element, or the end of the first element for
+            windows that start with an element.
+        starts: starts of the elements; None as long as elements arrive in the order of their starts and ends.
+        ends: negated ends of the elements; None under the same condition.
     """
 
     __slots__ = ("members", "number", "measures", "checks", "since", "starts", "ends")
@@ -53,23 +61,25 @@ class KeyedWindow:
         self.ends: Optional[Lowest] = None
 
     def add(self, item: StreamElement) -> None:
-        """Take an item in."""
+        """Add an element."""
         members = self.members
         if self.starts is not None and self.ends is not None:
             self.starts.add(item.start, item)
             self.ends.add(-item.end, item)
+        # In order, the interval of the window is given by its first and last element. The heaps are needed only from
+        # the first element out of order on.
         elif members and (item.start < members[-1].start or item.end < members[-1].end):
-            self.starts, self.ends = Lowest(), Lowest()  # from here on the first and last do not say it
-            for one in [one for one in members if not one.gone] + [item]:
-                self.starts.add(one.start, one)
-                self.ends.add(-one.end, one)
+            self.starts, self.ends = Lowest(), Lowest()
+            for member in [member for member in members if not member.gone] + [item]:
+                self.starts.add(member.start, member)
+                self.ends.add(-member.end, member)
         members.append(item)
         self.number += 1
         for measure in self.measures:
             measure.add(item)
 
     def remove(self, item: StreamElement) -> None:
-        """Take an item out."""
+        """Remove an element."""
         item.gone = True
         self.number -= 1
         members = self.members
@@ -78,7 +88,7 @@ class KeyedWindow:
         while members and members[-1].gone:
             members.pop()
         if len(members) > 2 * self.number + 64:
-            self.members = deque([one for one in members if not one.gone])
+            self.members = deque([member for member in members if not member.gone])
         if self.starts is not None and self.ends is not None:
             self.starts.remove()
             self.ends.remove()
@@ -88,42 +98,42 @@ class KeyedWindow:
     def output(
         self, with_items: bool, start: Optional[int] = None, end: Optional[int] = None
     ) -> Optional[StreamOutput]:
-        """Return what is measured, by default over the interval of the items; None where a measure has no result."""
-        found, error = measured(self._results)
-        if found is None:
+        """Return the results, by default for the interval of the elements; None if a measure has no result."""
+        results, error = measured(self._results)
+        if results is None:
             return None
         if start is None or end is None:
             start, end = self._interval()
         members = self.members
         items = self._newest() if with_items else (members[-1],)
-        return StreamOutput(items, start, end, found, error)
+        return StreamOutput(items, start, end, results, error)
 
     def _results(self) -> Optional[Values]:
-        """Return the results of the measures; None where one has none."""
-        found = []
+        """Return the results of the measures, or None if one has no result."""
+        results = []
         members, number = self.members, self.number
         for measure in self.measures:
             result = measure.result(members, number)
             if result is None:
                 return None
-            found.append(result)
-        return tuple(found)
+            results.append(result)
+        return tuple(results)
 
     def _newest(self) -> Tuple[StreamElement, ...]:
-        """Return the newest items, in the order in which they came."""
-        found: List[StreamElement] = []
+        """Return the newest elements in order of arrival."""
+        newest: List[StreamElement] = []
         for item in reversed(self.members):
             if not item.gone:
-                found.append(item)
-                if len(found) == MAX_TRACKED_ITEMS:
+                newest.append(item)
+                if len(newest) == MAX_TRACKED_ITEMS:
                     break
-        return tuple(reversed(found))
+        return tuple(reversed(newest))
 
     def _interval(self) -> Tuple[int, int]:
         if self.starts is None or self.ends is None:
             return self.members[0].start, self.members[-1].end
         low, high = self.starts.top(), self.ends.top()
-        assert low is not None and high is not None  # it is asked where there are items
+        assert low is not None and high is not None  # the window is not empty
         return low[2].start, high[2].end
 
 
@@ -131,14 +141,14 @@ Make = Callable[[], Sequence[Accumulator]]
 
 
 class Window(KeyedOperator):
-    """The common part of all windows: groups of items, by their keys. See `StreamOperator`.
+    """Base class of windows: keyed windows and their elements. See `StreamOperator`.
 
     Args:
-        make: makes the measures of a group.
+        make: creates the accumulators of a key.
 
     Attributes:
-        number: how many items are in groups.
-        last_order: order of the newest item.
+        number: number of elements in all keyed windows.
+        last_order: order of the newest element.
     """
 
     KEY_BYTES, ITEM_BYTES = 1350, 800
@@ -155,14 +165,14 @@ class Window(KeyedOperator):
         return self.number
 
     def drop_oldest(self) -> List[StreamOutput]:
-        """See `StreamOperator.drop_oldest`: of the group that was least recently used."""
+        """See `StreamOperator.drop_oldest`; drops an element of the least recently used key."""
         group = next(iter(self.states.values()))
-        self.remove(next(one for one in group.members if not one.gone))
-        self._tidy()
+        self.remove(next(member for member in group.members if not member.gone))
+        self._compact()
         return []
 
-    def _tidy(self) -> None:
-        """Drop what has gone before its time from where it is filed, if that is the larger part."""
+    def _compact(self) -> None:
+        """Compact the containers that file elements by time, if most of their entries are gone."""
 
     def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
@@ -171,7 +181,8 @@ class Window(KeyedOperator):
     def kept(self) -> KnownState:
         """See `StreamOperator.kept`."""
         groups = [
-            (group.since, [one for one in group.members if not one.gone]) for group in self.states.values()
+            (group.since, [member for member in group.members if not member.gone])
+            for group in self.states.values()
         ]
         return (self.clock, self.next, self.late, self.last_order, groups)
 
@@ -184,70 +195,74 @@ class Window(KeyedOperator):
             group = KeyedWindow(self.make(), since)
             for item in members:
                 item.file()
-                self._enter(item, group)
-                self._note(item)
+                self._insert(item, group)
+                self._file(item)
 
-    def _note(self, item: StreamElement) -> None:
-        """File an item that has entered by when it is to leave."""
+    def _file(self, item: StreamElement) -> None:
+        """File an element that has entered by the time at which it leaves."""
 
-    def _group_of(self, item: StreamElement) -> KeyedWindow:
-        """Return the group of an item, made where there is none; nothing is changed where a value is refused."""
+    def _keyed_window_of(self, item: StreamElement) -> KeyedWindow:
+        """Return the keyed window of an element, possibly a new one; a rejected value changes nothing."""
         group = self.states.get(item.key)
         if group is None:
             group = KeyedWindow(self.make())
+        # All checks run before the element is added to any accumulator.
         for check in group.checks:
             check(item)
         return group
 
-    def _came(self, item: StreamElement) -> None:
+    def _number_element(self, item: StreamElement) -> None:
         self.last_order += 1
         item.order = self.last_order
 
     def _used_group(self, item: StreamElement) -> KeyedWindow:
-        """Return the group of an item that uses it now, after idle groups were dropped."""
-        group = self._group_of(item)
+        """Return the keyed window of an element as the most recently used one, after idle keys are dropped."""
+        group = self._keyed_window_of(item)
         end = item.end
-        if self.clock < end and (end <= self.newest_allowed or not self._is_ahead(end)):
+        if self.clock < end and (end <= self.newest_allowed or not self._is_too_far_ahead(end)):
             self.clock = end
         if self._idle is not None:
-            self._forget_idle()
+            self._drop_idle_keys()
+            # The idle keys that were dropped may include the key of this element.
             if group.number and item.key not in self.states:
                 group = KeyedWindow(self.make())
         group.since = self.clock
         return group
 
-    def _enter(self, item: StreamElement, group: KeyedWindow) -> None:
+    def _insert(self, item: StreamElement, group: KeyedWindow) -> None:
         states = self.states
         if group.number:
             states.move_to_end(item.key)
         else:
             states[item.key] = group
-            if len(states) > self._most_keys:
-                self._make_room()
+            if len(states) > self._max_keys:
+                self._evict_keys()
         self.number += 1
         group.add(item)
 
-    def _forget(self, key: Hashable) -> None:
-        """Drop a group with its items."""
-        self._empty(self.states[key], key)
-        self._tidy()
+    def _drop_key(self, key: Hashable) -> None:
+        """Drop a key with its elements."""
+        self._clear_key(self.states[key], key)
+        self._compact()
 
     def remove(self, item: StreamElement) -> None:
-        """Remove an item from its group, and the group if it was the last."""
+        """Remove an element, and its key if it was the last one."""
         group = self.states[item.key]
         group.remove(item)
         self.number -= 1
         if not group.number:
             del self.states[item.key]
 
-    def _empty(self, group: KeyedWindow, key: Hashable) -> None:
-        """Have all items of a group leave at once, also where an interrupt comes meanwhile."""
+    def _clear_key(self, group: KeyedWindow, key: Hashable) -> None:
+        """Remove all elements of a key at once, in an order that is safe against interrupts."""
         del self.states[key]
         self.number -= group.number
+        # The key is removed and the count adjusted first: an interrupt in this loop then leaves unmarked elements of
+        # a window that nothing refers to.
         for item in group.members:
             item.gone = True
 
-    def _given(
+    def _emit(
         self, group: KeyedWindow, start: Optional[int] = None, end: Optional[int] = None
     ) -> List[StreamOutput]:
         meter = self.meter
@@ -258,11 +273,11 @@ class Window(KeyedOperator):
 
 
 class SlidingTimeWindow(Window):
-    """The items that began less than ``span`` ns before the newest end; given on at each item.
+    """Window of the elements that started less than ``span`` ns before the newest end; emits at each element.
 
     Attributes:
-        queue: the items that began in the order in which they came, oldest first.
-        disordered: heap of the items that began before the newest of the queue when they came, by their start.
+        queue: elements that arrived in the order of their starts, the oldest first.
+        disordered: heap of the elements that started before the end of the queue when they arrived, by their starts.
     """
 
     def __init__(self, make: Make, span: int):
@@ -273,31 +288,32 @@ class SlidingTimeWindow(Window):
 
     def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
-        group = self._group_of(item)
-        self._move_on(item.end)
+        group = self._keyed_window_of(item)
+        self._advance(item.end)
         before = self.clock - self.span
-        self._leave_before(before)
+        self._remove_before(before)
         if item.start <= before:
             self.late += 1
             return []
-        self._came(item)
-        self._enter(item, group)
-        self._note(item)
-        return self._given(group)
+        self._number_element(item)
+        self._insert(item, group)
+        self._file(item)
+        return self._emit(group)
 
-    def _note(self, item: StreamElement) -> None:
+    def _file(self, item: StreamElement) -> None:
         queue = self.queue
+        # Most elements arrive in order, and a queue is cheaper than a heap.
         if not queue or queue[-1].start <= item.start:
             queue.append(item)
         else:
             heapq.heappush(self.disordered, (item.start, item.order, item))
 
-    def _tidy(self) -> None:
+    def _compact(self) -> None:
         if len(self.queue) + len(self.disordered) > 2 * self.number + 64:
-            self.queue = deque([one for one in self.queue if not one.gone])
+            self.queue = deque([element for element in self.queue if not element.gone])
             self.disordered = without_gone(self.disordered)
 
-    def _leave_before(self, before: int) -> None:
+    def _remove_before(self, before: int) -> None:
         queue, heap = self.queue, self.disordered
         while queue and queue[0].start <= before:
             item = queue.popleft()
@@ -310,7 +326,7 @@ class SlidingTimeWindow(Window):
 
 
 class SlidingCountWindow(Window):
-    """The last ``most`` items of each group; given on at each item."""
+    """Window of the last ``most`` elements of each key; emits at each element."""
 
     def __init__(self, make: Make, most: int):
         super().__init__(make)
@@ -319,15 +335,15 @@ class SlidingCountWindow(Window):
     def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
         group = self._used_group(item)
-        self._came(item)
-        self._enter(item, group)
-        while group.number > self.most:  # more than one where an interrupt came before it left
+        self._number_element(item)
+        self._insert(item, group)
+        while group.number > self.most:  # more than one if an interrupt came before the removal
             self.remove(group.members[0])
-        return self._given(group)
+        return self._emit(group)
 
 
 class TumblingCountWindow(Window):
-    """The items of each group, ``most`` at a time; given on when there are so many, or ``running`` at each item."""
+    """Window of ``most`` elements of each key at a time; emits when it is full, or if ``running`` at each element."""
 
     def __init__(self, make: Make, most: int, running: bool):
         super().__init__(make)
@@ -337,30 +353,30 @@ class TumblingCountWindow(Window):
     def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
         group = self._used_group(item)
-        if group.number >= self.most:  # it was full when an interrupt came
-            self._empty(group, item.key)
+        if group.number >= self.most:  # an interrupt came when it was full
+            self._clear_key(group, item.key)
             group = self._used_group(item)
-        self._came(item)
-        self._enter(item, group)
+        self._number_element(item)
+        self._insert(item, group)
         full = group.number >= self.most
-        outputs = self._given(group) if full or self.running else []
+        outputs = self._emit(group) if full or self.running else []
         if full:
-            self._empty(group, item.key)
+            self._clear_key(group, item.key)
         return outputs
 
 
 def without_gone(heap: List[Tuple[int, int, StreamElement]]) -> List[Tuple[int, int, StreamElement]]:
-    """Return a heap of items without those that are gone."""
-    left = [entry for entry in heap if not entry[2].gone]
-    heapq.heapify(left)
-    return left
+    """Return a heap without the elements that are gone."""
+    remaining = [entry for entry in heap if not entry[2].gone]
+    heapq.heapify(remaining)
+    return remaining
 
 
 class AnchoredTumblingWindow(Window):
-    """The items that end less than ``span`` ns after the first of them in their group did.
+    """Window of the elements that end less than ``span`` ns after the first element of their key.
 
-    A window is over when the clock, or the newest end, has come to its end: it is given on then, or while it is
-    ``running`` at each item.
+    A window closes when the clock or the newest end reaches its end. It emits at that time, or if ``running`` at each
+    element.
     """
 
     def __init__(self, make: Make, span: int, running: bool):
@@ -372,31 +388,32 @@ class AnchoredTumblingWindow(Window):
 
     def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
-        group: Optional[KeyedWindow] = self._group_of(item)
+        group: Optional[KeyedWindow] = self._keyed_window_of(item)
         if item.end > self.newest_allowed:
             self.newest_allowed = self.allowed()
-        if item.end > self.newest_allowed:  # nothing else may wait for its time
+        if item.end > self.newest_allowed:  # too far in the future: no window may wait for it
             self.late += 1
             return []
-        self._move_on(item.end)
+        self._advance(item.end)
         if now > self._reached:
             self._reached = now
+        # Windows that end before this element are closed first, so the element cannot enter one of them.
         outputs = self._close(self.clock)
         group = self.states.get(item.key)
         if group is None:
-            if item.end + self.span <= max(self.clock, self._reached):  # its window is over before it begins
+            if item.end + self.span <= max(self.clock, self._reached):  # its window has ended already
                 self.late += 1
                 return outputs
             group = KeyedWindow(self.make(), item.end)
         elif not group.since <= item.end < group.since + self.span:
             self.late += 1
             return outputs
-        self._came(item)
+        self._number_element(item)
         if not group.number:
             heapq.heappush(self._open, (group.since, item.order, item.key, group))
-        self._enter(item, group)
+        self._insert(item, group)
         self._set_next()
-        return [*outputs, *self._given(group)] if self.running else outputs
+        return [*outputs, *self._emit(group)] if self.running else outputs
 
     def restore(self, kept: KnownState) -> None:
         """See `StreamOperator.restore`."""
@@ -413,9 +430,9 @@ class AnchoredTumblingWindow(Window):
         """See `StreamOperator.ring`."""
         return self._close(instant)
 
-    def _tidy(self) -> None:
+    def _compact(self) -> None:
         if len(self._open) > 2 * len(self.states) + 64:
-            self._open = [one for one in self._open if self.states.get(one[2]) is one[3]]
+            self._open = [entry for entry in self._open if self.states.get(entry[2]) is entry[3]]
             heapq.heapify(self._open)
 
     def _close(self, instant: int) -> List[StreamOutput]:
@@ -425,8 +442,8 @@ class AnchoredTumblingWindow(Window):
             begin, _, key, group = heapq.heappop(opened)
             if self.states.get(key) is group:
                 if not self.running:
-                    outputs += self._given(group, begin, begin + self.span)
-                self._empty(group, key)
+                    outputs += self._emit(group, begin, begin + self.span)
+                self._clear_key(group, key)
         self._set_next()
         return outputs
 
@@ -435,7 +452,7 @@ class AnchoredTumblingWindow(Window):
 
 
 class EagerTumblingWindow(Window):
-    """The items of the present window of ``span`` ns since 1970, by their ends; given on at each item."""
+    """Current window of ``span`` ns since 1970, by the ends of elements; emits at each element."""
 
     def __init__(self, make: Make, span: int):
         super().__init__(make)
@@ -443,7 +460,7 @@ class EagerTumblingWindow(Window):
 
     def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
-        self._group_of(item)
+        self._keyed_window_of(item)
         index = item.end // self.span
         present = self.clock // self.span
         if index < present or item.end > self.allowed():
@@ -451,16 +468,16 @@ class EagerTumblingWindow(Window):
             return []
         if index > present:
             for key, group in list(self.states.items()):
-                self._empty(group, key)
-        self._move_on(item.end)
-        group = self._group_of(item)
-        self._came(item)
-        self._enter(item, group)
-        return self._given(group)
+                self._clear_key(group, key)
+        self._advance(item.end)
+        group = self._keyed_window_of(item)
+        self._number_element(item)
+        self._insert(item, group)
+        return self._emit(group)
 
 
 class HoppingWindow(Window):
-    """The items that ended in ``span`` ns before an instant: given on at each multiple of ``every`` ns since 1970."""
+    """Window of the elements that ended in the last ``span`` ns; emits at multiples of ``every`` ns since 1970."""
 
     def __init__(self, make: Make, span: int, every: int):
         super().__init__(make)
@@ -498,17 +515,18 @@ class HoppingWindow(Window):
 
     def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
-        self._group_of(item)
+        self._keyed_window_of(item)
         every = self.every
         if now > self._reached:
-            self._reached = now  # an alarm of the past may make an event when this has been reached
-        rung = self._reached // every * every
-        if (item.end + self.span) // every * every <= rung:
+            self._reached = now  # alarms may raise events in the past
+        # The last window end that was emitted. An element that belongs only to windows up to it is late.
+        last_emitted = self._reached // every * every
+        if (item.end + self.span) // every * every <= last_emitted:
             self.late += 1
             return []
-        self._came(item)
+        self._number_element(item)
         heapq.heappush(self._ahead, (item.end, item.order, item))
-        first = max((item.end // every + 1) * every, rung + every)
+        first = max((item.end // every + 1) * every, last_emitted + every)
         if self.next is None or first < self.next:
             self.next = first
         return []
@@ -517,24 +535,26 @@ class HoppingWindow(Window):
         """See `StreamOperator.ring`."""
         outputs: List[StreamOutput] = []
         while self.next is not None and self.next <= instant:
-            outputs += self._ring_at(self.next)
+            outputs += self._emit_at(self.next)
         return outputs
 
-    def _ring_at(self, instant: int) -> List[StreamOutput]:
-        self._leave_before(instant - self.span)
+    def _emit_at(self, instant: int) -> List[StreamOutput]:
+        self._remove_before(instant - self.span)
         entering = []
         while self._ahead and self._ahead[0][0] < instant:
             entering.append(heapq.heappop(self._ahead)[2])
+        # The heap is ordered by ends; members must be in order of arrival.
         for item in sorted(entering, key=lambda one: one.order):
-            self._enter(item, self._group_of(item))
-            self._note(item)
+            self._insert(item, self._keyed_window_of(item))
+            self._file(item)
         outputs = [
             output
             for group in sorted(self.states.values(), key=lambda one: one.members[0].order)
-            for output in self._given(group, instant - self.span, instant)
+            for output in self._emit(group, instant - self.span, instant)
         ]
+        # While elements remain, every multiple has a result; otherwise windows without elements are skipped.
         after = instant + self.every
-        self._leave_before(after - self.span)
+        self._remove_before(after - self.span)
         if self.states:
             self.next = after
         elif self._ahead:
@@ -543,14 +563,14 @@ class HoppingWindow(Window):
             self.next = None
         return outputs
 
-    def _note(self, item: StreamElement) -> None:
+    def _file(self, item: StreamElement) -> None:
         heapq.heappush(self._by_end, (item.end, item.order, item))
 
-    def _tidy(self) -> None:
+    def _compact(self) -> None:
         if len(self._by_end) > 2 * self.number + 64:
             self._by_end = without_gone(self._by_end)
 
-    def _leave_before(self, before: int) -> None:
+    def _remove_before(self, before: int) -> None:
         while self._by_end and self._by_end[0][0] < before:
             item = heapq.heappop(self._by_end)[2]
             if not item.gone:
