@@ -1,4 +1,7 @@
-"""All checks: each with its name, how bad what it finds is, and whether it needs a program without errors."""
+"""Registry of the static checks: name, severity, and whether a check requires an error-free program.
+
+`look_through` runs all checks on a `ProgramModel` and yields each finding once.
+"""
 
 from typing import Callable, Iterator, NamedTuple, Optional, Set, Tuple
 
@@ -24,13 +27,13 @@ ERROR, WARNING, INFO = "error", "warning", "info"
 
 
 class Check(NamedTuple):
-    """One check.
+    """Static check.
 
     Attributes:
-        name: by which the answer of the command is told apart by programs.
-        find: yields what is wrong.
-        whole: whether it can be told only of a program that has been loaded without errors.
-        severity: `WARNING`, or `INFO` for what is often intended; nodes log only warnings.
+        name: identifier in the output of the command, for programs.
+        find: yields the problems.
+        whole: whether the check is valid only for a program that was loaded without errors.
+        severity: `WARNING`, or `INFO` for constructs that are often intended; nodes log only warnings.
     """
 
     name: str
@@ -72,12 +75,12 @@ CHECKS: Tuple[Check, ...] = (
 
 
 class Finding(NamedTuple):
-    """Something that is wrong with a program, or hardly meant.
+    """Error or likely mistake in a program.
 
     Attributes:
         severity: `ERROR`, `WARNING` or `INFO`.
-        check: which check found it, or ``load``.
-        problem: what and where.
+        check: name of the check, or ``load``.
+        problem: message and place.
     """
 
     severity: str
@@ -86,18 +89,20 @@ class Finding(NamedTuple):
 
 
 def look_through(program: ProgramModel, sound: bool = True) -> Iterator[Finding]:
-    """Yield what the checks find, each thing once.
+    """Yield the findings of all checks, without duplicates.
 
     Args:
         program: the program.
         sound: whether it was loaded without errors.
     """
-    said: Set[Tuple[str, Optional[Place]]] = set()
+    reported: Set[Tuple[str, Optional[Place]]] = set()
     for check in CHECKS:
+        # In a program with errors, definitions may be missing because they could not be loaded: reporting their uses
+        # as well would hide the cause.
         if check.whole and not sound:
             continue
         for problem in check.find(program):
             key = (problem.message, problem.place)
-            if key not in said:
-                said.add(key)
+            if key not in reported:
+                reported.add(key)
                 yield Finding(check.severity, check.name, problem)

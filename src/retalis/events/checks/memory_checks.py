@@ -1,11 +1,10 @@
-"""Memories that are read or waited for, and not there.
+"""Checks of memories: unknown names, wrong records, and tables that become stale.
 
-Tables that keep answers although the memories, states or clauses that they read change.
-
-Reads are followed through the calls in the clauses of the program, from the predicates that read to
-those that call them: once for tables that are not incremental, and once more for incremental ones, which learn
-nothing of a dynamic predicate that is not declared so. Each step is taken once: the time is linear in the program's
-size.
+A table stores answers. If it reads memories, states or dynamic predicates, its answers become stale when these
+change. `stale_tables` propagates reads along the call graph, from the predicates that read to their callers: once for
+tables that are not incremental, and once for incremental ones, which are not notified of changes in a dynamic
+predicate without the property ``incremental``. Each edge is followed once, so the time is linear in the size of the
+program.
 """
 
 from collections import deque
@@ -20,7 +19,7 @@ from ..language.goal_analysis import calls
 from ..language.rule_parser import SYNCHRONIZED
 from ..language.state_parser import HOLDS, asked_state
 from .predicate_checks import ADDS, RETRACTS, key_of_clause
-from .program_model import Inner, ProgramModel, held, inners, key_of, meant
+from .program_model import ProgramModel, Subterm, did_you_mean, key_of, subterms, wrapped
 
 MEMORY_READS = frozenset(
     functor(name, arity)
@@ -39,75 +38,77 @@ MEMORY_READS = frozenset(
 )
 
 
-_LOOKS = frozenset(key for key in MEMORY_READS if not key.name.startswith("memory_"))
+_RECORD_READS = frozenset(key for key in MEMORY_READS if not key.name.startswith("memory_"))
 POSE_CHAIN = functor("pose_chain", 3)
 
 
 def unknown_memories(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield the memories that are read and that are not there, nor made by a goal."""
-    names = [deref(kept.term[4]) for kept in program.memories]
-    known: Set[str] = {name.name for name in names if isinstance(name, Atom)}
-    if any(not isinstance(name, Atom) for name in names):  # which ones are made is known only then
+    """Yield memories that are read but not created by any goal."""
+    names = [deref(memory.term[4]) for memory in program.memories]
+    known_names: Set[str] = {name.name for name in names if isinstance(name, Atom)}
+    if any(not isinstance(name, Atom) for name in names):  # the names are known at run time only
         return
-    said = set(known)
-    for inner in program.calls():
-        for name in _memories_in(inner):
-            if name.name not in said:
-                said.add(name.name)
+    reported = set(known_names)
+    for subterm in program.calls():
+        for name in _memories_in(subterm):
+            if name.name not in reported:
+                reported.add(name.name)
                 yield RuleError(
-                    f"there is no memory {name.name} yet{meant(name.name, known, 0.6)}", inner.place
+                    f"there is no memory {name.name} yet{did_you_mean(name.name, known_names, 0.6)}",
+                    subterm.place,
                 )
 
 
 def wrong_records(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield the look-ups of records that no memory of that id has, and ids that stand in the wrong place."""
+    """Yield queries for records that a memory does not have, and memory names in a wrong position."""
     records = _records(program)
+    # A memory whose name is known at run time only may have any records.
     if None in records:
         return
-    for inner in program.calls():
-        term: Any = inner.term
+    for subterm in program.calls():
+        term: Any = subterm.term
         if term.__class__ is not tuple:
             continue
         if term[0] in SYNCHRONIZED:
-            yield from _turned_round(inner, records)
-        elif term[0] in _LOOKS:
+            yield from _reversed_pairs(subterm, records)
+        elif term[0] in _RECORD_READS:
             name, record = deref(term[1]), deref(term[2])
             if isinstance(name, Atom):
-                kept = records.get(name.name, [record])
-                if not any(may_unify(one, record) for one in kept):
-                    shown = _shown(program, kept[0])
-                    text = f"no record of memory {name.name} is {_shown(program, record)}: they are {shown}"
-                    yield RuleError(text, inner.spot(term, 2))
+                candidates = records.get(name.name, [record])
+                if not any(may_unify(candidate, record) for candidate in candidates):
+                    expected = _brief_text(program, candidates[0])
+                    text = f"no record of memory {name.name} is {_brief_text(program, record)}: they are {expected}"
+                    yield RuleError(text, subterm.spot(term, 2))
             elif name.__class__ is not Var and isinstance(record, Atom) and record.name in records:
-                text = f"the memory comes first: {term[0].name}({record.name}, {_shown(program, name)}, ...)"
-                yield RuleError(text, inner.place)
+                text = f"the memory comes first: {term[0].name}({record.name}, {_brief_text(program, name)}, ...)"
+                yield RuleError(text, subterm.place)
 
 
-def _shown(program: ProgramModel, term: Term) -> str:
+def _brief_text(program: ProgramModel, term: Term) -> str:
     return program.logic.brief(term, {var: program.names.get(var, "_") for var in variables(term)})
 
 
 def _records(program: ProgramModel) -> Dict[Optional[str], List[Term]]:
-    """Return the records of each memory by its name; the name None where some are known only when they are made."""
-    found: Dict[Optional[str], List[Term]] = {}
+    """Return the records of each memory by its name; the key None exists if a name is known at run time only."""
+    records: Dict[Optional[str], List[Term]] = {}
     for kept in program.memories:
         name = deref(kept.term[4])
-        found.setdefault(name.name if isinstance(name, Atom) else None, []).append(kept.made)
-    return found
+        records.setdefault(name.name if isinstance(name, Atom) else None, []).append(kept.made)
+    return records
 
 
-def _turned_round(inner: Inner, records: Dict[Optional[str], List[Term]]) -> Iterator[RuleError]:
-    """Yield the memories of a query that stand where their times belong."""
-    for item in list_items(inner.term[3]) or ():
+def _reversed_pairs(subterm: Subterm, records: Dict[Optional[str], List[Term]]) -> Iterator[RuleError]:
+    """Yield the memories of a query that are in the position of their times."""
+    for item in list_items(subterm.term[3]) or ():
         pair = list_items(item)
         if pair is not None and len(pair) == 2:
             name = deref(pair[1])
             if isinstance(name, Atom) and name.name in records:
-                yield RuleError(f"the memory comes before its time: [{name.name}, T]", inner.place)
+                yield RuleError(f"the memory comes before its time: [{name.name}, T]", subterm.place)
 
 
-def _memories_in(inner: Inner) -> Iterator[Atom]:
-    term: Any = inner.term
+def _memories_in(subterm: Subterm) -> Iterator[Atom]:
+    term: Any = subterm.term
     if term.__class__ is not tuple:
         return
     names: List[Term] = [term[1]] if term[0] in MEMORY_READS else []
@@ -126,47 +127,48 @@ _ABOLISH = functor("abolish_all_tables", 0)
 
 
 class _Dependency(NamedTuple):
-    """Something that a predicate reads: its name in a warning, and its functor if it is a dynamic predicate."""
+    """Data that a predicate reads: its name in a warning, and its functor for a dynamic predicate."""
 
     shown: str
     dynamic: Optional[Functor] = None
 
 
 class _Declared(NamedTuple):
-    """The place of a declaration, and the names of its options."""
+    """Place of a declaration, and the names of its options."""
 
     place: Optional[Place]
     options: Set[str]
 
 
 def stale_tables(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield the tables that read what changes and are never evaluated again."""
+    """Yield tables that read changing data and are never evaluated again."""
     tables = _declared(program, _TABLE)
     if not tables:
         return
-    running = list(_running(program))
-    if any(inner.key is _ABOLISH for inner in running):
-        return  # a program that abolishes its tables decides itself when they are evaluated again
-    changed = {key for inner in running for key in _changed_by(inner)}
+    running = list(_run_time_subterms(program))
+    if any(subterm.key is _ABOLISH for subterm in running):
+        return  # the program controls the evaluation of its tables itself
+    changed = {key for subterm in running for key in _changed_by(subterm)}
     reads = _reads(program, changed)
     callers = _callers(program)
     incremental = {key for key in tables if _is_incremental(program, key)}
 
+    # A dynamic table is stale if its own clauses change.
     for key in changed.intersection(tables):
         reads.setdefault(key, _Dependency("clauses of its own"))
-    found = _spread(reads, callers, ())
+    readers = _propagate(reads, callers, ())
     for key, declared in tables.items():
-        if key in found and key not in incremental and "opaque" not in declared.options:
-            yield RuleError(_not_incremental(program, key, found[key]), declared.place)
+        if key in readers and key not in incremental and "opaque" not in declared.options:
+            yield RuleError(_not_incremental(program, key, readers[key]), declared.place)
 
-    # Of what an incremental table calls through one that is not incremental it learns nothing, as said for that one.
+    # An incremental table is not notified of changes below one that is not incremental. That one has its own warning.
     untracked = _untracked(program, reads)
-    found = _spread(untracked, callers, [key for key in tables if key not in incremental])
+    readers = _propagate(untracked, callers, [key for key in tables if key not in incremental])
     for key in incremental:
-        if key in found:
+        if key in readers:
             yield RuleError(
-                f"incremental table {key} reads {found[key].shown}, and does not notice changes: "
-                f"write :- dynamic {found[key].dynamic} as incremental",
+                f"incremental table {key} reads {readers[key].shown}, and does not notice changes: "
+                f"write :- dynamic {readers[key].dynamic} as incremental",
                 tables[key].place,
             )
 
@@ -182,13 +184,13 @@ def _not_incremental(program: ProgramModel, key: Functor, read: _Dependency) -> 
 
 
 def _untracked(program: ProgramModel, reads: Dict[Functor, _Dependency]) -> Dict[Functor, _Dependency]:
-    """Return the reads of dynamic predicates that are not incremental, nor declared opaque."""
-    meant = {key for key, declared in _declared(program, _DYNAMIC).items() if "opaque" in declared.options}
+    """Return the reads of dynamic predicates that are neither incremental nor declared opaque."""
+    opaque = {key for key, declared in _declared(program, _DYNAMIC).items() if "opaque" in declared.options}
     return {
         key: read
         for key, read in reads.items()
         if read.dynamic is not None
-        and read.dynamic not in meant
+        and read.dynamic not in opaque
         and not _is_incremental(program, read.dynamic)
     }
 
@@ -199,21 +201,21 @@ def _is_incremental(program: ProgramModel, key: Functor) -> bool:
 
 
 def _declared(program: ProgramModel, key: Functor) -> Dict[Functor, _Declared]:
-    """Return what directives declare by ``table/1`` or ``dynamic/1``."""
-    found: Dict[Functor, _Declared] = {}
+    """Return the declarations that directives make by ``table/1`` or ``dynamic/1``."""
+    declarations: Dict[Functor, _Declared] = {}
     for goal in program.goals:
         for call in calls(goal.parent, goal.number):
             term: Any = deref(call.term)
             if term.__class__ is tuple and term[0] is key:
-                place = Inner(term, call.parent, call.number, goal.spot).place
-                for one, options in _items(term[1]):
-                    before = found.setdefault(one, _Declared(place, set()))
-                    before.options.update(options)
-    return found
+                place = Subterm(term, call.parent, call.number, goal.spot).place
+                for declared_key, options in _items(term[1]):
+                    declaration = declarations.setdefault(declared_key, _Declared(place, set()))
+                    declaration.options.update(options)
+    return declarations
 
 
 def _items(term: Term) -> Iterator[Tuple[Functor, FrozenSet[str]]]:
-    """Yield the functors that a declaration names, each with the names of its options."""
+    """Yield the functors in a declaration, each with the names of its options."""
     stack: List[Tuple[Any, FrozenSet[str]]] = [(deref(term), frozenset())]
     while stack:
         item, options = stack.pop()
@@ -232,76 +234,75 @@ def _items(term: Term) -> Iterator[Tuple[Functor, FrozenSet[str]]]:
             yield item[0], options
 
 
-# What changes
-
-
-def _running(program: ProgramModel) -> Iterator[Inner]:
-    """Yield the terms in goals that may be called when the program has been loaded."""
+def _run_time_subterms(program: ProgramModel) -> Iterator[Subterm]:
+    """Yield the subterms of goals that may be called after the program has been loaded."""
     running = _called_later(program)
     for clause in program.clauses:
         if key_of(clause.head) in running:
-            yield from inners(clause.parent, clause.number, clause.spot)
+            yield from subterms(clause.parent, clause.number, clause.spot)
     for rule in program.rules:
-        yield from inners(held(rule.definition.term), 1, rule.spot)
+        yield from subterms(wrapped(rule.definition.term), 1, rule.spot)
 
 
 def _called_later(program: ProgramModel) -> Set[Functor]:
-    """Return the predicates that rules lead to, or that nothing calls: queries from outside may.
+    """Return the predicates that rules reach, and those without a caller, which external queries may call.
 
-    The others are called by directives and goal files only: their changes are over before the first event.
+    All others are called by directives and goal files only: their changes are complete before the first event.
     """
     named: Dict[Functor, Set[Functor]] = {}
     for clause in program.clauses:
         own = key_of(clause.head)
         if own is not None:
-            named.setdefault(own, set()).update(_named(inners(clause.parent, clause.number, clause.spot)))
-    elsewhere = {key for goal in program.goals for key in _named(inners(goal.parent, goal.number, goal.spot))}
+            named.setdefault(own, set()).update(
+                _functors_of(subterms(clause.parent, clause.number, clause.spot))
+            )
+    elsewhere = {
+        key for goal in program.goals for key in _functors_of(subterms(goal.parent, goal.number, goal.spot))
+    }
+    # A predicate that calls only itself still needs a first caller.
     elsewhere.update(key for own, keys in named.items() for key in keys if key is not own)
     waiting = [key for key in named if key not in elsewhere]
     for rule in program.rules:
-        waiting += _named(inners(held(rule.definition.term), 1, rule.spot))
-    found: Set[Functor] = set()
+        waiting += _functors_of(subterms(wrapped(rule.definition.term), 1, rule.spot))
+    reached: Set[Functor] = set()
     while waiting:
         key = waiting.pop()
-        if key not in found:
-            found.add(key)
+        if key not in reached:
+            reached.add(key)
             waiting += named.get(key, ())
-    return found
+    return reached
 
 
-def _named(terms: Iterable[Inner]) -> Iterator[Functor]:
-    return (inner.key for inner in terms if inner.key is not None)
+def _functors_of(terms: Iterable[Subterm]) -> Iterator[Functor]:
+    return (subterm.key for subterm in terms if subterm.key is not None)
 
 
-def _changed_by(inner: Inner) -> Iterator[Functor]:
-    """Yield the predicate whose clauses a goal adds or removes."""
-    term = inner.term
+def _changed_by(subterm: Subterm) -> Iterator[Functor]:
+    """Yield the predicate to which a goal adds clauses, or from which it removes them."""
+    term = subterm.term
     if term.__class__ is tuple and (term[0] in ADDS or term[0] in RETRACTS):
         key = key_of_clause(term[1])
         if key is not None:
             yield key
 
 
-# What is read
-
-
 def _reads(program: ProgramModel, changed: Set[Functor]) -> Dict[Functor, _Dependency]:
-    """Return something that changes for each predicate whose clauses read that themselves."""
-    found: Dict[Functor, _Dependency] = {}
+    """Return for each predicate whose clauses read changing data directly one example of that data."""
+    reads: Dict[Functor, _Dependency] = {}
     for clause in program.clauses:
         own = key_of(clause.head)
-        if own is None or own in found:
+        if own is None or own in reads:
             continue
         for call in calls(clause.parent, clause.number):
             read = _read_by(program, call.term, changed)
             if read is not None:
-                found[own] = read
+                reads[own] = read
                 break
-    return found
+    return reads
 
 
 def _read_by(program: ProgramModel, term: Any, changed: Set[Functor]) -> Optional[_Dependency]:
-    """Return what a goal reads that changes."""
+    """Return the changing data that a goal reads, or None."""
     goal: Any = deref(term)
     key = key_of(goal)
     if key is _CLAUSE:
@@ -324,31 +325,32 @@ def _read_by(program: ProgramModel, term: Any, changed: Set[Functor]) -> Optiona
 
 
 def _callers(program: ProgramModel) -> Dict[Functor, List[Functor]]:
-    """Return by each predicate those whose clauses call it."""
-    found: Dict[Functor, List[Functor]] = {}
+    """Return the callers of each predicate."""
+    callers: Dict[Functor, List[Functor]] = {}
     for clause in program.clauses:
         own = key_of(clause.head)
         if own is not None:
             for call in calls(clause.parent, clause.number):
                 key = key_of(call.term)
                 if key is not None:
-                    found.setdefault(key, []).append(own)
-    return found
+                    callers.setdefault(key, []).append(own)
+    return callers
 
 
-def _spread(
+def _propagate(
     reads: Dict[Functor, _Dependency], callers: Dict[Functor, List[Functor]], ends: Iterable[Functor]
 ) -> Dict[Functor, _Dependency]:
-    """Return what predicates read by themselves or by what they call, but not through those at which it ends."""
-    found = dict(reads)
+    """Return the data that each predicate reads directly or by its calls; propagation stops at ``ends``."""
+    readers = dict(reads)
     closed = set(ends)
-    waiting = deque(found)
+    waiting = deque(readers)
     while waiting:
         key = waiting.popleft()
+        # Breadth first, so that the warning names the data with the shortest chain of calls.
         if key in closed:
             continue
         for caller in callers.get(key, ()):
-            if caller not in found:
-                found[caller] = found[key]
+            if caller not in readers:
+                readers[caller] = readers[key]
                 waiting.append(caller)
-    return found
+    return readers

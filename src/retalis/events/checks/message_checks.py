@@ -1,8 +1,7 @@
-"""Messages that do not fit their types: wrong names, wrong numbers of slots, values that no slot has.
+"""Checks of ROS messages and topics: wrong types and slots, wrong outputs, and errors in ``pub_sub.xml``.
 
-What goes out: formats of subscriptions against the types of their topics, and topics that nobody publishes.
-
-What ``pub_sub.xml`` says that nobody reads: unknown tags and attributes, types that are nowhere, a topic twice.
+Messages are terms whose functor is derived from their type, so the number of slots and the values of a pattern can be
+compared with the message definition. A pattern with a value that its slot never has can never match.
 """
 
 from pathlib import Path
@@ -30,7 +29,17 @@ from ..language.rule_parser import NEW_EVENT, made_by
 from ..program.event_file_checker import nowhere
 from ..program.program_folder import ATTRIBUTES, TOPICS, read_text
 from .producer_checks import SUBSCRIBE_TO
-from .program_model import Inner, Kept, ProgramModel, everywhere, held, inners, is_open, meant, near
+from .program_model import (
+    EventConsumer,
+    ProgramModel,
+    Subterm,
+    closest_name,
+    did_you_mean,
+    everywhere,
+    is_open,
+    subterms,
+    wrapped,
+)
 
 _NUMBERS = frozenset(("nan", "inf", "infinite"))
 _TIMES = frozenset(("time", "duration"))
@@ -38,20 +47,22 @@ _NAMED = functor(":", 2)
 
 
 def wrong_messages(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield the terms that are no messages of a type that is known."""
-    known = [program.definition(kind) for kind in _types(program)]
-    names = sorted({name for one in known if one for name in (one.name, *_nested(one))})
+    """Yield terms that have the name of a message type but do not fit it."""
+    definitions = [program.definition(kind) for kind in _types(program)]
+    names = sorted(
+        {name for definition in definitions if definition for name in (definition.name, *_nested(definition))}
+    )
     later = {kind.partition("/")[0] for kind in _types(program) if _comes_later(program, kind)}
     seen: Set[Functor] = set()
-    for inner, who in _messages(program):
-        key = inner.key
+    for subterm, prefix in _messages(program):
+        key = subterm.key
         kind = None if key is None or key in seen else program.type_of(key.name)
         if key is None or kind is None:
             continue
         seen.add(key)
-        wrong = _wrong(program, key, kind, names, later)
-        if wrong:
-            yield RuleError(f"{who}{wrong}", inner.place)
+        fault = _type_fault(program, key, kind, names, later)
+        if fault:
+            yield RuleError(f"{prefix}{fault}", subterm.place)
 
 
 def _types(program: ProgramModel) -> List[str]:
@@ -60,7 +71,7 @@ def _types(program: ProgramModel) -> List[str]:
 
 
 def _comes_later(program: ProgramModel, kind: str) -> bool:
-    """Tell whether a type may be learned from its publishers: it is not known, and not a misspelt one that is."""
+    """Return whether a type may be received from its publishers later: it is unknown and not a misspelling."""
     return program.definition(kind) is None and not program.definitions.misspelt(kind)
 
 
@@ -68,102 +79,105 @@ def _nested(definition: Definition) -> List[str]:
     return [nested.name for nested in definition.dependencies()]
 
 
-def _messages(program: ProgramModel) -> Iterator[Tuple[Inner, str]]:
-    """Yield all terms that are called as a type is, and the events that are called as a topic's."""
-    for inner, who in _all(program):
-        if inner.key is not None and type_name(inner.key.name) is not None:
-            yield inner, who
-    for inner, who in _events(program):
-        if inner.key is not None and type_name(inner.key.name) is None:
-            yield inner, who
+def _messages(program: ProgramModel) -> Iterator[Tuple[Subterm, str]]:
+    """Yield all terms named after a message type, and all events named after a topic."""
+    for subterm, prefix in _all_subterms(program):
+        if subterm.key is not None and type_name(subterm.key.name) is not None:
+            yield subterm, prefix
+    for subterm, prefix in _events(program):
+        if subterm.key is not None and type_name(subterm.key.name) is None:
+            yield subterm, prefix
 
 
-def _events(program: ProgramModel) -> Iterator[Tuple[Inner, str]]:
-    """Yield what stands where only events do; elsewhere the name of a topic's events may be any other thing's."""
+def _events(program: ProgramModel) -> Iterator[Tuple[Subterm, str]]:
+    """Yield terms in positions that only events have; elsewhere, the name of a topic may denote other things."""
     yield from program.patterns()
     for rule in program.rules:
         head = made_by(rule.definition.head)
         if head is not None:
             place = rule.definition.place if head.__class__ is Atom else rule.spot(head)
-            yield Inner(head, held(head), 1, everywhere(place)), ""
-    for inner in program.calls():
-        if inner.term.__class__ is tuple and inner.term[0] in NEW_EVENT:
-            yield Inner(deref(inner.term[1]), inner.term, 1, inner.spot), ""
+            yield Subterm(head, wrapped(head), 1, everywhere(place)), ""
+    for subterm in program.calls():
+        if subterm.term.__class__ is tuple and subterm.term[0] in NEW_EVENT:
+            yield Subterm(deref(subterm.term[1]), subterm.term, 1, subterm.spot), ""
 
 
-def _all(program: ProgramModel) -> Iterator[Tuple[Inner, str]]:
+def _all_subterms(program: ProgramModel) -> Iterator[Tuple[Subterm, str]]:
     for rule in program.rules:
-        for inner in inners(held(rule.definition.term), 1, rule.spot):
-            yield inner, ""
+        for subterm in subterms(wrapped(rule.definition.term), 1, rule.spot):
+            yield subterm, ""
     for kept in (*program.memories, *program.subscriptions):
         for number in (1, 3):
-            for inner in inners(kept.term, number, kept.spot):
-                yield inner, kept.who
+            for subterm in subterms(kept.term, number, kept.spot):
+                yield subterm, kept.prefix
     for clause in program.clauses:
-        for inner in inners(clause.parent, clause.number, clause.spot):
-            yield inner, ""
+        for subterm in subterms(clause.parent, clause.number, clause.spot):
+            yield subterm, ""
 
 
-def _wrong(program: ProgramModel, key: Functor, kind: str, names: List[str], later: Set[str]) -> str:
+def _type_fault(program: ProgramModel, key: Functor, kind: str, names: List[str], later: Set[str]) -> str:
     definition = program.definition(kind)
     if definition is None:
+        # A type of the same package may come later, so the definitions of the package are not available here at all.
         if kind.partition("/")[0] in later:
             return ""
-        found = near(kind, names, 0.8) or program.definitions.misspelt(kind)
-        return f"there is no message type {kind} here; did you mean {found}?" if found else ""
+        closest = closest_name(kind, names, 0.8) or program.definitions.misspelt(kind)
+        return f"there is no message type {kind} here; did you mean {closest}?" if closest else ""
     slots = [slot.name for slot in definition.fields]
     if len(slots) == key.arity:
         return ""
-    wrong = f"{key} does not match its type: {kind} has {counted(len(slots), 'slot')}"
+    fault = f"{key} does not match its type: {kind} has {counted(len(slots), 'slot')}"
     if not slots:
-        return wrong
+        return fault
     advice = "write" if key.arity == 0 else "write all of them, or some by name:"
-    return f"{wrong}: {', '.join(slots)}; {advice} {key.name}{{{slots[0]}: ...}}"
+    return f"{fault}: {', '.join(slots)}; {advice} {key.name}{{{slots[0]}: ...}}"
 
 
 def values(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield the values in patterns that no message has in their slots."""
-    for event, who in program.patterns():
-        for inner in inners(event.parent, event.number, event.spot):
-            definition = program.message_of(inner.term)
+    """Yield values in patterns that no message has in that slot."""
+    for event, prefix in program.patterns():
+        for subterm in subterms(event.parent, event.number, event.spot):
+            definition = program.message_of(subterm.term)
             if definition is None:
                 continue
-            for at, slot in enumerate(definition.fields, 1):
-                value = deref(inner.term[at])
-                wrong = _in_braces(definition, inner.term, value) or _misfit(slot, value)
-                if wrong:
-                    message = f"{slot.name} of {definition.name} {wrong}"
-                    yield RuleError(f"{who}{message}", inner.spot(inner.term, at))
+            for position, slot in enumerate(definition.fields, 1):
+                value = deref(subterm.term[position])
+                fault = _slot_named_in_parentheses(definition, subterm.term, value) or _value_fault(
+                    slot, value
+                )
+                if fault:
+                    message = f"{slot.name} of {definition.name} {fault}"
+                    yield RuleError(f"{prefix}{message}", subterm.spot(subterm.term, position))
 
 
-def _in_braces(definition: Definition, message: CompoundTerm, value: Any) -> str:
-    """Return how a slot is named that is named as in ``button(data: true)``, "" for another value."""
+def _slot_named_in_parentheses(definition: Definition, message: CompoundTerm, value: Any) -> str:
+    """Return the error for a slot that is named as in ``button(data: true)``, or ""."""
     name = deref(value[1]) if value.__class__ is tuple and value[0] is _NAMED else None
     if not isinstance(name, Atom) or name.name not in [slot.name for slot in definition.fields]:
         return ""
     return f"is not named in parentheses: write {message[0].name}{{{name.name}: ...}}"
 
 
-def _misfit(slot: Field, value: Any) -> str:
-    """Return why a value in a pattern is never in a slot, "" where it may be."""
+def _value_fault(slot: Field, value: Any) -> str:
+    """Return the reason why a slot never has a value, or ""."""
     if value.__class__ is Var:
         return ""
     if slot.length is not None and not slot.is_bytes:
         is_list = value is NIL or list_items(value) is not None or _is_open_list(value)
         return "" if is_list else "is a list in events: write [...]"
     if slot.type == "string" or slot.is_bytes:
-        return _no_text(value)
+        return _not_text(value)
     if slot.definition is not None:
-        return _no_message(slot.definition, value)
+        return _not_message(slot.definition, value)
     if slot.type in _TIMES:
         items = list_items(value)
         return "" if items is not None and len(items) == 2 else "is a stamp in events: write [Sec,NSec]"
     if slot.type == "bool":
         return "" if value is TRUE or value is FALSE else "is true or false in events"
-    return _no_number(value)
+    return _not_number(value)
 
 
-def _no_text(value: Any) -> str:
+def _not_text(value: Any) -> str:
     if isinstance(value, (Atom, String)):
         text = value.name if isinstance(value, Atom) else value.text
         if not text.startswith('"'):
@@ -176,16 +190,16 @@ def _no_text(value: Any) -> str:
     )
 
 
-def _no_number(value: Any) -> str:
+def _not_number(value: Any) -> str:
     if isinstance(value, (int, float)) or (isinstance(value, Atom) and value.name in _NUMBERS):
         return ""
     if value.__class__ is tuple and value[0].name == "-":
         return ""
     plain = getattr(value, "name", getattr(value, "text", "")).strip('"')
-    return f"is a number in events: write {plain}" if _reads(plain) else "is a number in events"
+    return f"is a number in events: write {plain}" if _is_numeral(plain) else "is a number in events"
 
 
-def _reads(text: str) -> bool:
+def _is_numeral(text: str) -> bool:
     try:
         float(text)
     except ValueError:
@@ -193,7 +207,7 @@ def _reads(text: str) -> bool:
     return True
 
 
-def _no_message(definition: Definition, value: Any) -> str:
+def _not_message(definition: Definition, value: Any) -> str:
     name = value[0].name if value.__class__ is tuple else getattr(value, "name", "")
     if name == definition.functor_name:
         return ""
@@ -206,61 +220,66 @@ def _is_open_list(value: Term) -> bool:
 
 
 def outputs(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield the outputs that are no messages of the types of their topics."""
+    """Yield outputs of subscriptions that do not fit the message types of their topics."""
     published = {plain(topic): kind for topic, kind in program.topics.published}
-    for kept, topic in _named(program):
+    for subscription, topic in _named(program):
         kind = published.get(plain(topic))
         definition = None if kind is None else program.definition(kind)
-        wrong = None if definition is None else output_fault(definition, kept.term, topic)
-        if wrong is not None:
-            yield RuleError(f"{kept.who}{wrong}", kept.spot(kept.term, 1 if kept.stands_for_event else 3))
+        fault = None if definition is None else output_fault(definition, subscription.term, topic)
+        if fault is not None:
+            yield RuleError(
+                f"{subscription.prefix}{fault}",
+                subscription.spot(subscription.term, 1 if subscription.stands_for_event else 3),
+            )
 
 
 def unpublished(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield the topics to which events go that have no type."""
+    """Yield topics of subscriptions that have no message type."""
     published = [plain(topic) for topic, _ in program.topics.published]
-    said: Set[str] = set()
+    reported: Set[str] = set()
     for kept, topic in _named(program):
-        if topic in said or any(_may_be(plain(topic), other) for other in published):
+        if topic in reported or any(
+            _may_be_same_topic(plain(topic), published_topic) for published_topic in published
+        ):
             continue
-        said.add(topic)
+        reported.add(topic)
         name = beginning(topic)
         advice = f'; <publish_to name="{name}" msg_type="package/Type"/> in {TOPICS} would give it one'
         yield RuleError(
             f"topic {name} has no type: its events are published only as text on retalisOutputEvents"
-            f"{meant(plain(topic), published) or advice}",
+            f"{did_you_mean(plain(topic), published) or advice}",
             kept.spot(kept.term, 4),
         )
 
 
-def _named(program: ProgramModel) -> Iterator[Tuple[Kept, str]]:
-    """Yield the subscriptions whose topics are known, with these."""
+def _named(program: ProgramModel) -> Iterator[Tuple[EventConsumer, str]]:
+    """Yield the subscriptions with a known topic, each with the topic."""
     for kept in program.subscriptions:
         if not is_open(kept.term[4]):
             yield kept, program.topic(kept.term[4])
 
 
-def _may_be(one: str, other: str) -> bool:
-    """Tell whether two topics may be the same in some namespace."""
+def _may_be_same_topic(one: str, other: str) -> bool:
+    """Return whether two topic names can denote the same topic in some namespace."""
     return one == other or one.endswith(f"/{other}") or other.endswith(f"/{one}")
 
 
 def plain(topic: str) -> str:
-    """Return a topic's name by which two are compared."""
+    """Return a topic name in the form that is used for comparisons."""
     return topic.lstrip("/")
 
 
 def output_fault(definition: Definition, subscription: CompoundTerm, topic: str) -> Optional[str]:
-    """Return why the term that a subscription sends is no message of a type, whatever the values of its variables.
+    """Return the reason why the output of a subscription is not a message of a type, or None.
 
-    Return None if it may be one.
+    The answer is None as well if it depends on the values of variables.
 
     Args:
         definition: the type.
         subscription: the goal ``subscribe/5``.
-        topic: is named in the answer.
+        topic: the topic, for the message.
     """
-    sent = deref(Kept(subscription, "", nowhere).made)
+    sent = deref(EventConsumer(subscription, "", nowhere).made)
     return None if is_open(sent) else fault_of(definition, sent, topic)
 
 
@@ -268,7 +287,7 @@ _ROOT = "publish_subscribe"
 
 
 class Element(NamedTuple):
-    """An element of the file, and where it stands."""
+    """Element of the XML file, with its place."""
 
     tag: str
     attributes: Dict[str, str]
@@ -276,72 +295,73 @@ class Element(NamedTuple):
 
 
 def elements(path: Path) -> List[Element]:
-    """Return the elements of a file that has been read without errors; none where it cannot be read."""
-    found: List[Element] = []
+    """Return the elements of a file without errors, or an empty list if it cannot be read."""
+    result: List[Element] = []
     try:
         text = read_text(path)
     except UsageError:
-        return found
+        return result
     lines = text.splitlines()
     parser = expat.ParserCreate()
 
     def element(tag: str, attributes: Dict[str, str]) -> None:
-        number = parser.CurrentLineNumber
-        line = lines[number - 1] if number <= len(lines) else ""
-        found.append(
-            Element(tag, attributes, place_in(str(path), number, parser.CurrentColumnNumber + 1, line))
+        line_number = parser.CurrentLineNumber
+        line = lines[line_number - 1] if line_number <= len(lines) else ""
+        result.append(
+            Element(tag, attributes, place_in(str(path), line_number, parser.CurrentColumnNumber + 1, line))
         )
 
     parser.StartElementHandler = element
     try:
         parser.Parse(text, True)
-    except expat.ExpatError:  # said when it was read
+    except expat.ExpatError:  # reported when the file was loaded
         return []
-    return found
+    return result
 
 
 def topics(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield what is hardly meant in the file, and which types goals misspell."""
-    yield from _asked(program)
+    """Yield likely mistakes in the file, and misspelt types in goals."""
+    yield from _subscribe_goals(program)
     if program.folder is None:
         return
     seen: Dict[Tuple[str, str], Element] = {}
-    for one in elements(program.folder / TOPICS):
-        known = ATTRIBUTES.get(one.tag)
-        if known is None:
-            if one.attributes and one.tag != _ROOT:
-                tag = printable(beginning(one.tag))
+    for element in elements(program.folder / TOPICS):
+        attributes = ATTRIBUTES.get(element.tag)
+        if attributes is None:
+            if element.attributes and element.tag != _ROOT:
+                tag = printable(beginning(element.tag))
                 yield RuleError(
-                    f"<{tag}> is not known: what it says is not read{meant(one.tag, ATTRIBUTES, 0.5)}",
-                    one.place,
+                    f"<{tag}> is not known: what it says is not read{did_you_mean(element.tag, ATTRIBUTES, 0.5)}",
+                    element.place,
                 )
             continue
-        for name in one.attributes:
-            if name not in known:
+        for name in element.attributes:
+            if name not in attributes:
                 text = printable(beginning(name))
-                hint = meant(name, known) or f"; it has {', '.join(known)}"
-                yield RuleError(f"<{one.tag}> has no attribute {text}{hint}", one.place)
-        topic, kind = (one.attributes.get(name, "").strip() for name in ("name", "msg_type"))
-        before = seen.setdefault((one.tag, plain(topic)), one)
-        if before is not one:
-            yield RuleError(_twice(one, before, topic, kind), one.place)
-        yield from _misspelt(program, kind, one.place)
+                hint = did_you_mean(name, attributes) or f"; it has {', '.join(attributes)}"
+                yield RuleError(f"<{element.tag}> has no attribute {text}{hint}", element.place)
+        topic, kind = (element.attributes.get(name, "").strip() for name in ("name", "msg_type"))
+        # Names with and without a leading slash denote the same topic at the top level.
+        first = seen.setdefault((element.tag, plain(topic)), element)
+        if first is not element:
+            yield RuleError(_duplicate_topic(element, first, topic, kind), element.place)
+        yield from _misspelt(program, kind, element.place)
 
 
-def _asked(program: ProgramModel) -> Iterator[RuleError]:
-    for inner in program.calls():
-        if inner.key in SUBSCRIBE_TO:
-            yield from _misspelt(program, getattr(deref(inner.term[2]), "name", ""), inner.place)
+def _subscribe_goals(program: ProgramModel) -> Iterator[RuleError]:
+    for subterm in program.calls():
+        if subterm.key in SUBSCRIBE_TO:
+            yield from _misspelt(program, getattr(deref(subterm.term[2]), "name", ""), subterm.place)
 
 
 def _misspelt(program: ProgramModel, kind: str, place: Optional[Place]) -> Iterator[RuleError]:
-    found = program.definitions.misspelt(kind)
-    if found:
-        yield RuleError(f"there is no message type {kind}; did you mean {found}?", place)
+    closest = program.definitions.misspelt(kind)
+    if closest:
+        yield RuleError(f"there is no message type {kind}; did you mean {closest}?", place)
 
 
-def _twice(one: Element, before: Element, topic: str, kind: str) -> str:
-    done = "subscribed" if one.tag == "subscribe_to" else "published"
-    other = before.attributes.get("msg_type", "").strip()
-    types = "" if other == kind else f", as {other}"
-    return f"topic {topic} is {done} already in line {before.place.line}{types}: take one of them out"
+def _duplicate_topic(element: Element, first: Element, topic: str, kind: str) -> str:
+    action = "subscribed" if element.tag == "subscribe_to" else "published"
+    other_type = first.attributes.get("msg_type", "").strip()
+    types = "" if other_type == kind else f", as {other_type}"
+    return f"topic {topic} is {action} already in line {first.place.line}{types}: take one of them out"

@@ -1,10 +1,8 @@
-"""Predicates that are called, read or retracted and that nothing defines, and arrows that slipped.
+"""Checks of predicates, states, labels and variables: undefined, redefined, unused or duplicate ones.
 
-Rules of a program's folder that no goal reads.
-
-States that are asked for and not declared.
-
-Labels that two rules have, and variables that stand alone.
+A program can define predicates at run time (``assert``, foreign libraries). `_DefinablePredicates` therefore collects
+everything that goals of the program could define; if that cannot be determined, no predicate is reported as
+undefined.
 """
 
 import os
@@ -19,14 +17,14 @@ from ..language.state_parser import asked_state
 from ..program.program_folder import GOALS, RULES, read_text
 from .program_model import (
     NECK,
-    Inner,
     NearFunctors,
     ProgramModel,
+    Subterm,
     WrittenRule,
     WrittenTerm,
-    held,
-    inners,
     key_of,
+    subterms,
+    wrapped,
 )
 
 ADDS = frozenset(
@@ -47,23 +45,24 @@ _DECLARES = frozenset(
 )
 RETRACTS = frozenset(functor(name, 1) for name in ("retract", "retractall"))
 _CUT = functor("!", 0)
-_ANYTHING = frozenset((functor("use_foreign", 1), functor("use_swi", 1)))
+_DEFINES_UNKNOWN = frozenset((functor("use_foreign", 1), functor("use_swi", 1)))
 _SWI = functor("use_swi", 2)
 _AS = functor("as", 2)
-_HOOKS = frozenset((functor("t1", 1), functor("t2", 1)))
+_DEFINED_IN_CONDITIONS = frozenset((functor("t1", 1), functor("t2", 1)))
 
 
-class _Defined:
-    """The predicates that a program has or may get."""
+class _DefinablePredicates:
+    """Predicates that a program has, or can define at run time."""
 
     def __init__(self, program: ProgramModel):
         self._logic = program.logic
-        self.keys: Set[Functor] = {key for key in (key_of(one.head) for one in program.clauses) if key}
+        self.keys: Set[Functor] = {key for key in (key_of(clause.head) for clause in program.clauses) if key}
         self.anything = False
-        for inner in program.calls():
-            term = inner.term
+        for subterm in program.calls():
+            term = subterm.term
             if term.__class__ is tuple and (term[0] in ADDS or term[0] in _DECLARES):
-                self.anything = self.anything or term[0] in _ANYTHING
+                # Foreign libraries define predicates that are not listed in the program.
+                self.anything = self.anything or term[0] in _DEFINES_UNKNOWN
                 self._add(term[1])
             elif term.__class__ is tuple and term[0] is _SWI:
                 self._add(term[2], renames=True)
@@ -72,7 +71,7 @@ class _Defined:
         return self.anything or key in self.keys or self._logic.defines(key)
 
     def _add(self, term: Term, renames: bool = False) -> None:
-        """Note what a term names; ``as`` is followed by a new name where it ``renames``, else by options."""
+        """Add the predicates that a term names; ``as`` precedes a new name if ``renames``, otherwise options."""
         stack: List[Any] = [deref(term)]
         while stack:
             item = stack.pop()
@@ -98,90 +97,92 @@ class _Defined:
 
 
 def slipped_arrows(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield the operators of patterns in the bodies of clauses: a rule was meant."""
+    """Yield pattern operators in the bodies of clauses, where an event rule was probably intended."""
     for clause in program.clauses:
         if clause.parent[0] is not NECK:
             continue
-        for inner in _goals(clause):
-            name = SPELLINGS.get(inner.term[0]) if inner.term.__class__ is tuple else None
-            if name is not None and inner.term[0].name.isidentifier():
+        for subterm in _calls_in(clause):
+            # Only operators in words: ``or`` and ``seq`` have no meaning in a clause, but symbols such as ``;`` do.
+            name = SPELLINGS.get(subterm.term[0]) if subterm.term.__class__ is tuple else None
+            if name is not None and subterm.term[0].name.isidentifier():
                 yield RuleError(
-                    f"{name} stands in the body of a clause; the arrow of an event rule is <-", inner.place
+                    f"{name} stands in the body of a clause; the arrow of an event rule is <-", subterm.place
                 )
                 break
 
 
-def _goals(one: WrittenTerm) -> Iterator[Inner]:
-    for call in calls(one.parent, one.number):
-        yield Inner(call.term, call.parent, call.number, one.spot)
+def _calls_in(clause: WrittenTerm) -> Iterator[Subterm]:
+    for call in calls(clause.parent, clause.number):
+        yield Subterm(call.term, call.parent, call.number, clause.spot)
 
 
 def redefined(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield where a program defines what the system has: its own takes the place of that."""
+    """Yield predicates of the program that replace built-in ones."""
     kept = program.logic.database.library.kept
-    said: Set[Functor] = set()
+    reported: Set[Functor] = set()
     for clause in program.clauses:
         key = None if clause.head is None else key_of(clause.head)
-        if key is None or key in said or key not in kept or not kept[key].system:
+        if key is None or key in reported or key not in kept or not kept[key].system:
             continue
-        said.add(key)
+        reported.add(key)
         yield RuleError(f"{key} is built in: for this program its own takes the place of that", clause.place)
 
 
 def undefined(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield what clauses call and nothing defines."""
-    defined = _Defined(program)
-    said: Dict[Functor, None] = {}
+    """Yield calls of undefined predicates in clauses."""
+    defined = _DefinablePredicates(program)
+    reported: Dict[Functor, None] = {}
     for clause in program.clauses:
-        for inner in _goals(clause):
-            key = inner.key
+        for subterm in _calls_in(clause):
+            key = subterm.key
             if (
                 key is None
-                or key in said
+                or key in reported
                 or key is _CUT
-                or key in _HOOKS
+                or key in _DEFINED_IN_CONDITIONS
                 or key in SPELLINGS
                 or key in defined
             ):
                 continue
-            said[key] = None
-            known = program.logic.similar(key) if len(said) <= _MAX_HINTS else []
-            hint = f"; did you mean {' or '.join(known)}?" if known else ""
+            # Each predicate is reported once, at its first call.
+            reported[key] = None
+            similar = program.logic.similar(key) if len(reported) <= _MAX_HINTS else []
+            hint = f"; did you mean {' or '.join(similar)}?" if similar else ""
             yield RuleError(
-                f"there is no predicate {key}{hint or ': define it, or assert facts of it'}", inner.place
+                f"there is no predicate {key}{hint or ': define it, or assert facts of it'}", subterm.place
             )
 
 
 _MAX_HINTS = 100
-"""Predicates that are not there for which one that is like it is looked for."""
+"""Maximum number of undefined predicates for which similar names are searched."""
 
 
 def retracted(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield what is retracted, and read, but never asserted."""
-    defined = _Defined(program)
+    """Yield predicates that are retracted but never asserted."""
+    defined = _DefinablePredicates(program)
     nearby = NearFunctors()
-    said: Set[Functor] = set()
-    for inner in program.calls():
-        term = inner.term
+    reported: Set[Functor] = set()
+    for subterm in program.calls():
+        term = subterm.term
         key = key_of_clause(term[1]) if term.__class__ is tuple and term[0] in RETRACTS else None
-        if key is None or key in said or key in defined.keys or defined.anything:
+        if key is None or key in reported or key in defined.keys or defined.anything:
             continue
         if program.logic.defines(key) and not _is_empty(program, key):
             continue
-        said.add(key)
+        reported.add(key)
         nearest = nearby.of(key, defined.keys)
         hint = f"; did you mean {nearest}?" if nearest else ""
-        yield RuleError(f"nothing asserts {key}, so there is never one to retract{hint}", inner.place)
+        yield RuleError(f"nothing asserts {key}, so there is never one to retract{hint}", subterm.place)
 
 
 def _is_empty(program: ProgramModel, key: Functor) -> bool:
-    """Tell whether a predicate has no clauses: what has been retracted before is dynamic, and has none."""
+    """Return whether a predicate has no clauses; a retract on an unknown predicate leaves an empty dynamic one."""
     predicate = program.logic.database.predicates.get(key)
     return predicate is None or (predicate.kind != "builtin" and not predicate.library and not len(predicate))
 
 
 def key_of_clause(term: Any) -> Optional[Functor]:
-    """Return the functor of a clause's head."""
+    """Return the functor of the head of a clause."""
     term = deref(term)
     if term.__class__ is tuple and term[0] is NECK:
         term = deref(term[1])
@@ -189,47 +190,47 @@ def key_of_clause(term: Any) -> Optional[Functor]:
 
 
 def unread_rules(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield the rule file where it is there and not read."""
+    """Yield the rule file of the folder if no goal loads it."""
     if program.folder is None:
         return
     path = program.folder / RULES
     if not os.path.isfile(path) or program.loaded.files.has_loaded(
         path
-    ):  # where we may not look, it is not there
+    ):  # an unreadable file counts as absent
         return
     try:
         goals = read_text(program.folder / GOALS)
-    except UsageError:  # said when it was to be loaded
+    except UsageError:  # reported when the file was loaded
         goals = ""
     if RULES not in goals:
         yield RuleError(f"{path} is not read: no goal in {GOALS} calls compile_event_file('{RULES}')")
 
 
 def unknown_states(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield the states that goals ask for and nothing declares."""
-    known = [one.form.functor for one in program.states]
+    """Yield states that goals query but nothing declares."""
+    declared = [state.form.functor for state in program.states]
     nearby = NearFunctors()
-    for inner in program.called():
-        key = asked_state(inner.term)
-        if key is None or key in known or not program.logic.is_of_system(inner.term[0]):
+    for subterm in program.called():
+        key = asked_state(subterm.term)
+        if key is None or key in declared or not program.logic.is_of_system(subterm.term[0]):
             continue
-        nearest = nearby.of(key, known)
+        nearest = nearby.of(key, declared)
         hint = (
             f"; did you mean {nearest}?" if nearest else ": state(S, from(Event), until(Event)) declares one"
         )
-        yield RuleError(f"there is no state {key}{hint}", inner.place)
+        yield RuleError(f"there is no state {key}{hint}", subterm.place)
 
 
 def labels(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield the rules whose label another has already."""
+    """Yield rules that share the label of an earlier rule."""
     first: Dict[Any, WrittenRule] = {}
     for rule in program.rules:
         label = rule.definition.label
         if label is None:
             continue
-        other = first.setdefault(term_key(label), rule)
-        if other is not rule:
-            place = other.definition.place
+        earlier = first.setdefault(term_key(label), rule)
+        if earlier is not rule:
+            place = earlier.definition.place
             where = "" if place is None else f" (line {place.line})"
             name = program.logic.brief(label)
             yield RuleError(
@@ -239,17 +240,17 @@ def labels(program: ProgramModel) -> Iterator[RuleError]:
 
 
 def singletons(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield the variables that stand once in a rule, clause or goal and have a name."""
+    """Yield named variables with a single occurrence in a rule, clause or goal."""
     for read in program.reads:
         wanted: Set[Var] = {read.names[name] for name in read.singletons}
         if not wanted:
             continue
         names = {var: name for name, var in read.names.items()}
-        for inner in inners(held(read.term), 1, read.place_of):
-            term: Any = deref(inner.term)
+        for subterm in subterms(wrapped(read.term), 1, read.place_of):
+            term: Any = deref(subterm.term)
             if term.__class__ is Var and term in wanted:
                 wanted.discard(term)
                 name = names[term]
                 yield RuleError(
-                    f"{name} stands here only: a misspelt name? Otherwise write _{name} or _", inner.place
+                    f"{name} stands here only: a misspelt name? Otherwise write _{name} or _", subterm.place
                 )

@@ -1,6 +1,8 @@
-"""Which events a program makes, and which it takes.
+"""Checks of producers and consumers of events: events that never occur, are never used, or do not fit declarations.
 
-What does not fit the declarations of events, and was read before them.
+Producers are topics, rule heads, timers, declared states and goals; consumers are rules, memories, subscriptions and
+states. If a goal creates events that cannot be determined statically, every event that the program names counts as
+produced.
 """
 
 from typing import Any, Dict, FrozenSet, Iterator, List, Optional, Sequence, Set
@@ -24,26 +26,35 @@ from ..language.pattern_tree import Action
 from ..language.rule_parser import made_by, makes_event
 from ..language.state_parser import StateForm
 from ..program.program_folder import TOPICS
-from .program_model import Kept, NearFunctors, ProgramModel, WrittenRule, WrittenTerm, held, is_open, key_of
+from .program_model import (
+    EventConsumer,
+    NearFunctors,
+    ProgramModel,
+    WrittenRule,
+    WrittenTerm,
+    is_open,
+    key_of,
+    wrapped,
+)
 
-_OUTSIDE = functor("input_event", 1)
+_INPUT_EVENT = functor("input_event", 1)
 SUBSCRIBE_TO = frozenset((functor("subscribe_to", 2), functor("subscribe_to", 3)))
-_SHOWN = frozenset(
+_OUTPUT_FACTS = frozenset(
     functor(name, 1)
     for name in ("external_trigger", "print_trigger", "spy_event", "persistent_event", "persistent_rule")
 )
 _NO_EVENT = functor("null_event", 0)
-_FOR_NOBODY = frozenset((_NO_EVENT, functor("null", 0)))
+_DISCARDED_EVENTS = frozenset((_NO_EVENT, functor("null", 0)))
 _REV = functor("rev", 1)
 
 
 class EventProducers:
-    """The events that a program makes or gets: of topics, heads, goals and other programs.
+    """Events that a program produces or receives.
 
     Attributes:
-        keys: their functors, each with the place where one is made (None for those of topics).
-        names: of message types whose number of slots is not known.
-        anything: whether events are made that cannot be seen.
+        keys: their functors, each with the place of a producer (None for topics).
+        names: event names of message types whose number of slots is unknown.
+        anything: whether some events cannot be determined statically.
     """
 
     def __init__(self, program: ProgramModel):
@@ -54,15 +65,15 @@ class EventProducers:
         for rule in program.rules:
             head = made_by(rule.definition.head)
             if head is not None:
-                self._note(head, rule.definition.place)
+                self._add(head, rule.definition.place)
         self._goals(program)
         for timer in program.loaded.timers:
-            self._note(timer.event, None)
+            self._add(timer.event, None)
         for state in program.states:
-            self._note(state.form.state, None)
+            self._add(state.form.state, None)
         for clause in program.clauses:
-            if key_of(clause.head) is _OUTSIDE:
-                self.keys.update(dict.fromkeys(_named(clause.head)))
+            if key_of(clause.head) is _INPUT_EVENT:
+                self.keys.update(dict.fromkeys(_functors_in_fact(clause.head)))
 
     def __contains__(self, key: object) -> bool:
         return self.anything or key in self.keys or getattr(key, "name", "") in self.names
@@ -78,23 +89,23 @@ class EventProducers:
 
     def _goals(self, program: ProgramModel) -> None:
         hidden = False
-        others: Set[Functor] = set()
-        for inner in program.calls():
-            term = inner.term
-            if inner.key is not None:
-                others.add(inner.key)
+        named_keys: Set[Functor] = set()
+        for subterm in program.calls():
+            term = subterm.term
+            if subterm.key is not None:
+                named_keys.add(subterm.key)
             if makes_event(term):
-                made: Any = deref(term[1])
-                hidden = hidden or is_open(made)
-                self._note(made, inner.place)
+                event: Any = deref(term[1])
+                hidden = hidden or is_open(event)
+                self._add(event, subterm.place)
             elif term.__class__ is tuple and term[0] in SUBSCRIBE_TO:
-                self._subscribed(program, [deref(one) for one in term[1:]])
-        if hidden:  # a goal makes what it is given: whatever the program names may be that
-            self.keys.update({key: None for key in others if key not in self.keys})
+                self._add_topic(program, [deref(argument) for argument in term[1:]])
+        if hidden:  # the event is an argument at run time: it may be any one that the program names
+            self.keys.update({key: None for key in named_keys if key not in self.keys})
 
-    def _subscribed(self, program: ProgramModel, arguments: Sequence[Term]) -> None:
-        """Note the events of a topic that a goal subscribes, where the goal says which."""
-        kind, event = (getattr(one, "name", None) for one in (arguments[1], arguments[-1]))
+    def _add_topic(self, program: ProgramModel, arguments: Sequence[Term]) -> None:
+        """Add the events of a topic that a goal subscribes to."""
+        kind, event = (getattr(argument, "name", None) for argument in (arguments[1], arguments[-1]))
         name = event if len(arguments) == 3 else kind and functor_name(kind)
         definition = program.definition(kind)
         if name is None:
@@ -104,7 +115,7 @@ class EventProducers:
         else:
             self.keys.setdefault(functor(name, len(definition.fields)))
 
-    def _note(self, term: Term, place: Optional[Place]) -> None:
+    def _add(self, term: Term, place: Optional[Place]) -> None:
         key = key_of(term)
         if key is None:
             self.anything = self.anything or is_open(term)
@@ -112,8 +123,8 @@ class EventProducers:
             self.keys.setdefault(key, place)
 
 
-def _named(head: Any) -> Iterator[Functor]:
-    """Yield what a fact names: ``Name/Arity`` or a pattern of events."""
+def _functors_in_fact(head: Any) -> Iterator[Functor]:
+    """Yield the functors that a fact names, by ``Name/Arity`` or an event pattern."""
     term: Any = deref(head[1])
     if term.__class__ is tuple and term[0] is SLASH:
         name, arity = deref(term[1]), deref(term[2])
@@ -126,26 +137,28 @@ def _named(head: Any) -> Iterator[Functor]:
 
 
 def never_made(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield what is waited for and never comes."""
-    made = EventProducers(program)
+    """Yield awaited events without a producer."""
+    producers = EventProducers(program)
     nearby = NearFunctors()
+    # Without topics, the program is probably fed by another one, through texts or the Python API: then only misspelt
+    # names are reported.
     from_outside = not (program.topics.subscribed or program.topics.published)
     seen: Set[Functor] = set()
-    for inner, who in program.patterns():
-        key = inner.key
-        if key is None or key in made or key in seen or key is _NO_EVENT:
+    for subterm, prefix in program.patterns():
+        key = subterm.key
+        if key is None or key in producers or key in seen or key is _NO_EVENT:
             continue
-        if key is _REV and key_of(inner.term[1]) in made:
+        if key is _REV and key_of(subterm.term[1]) in producers:
             continue
         kind = program.type_of(key.name)
         if kind is not None and (program.definition(kind) is None or _wrong_slots(program, kind, key)):
-            continue  # said by the check of messages
+            continue  # reported by `wrong_messages`
         seen.add(key)
-        nearest = nearby.of(key, made.keys)
+        nearest = nearby.of(key, producers.keys)
         if kind is not None:
-            yield RuleError(f"{who}{_no_topic(program, key, kind)}", inner.place)
+            yield RuleError(f"{prefix}{_no_topic_text(program, key, kind)}", subterm.place)
         elif nearest or not from_outside:
-            yield RuleError(f"{who}{_nothing(key, nearest)}", inner.place)
+            yield RuleError(f"{prefix}{_no_producer_text(key, nearest)}", subterm.place)
 
 
 def _wrong_slots(program: ProgramModel, kind: str, key: Functor) -> bool:
@@ -153,8 +166,8 @@ def _wrong_slots(program: ProgramModel, kind: str, key: Functor) -> bool:
     return definition is not None and len(definition.fields) != key.arity
 
 
-def _no_topic(program: ProgramModel, key: Functor, kind: str) -> str:
-    renamed = [topic for topic, one in program.topics.subscribed if one == kind]
+def _no_topic_text(program: ProgramModel, key: Functor, kind: str) -> str:
+    renamed = [topic for topic, topic_kind in program.topics.subscribed if topic_kind == kind]
     if renamed:
         return (
             f"nothing makes {key}: the events of topic {renamed[0]} are called {program.event_of(renamed[0])}"
@@ -163,7 +176,7 @@ def _no_topic(program: ProgramModel, key: Functor, kind: str) -> str:
     return f"nothing makes {key}: no topic of that type is subscribed; {element} in {TOPICS} subscribes one"
 
 
-def _nothing(key: Functor, nearest: str) -> str:
+def _no_producer_text(key: Functor, nearest: str) -> str:
     hint = f"; did you mean {nearest}?" if nearest else ""
     return (
         f"nothing makes {key}: no topic, rule or goal{hint or '; if other programs send it, say so'}"
@@ -172,17 +185,18 @@ def _nothing(key: Functor, nearest: str) -> str:
 
 
 def without_maker(program: ProgramModel, pattern: Term) -> str:
-    """Return that nothing makes the events of a pattern, "" where something does or they are messages."""
+    """Return a message if an event pattern has no producer, otherwise ""; messages are ignored."""
     key = key_of(pattern)
     if key is None or key is _NO_EVENT or key is _REV or program.type_of(key.name) is not None:
         return ""
-    made = EventProducers(program)
-    return "" if key in made else _nothing(key, NearFunctors().of(key, made.keys))
+    producers = EventProducers(program)
+    return "" if key in producers else _no_producer_text(key, NearFunctors().of(key, producers.keys))
 
 
 def never_taken(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield what is made and goes nowhere."""
-    taken = None if program.observed else _taken(program)
+    """Yield produced events without a consumer."""
+    # An observer, such as a recording or a callback for all events, consumes everything.
+    taken = None if program.observed else _consumed(program)
     if taken is None:
         return
     nearby = NearFunctors()
@@ -190,100 +204,108 @@ def never_taken(program: ProgramModel) -> Iterator[RuleError]:
     for rule in program.rules:
         head = made_by(rule.definition.head)
         key = None if head is None else key_of(head)
-        if head is None or key is None or key in taken or key in seen or key in _FOR_NOBODY or key is _REV:
+        if (
+            head is None
+            or key is None
+            or key in taken
+            or key in seen
+            or key in _DISCARDED_EVENTS
+            or key is _REV
+        ):
             continue
-        if isinstance(rule.definition.pattern, Action):  # it is there for what it does
+        if isinstance(rule.definition.pattern, Action):  # the rule exists for its goal
             continue
         seen.add(key)
         place = rule.spot(head) if deref(head).__class__ is tuple else rule.definition.place
-        yield RuleError(_nobody(key, taken, nearby), place)
-    for inner in program.calls():
-        term = inner.term
+        yield RuleError(_no_consumer_text(key, taken, nearby), place)
+    for subterm in program.calls():
+        term = subterm.term
         if makes_event(term) and term[0].name != "event":
             key = key_of(term[1])
             if key is not None and key not in taken and key not in seen:
                 seen.add(key)
-                yield RuleError(_nobody(key, taken, nearby), inner.place)
+                yield RuleError(_no_consumer_text(key, taken, nearby), subterm.place)
 
 
-def _nobody(key: Functor, taken: FrozenSet[Functor], nearby: NearFunctors) -> str:
+def _no_consumer_text(key: Functor, taken: FrozenSet[Functor], nearby: NearFunctors) -> str:
     nearest = nearby.of(key, taken)
     hint = f"; did you mean {nearest}?" if nearest else ": no rule, memory or subscription"
     return f"nothing takes {key}{hint}"
 
 
-def _taken(program: ProgramModel) -> Optional[FrozenSet[Functor]]:
-    """Return the functors of all events that somebody takes; None where somebody takes all."""
-    found: Set[Functor] = set()
-    for inner, _ in program.patterns():
-        if inner.key is None:
+def _consumed(program: ProgramModel) -> Optional[FrozenSet[Functor]]:
+    """Return the functors of all consumed events, or None if some consumer takes all events."""
+    consumed: Set[Functor] = set()
+    for subterm, _ in program.patterns():
+        if subterm.key is None:
             return None
-        found.add(inner.key)
-        if inner.key is _REV:
-            found.update(filter(None, [key_of(inner.term[1])]))
+        consumed.add(subterm.key)
+        if subterm.key is _REV:
+            consumed.update(filter(None, [key_of(subterm.term[1])]))
     for clause in program.clauses:
-        if key_of(clause.head) in _SHOWN:
-            named = list(_named(clause.head))
+        if key_of(clause.head) in _OUTPUT_FACTS:
+            named = list(_functors_in_fact(clause.head))
             if not named:
                 return None
-            found.update(named)
+            consumed.update(named)
     flags = program.loaded.flags
+    # These flags log or store all events.
     if any(flags.is_on(name) for name in ("store_fired_events", "logging")):
         return None
-    return frozenset(found)
+    return frozenset(consumed)
 
 
 def unfitting(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield what does not fit."""
+    """Yield terms that do not fit the declarations of events."""
     declared = program.declared
     for rule in program.rules if declared else ():
         kinds = VariableKinds(
             {**program.names, **rule.definition.names}, not has_branches(rule.definition.term)
         )
         yield from declared.misfits(events_of_rule(rule), rule.spot, kinds)
-    for one in (*program.clauses, *program.goals) if declared else ():
-        kinds = VariableKinds(program.names, not has_branches(one.parent))
-        yield from declared.misfits(events_of_goals(one), one.spot, kinds)
-    for form, spot, who in program.states if declared else ():
+    for clause_or_goal in (*program.clauses, *program.goals) if declared else ():
+        kinds = VariableKinds(program.names, not has_branches(clause_or_goal.parent))
+        yield from declared.misfits(events_of_goals(clause_or_goal), clause_or_goal.spot, kinds)
+    for form, spot, prefix in program.states if declared else ():
         for error in declared.misfits(_events_of_state(form), spot, VariableKinds(program.names)):
-            yield RuleError(f"{who}{error.message}", error.place)
-    for kept in (*program.memories, *program.subscriptions) if declared else ():
-        for error in declared.misfits([event_of_kept(kept)], kept.spot, VariableKinds({})):
-            yield RuleError(f"{kept.who}{error.message}", error.place)
+            yield RuleError(f"{prefix}{error.message}", error.place)
+    for consumer in (*program.memories, *program.subscriptions) if declared else ():
+        for error in declared.misfits([event_of_kept(consumer)], consumer.spot, VariableKinds({})):
+            yield RuleError(f"{consumer.prefix}{error.message}", error.place)
     yield from _unfitting_topics(program)
 
 
 def _unfitting_topics(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield the topics whose events have a name of their own, and are declared otherwise."""
+    """Yield topics whose events have a declared name but slots of other types."""
     for topic, kind in program.topics.subscribed:
-        one = program.declared.get(program.event_of(topic))
+        declaration = program.declared.get(program.event_of(topic))
         definition = program.definition(kind)
-        if one is None or definition is None:
+        if declaration is None or definition is None:
             continue
-        wrong = program.declared.wrong_functor(functor(one.name, len(definition.fields)))
-        for slot, argument in zip(definition.fields, () if wrong else one.arguments):
-            found = slot_kind(slot)
-            if found is not None and found.excludes(argument.kind):
-                both = f"{argument.kind.what}, and {slot.name} of {kind} {found.what}"
-                wrong = f"{argument.name} of {one.key} is {both}"
-        if wrong:
-            yield RuleError(f"the events of topic {topic}: {wrong}")
+        fault = program.declared.wrong_functor(functor(declaration.name, len(definition.fields)))
+        for slot, argument in zip(definition.fields, () if fault else declaration.arguments):
+            slot_type = slot_kind(slot)
+            if slot_type is not None and slot_type.excludes(argument.kind):
+                both = f"{argument.kind.what}, and {slot.name} of {kind} {slot_type.what}"
+                fault = f"{argument.name} of {declaration.key} is {both}"
+        if fault:
+            yield RuleError(f"the events of topic {topic}: {fault}")
 
 
 def _events_of_state(form: StateForm) -> List[EventTerm]:
-    """Return the events of a state: that with which it begins, that with which it ends, and its own."""
+    """Return the events of a declared state: that of its start, that of its end, and its own."""
     assert isinstance(form.term, tuple)
     sides = [form.term, *[deref(side) for side in form.term[2:4]]]
     return [EventTerm(deref(side[1]), side, 1) for side in sides if isinstance(side, tuple)]
 
 
 def events_of_rule(rule: WrittenRule) -> List[EventTerm]:
-    """Return the events that a rule fires, waits for and makes by goals."""
+    """Return the events that a rule raises, awaits and creates by goals."""
     term = rule.definition.term
     assert term.__class__ is tuple
     reader = PatternReader(rule.spot, lambda warning: None)
     if term[0] not in ARROWS:  # P do G
-        reader.read(held(term), 1)
+        reader.read(wrapped(term), 1)
         return [*reader.events, *made_by_goals(reader.goals)]
     head = deref(term[1])
     if head.__class__ is tuple and SPELLINGS.get(head[0]) == "do":
@@ -293,12 +315,12 @@ def events_of_rule(rule: WrittenRule) -> List[EventTerm]:
     return [head_event(term, 1), *reader.events, *made_by_goals(goals)]
 
 
-def events_of_goals(one: WrittenTerm) -> List[EventTerm]:
-    """Return the events that a goal, or the body of a clause, makes."""
-    return list(made_by_goals(calls(one.parent, one.number)))
+def events_of_goals(goal: WrittenTerm) -> List[EventTerm]:
+    """Return the events that a goal or the body of a clause creates."""
+    return list(made_by_goals(calls(goal.parent, goal.number)))
 
 
-def event_of_kept(kept: Kept) -> EventTerm:
-    """Return the events that a memory or subscription takes."""
+def event_of_kept(kept: EventConsumer) -> EventTerm:
+    """Return the events that a memory or subscription consumes."""
     event = kept.event
     return EventTerm(event.term, event.parent, event.number)

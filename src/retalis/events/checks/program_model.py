@@ -1,8 +1,10 @@
-"""What was probably meant by a name that nobody knows.
+"""Model of a loaded program for the static checks, with source positions.
 
-A program's files read once more for the places of what stands in them: what was loaded does not keep those.
+Loaded rules and clauses do not keep the places of their subterms. `read_again` therefore parses the files of the
+program a second time and keeps rules, clauses and goals together with functions that give places. Definitions without
+a source file, for example asserted at run time, are taken from the loaded program, with the place of the whole.
 
-All that is known of a program when it has been loaded, for the checks.
+`closest_name`, `did_you_mean` and `NearFunctors` find similar names for "did you mean" hints within a bounded time.
 """
 
 import os
@@ -31,44 +33,49 @@ from ..program.program_folder import GOALS, Topics, TopicType, read_text
 from ..rules.rule_base import RuleBase
 
 _MAX_CANDIDATES = 2000
-"""Names among which one is looked for."""
+"""Maximum number of names among which a similar one is searched."""
 
 COMPARISONS = 40_000
-"""Names that a check compares; about a second."""
+"""Maximum number of comparisons of names per check; takes about a second."""
 
 
-def near(name: str, names: Iterable[str], alike: float = 0.66) -> str:
-    """Return the name that is most like another, or ""."""
-    found = get_close_matches(name, list(dict.fromkeys(names))[:_MAX_CANDIDATES], 1, alike)
-    return found[0] if found else ""
+def closest_name(name: str, names: Iterable[str], alike: float = 0.66) -> str:
+    """Return the most similar name, or ""."""
+    matches = get_close_matches(name, list(dict.fromkeys(names))[:_MAX_CANDIDATES], 1, alike)
+    return matches[0] if matches else ""
 
 
-def meant(name: str, names: Iterable[str], alike: float = 0.66) -> str:
-    """Return the question whether another name was meant, behind a semicolon; "" where none is like it."""
-    found = near(name, names, alike)
-    return f"; did you mean {found}?" if found else ""
+def did_you_mean(name: str, names: Iterable[str], alike: float = 0.66) -> str:
+    """Return "; did you mean ...?" with the most similar name, or ""."""
+    closest = closest_name(name, names, alike)
+    return f"; did you mean {closest}?" if closest else ""
 
 
 class NearFunctors:
-    """Finds the functors that were probably meant by others, until that has taken its time."""
+    """Search for similar functors, with a limit for the total work."""
 
     def __init__(self) -> None:
-        self._left = COMPARISONS
+        self._comparisons_left = COMPARISONS
 
     def of(self, key: Functor, keys: Iterable[Functor]) -> str:
-        """Return the functor that was probably meant: of the same name, or of one that is like it; or ""."""
-        known = list(keys)
-        same = [one for one in known if one.name == key.name and one is not key]
-        if not same:
-            names = list(dict.fromkeys(one.name for one in known))[:_MAX_CANDIDATES]
-            self._left -= len(names)
-            name = near(key.name, names) if self._left >= 0 else ""
-            same = [one for one in known if one.name == name]
-        return str(min(same, key=lambda one: abs(one.arity - key.arity))) if same else ""
+        """Return a functor with the same or the most similar name and the nearest arity, or ""."""
+        candidates = list(keys)
+        same_name = [
+            candidate for candidate in candidates if candidate.name == key.name and candidate is not key
+        ]
+        if not same_name:
+            names = list(dict.fromkeys(candidate.name for candidate in candidates))[:_MAX_CANDIDATES]
+            # `get_close_matches` is linear in the number of candidates and takes about 25 us for each.
+            self._comparisons_left -= len(names)
+            name = closest_name(key.name, names) if self._comparisons_left >= 0 else ""
+            same_name = [candidate for candidate in candidates if candidate.name == name]
+        return (
+            str(min(same_name, key=lambda candidate: abs(candidate.arity - key.arity))) if same_name else ""
+        )
 
 
 MAX_SOURCE_CHARACTERS = 1 << 20
-"""Characters of a file that is read once more; of what stands in a longer one only the rules' places are known."""
+"""Maximum length of a file that is parsed again; for longer ones, only places of whole rules are known."""
 
 _MAX_FILES = 100
 
@@ -83,20 +90,20 @@ _LOADS = frozenset(
 
 
 class WrittenRule(NamedTuple):
-    """A rule and what gives the places of its parts."""
+    """Rule with a function for the places of its parts."""
 
     definition: RuleDefinition
     spot: Spot
 
 
 class WrittenTerm(NamedTuple):
-    """A clause, or a goal of a goal file or directive, whose head is None.
+    """Clause, or goal of a goal file or directive.
 
     Attributes:
-        head: of the clause.
-        parent: the term of which the body is an argument, the ``number``-th.
-        spot: gives the places of its parts.
-        place: where it begins.
+        head: the head of a clause; None for a goal.
+        parent: term with the body as argument ``number``.
+        spot: returns the places of its parts.
+        place: the place where it starts.
     """
 
     head: Optional[Term]
@@ -106,8 +113,8 @@ class WrittenTerm(NamedTuple):
     place: Optional[Place]
 
 
-class Inner(NamedTuple):
-    """A term inside another, as the ``number``-th argument of ``parent``."""
+class Subterm(NamedTuple):
+    """Subterm: argument ``number`` of ``parent``."""
 
     term: Any
     parent: CompoundTerm
@@ -116,41 +123,41 @@ class Inner(NamedTuple):
 
     @property
     def place(self) -> Optional[Place]:
-        """Where it begins; of an operator, where that stands."""
+        """The place where it starts, or that of the operator for an operator term."""
         if self.term.__class__ is tuple:
             return self.spot(self.term)
         return self.spot(self.parent, self.number)
 
     @property
     def key(self) -> Optional[Functor]:
-        """The functor of an atom or a compound term."""
+        """The functor of an atom or compound term, or None."""
         return key_of(self.term)
 
 
 def key_of(term: Any) -> Optional[Functor]:
-    """Return the functor of an atom or a compound term, None for another term."""
+    """Return the functor of an atom or compound term, or None for any other term."""
     term = deref(term)
     return term[0] if term.__class__ is tuple else term.functor if term.__class__ is Atom else None
 
 
-def inners(parent: CompoundTerm, number: int, spot: Spot) -> Iterator[Inner]:
-    """Yield an argument of a term and all terms in it, from left to right."""
-    stack = [Inner(deref(parent[number]), parent, number, spot)]
+def subterms(parent: CompoundTerm, number: int, spot: Spot) -> Iterator[Subterm]:
+    """Yield an argument of a term and all its subterms, from left to right."""
+    stack = [Subterm(deref(parent[number]), parent, number, spot)]
     while stack:
-        inner = stack.pop()
-        yield inner
-        term = inner.term
+        subterm = stack.pop()
+        yield subterm
+        term = subterm.term
         if term.__class__ is tuple:
-            stack += [Inner(deref(term[at]), term, at, spot) for at in range(len(term) - 1, 0, -1)]
+            stack += [Subterm(deref(term[at]), term, at, spot) for at in range(len(term) - 1, 0, -1)]
 
 
-def held(term: Term) -> CompoundTerm:
-    """Return a term that has another as its only argument."""
+def wrapped(term: Term) -> CompoundTerm:
+    """Return a term with the given one as its only argument, which gives that one a parent."""
     return (_HOLDER, term)
 
 
 class SourcePositions(NamedTuple):
-    """What stands in a program's files."""
+    """Contents of the files of a program, with places."""
 
     rules: List[WrittenRule]
     clauses: List[WrittenTerm]
@@ -160,50 +167,53 @@ class SourcePositions(NamedTuple):
 
 
 def read_again(logic: PrologSystem, folder: Path, loaded: Iterable[Path]) -> SourcePositions:
-    """Read the files of a program once more.
+    """Parse the files of a program again.
 
     Args:
-        logic: by whose operators they are read.
-        folder: the program's.
-        loaded: the real paths of its files; one that a goal names and that was not loaded is read, too.
+        logic: provides the operators.
+        folder: the folder of the program.
+        loaded: real paths of the loaded files; files that goals name are parsed even if they were not loaded.
     """
-    found = SourcePositions([], [], [], [], set())
+    positions = SourcePositions([], [], [], [], set())
     real = Path(os.path.realpath(folder))
     goal_files = [folder / GOALS]
     for path in goal_files:
-        _add_goals(found, goal_files, path, logic)
+        _add_goals(positions, goal_files, path, logic)
     seen = {os.path.realpath(path) for path in goal_files}
-    named = [*_named(found.goals, folder), *sorted(_shown(path, real, folder) for path in loaded)]
+    named = [
+        *_loaded_files(positions.goals, folder),
+        *sorted(_path_as_written(path, real, folder) for path in loaded),
+    ]
     for path in named:
         if os.path.realpath(path) not in seen:
             seen.add(os.path.realpath(path))
             text = _text(path)
             if text:
-                found.sources.add(str(path))
-                _add_file(found, read_program(text, logic.operators.copy(), str(path), OF_FILES))
-    return found
+                positions.sources.add(str(path))
+                _add_file(positions, read_program(text, logic.operators.copy(), str(path), OF_FILES))
+    return positions
 
 
-def _shown(path: Path, real: Path, folder: Path) -> Path:
-    """Return a path as the program's own goals name it."""
+def _path_as_written(path: Path, real: Path, folder: Path) -> Path:
+    """Return a path in the form that the goals of the program use."""
     try:
         return folder / path.relative_to(real)
     except ValueError:
         return path
 
 
-def _named(goals: Iterable[WrittenTerm], folder: Path) -> Iterator[Path]:
-    """Yield the files that goals load, in their order."""
+def _loaded_files(goals: Iterable[WrittenTerm], folder: Path) -> Iterator[Path]:
+    """Yield the files that goals load, in order."""
     for goal in goals:
-        for inner in inners(goal.parent, goal.number, goal.spot):
-            if inner.term.__class__ is tuple and inner.key in _LOADS:
-                name = _plain(deref(inner.term[1]))
+        for subterm in subterms(goal.parent, goal.number, goal.spot):
+            if subterm.term.__class__ is tuple and subterm.key in _LOADS:
+                name = _file_name(deref(subterm.term[1]))
                 if name and os.path.isfile(folder / name):
                     yield folder / name
 
 
-def _plain(name: Any) -> str:
-    """Return the text of an atom or string that a file may be called."""
+def _file_name(name: Any) -> str:
+    """Return the text of an atom or string as a file name, or ""."""
     text = name.name if name.__class__ is Atom else name.text if name.__class__ is String else ""
     return "" if "\0" in text else text
 
@@ -211,69 +221,71 @@ def _plain(name: Any) -> str:
 def _text(path: Path) -> str:
     try:
         text = read_text(path)
-    except UsageError:  # said when it was loaded
+    except UsageError:  # reported when the file was loaded
         return ""
     return text if len(text) <= MAX_SOURCE_CHARACTERS else ""
 
 
-def _add_goals(found: SourcePositions, files: List[Path], path: Path, logic: PrologSystem) -> None:
+def _add_goals(positions: SourcePositions, files: List[Path], path: Path, logic: PrologSystem) -> None:
     for read in read_goals(_text(path), logic.operators, str(path)):
         if not isinstance(read, ReadTerm):
             continue
         goal: Any = goal_of(read.term)
         if goal.__class__ is tuple and goal[0] is _INCLUDE:
-            included = path.parent / (_plain(deref(goal[1])) or path.name)
+            included = path.parent / (_file_name(deref(goal[1])) or path.name)
+            # The list grows while it is iterated: included files are read in turn, and cycles end.
             if included not in files and len(files) < _MAX_FILES:
                 files.append(included)
             continue
-        found.reads.append(read)
-        found.goals.append(_goal(goal, read))
+        positions.reads.append(read)
+        positions.goals.append(_goal(goal, read))
 
 
 def _goal(goal: Term, read: ReadTerm) -> WrittenTerm:
-    parent = held(goal)
+    parent = wrapped(goal)
 
     def spot(part: Term, number: int = 0) -> Place:
+        # The wrapping term is not in the source: its place is that of the goal.
         return read.place_of(goal) if part is parent else read.place_of(part, number)
 
     return WrittenTerm(None, parent, 1, spot, read.place)
 
 
-def _add_file(found: SourcePositions, program: Iterable[Union[ReadTerm, SyntaxFault]]) -> None:
+def _add_file(positions: SourcePositions, program: Iterable[Union[ReadTerm, SyntaxFault]]) -> None:
     for read in program:
         if isinstance(read, SyntaxFault):
             continue
         checker = FileChecker()
         checker.read(read)
-        found.reads.append(read)
+        positions.reads.append(read)
         for definition in [*checker.rules, *checker.inner]:
-            found.rules.append(WrittenRule(definition, read.place_of))
+            positions.rules.append(WrittenRule(definition, read.place_of))
         for step in checker.steps:
             if step.kind == "clause":
-                found.clauses.append(clause_of(step.term, read.place_of, read.place))
+                positions.clauses.append(clause_of(step.term, read.place_of, read.place))
             elif step.kind == "directive":
-                found.goals.append(_goal(step.term, read))
+                positions.goals.append(_goal(step.term, read))
 
 
 def clause_of(term: Any, spot: Spot, place: Optional[Place]) -> WrittenTerm:
-    """Return a clause, taken apart; of a grammar rule only which predicate it is."""
+    """Return the parts of a clause; for a grammar rule, only its predicate."""
     if term.__class__ is tuple and term[0] is NECK:
         return WrittenTerm(deref(term[1]), term, 2, spot, place)
     if term.__class__ is tuple and term[0] is _GRAMMAR:
         key = key_of(term[1])
         if key is not None:
             head: Tuple[Any, ...] = (functor(key.name, key.arity + 2), *[Var() for _ in range(key.arity + 2)])
-            return WrittenTerm(head, held(TRUE), 1, spot, place)
-    return WrittenTerm(term, held(TRUE), 1, spot, place)
+            return WrittenTerm(head, wrapped(TRUE), 1, spot, place)
+    return WrittenTerm(term, wrapped(TRUE), 1, spot, place)
 
 
 def clause_at(head: Term, body: Term, place: Optional[Place]) -> WrittenTerm:
-    """Return a clause of which only the place is known where it begins."""
+    """Return a clause of which only the starting place is known."""
     return WrittenTerm(head, (NECK, head, body), 2, everywhere(place), place)
 
 
 def everywhere(place: Optional[Place]) -> Spot:
-    """Return what gives one place for all parts."""
+    """Return a function that gives the same place for all parts."""
     if place is None:
         return nowhere
 
@@ -287,67 +299,67 @@ MEMORIZE = frozenset((functor("memorize", 5), functor("memorize", 6), functor("m
 SUBSCRIBE = functor("subscribe", 5)
 
 
-class Kept(NamedTuple):
-    """A memory or a subscription.
+class EventConsumer(NamedTuple):
+    """Memory or subscription.
 
     Attributes:
         term: ``(Functor, Pattern, Conditions, Form, Id or Topic, Size or Id)``.
-        who: what to call it where its place is not known.
-        spot: gives the places of its parts.
+        prefix: beginning of messages if its place is unknown.
+        spot: returns the places of its parts.
     """
 
     term: CompoundTerm
-    who: str
+    prefix: str
     spot: Spot
 
     @property
     def pattern(self) -> Term:
-        """The events that it takes."""
-        found: Term = self.event.term
-        return found
+        """The events that it consumes."""
+        pattern: Term = self.event.term
+        return pattern
 
     @property
-    def event(self) -> Inner:
-        """The same in its place, which may be within ``P with S``."""
+    def event(self) -> Subterm:
+        """The same with its position, which may be inside ``P with S``."""
         whole = deref(self.term[1])
         event = subscribed_event(whole) if self.term[0] is SUBSCRIBE else whole
-        return Inner(event, self.term if event is whole else _compound(whole), 1, self.spot)
+        return Subterm(event, self.term if event is whole else _compound(whole), 1, self.spot)
 
     @property
     def form(self) -> Term:
-        """The term that it makes of them, as written."""
+        """The form of its records or outputs, as written."""
         return deref(self.term[3])
 
     @property
     def stands_for_event(self) -> bool:
-        """True if the form is a variable of its own, as ``_``: then the event itself is recorded or sent."""
+        """Whether the form is a free variable such as ``_``: then the event itself is stored or sent."""
         return is_whole(self.pattern, deref(self.term[2]), self.form)
 
     @property
     def made(self) -> Term:
-        """The term that it makes of an event: the form, or the event itself."""
+        """The term that is stored or sent: the form, or the event itself."""
         return self.pattern if self.stands_for_event else self.form
 
 
-class DeclaredAt(NamedTuple):
-    """A state, what gives the places of its parts, and what to call it where these are not known."""
+class DeclaredState(NamedTuple):
+    """Declared state, with a function for the places of its parts and a prefix for messages without a place."""
 
     form: StateForm
     spot: Spot
-    who: str
+    prefix: str
 
 
 class ProgramModel:
-    """A program that has been loaded, and its files.
+    """Loaded program with its files.
 
     Args:
-        rules: of the program.
-        knowledge: its memories and subscriptions.
-        definitions: the message types that are known.
-        topics: what ``pub_sub.xml`` says.
-        direct: topics that node retalis subscribes by itself.
-        folder: the program's; None where only what is loaded is looked at.
-        observed: whether somebody looks at all events.
+        rules: the rules.
+        knowledge: the memories and subscriptions.
+        definitions: the known message types.
+        topics: contents of ``pub_sub.xml``.
+        direct: topics that node retalis subscribes to itself.
+        folder: the folder of the program; None if only the loaded program is checked.
+        observed: whether there is an observer of all events.
     """
 
     def __init__(
@@ -379,15 +391,15 @@ class ProgramModel:
         self.rules = [*files.rules, *_other_rules(rules, files.sources)]
         self.clauses = [*files.clauses, *_other_clauses(self.logic, files.sources)]
         self.declared = rules.declared.now()
-        self.memories: List[Kept] = []
-        self.subscriptions: List[Kept] = []
-        self.states: List[DeclaredAt] = []
-        self._keep(knowledge)
-        self._note_states(knowledge)
+        self.memories: List[EventConsumer] = []
+        self.subscriptions: List[EventConsumer] = []
+        self.states: List[DeclaredState] = []
+        self._collect_consumers(knowledge)
+        self._collect_states(knowledge)
         self._types: Dict[str, Optional[Definition]] = {}
 
     def definition(self, kind: Optional[str]) -> Optional[Definition]:
-        """Return the definition of a message type, where it is known."""
+        """Return the definition of a message type, or None if it is unknown."""
         if kind is None:
             return None
         if kind not in self._types:
@@ -398,118 +410,126 @@ class ProgramModel:
         return self._types[kind]
 
     def event_of(self, topic: str) -> str:
-        """Return what the events of a topic are called where it is not by its type, else ""."""
+        """Return the event name of a topic if it differs from that of its type, else ""."""
         return self.topics.event_of(topic)
 
     def type_of(self, name: str) -> Optional[str]:
-        """Return the message type of the events of a name; None where they are no messages."""
+        """Return the message type of the events with a name, or None."""
         return type_name(name) or self._renamed.get(name)
 
     def message_of(self, term: Any) -> Optional[Definition]:
-        """Return the definition of the message that a compound term is, where it has all of its slots."""
-        found = self.definition(self.type_of(term[0].name)) if term.__class__ is tuple else None
-        return found if found is not None and len(found.fields) == len(term) - 1 else None
+        """Return the definition of the message that a compound term is, if it has all slots, or None."""
+        definition = self.definition(self.type_of(term[0].name)) if term.__class__ is tuple else None
+        return definition if definition is not None and len(definition.fields) == len(term) - 1 else None
 
-    def patterns(self) -> Iterator[Tuple[Inner, str]]:
-        """Yield the events that are waited for, and who waits where no place is known."""
+    def patterns(self) -> Iterator[Tuple[Subterm, str]]:
+        """Yield the awaited events, each with a prefix for messages without a place."""
         for rule in self.rules:
             term = rule.definition.term
             own = list(
-                inners(_of_rule(rule), 1, rule.spot)
+                subterms(_wrapped_rule(rule), 1, rule.spot)
                 if rule.definition.head is None or term.__class__ is not tuple
-                else inners(term, 2, rule.spot)
+                else subterms(term, 2, rule.spot)
             )
             for node in walk(rule.definition.pattern, negated=True):
                 if isinstance(node, Occurs):
-                    yield _found(own, deref(node.term), rule.spot), ""
+                    yield _locate(own, deref(node.term), rule.spot), ""
         for kept in (*self.memories, *self.subscriptions):
-            yield kept.event, kept.who
-        for form, spot, who in self.states:
+            yield kept.event, kept.prefix
+        for form, spot, prefix in self.states:
             for part in map(deref, _compound(form.term)[2:4]):
                 parent = _compound(part)
-                yield Inner(deref(parent[1]), parent, 1, spot), who
+                yield Subterm(deref(parent[1]), parent, 1, spot), prefix
 
-    def called(self) -> Iterator[Inner]:
-        """Yield what goals call: those of files, bodies of clauses, and goals of rules."""
-        goals = [(one.parent, one.number, one.spot) for one in (*self.goals, *self.clauses)]
+    def called(self) -> Iterator[Subterm]:
+        """Yield the calls in goals of files, bodies of clauses, and goals of rules."""
+        goals = [
+            (goal_or_clause.parent, goal_or_clause.number, goal_or_clause.spot)
+            for goal_or_clause in (*self.goals, *self.clauses)
+        ]
         for rule in self.rules:
             for part in walk(rule.definition.pattern, negated=True):
                 if not isinstance(part, Occurs):
-                    goals += [(held(goal), 1, rule.spot) for goal in own_terms(part)]
+                    goals += [(wrapped(goal), 1, rule.spot) for goal in own_terms(part)]
         for parent, number, spot in goals:
             for call in calls(parent, number):
-                yield Inner(call.term, call.parent, call.number, spot)
+                yield Subterm(call.term, call.parent, call.number, spot)
 
-    def calls(self) -> Iterator[Inner]:
-        """Yield all terms that goals of the program are, or have in them."""
-        for one in (*self.goals, *self.clauses):
-            yield from inners(one.parent, one.number, one.spot)
+    def calls(self) -> Iterator[Subterm]:
+        """Yield all subterms of goals, clauses and rules."""
+        for goal_or_clause in (*self.goals, *self.clauses):
+            yield from subterms(goal_or_clause.parent, goal_or_clause.number, goal_or_clause.spot)
         for rule in self.rules:
-            yield from inners(_of_rule(rule), 1, rule.spot)
+            yield from subterms(_wrapped_rule(rule), 1, rule.spot)
 
-    def _keep(self, knowledge: KnowledgeBase) -> None:
-        """Note memories and subscriptions: those that stand in the files, and others that are there."""
+    def _collect_consumers(self, knowledge: KnowledgeBase) -> None:
+        """Collect memories and subscriptions, from the files and from the loaded program."""
         seen: Set[Tuple[str, Any]] = set()
-        for inner in self.calls():
-            term = inner.term
+        for subterm in self.calls():
+            term = subterm.term
             if term.__class__ is not tuple or (term[0] not in MEMORIZE and term[0] is not SUBSCRIBE):
                 continue
-            if inner.key is SUBSCRIBE:
-                self.subscriptions.append(Kept(term, "", inner.spot))
+            if subterm.key is SUBSCRIBE:
+                self.subscriptions.append(EventConsumer(term, "", subterm.spot))
                 seen.add((self.topic(term[4]), term_key(deref(term[5]))))
             else:
-                self.memories.append(Kept(term, "", inner.spot))
+                self.memories.append(EventConsumer(term, "", subterm.spot))
                 seen.add(("", term_key(deref(term[4]))))
         for instance in knowledge.memories:
+            # Memories of the files were collected with places already; the others were created at run time.
             if ("", term_key(instance.id)) not in seen:
-                who = f"memory {self.logic.brief(instance.id)}: "
-                self.memories.append(Kept(_compound(instance.definition), who, everywhere(None)))
-        for (topic, _), one in knowledge.subscriptions.items():
-            if (topic, term_key(one.id)) not in seen:
-                who = f"a subscription of topic {topic}: "
-                self.subscriptions.append(Kept(_compound(one.definition), who, everywhere(None)))
+                prefix = f"memory {self.logic.brief(instance.id)}: "
+                self.memories.append(EventConsumer(_compound(instance.definition), prefix, everywhere(None)))
+        for (topic, _), subscription in knowledge.subscriptions.items():
+            if (topic, term_key(subscription.id)) not in seen:
+                prefix = f"a subscription of topic {topic}: "
+                self.subscriptions.append(
+                    EventConsumer(_compound(subscription.definition), prefix, everywhere(None))
+                )
 
-    def _note_states(self, knowledge: KnowledgeBase) -> None:
-        """Note the states that the files declare, and others that are there."""
+    def _collect_states(self, knowledge: KnowledgeBase) -> None:
+        """Collect declared states, from the files and from the loaded program."""
         seen = set()
-        for inner in self.calls():
-            if declares_state(inner.term):
+        for subterm in self.calls():
+            if declares_state(subterm.term):
                 try:
-                    form = state_form(inner.term)
-                except UsageError:  # said where it is declared
+                    form = state_form(subterm.term)
+                except UsageError:  # reported when it was declared
                     continue
-                self.states.append(DeclaredAt(form, inner.spot, ""))
+                self.states.append(DeclaredState(form, subterm.spot, ""))
                 seen.add(form.key)
-        for one in knowledge.states:
-            if one.form.key not in seen:
-                self.states.append(DeclaredAt(one.form, everywhere(None), f"{one.name}: "))
+        for state in knowledge.states:
+            if state.form.key not in seen:
+                self.states.append(DeclaredState(state.form, everywhere(None), f"{state.name}: "))
 
     def topic(self, term: Term) -> str:
-        """Return the topic that a subscription names, as text."""
+        """Return the topic of a subscription as text."""
         topic: Any = deref(term)
         return str(topic.name) if hasattr(topic, "name") else self.logic.show(topic, quoted=False)
 
 
 def _compound(term: Any) -> CompoundTerm:
-    found: CompoundTerm = term
-    return found
+    compound: CompoundTerm = term
+    return compound
 
 
-def _of_rule(rule: WrittenRule) -> CompoundTerm:
-    return held(rule.definition.term)
+def _wrapped_rule(rule: WrittenRule) -> CompoundTerm:
+    return wrapped(rule.definition.term)
 
 
-def _found(own: List[Inner], term: Term, spot: Spot) -> Inner:
-    """Return a term of a rule with its place; copies in repetitions have that of the rule."""
-    same = [inner for inner in own if inner.term is term]
-    # an atom may stand in a goal before, too: the event is the one that operators join
-    joined = [inner for inner in same if inner is own[0] or inner.parent[0] in SPELLINGS]
-    found = joined or same
-    return found[0] if found else Inner(term, held(term), 1, spot)
+def _locate(own: List[Subterm], term: Term, spot: Spot) -> Subterm:
+    """Return a term of a rule with its place; for copies in repetitions, the place of the rule."""
+    occurrences_of_term = [subterm for subterm in own if subterm.term is term]
+    # The same atom may also occur in an earlier goal: the event is the one that is an operand of an operator.
+    joined = [
+        subterm for subterm in occurrences_of_term if subterm is own[0] or subterm.parent[0] in SPELLINGS
+    ]
+    candidates = joined or occurrences_of_term
+    return candidates[0] if candidates else Subterm(term, wrapped(term), 1, spot)
 
 
 def _other_rules(rules: RuleBase, sources: Set[str]) -> List[WrittenRule]:
-    """Return the rules that stand in no file that was read."""
+    """Return the rules that are not in a parsed file."""
     return [
         WrittenRule(rule.definition, everywhere(rule.place))
         for rule in rules.rules
@@ -518,16 +538,16 @@ def _other_rules(rules: RuleBase, sources: Set[str]) -> List[WrittenRule]:
 
 
 def _other_clauses(logic: PrologSystem, sources: Set[str]) -> List[WrittenTerm]:
-    """Return the clauses of the program that stand in no file that was read."""
-    found = []
+    """Return the clauses that are not in a parsed file."""
+    clauses = []
     for predicate in list(logic.database.predicates.values()):
         if predicate.kind == "user" and not predicate.library:
             for clause in predicate.live():
                 if clause.place is None or clause.place.source not in sources:
-                    found.append(clause_at(clause.head, clause.body, clause.place))
-    return found
+                    clauses.append(clause_at(clause.head, clause.body, clause.place))
+    return clauses
 
 
 def is_open(term: Term) -> bool:
-    """Tell whether a term is a variable."""
+    """Return whether a term is a variable."""
     return deref(term).__class__ is Var

@@ -1,6 +1,9 @@
-"""What is wrong with the times of rules: events that fire themselves, sides that never meet, windows.
+"""Checks of times: endless cycles, intervals that cannot meet, windows, unbounded state, missed pairs, and timers.
 
-Timers that are told to ring at what is no time.
+* `cycles` searches for events that raise themselves without a condition, in the graph of rules with one event.
+* `never_meet` computes which events are always instants (messages, and heads of rules on single instants), and
+  evaluates the comparisons of each operator for a small set of intervals that represents all possible orders.
+* `waits_for_ever` and `unbounded_keys` report partial matches and keyed states without any time bound.
 """
 
 from collections import Counter
@@ -33,7 +36,7 @@ from ..language.pattern_tree import (
     occurrences,
 )
 from ..language.rule_parser import ALARMS, TIMER, made_by, schedule_fault
-from .program_model import ProgramModel, WrittenRule, held, inners, key_of
+from .program_model import ProgramModel, WrittenRule, key_of, subterms, wrapped
 
 DAY = 86_400
 _UNITS = "spans are in seconds"
@@ -42,7 +45,7 @@ _UNRESTRICTED, _RECENT, _OFF = atom("unrestricted"), atom("recent"), atom("off")
 
 
 class _Trigger(NamedTuple):
-    """A rule that an event fires by itself, as soon as it happens."""
+    """Rule that an event fires on its own, as soon as it occurs."""
 
     rule: WrittenRule
     head: Term
@@ -50,102 +53,102 @@ class _Trigger(NamedTuple):
 
 
 def cycles(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield the rules by which an event fires itself, at once and without end."""
-    steps = _in_turn([step for rule in program.rules for step in _steps(rule)])
+    """Yield rules by which an event raises itself immediately and without end."""
+    steps = _cyclic([step for rule in program.rules for step in _triggers(rule)])
     of_event = _by_event(steps)
-    said: Set[int] = set()
-    for at, step in enumerate(steps):
-        way = None if at in said else _way_back(steps, of_event, at)
-        if way is None or any(one in said for one in way):
+    reported: Set[int] = set()
+    for index, step in enumerate(steps):
+        cycle = None if index in reported else _cycle_through(steps, of_event, index)
+        if cycle is None or any(member in reported for member in cycle):
             continue
-        said.update(way)
-        names = " <- ".join(str(key_of(steps[one].head)) for one in reversed([*way, way[0]]))
-        what = (
+        reported.update(cycle)
+        names = " <- ".join(str(key_of(steps[member].head)) for member in reversed([*cycle, cycle[0]]))
+        subject = (
             f"{key_of(step.head)} fires itself"
-            if len(way) == 1
+            if len(cycle) == 1
             else f"these events fire each other ({names})"
         )
         yield RuleError(
-            f"{what}, at once and without end: give the rule a condition (where) or another head",
+            f"{subject}, at once and without end: give the rule a condition (where) or another head",
             step.rule.definition.place,
         )
 
 
-def _steps(rule: WrittenRule) -> Iterator[_Trigger]:
+def _triggers(rule: WrittenRule) -> Iterator[_Trigger]:
     head = rule.definition.head
     if head is None or key_of(head) in ALARMS or made_by(head) is not deref(head):
         return
-    for event in _alone(rule.definition.pattern):
+    for event in _sole_triggers(rule.definition.pattern):
         if key_of(event) is not None and key_of(head) is not None:
             yield _Trigger(rule, head, event)
 
 
-def _alone(pattern: Pattern) -> Iterator[Term]:
-    """Yield the events that match a pattern by themselves, under no condition."""
+def _sole_triggers(pattern: Pattern) -> Iterator[Term]:
+    """Yield the events that match a pattern on their own and unconditionally."""
     if isinstance(pattern, Occurs):
         yield pattern.term
     elif isinstance(pattern, Either):
         for branch in pattern.branches:
-            yield from _alone(branch)
+            yield from _sole_triggers(branch)
     elif isinstance(pattern, Within) or (isinstance(pattern, Action) and not pattern.every):
-        yield from _alone(pattern.pattern)
+        yield from _sole_triggers(pattern.pattern)
 
 
 def _by_event(steps: List[_Trigger]) -> Dict[Optional[Functor], List[int]]:
-    """Return the places of the steps that events of a functor start."""
-    found: Dict[Optional[Functor], List[int]] = {}
-    for at, step in enumerate(steps):
-        found.setdefault(key_of(step.event), []).append(at)
-    return found
+    """Return the indices of the triggers of each functor."""
+    indices: Dict[Optional[Functor], List[int]] = {}
+    for index, step in enumerate(steps):
+        indices.setdefault(key_of(step.event), []).append(index)
+    return indices
 
 
-def _in_turn(steps: List[_Trigger]) -> List[_Trigger]:
-    """Return the steps that may lead to themselves: without those whose event none of the others fires."""
+def _cyclic(steps: List[_Trigger]) -> List[_Trigger]:
+    """Return the triggers that can be part of a cycle: all others are removed in topological order."""
     makers = Counter(key_of(step.head) for step in steps)
     of_event = _by_event(steps)
     gone: Set[int] = set()
-    left = [key for key in of_event if not makers[key]]
-    while left:
-        for at in of_event.get(left.pop(), ()):
-            gone.add(at)
-            key = key_of(steps[at].head)
+    # Kahn's algorithm: triggers whose event no trigger raises are not part of a cycle.
+    sources = [key for key in of_event if not makers[key]]
+    while sources:
+        for index in of_event.get(sources.pop(), ()):
+            gone.add(index)
+            key = key_of(steps[index].head)
             makers[key] -= 1
             if not makers[key]:
-                left.append(key)
-    return [step for at, step in enumerate(steps) if at not in gone]
+                sources.append(key)
+    return [step for index, step in enumerate(steps) if index not in gone]
 
 
-def _way_back(
+def _cycle_through(
     steps: List[_Trigger], of_event: Dict[Optional[Functor], List[int]], start: int
 ) -> Optional[List[int]]:
-    """Return the steps by which the event of a step leads to itself again, the shortest way; None for no way."""
-    before: Dict[int, int] = {}
+    """Return the shortest cycle through a trigger, or None."""
+    predecessor: Dict[int, int] = {}
     level = [start]
     while level:
         following = []
-        for at in level:
-            for other in of_event.get(key_of(steps[at].head), ()):
-                step = steps[other]
-                if other == start and _leads(steps[at], step):
-                    way = [at]
-                    while way[-1] != start:
-                        way.append(before[way[-1]])
-                    return way[::-1]
-                if other not in before and other != start and _leads(steps[at], step):
-                    before[other] = at
-                    following.append(other)
+        for index in level:
+            for next_index in of_event.get(key_of(steps[index].head), ()):
+                step = steps[next_index]
+                # Breadth first, so the first way back is the shortest.
+                if next_index == start and _raises(steps[index], step):
+                    cycle = [index]
+                    while cycle[-1] != start:
+                        cycle.append(predecessor[cycle[-1]])
+                    return cycle[::-1]
+                if next_index not in predecessor and next_index != start and _raises(steps[index], step):
+                    predecessor[next_index] = index
+                    following.append(next_index)
         level = following
     return None
 
 
-def _leads(one: _Trigger, other: _Trigger) -> bool:
+def _raises(trigger: _Trigger, next_trigger: _Trigger) -> bool:
     trail: Trail = []
-    fits = unify(copy(one.head), copy(other.event), trail)
+    # The functors are equal; the arguments may exclude each other.
+    unifies = unify(copy(trigger.head), copy(next_trigger.event), trail)
     undo(trail, 0)
-    return bool(fits)
-
-
-# ---- sides that never meet -----------------------------------------------------------------------------
+    return bool(unifies)
 
 
 _INSTANTS = [(at, at) for at in range(3)]
@@ -153,13 +156,13 @@ _INTERVALS = list(combinations_with_replacement(range(5), 2))
 
 
 def never_meet(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield the pairs whose intervals can never lie as their operator asks: one side is always an instant."""
+    """Yield joins whose operands can never have the required intervals, because one of them is always an instant."""
     instants = _Instants(program)
     for rule in program.rules:
         for node in _nodes(rule.definition.pattern):
             if isinstance(node, Pair) and node.operator in OPERATORS:
                 left, right = instants.holds(node.left), instants.holds(node.right)
-                if (left or right) and not _fits(node.operator, left, right):
+                if (left or right) and not _can_match(node.operator, left, right):
                     which = (
                         "both sides are instants"
                         if left and right
@@ -167,21 +170,22 @@ def never_meet(program: ProgramModel) -> Iterator[RuleError]:
                     )
                     yield RuleError(
                         f"{node.operator} never matches here: {which}, and "
-                        f"{OPERATORS[node.operator].name} {_ASKS.get(node.operator, 'asks for intervals')}",
+                        f"{OPERATORS[node.operator].name} {_REQUIREMENTS.get(node.operator, 'asks for intervals')}",
                         _operator_place(rule, node.operator),
                     )
 
 
-_ASKS = {
+_REQUIREMENTS = {
     "par": "asks for two that overlap by more than an instant: write and, or seq",
     "starts": "asks for two that start together and end one after the other",
     "finishes": "asks for two that end together and started one after the other",
 }
 
 
-def _fits(operator: str, left: bool, right: bool) -> bool:
-    """Tell whether the comparisons of an operator hold for any two intervals of these kinds."""
+def _can_match(operator: str, left: bool, right: bool) -> bool:
+    """Return whether the comparisons of an operator hold for some intervals of the given kinds."""
     comparisons = OPERATORS[operator].comparisons
+    # The comparisons depend on the order of four end points only, and five values are enough for every order.
     for s1, e1 in _INSTANTS if left else _INTERVALS:
         for s2, e2 in _INSTANTS if right else _INTERVALS:
             values = {"s1": s1, "e1": e1, "s2": s2, "e2": e2}
@@ -197,7 +201,7 @@ def _holds(comparison: str, values: Dict[str, int]) -> bool:
 
 
 class _Instants:
-    """Which events are instants, whatever happens: messages, alarms, and rules that have one such event."""
+    """Events that are always instants: messages, alarms, and heads of rules with one such event."""
 
     def __init__(self, program: ProgramModel):
         self._program = program
@@ -207,8 +211,8 @@ class _Instants:
             key = None if rule.definition.head is None else key_of(made_by(rule.definition.head))
             if key is not None:
                 self._rules.setdefault(key, []).append(rule)
-        for inner in program.calls():
-            term = inner.term
+        for subterm in program.calls():
+            term = subterm.term
             if (
                 term.__class__ is tuple
                 and term[0].name in ("new_event", "event", "input_event")
@@ -220,121 +224,124 @@ class _Instants:
                 elif key is None:
                     self._goals.add(_ANY)
 
-        self._known = self._fired_at_once()
+        self._known = self._instant_heads()
 
     def holds(self, pattern: Pattern) -> bool:
-        """Tell whether each match of a pattern is an instant."""
-        events = _single(pattern)
+        """Return whether each match of a pattern is an instant."""
+        events = _alternative_events(pattern)
         return events is not None and all(key in self._known or self._is_message(key) for key in events)
 
     def _is_message(self, key: Functor) -> bool:
         return key not in self._rules and _is_message(self._program, key)
 
-    def _fired_at_once(self) -> Set[Functor]:
-        """Return the events of rules all of which have one event each, an instant; long chains of rules, too."""
+    def _instant_heads(self) -> Set[Functor]:
+        """Return the heads that are always instants, for chains of rules of any length."""
         missing: Dict[Functor, Set[Functor]] = {}
         waiting: Dict[Functor, List[Functor]] = {}
         for key, rules in self._rules.items():
-            needed = None if key in self._goals or _ANY in self._goals else _needed(rules)
+            needed = None if key in self._goals or _ANY in self._goals else _required_instants(rules)
             if needed is not None:
-                missing[key] = {one for one in needed if not self._is_message(one)}
-                for one in missing[key]:
-                    waiting.setdefault(one, []).append(key)
+                missing[key] = {needed_key for needed_key in needed if not self._is_message(needed_key)}
+                for needed_key in missing[key]:
+                    waiting.setdefault(needed_key, []).append(key)
         known: Set[Functor] = set()
         ready = [key for key, needed in missing.items() if not needed]
         while ready:
-            found = ready.pop()
-            known.add(found)
-            for key in waiting.get(found, ()):
-                missing[key].discard(found)
+            instant = ready.pop()
+            known.add(instant)
+            for key in waiting.get(instant, ()):
+                missing[key].discard(instant)
                 if not missing[key]:
                     ready.append(key)
         return known
 
 
 def _is_message(program: ProgramModel, key: Functor) -> bool:
-    """Test whether events of a functor are messages of a topic that the program subscribes to."""
+    """Return whether events of a functor are messages of a subscribed topic."""
     kind = program.type_of(key.name)
     topics = (*program.topics.subscribed, *program.direct)
-    return kind is not None and any(one == kind for _, one in topics)
+    return kind is not None and any(topic_kind == kind for _, topic_kind in topics)
 
 
-def _needed(rules: List[WrittenRule]) -> Optional[Set[Functor]]:
-    """Return which events have to be instants for those of rules to be; None where these may not be in any case."""
-    found: Set[Functor] = set()
+def _required_instants(rules: List[WrittenRule]) -> Optional[Set[Functor]]:
+    """Return the events that must be instants for the heads of rules to be instants, or None if they never are."""
+    needed: Set[Functor] = set()
     for rule in rules:
         head: Any = rule.definition.head
-        events = _single(rule.definition.pattern) if made_by(head) is deref(head) else None
+        events = _alternative_events(rule.definition.pattern) if made_by(head) is deref(head) else None
         if events is None:
             return None
-        found.update(events)
-    return found
+        needed.update(events)
+    return needed
 
 
-def _single(pattern: Pattern) -> Optional[Set[Functor]]:
-    """Return the events of which one is a match of a pattern; None where it takes several, or any."""
-    found: Set[Functor] = set()
+def _alternative_events(pattern: Pattern) -> Optional[Set[Functor]]:
+    """Return the events each of which is a match of a pattern, or None if a match has several events or any event."""
+    events: Set[Functor] = set()
     stack: List[Pattern] = [pattern]
     while stack:
         part = stack.pop()
         key = key_of(part.term) if isinstance(part, Occurs) else None
         if key is not None:
-            found.add(key)
+            events.add(key)
         elif isinstance(part, (Either, Condition, Within, Action)):
             stack += children(part)
         else:
             return None
-    return found
+    return events
 
 
 _ANY = functor("$any", 0)
 
 
-# ---- windows -------------------------------------------------------------------------------------------
-
-
 def windows(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield the spans that are hardly meant: zero, or beyond a day."""
+    """Yield unlikely time spans: zero, or more than a day."""
     for rule in program.rules:
-        for inner in inners(held(rule.definition.term), 1, rule.spot):
-            term = inner.term
+        for subterm in subterms(wrapped(rule.definition.term), 1, rule.spot):
+            term = subterm.term
             if term.__class__ is tuple and SPELLINGS.get(term[0]) == "within" and len(term) == 3:
-                wrong = _long(deref(term[2]))
-                if wrong:
-                    yield RuleError(f"within {wrong}", rule.spot(term, 2))
+                fault = _too_long(deref(term[2]))
+                if fault:
+                    yield RuleError(f"within {fault}", rule.spot(term, 2))
     labels = {
         term_key(rule.definition.label): rule for rule in program.rules if rule.definition.label is not None
     }
     for key, properties in program.loaded.all_properties().items():
-        for one in properties:
-            wrong = ""
-            if one.known and one.word is None and "step" not in one.name:
-                wrong = "0: nothing but instants is ever matched" if one.number == 0 else _long(one.number)
-                wrong = "" if one.name == "ttl" else wrong
-            if wrong:
-                at = labels.get(key)
-                yield RuleError(f"{one.name} {wrong}", None if at is None else at.definition.place)
+        for prop in properties:
+            fault = ""
+            if prop.known and prop.word is None and "step" not in prop.name:
+                fault = (
+                    "0: nothing but instants is ever matched" if prop.number == 0 else _too_long(prop.number)
+                )
+                fault = "" if prop.name == "ttl" else fault
+            if fault:
+                rule_of_label = labels.get(key)
+                yield RuleError(
+                    f"{prop.name} {fault}", None if rule_of_label is None else rule_of_label.definition.place
+                )
 
 
-def _long(span: Any) -> str:
+def _too_long(span: Any) -> str:
     if span.__class__ not in (int, float) or not span > DAY:
         return ""
     return f"{span} is {span / DAY:.3g} days: {_UNITS}"
 
 
 def waits_for_ever(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield the rules whose partial matches are never dropped: the policy takes none of them away, nor does time."""
+    """Yield rules whose partial matches are never dropped, neither by the consumption policy nor by time."""
     flags = program.loaded.flags
     if flags.get("garbage_control") is not _OFF:
         return
     properties = program.loaded.all_properties()
     for rule in program.rules:
         label = rule.definition.label
-        said = {} if label is None else {one.name: one.value for one in properties.get(term_key(label), ())}
-        policy = said.get("policy", flags.get("event_consumption_policy"))
-        if policy is not _UNRESTRICTED or any("window" in name for name in said):
+        values = (
+            {} if label is None else {prop.name: prop.value for prop in properties.get(term_key(label), ())}
+        )
+        policy = values.get("policy", flags.get("event_consumption_policy"))
+        if policy is not _UNRESTRICTED or any("window" in name for name in values):
             continue
-        node = _unbounded(rule.definition.pattern)
+        node = _unbounded_join(rule.definition.pattern)
         if node is not None:
             operator = node.operator if isinstance(node, Pair) else "seq"
             yield RuleError(
@@ -345,9 +352,9 @@ def waits_for_ever(program: ProgramModel) -> Iterator[RuleError]:
 
 
 def unbounded_keys(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield the operators on streams that keep a state for each value of a variable, which no time ends.
+    """Yield stream operators that keep a state for each value of a variable without a time bound.
 
-    A rule whose label has a time to live is not reported, also if that is 0: its state is intended.
+    A rule whose label has a time to live is not reported, even if that is 0: its state is intended.
     """
     flags = program.loaded.flags
     bounds = flags.key_bounds()
@@ -356,10 +363,10 @@ def unbounded_keys(program: ProgramModel) -> Iterator[RuleError]:
     properties = program.loaded.all_properties()
     for rule in program.rules:
         label = rule.definition.label
-        said = () if label is None else properties.get(term_key(label), ())
-        if any(one.name in ("window", "event_rule_window", "ttl") for one in said):
+        label_properties = () if label is None else properties.get(term_key(label), ())
+        if any(prop.name in ("window", "event_rule_window", "ttl") for prop in label_properties):
             continue
-        for part in _not_within(rule.definition.pattern):
+        for part in _without_bound(rule.definition.pattern):
             if _has_unbounded_keys(part, rule.definition):
                 yield RuleError(
                     f"no time ends the state that is kept here for each key, up to {bounds.keys} keys; write (...) "
@@ -369,24 +376,25 @@ def unbounded_keys(program: ProgramModel) -> Iterator[RuleError]:
                 )
 
 
-def _not_within(pattern: Pattern) -> Iterator[Pattern]:
-    """Yield the operators on streams around which there is no ``within``."""
+def _without_bound(pattern: Pattern) -> Iterator[Pattern]:
+    """Yield the stream operators that are not inside a ``within``."""
     stack: List[Tuple[Any, bool]] = [(pattern, False)]
     while stack:
-        part, limited = stack.pop()
+        part, is_bounded = stack.pop()
         if isinstance(part, (Windowed, Shaped, Awaited)):
-            if not limited:
+            if not is_bounded:
                 yield part
-            limited = False  # a span is about what an operator gives, not about what comes to it
+            is_bounded = False  # a bound applies to the outputs of the operator, not to its inputs
         elif isinstance(part, Within):
-            limited = True
-        stack += [(below, limited) for below in reversed(children(part, False))]
+            is_bounded = True
+        # A bound above an operator limits its inputs as well, except for stream operators (see above).
+        stack += [(below, is_bounded) for below in reversed(children(part, False))]
         if isinstance(part, (Absent, Awaited)):
             stack.append((part.negated, False))
 
 
 def _has_unbounded_keys(part: Pattern, definition: RuleDefinition) -> bool:
-    """Test whether an operator keeps a state for each value of a variable."""
+    """Return whether a stream operator keeps a state for each value of a variable."""
     if isinstance(part, Shaped):
         return part.shape == "change" and any(variables(term) for term in part.by)
     if not isinstance(part, Windowed) or part.window.kind not in ("newest", "batch", "steps"):
@@ -399,25 +407,25 @@ def _has_unbounded_keys(part: Pattern, definition: RuleDefinition) -> bool:
 
 
 def _aggregate_place(rule: WrittenRule) -> Optional[Place]:
-    """Return where the first aggregate stands in a rule."""
-    for inner in inners(held(rule.definition.term), 1, rule.spot):
-        if inner.term.__class__ is tuple and inner.term[0].name == "aggregate":
-            return inner.place
+    """Return the place of the first aggregate in a rule."""
+    for subterm in subterms(wrapped(rule.definition.term), 1, rule.spot):
+        if subterm.term.__class__ is tuple and subterm.term[0].name == "aggregate":
+            return subterm.place
     return rule.definition.place
 
 
 def missed_pairs(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield the pairs of messages within a span that the default policy uses once, so that close pairs are missed.
+    """Yield joins of messages within a span of time that miss pairs, because the default policy uses a message once.
 
-    A rule whose label names a policy is not reported: its policy is intended.
+    A rule whose label sets a policy is not reported: its policy is intended.
     """
     if program.loaded.flags.get("event_consumption_policy") is not _RECENT:
         return
     properties = program.loaded.all_properties()
     for rule in program.rules:
         label = rule.definition.label
-        said = () if label is None else properties.get(term_key(label), ())
-        if not any(one.name == "policy" for one in said) and _pairs_messages(
+        label_properties = () if label is None else properties.get(term_key(label), ())
+        if not any(prop.name == "policy" for prop in label_properties) and _pairs_messages(
             program, rule.definition.pattern
         ):
             yield RuleError(
@@ -429,7 +437,7 @@ def missed_pairs(program: ProgramModel) -> Iterator[RuleError]:
 
 
 def _pairs_messages(program: ProgramModel, pattern: Pattern) -> bool:
-    """Test whether a pattern joins messages of two topics by ``and`` within a span."""
+    """Return whether a pattern joins messages of two topics by ``and`` within a span of time."""
     for node in _nodes(pattern):
         if not isinstance(node, Within):
             continue
@@ -437,22 +445,22 @@ def _pairs_messages(program: ProgramModel, pattern: Pattern) -> bool:
         while isinstance(limited, (Within, Condition)):
             limited = limited.pattern
         if isinstance(limited, Pair) and limited.operator == "and":
-            sides = [_single(limited.left), _single(limited.right)]
+            sides = [_alternative_events(limited.left), _alternative_events(limited.right)]
             if all(keys and all(_is_message(program, key) for key in keys) for keys in sides):
                 return True
     return False
 
 
-def _unbounded(pattern: Pattern) -> Optional[Pattern]:
-    """Return the first part of a pattern that joins events and is not within a span."""
+def _unbounded_join(pattern: Pattern) -> Optional[Pattern]:
+    """Return the first part of a pattern that joins events and is not inside a ``within``, or None."""
     stack: List[Any] = [pattern]
     while stack:
         part = stack.pop()
         if isinstance(part, Within):
             continue
         if isinstance(part, (Pair, Star, Aggregate, Repeated)):
-            found: Pattern = part
-            return found
+            join: Pattern = part
+            return join
         stack += reversed(children(part, False))
     return None
 
@@ -466,19 +474,19 @@ def _nodes(pattern: Pattern) -> Iterator[Pattern]:
 
 
 def _operator_place(rule: WrittenRule, operator: str) -> Optional[Place]:
-    """Return where an operator stands first in a rule."""
-    for inner in inners(held(rule.definition.term), 1, rule.spot):
-        if inner.term.__class__ is tuple and SPELLINGS.get(inner.term[0]) == operator:
-            return inner.place
+    """Return the place of the first occurrence of an operator in a rule."""
+    for subterm in subterms(wrapped(rule.definition.term), 1, rule.spot):
+        if subterm.term.__class__ is tuple and SPELLINGS.get(subterm.term[0]) == operator:
+            return subterm.place
     return rule.definition.place
 
 
 def timers(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield the goals that set a timer and say when as no timer can be told."""
+    """Yield goals that set a timer with an invalid schedule."""
     if not program.logic.is_of_system(TIMER):
         return
-    for inner in program.called():
-        fault = schedule_fault(inner.term[2]) if inner.key is TIMER else None
+    for subterm in program.called():
+        fault = schedule_fault(subterm.term[2]) if subterm.key is TIMER else None
         if fault is not None:
-            text = f"timer/2: {fault}, found {program.logic.brief(inner.term[2], program.names)}"
-            yield RuleError(text, inner.spot(inner.term, 2))
+            text = f"timer/2: {fault}, found {program.logic.brief(subterm.term[2], program.names)}"
+            yield RuleError(text, subterm.spot(subterm.term, 2))

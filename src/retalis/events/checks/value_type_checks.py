@@ -1,6 +1,11 @@
-"""Kinds of values as far as message slots tell them: numbers, texts, stamps, truth values, lists.
+"""Checks of value types: uses of a variable that its message slot or declared argument does not allow.
 
-Integers where floats come, and the other way round: the two are never the same term.
+A variable has the type of the slots and declared arguments where it occurs. `kinds` reports occurrences with types
+that exclude each other, and goals that treat a value as something else: arithmetic on texts, or comparisons with
+constants that the value never equals.
+
+`numerals` reports integers where a slot has floats and vice versa: the terms ``1`` and ``1.0`` are different, so such
+a pattern never matches, and ``==`` never holds.
 """
 
 from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple
@@ -17,7 +22,7 @@ from ..language.pattern_tree import Occurs, walk
 from ..language.rule_parser import NEW_EVENT, made_by, makes_event
 from ..program.event_file_checker import nowhere
 from .producer_checks import event_of_kept, events_of_goals, events_of_rule
-from .program_model import NECK, Inner, ProgramModel, held, inners, key_of
+from .program_model import NECK, ProgramModel, Subterm, key_of, subterms, wrapped
 
 _COMPARED = frozenset(functor(name, 2) for name in ("<", ">", "=<", ">=", "=:=", "=\\="))
 _IS = functor("is", 2)
@@ -26,7 +31,7 @@ _ARITHMETIC = frozenset(functor(name, 2) for name in ("+", "-", "*", "/", "//", 
 _SIGNS = frozenset(
     functor(name, 1) for name in ("-", "+", "abs", "sqrt", "round", "truncate", "float", "integer")
 )
-_ONE_OF = frozenset((functor("or", 2), functor("\\/", 2), functor(";", 2), functor("->", 2)))
+_ALTERNATIVES = frozenset((functor("or", 2), functor("\\/", 2), functor(";", 2), functor("->", 2)))
 
 
 _COLLECTED = frozenset(functor(kind.name, 1) for kind in AGGREGATES.values() if kind.numeric)
@@ -34,12 +39,12 @@ _AGGREGATE, *_ = names_of_kind(OperatorKind.AGGREGATE)
 
 
 class SlotKind(NamedTuple):
-    """What a variable is, by the slot in which it stands.
+    """Type of a variable, from the slot in which it occurs.
 
     Attributes:
-        kind: its kind.
-        slot: the slot, and the type of its message; or the argument, and the event that is declared.
-        is_made: whether the program makes that: there the value goes in, and comes from elsewhere.
+        kind: the type.
+        slot: slot and message type, or declared argument and event.
+        is_made: whether the program creates that term: the value then comes from elsewhere and goes into the slot.
     """
 
     kind: ValueType
@@ -48,30 +53,33 @@ class SlotKind(NamedTuple):
 
     @property
     def what(self) -> str:
-        """What a value of its kind is called."""
+        """A value of the type in words."""
         return self.kind.what
 
 
 def _takes_more(slot: Field) -> bool:
-    """Tell whether more goes into a slot than comes out of it: 0 and 1 for truth values, lists for bytes."""
+    """Return whether a slot accepts more than it delivers: 0 and 1 for truth values, lists for bytes."""
     return slot.is_bytes or (slot.type == "bool" and slot.length is None)
 
 
 def kinds(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield where a value is used as what it is not."""
+    """Yield uses of values that contradict their types."""
     for rule in program.rules:
-        parent = held(rule.definition.term)
+        parent = wrapped(rule.definition.term)
         names = {**program.names, **rule.definition.names}
         events = events_of_rule(rule) if program.declared else []
         yield from _in_clause(program, parent, rule.spot, names, events, made_by(rule.definition.head))
     for clause in program.clauses:
-        whole = clause.parent if clause.parent[0] is NECK else held(clause.head or clause.parent)
+        # A fact has no parent with head and body, so it is wrapped.
+        whole = clause.parent if clause.parent[0] is NECK else wrapped(clause.head or clause.parent)
         events = events_of_goals(clause) if program.declared else []
-        yield from _in_clause(program, held(whole), clause.spot, program.names, events)
-    for kept in (*program.memories, *program.subscriptions):
-        events = [event_of_kept(kept)]
-        for error in _in_clause(program, held(kept.term), kept.spot, program.names, events, kept.form):
-            yield RuleError(f"{kept.who}{error.message}", error.place)
+        yield from _in_clause(program, wrapped(whole), clause.spot, program.names, events)
+    for consumer in (*program.memories, *program.subscriptions):
+        events = [event_of_kept(consumer)]
+        for error in _in_clause(
+            program, wrapped(consumer.term), consumer.spot, program.names, events, consumer.form
+        ):
+            yield RuleError(f"{consumer.prefix}{error.message}", error.place)
 
 
 def _in_clause(
@@ -82,87 +90,94 @@ def _in_clause(
     events: List[EventTerm],
     out: Optional[Term] = None,
 ) -> Iterator[RuleError]:
-    """Yield what is wrong in one rule or clause, whose variables are its own; one of its terms is what it makes."""
-    found = list(inners(parent, 1, spot))
+    """Yield the problems of one rule or clause; ``out`` is the term that it creates."""
+    parts = list(subterms(parent, 1, spot))
     known: Dict[Var, SlotKind] = {}
-    branches = any(inner.key in _ONE_OF for inner in found)
-    made = _made(found, out)
+    branches = any(subterm.key in _ALTERNATIVES for subterm in parts)
+    made = _created_terms(parts, out)
     declared = {id(deref(event.term)) for event in events}
-    for inner in found:
-        is_made = id(inner.term) in made
-        for at, kind, slot in _values(program, inner.term, is_made, declared):
-            value = deref(inner.term[at])
+    for subterm in parts:
+        is_made = id(subterm.term) in made
+        for position, kind, slot in _typed_arguments(program, subterm.term, is_made, declared):
+            value = deref(subterm.term[position])
             if value.__class__ is not Var:
                 continue
-            now = SlotKind(kind, slot, is_made)
-            before = known.setdefault(value, now)
-            if before.kind.excludes(kind) and not branches:
-                yield RuleError(_clash(_name(value, names), before, now), spot(inner.term, at))
+            occurrence = SlotKind(kind, slot, is_made)
+            earlier = known.setdefault(value, occurrence)
+            # In a term with alternatives, the two occurrences may belong to different branches.
+            if earlier.kind.excludes(kind) and not branches:
+                yield RuleError(
+                    _clash_text(_variable_name(value, names), earlier, occurrence),
+                    spot(subterm.term, position),
+                )
                 known.pop(value)
-            elif (before.is_made and not is_made) or kind.forms < before.kind.forms:
-                known[value] = now
+            # The source of a value says more about its type than the slot it goes into; of two sources, the narrower
+            # type is kept.
+            elif (earlier.is_made and not is_made) or kind.forms < earlier.kind.forms:
+                known[value] = occurrence
     if known:
-        yield from _in_goals(found, known, names)
+        yield from _in_goals(parts, known, names)
 
 
-def _values(
+def _typed_arguments(
     program: ProgramModel, term: Any, is_made: bool, declared: Set[int]
 ) -> Iterator[Tuple[int, ValueType, str]]:
-    """Yield the arguments of a message or declared event: which, their kinds, and what they are called."""
+    """Yield the arguments of a message or declared event: position, type, and name for messages."""
     definition = program.message_of(term)
     if definition is not None:
-        for at, slot in enumerate(definition.fields, 1):
+        for position, slot in enumerate(definition.fields, 1):
             kind = slot_kind(slot)
             if kind is not None and not (is_made and _takes_more(slot)):
-                yield at, kind, f"{slot.name} of {definition.name}"
+                yield position, kind, f"{slot.name} of {definition.name}"
     elif term.__class__ is tuple and id(term) in declared:
-        one = program.declared.get(term[0].name)
-        if one is not None and one.key is term[0]:
-            for at, argument in enumerate(one.arguments, 1):
-                yield at, argument.kind, f"{argument.name} of {one.key}"
+        declaration = program.declared.get(term[0].name)
+        if declaration is not None and declaration.key is term[0]:
+            for position, argument in enumerate(declaration.arguments, 1):
+                yield position, argument.kind, f"{argument.name} of {declaration.key}"
 
 
-def _made(found: List[Inner], out: Optional[Term]) -> Set[int]:
-    """Return which terms are made: the head of a rule, the form of a subscription, events of goals."""
-    makers = [] if out is None else [held(deref(out))]
-    makers += [inner.term for inner in found if makes_event(inner.term)]
-    return {id(inner.term) for maker in makers for inner in inners(maker, 1, nowhere)}
+def _created_terms(parts: List[Subterm], out: Optional[Term]) -> Set[int]:
+    """Return the ids of the terms that are created: rule heads, forms of subscriptions, and events of goals."""
+    makers = [] if out is None else [wrapped(deref(out))]
+    makers += [subterm.term for subterm in parts if makes_event(subterm.term)]
+    # By identity: an equal term may occur as a pattern as well. The ids stay unique, because the terms are alive.
+    return {id(subterm.term) for maker in makers for subterm in subterms(maker, 1, nowhere)}
 
 
-def _clash(name: str, one: SlotKind, other: SlotKind) -> str:
-    """Return what is wrong where a variable is of two kinds."""
-    if one.is_made and not other.is_made:
-        one, other = other, one
-    if other.is_made and not one.is_made and other.what == "a text":
-        return f"{name} is {one.what} ({one.slot}) and goes into a text ({other.slot}): {_to_text(name)}"
-    return (
-        f"{name} is {one.what} ({one.slot}) and, here, {other.what} ({other.slot}): these are never the same"
-    )
+def _clash_text(name: str, first: SlotKind, second: SlotKind) -> str:
+    """Return the message for a variable with two types."""
+    if first.is_made and not second.is_made:
+        first, second = second, first
+    if second.is_made and not first.is_made and second.what == "a text":
+        return f"{name} is {first.what} ({first.slot}) and goes into a text ({second.slot}): {_to_text(name)}"
+    return f"{name} is {first.what} ({first.slot}) and, here, {second.what} ({second.slot}): these are never the same"
 
 
-def _in_goals(found: List[Inner], known: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
-    said: Set[Var] = set()
-    for inner in found:
-        key = inner.key
+def _in_goals(parts: List[Subterm], known: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
+    reported: Set[Var] = set()
+    for subterm in parts:
+        key = subterm.key
         if key in _COMPARED:
-            operands = [(inner.term, 1), (inner.term, 2)]
+            operands = [(subterm.term, 1), (subterm.term, 2)]
         elif key is _IS:
-            operands = [(inner.term, 2)]
+            operands = [(subterm.term, 2)]
         else:
             if key in _EQUALITIES:
-                yield from _compared(inner, known, names)
+                yield from _compared_terms(subterm, known, names)
             elif key in _COLLECTED:
-                yield from _collected(inner, known, names)
+                yield from _aggregated_terms(subterm, known, names)
             continue
         while operands:
-            parent, at = operands.pop(0)
-            term: Any = deref(parent[at])
+            parent, position = operands.pop(0)
+            term: Any = deref(parent[position])
             if term.__class__ is tuple and (term[0] in _ARITHMETIC or term[0] in _SIGNS):
                 operands += [(term, number) for number in range(1, len(term))]
             kind = known.get(term) if term.__class__ is Var else None
-            if kind is not None and kind.what in _ADVICE and term not in said:
-                said.add(term)
-                yield RuleError(_no_number(_name(term, names), kind), inner.spot(parent, at))
+            if kind is not None and kind.what in _ADVICE and term not in reported:
+                reported.add(term)
+                yield RuleError(
+                    _not_number_text(_variable_name(term, names), kind), subterm.spot(parent, position)
+                )
 
 
 _ADVICE = {
@@ -172,11 +187,11 @@ _ADVICE = {
     "an atom": "compare atoms with == or \\==",
     "a list": "take it apart, as with nth0/3 or sum_list/2",
 }
-"""What to do with a value that is no number; a stamp is one."""
+"""Advice for values that are not numbers; timestamps count as numbers."""
 
 
-def _no_number(name: str, kind: SlotKind) -> str:
-    """Return what is wrong with a variable that is a number somewhere, and of another kind as a slot."""
+def _not_number_text(name: str, kind: SlotKind) -> str:
+    """Return the message for a variable that is used as a number but has another type."""
     if not kind.is_made:
         return f"{name} is {kind.what} ({kind.slot}), not a number: {_ADVICE[kind.what]}"
     advice = _to_text(name) if kind.what == "a text" else "send another variable"
@@ -187,32 +202,33 @@ def _to_text(name: str) -> str:
     return f"make a text of it, as with format(atom(Text), '\"~w\"', [{name if name[:1].isupper() else 'X'}])"
 
 
-def _collected(inner: Inner, known: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
-    """Yield that an aggregate of numbers collects something else."""
-    if inner.parent[0].name != _AGGREGATE or inner.number != 1:
+def _aggregated_terms(subterm: Subterm, known: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
+    """Yield values of a numeric aggregate that are not numbers."""
+    if subterm.parent[0].name != _AGGREGATE or subterm.number != 1:
         return
-    value: Any = deref(inner.term[1])
+    value: Any = deref(subterm.term[1])
     kind = known.get(value) if value.__class__ is Var else None
     if kind is not None and kind.what in _ADVICE and not kind.is_made:
-        text = f"{_name(value, names)} is {kind.what} ({kind.slot}): {inner.term[0].name} collects numbers"
-        yield RuleError(text, inner.spot(inner.term, 1))
+        text = f"{_variable_name(value, names)} is {kind.what} ({kind.slot}): {subterm.term[0].name} collects numbers"
+        yield RuleError(text, subterm.spot(subterm.term, 1))
 
 
-def _compared(inner: Inner, known: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
-    """Yield why two terms that are compared as they are will never be the same."""
-    for at, other in ((1, 2), (2, 1)):
-        value: Any = deref(inner.term[at])
-        constant = deref(inner.term[other])
+def _compared_terms(subterm: Subterm, known: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
+    """Yield comparisons of a variable with a constant that it never equals."""
+    for position, other_position in ((1, 2), (2, 1)):
+        value: Any = deref(subterm.term[position])
+        constant = deref(subterm.term[other_position])
         kind = known.get(value) if value.__class__ is Var else None
-        wrong = None if kind is None or kind.is_made else _never(kind.what, constant)
-        if kind is not None and wrong is not None:
+        reason = None if kind is None or kind.is_made else _never_equal(kind.what, constant)
+        if kind is not None and reason is not None:
             yield RuleError(
-                f"{_name(value, names)} is {kind.what} ({kind.slot}): {wrong}", inner.spot(inner.term, other)
+                f"{_variable_name(value, names)} is {kind.what} ({kind.slot}): {reason}",
+                subterm.spot(subterm.term, other_position),
             )
 
 
-def _never(what: str, constant: Term) -> Optional[str]:
-    """Return why a value of a kind is never the same as a constant; None where it may be."""
+def _never_equal(what: str, constant: Term) -> Optional[str]:
+    """Return the reason why a value of a type never equals a constant, or None."""
     if what == "a text":
         if isinstance(constant, Atom) and constant.name[:1] != '"' and constant.name != "[]":
             return f"it keeps its quotes in events, write '\"{constant.name}\"'"
@@ -238,7 +254,7 @@ def _may_be_true_or_false(constant: Term) -> bool:
 _NUMBERS = frozenset(("nan", "inf", "infinite"))
 
 
-def _name(var: Var, names: Any) -> str:
+def _variable_name(var: Var, names: Any) -> str:
     return str(names.get(var, "this variable"))
 
 
@@ -246,7 +262,7 @@ _COMPARISONS = {
     functor(name, 2): numeric
     for name, numeric in zip(("==", "=", "\\==", "\\="), ("=:=", "=:=", "=\\=", "=\\="))
 }
-"""What compares terms, with what compares numbers."""
+"""Comparisons of terms, with the corresponding comparisons of numbers."""
 
 _BRANCHES = frozenset((functor("or", 2), functor("\\/", 2), functor(";", 2), functor("->", 2)))
 _KINDS = {
@@ -255,117 +271,119 @@ _KINDS = {
         ("int8", "uint8", "byte", "char", "int16", "uint16", "int32", "uint32", "int64", "uint64"), int
     ),
 }
-_EXACT = 10**15
-"""Up to here each integer is a float that is written with its digits."""
+_MAX_EXACT_INTEGER = 10**15
+"""Limit up to which each integer is represented exactly by a float that is written with its digits."""
 
 
 class _NumberSlot(NamedTuple):
-    """Where a variable gets its number from."""
+    """Numeric slot in which a variable occurs."""
 
     kind: type
     slot: str
 
 
 def numerals(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield numbers that no message has in their slots, and comparisons of such slots that never hold."""
-    own = _own(program)
-    for event, who in program.patterns():
-        for inner, definition in _messages(program, event, own):
-            for at, slot in enumerate(definition.fields, 1):
-                value, kind = deref(inner.term[at]), _kind(slot)
-                if _is_other(value, kind):
-                    wrong = (
+    """Yield numbers that no message has in that slot, and comparisons with such slots that never hold."""
+    own = _created_events(program)
+    for event, prefix in program.patterns():
+        for subterm, definition in _messages(program, event, own):
+            for position, slot in enumerate(definition.fields, 1):
+                value, kind = deref(subterm.term[position]), _number_type(slot)
+                if _has_other_type(value, kind):
+                    fault = (
                         f"{slot.name} of {definition.name} is {_numeric_type_name(kind)} in events: "
-                        f"write {_as(kind, value)}"
+                        f"write {_written_as(kind, value)}"
                     )
-                    yield RuleError(f"{who}{wrong}", inner.spot(inner.term, at))
+                    yield RuleError(f"{prefix}{fault}", subterm.spot(subterm.term, position))
     for rule in program.rules:
         events = [node.term for node in walk(rule.definition.pattern, True) if isinstance(node, Occurs)]
-        parts = [Inner(deref(term), held(term), 1, rule.spot) for term in events]
-        whole = Inner(None, held(rule.definition.term), 1, rule.spot)
+        parts = [Subterm(deref(term), wrapped(term), 1, rule.spot) for term in events]
+        whole = Subterm(None, wrapped(rule.definition.term), 1, rule.spot)
         yield from _compared_numbers(program, parts, whole, {**program.names, **rule.definition.names}, own)
-    for kept in (*program.memories, *program.subscriptions):
+    for consumer in (*program.memories, *program.subscriptions):
         for error in _compared_numbers(
-            program, [kept.event], Inner(None, kept.term, 2, kept.spot), program.names, own
+            program, [consumer.event], Subterm(None, consumer.term, 2, consumer.spot), program.names, own
         ):
-            yield RuleError(f"{kept.who}{error.message}", error.place)
+            yield RuleError(f"{consumer.prefix}{error.message}", error.place)
 
 
-def _own(program: ProgramModel) -> Set[Optional[Functor]]:
-    """Return the functors of all that the program makes events of, None where that is not seen."""
-    found: Set[Optional[Functor]] = set()
+def _created_events(program: ProgramModel) -> Set[Optional[Functor]]:
+    """Return the functors of the events that the program creates; None is included if some are unknown."""
+    created: Set[Optional[Functor]] = set()
     for rule in program.rules:
         head = made_by(rule.definition.head)
         if head is not None:
-            found.add(key_of(head))
+            created.add(key_of(head))
     for call in program.calls():
         if call.term.__class__ is tuple and call.term[0] in NEW_EVENT:
-            found.add(key_of(call.term[1]))
-    return found
+            created.add(key_of(call.term[1]))
+    return created
 
 
 def _messages(
-    program: ProgramModel, event: Inner, own: Set[Optional[Functor]]
-) -> Iterator[Tuple[Inner, Definition]]:
-    """Yield the messages in an event that comes from outside: what the program makes may have other numbers."""
+    program: ProgramModel, event: Subterm, own: Set[Optional[Functor]]
+) -> Iterator[Tuple[Subterm, Definition]]:
+    """Yield the messages in an input event; events of the program itself may contain other numbers."""
     if event.key in own or None in own or program.message_of(event.term) is None:
         return
-    for inner in inners(event.parent, event.number, event.spot):
-        definition = program.message_of(inner.term)
+    for subterm in subterms(event.parent, event.number, event.spot):
+        definition = program.message_of(subterm.term)
         if definition is not None:
-            yield inner, definition
+            yield subterm, definition
 
 
 def _compared_numbers(
     program: ProgramModel,
-    events: List[Inner],
-    whole: Inner,
+    events: List[Subterm],
+    whole: Subterm,
     names: Mapping[Var, str],
     own: Set[Optional[Functor]],
 ) -> Iterator[RuleError]:
-    """Yield the comparisons in a term that never hold, by the events that its variables stand in."""
-    found = list(inners(whole.parent, whole.number, whole.spot))
-    if any(inner.key in _BRANCHES for inner in found):  # a variable may get its value elsewhere
+    """Yield comparisons that never hold, given the events that contain their variables."""
+    parts = list(subterms(whole.parent, whole.number, whole.spot))
+    if any(subterm.key in _BRANCHES for subterm in parts):  # the variable may be bound in another branch
         return
-    known = _known(program, events, own)
-    for inner in found:
-        numeric = _COMPARISONS.get(inner.key) if inner.key is not None else None
+    known = _numeric_variables(program, events, own)
+    for subterm in parts:
+        numeric = _COMPARISONS.get(subterm.key) if subterm.key is not None else None
         if numeric is None:
             continue
-        for at, other in ((1, 2), (2, 1)):
-            variable: Any = deref(inner.term[at])
-            value = deref(inner.term[other])
+        for position, other_position in ((1, 2), (2, 1)):
+            variable: Any = deref(subterm.term[position])
+            value = deref(subterm.term[other_position])
             slot = known.get(variable) if variable.__class__ is Var else None
-            if slot is not None and _is_other(value, slot.kind):
+            if slot is not None and _has_other_type(value, slot.kind):
                 text = (
                     f"{names.get(variable, 'this variable')} is {_numeric_type_name(slot.kind)} ({slot.slot})"
                 )
                 yield RuleError(
                     f"{text}, never {_numeric_type_name(type(value))}: write {numeric}",
-                    inner.spot(inner.term, other),
+                    subterm.spot(subterm.term, other_position),
                 )
 
 
-def _known(program: ProgramModel, events: List[Inner], own: Set[Optional[Functor]]) -> Dict[Var, _NumberSlot]:
-    """Return which variables of events are numbers in slots."""
+def _numeric_variables(
+    program: ProgramModel, events: List[Subterm], own: Set[Optional[Functor]]
+) -> Dict[Var, _NumberSlot]:
+    """Return the variables of events that are numeric slots."""
     known: Dict[Var, _NumberSlot] = {}
     for event in events:
-        for inner, definition in _messages(program, event, own):
-            for at, slot in enumerate(definition.fields, 1):
-                value: Any = deref(inner.term[at])
-                kind = _kind(slot)
+        for subterm, definition in _messages(program, event, own):
+            for position, slot in enumerate(definition.fields, 1):
+                value: Any = deref(subterm.term[position])
+                kind = _number_type(slot)
                 if value.__class__ is Var and kind is not None:
                     known.setdefault(value, _NumberSlot(kind, f"{slot.name} of {definition.name}"))
     return known
 
 
-def _kind(slot: Field) -> Optional[type]:
-    """Return float or int for a slot that has one such number."""
+def _number_type(slot: Field) -> Optional[type]:
+    """Return float or int for a slot with one such number, or None."""
     return None if slot.length is not None else _KINDS.get(slot.type)
 
 
-def _is_other(value: Any, kind: Optional[type]) -> bool:
-    """Tell whether a number is of the other kind."""
+def _has_other_type(value: Any, kind: Optional[type]) -> bool:
+    """Return whether a number has the other type."""
     return kind is not None and value.__class__ in (int, float) and value.__class__ is not kind
 
 
@@ -373,8 +391,12 @@ def _numeric_type_name(kind: Optional[type]) -> str:
     return "a float" if kind is float else "an integer"
 
 
-def _as(kind: Optional[type], value: Any) -> str:
-    """Return how a number is written that is to be of a kind."""
+def _written_as(kind: Optional[type], value: Any) -> str:
+    """Return a number in the notation of a type."""
     if kind is float:
-        return f"{value}.0" if abs(value) < _EXACT else "it with a point"
-    return str(int(value)) if value == value and abs(value) < _EXACT and value == int(value) else "one"
+        return f"{value}.0" if abs(value) < _MAX_EXACT_INTEGER else "it with a point"
+    return (
+        str(int(value))
+        if value == value and abs(value) < _MAX_EXACT_INTEGER and value == int(value)
+        else "one"
+    )

@@ -1,8 +1,14 @@
-"""The program whose events are kept, as far as what keeps them looks at it.
+"""Occurrences of events with their lineage, and the log of all events.
 
-Events as they are remembered: what they came from, what came from them, what they kept from firing.
+An `Occurrence` is an event that was dispatched, with links in both directions: to the match that it was derived from,
+and to the occurrences derived from it. These links are the derivation graph (why-provenance). Negation adds links of
+a third kind: a `Suppressed` match would have fired if a negated event had not occurred; if that event is retracted,
+the match is tried again.
 
-What is kept, written or shown of all events, where flags or facts ask for it.
+Repetitions of a pattern share their events as linked lists of `TrackedMatch`. These are nodes of the derivation graph
+as well, so an occurrence has one link for all results of a run, not one per result.
+
+`EventLog` stores, writes or logs all events if flags or facts of the program request it.
 """
 
 import logging
@@ -38,21 +44,20 @@ if TYPE_CHECKING:
 
 
 class Occurrence:
-    """An event that was dispatched.
+    """Event that was dispatched.
 
     Attributes:
         term, start, end: the event.
-        rule: the rule that fired it, or None.
-        match: what its rule, or the goal that made it, had matched; None for an event from outside.
-        derived: the events that came from it, while it is remembered.
-        forgotten: whether it is too old to be remembered; what waits may still hold it.
-        held: partial matches that hold it.
-        gone: whether it was taken back.
-        reported: whether that has been said: by the ``rev`` that named it, or by one that was derived for it.
-        takes_back: the occurrences that it takes back, for an event ``rev(E)`` that was derived.
-        suppressed: what it has kept from firing, with the node to try again.
-        number: the larger, the later it was dispatched; 0 for what has not happened: an alarm that is pending, or
-            an event that was refused.
+        rule: the rule that raised it, or None.
+        match: match of the rule, or of the goal that created it; None for an input event.
+        derived: occurrences derived from it, as long as it is remembered.
+        forgotten: whether it is too old to be remembered; partial matches may still use it.
+        held: partial matches that use it.
+        gone: whether it was retracted.
+        reported: whether the retraction was reported, by the ``rev`` event that named it or by a derived one.
+        takes_back: for a derived event ``rev(E)``, the occurrences that it retracts.
+        suppressed: matches that it has prevented, with the nodes that try them again.
+        number: order of dispatch; 0 if it has not occurred: a pending alarm, or a rejected event.
     """
 
     __slots__ = (
@@ -88,53 +93,55 @@ class Occurrence:
         self.suppressed: List[Suppressed] = []
         self.number = 0
 
-    def follows(self, found: "Sequence[Tracked]") -> None:
-        """Have what it came from know it."""
-        for source in found:
+    def follows(self, sources: "Sequence[Tracked]") -> None:
+        """Register the occurrence with those that it is derived from."""
+        for source in sources:
             if not source.forgotten:
                 source.derived.append(self)
 
     def sources(self) -> List["Occurrence"]:
-        """Return the occurrences that it came from."""
+        """Return the occurrences that it is derived from."""
         return [] if self.match is None else occurrences_in(self.match)
 
 
 Tracked = Union[Occurrence, TrackedMatch]
 Tried = Union[PartialMatch, Tuple[PartialMatch, PartialMatch]]
-"""A match, or two that are to be joined."""
+"""Match, or two matches that are to be joined."""
 
 
 def following(source: Tracked) -> Iterator[Occurrence]:
-    """Yield the events that came from one and that nobody has been told of; what has been is not gone into.
+    """Yield the occurrences derived from a source whose retraction was not reported yet.
 
-    Nor is what has not happened: nobody knows of it.
+    Reported ones are not descended into. Occurrences that have not happened are skipped: no rule has seen them.
     """
+    # Marking before descending makes the traversal linear: each occurrence is reported once per retraction.
     stack = source.derived[::-1]
     while stack:
-        one = stack.pop()
-        if not one.reported:
-            one.reported = True
-            if isinstance(one, TrackedMatch):
-                stack.extend(reversed(one.derived))
-            elif one.number:
-                yield one
+        derived = stack.pop()
+        if not derived.reported:
+            derived.reported = True
+            if isinstance(derived, TrackedMatch):
+                stack.extend(reversed(derived.derived))
+            elif derived.number:
+                yield derived
 
 
 class TriesAgain(Protocol):
-    """A node that tries again what something kept from firing."""
+    """Node that can try a suppressed match again."""
 
     @property
     def rule(self) -> "EventRule":
-        """The rule it belongs to."""
+        """The rule of the node."""
 
     def retry(self, what: Any, after: Frame, /) -> Frame:
-        """Return the frame that fires what is tried, if it still does, and goes on with ``after``."""
+        """Return the frame that fires the match if it still holds, and goes on with ``after``."""
 
 
 class Suppressed:
-    """A match, or two that were to be joined, which a negated match has kept from firing.
+    """Match, or two matches to be joined, that a negated match has prevented from firing.
 
-    Several occurrences may make up the negated match: taking back any of them sets it free, once.
+    A negated match may consist of several occurrences; the first retraction of one of them releases the suppressed
+    match.
     """
 
     __slots__ = ("node", "what", "number", "freed")
@@ -146,7 +153,7 @@ class Suppressed:
         self.freed = False
 
     def free(self) -> bool:
-        """Tell whether it can be tried again now: not yet set free, and none of its own events taken back."""
+        """Return whether it can be tried now: it was not released before, and its own events are not retracted."""
         if self.freed:
             return False
         self.freed = True
@@ -155,139 +162,146 @@ class Suppressed:
 
 
 def occurrences_in(match: PartialMatch) -> List[Occurrence]:
-    """Return the events of a match, as far as they were tracked."""
+    """Return the tracked events of a match."""
     return [token for token in leaves(match) if isinstance(token, Occurrence)]
 
 
 def known_in(match: PartialMatch) -> List[Tracked]:
-    """Return the events of a match, as far as they were tracked; for repetitions the last linked `TrackedMatch`."""
-    found: List[Tracked] = []
-    for one in sources(match):
-        if isinstance(one, TrackedMatch):
-            _link(one)
-            found.append(one)
-        elif isinstance(one, Occurrence):
-            found.append(one)
-    return found
+    """Return the tracked events of a match, with the last `TrackedMatch` for repetitions, after linking it."""
+    tracked: List[Tracked] = []
+    for source in sources(match):
+        if isinstance(source, TrackedMatch):
+            _link(source)
+            tracked.append(source)
+        elif isinstance(source, Occurrence):
+            tracked.append(source)
+    return tracked
 
 
 def _link(last: TrackedMatch) -> None:
-    """Have what repetitions came from know them, and each of them the next one."""
+    """Register repetitions with the events they are made of, and each repetition with its predecessor."""
     new = []
-    one: Any = last
-    while one.match is not None and not one.linked:
-        one.linked = True
-        new.append(one)
-        one = one.earlier
-    for one in reversed(new):
-        known = known_in(one.match)
-        if one.earlier.match is not None:
-            known.append(one.earlier)
-        for source in known:
-            one.gone = one.gone or source.gone
+    # A run is linked when its first result fires. Links of earlier repetitions exist already, so the walk stops at
+    # the first linked one.
+    repetition: Any = last
+    while repetition.match is not None and not repetition.linked:
+        repetition.linked = True
+        new.append(repetition)
+        repetition = repetition.earlier
+    for repetition in reversed(new):
+        origins = known_in(repetition.match)
+        if repetition.earlier.match is not None:
+            origins.append(repetition.earlier)
+        for source in origins:
+            # Oldest first, so that a retracted repetition marks all that build on it.
+            repetition.gone = repetition.gone or source.gone
             if not source.forgotten:
-                source.derived.append(one)
+                source.derived.append(repetition)
 
 
 log = logging.getLogger("retalis.events")
 
 _EVENT2 = functor("event", 2)
-_KEPT = 100_000
-_FILE = "persistent.txt"
+_MAX_STORED_EVENTS = 100_000
+_PERSISTENT_FILE = "persistent.txt"
 _PERSISTENT = functor("persistent_event", 1)
 _SHOWN = tuple(functor(name, 1) for name in ("external_trigger", "print_trigger", "spy_event"))
 
 
 class EventList(Predicate):
-    """A predicate whose facts name events: as soon as it has one, all events are looked at."""
+    """Predicate whose facts select events; its first fact makes the log observe all events."""
 
     def __init__(self, rules: "RuleBase", store: "EventLog", key: Functor):
         super().__init__(rules.logic.database, key)
         self.dynamic = True
-        self._store = store
+        self._log = store
 
     def changed(self) -> None:
-        """Do what has to be done when a clause comes or goes."""
+        """Start observation when a clause is added or removed."""
         super().changed()
-        self._store.watch()
+        self._log.watch()
 
 
 class EventLog:
-    """Looks on at all events; what is not asked for costs nothing."""
+    """Log of all events. It adds a listener only while a flag or fact requires it, so it is free otherwise."""
 
     def __init__(self, rules: "RuleBase"):
         self._rules = rules
-        self._events: Deque[Tuple[Term, int, int]] = deque(maxlen=_KEPT)
-        self._storing: Optional[Listener] = None
-        self._watching: Optional[Listener] = None
-        self._unwritten = 0
+        self._events: Deque[Tuple[Term, int, int]] = deque(maxlen=_MAX_STORED_EVENTS)
+        self._store_listener: Optional[Listener] = None
+        self._watch_listener: Optional[Listener] = None
+        self._failed_writes = 0
 
     def keep_all(self, on: bool) -> None:
-        """Store events from now on, or no more."""
+        """Start or stop storing events."""
         dispatcher = self._rules.dispatcher
-        if on and self._storing is None:
-            self._storing = dispatcher.listen(ListenerPhase.TRACE, Var(), self._keep)
-        elif not on and self._storing is not None:
-            dispatcher.remove(self._storing)
-            self._storing = None
+        if on and self._store_listener is None:
+            self._store_listener = dispatcher.listen(ListenerPhase.TRACE, Var(), self._store_event)
+        elif not on and self._store_listener is not None:
+            dispatcher.remove(self._store_listener)
+            self._store_listener = None
 
-    def _keep(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+    def _store_event(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         self._events.append((term, start, end))
         return after
 
     def stored(self) -> List[Tuple[Term, int, int]]:
-        """Return what was stored, oldest first."""
+        """Return the stored events, the oldest first."""
         return list(self._events)
 
     def restore(self, events: List[Tuple[Term, int, int]]) -> None:
-        """Have stored what another one had."""
+        """Set the stored events."""
         self._events.extend(events)
 
     def clear(self) -> None:
-        """Forget what was stored."""
+        """Remove all stored events."""
         self._events.clear()
 
     def define(self) -> None:
-        """Have the facts that name events be noticed."""
+        """Define the predicates whose facts select events."""
         for key in (_PERSISTENT, *_SHOWN):
             self._rules.logic.database.predicates[key] = EventList(self._rules, self, key)
 
     def watch(self) -> None:
-        """Write and log the events that facts of the program name, from now on."""
-        if self._watching is None:
-            self._watching = self._rules.dispatcher.listen(ListenerPhase.TRACE, Var(), self._look)
+        """Start to write and log the events that facts of the program select."""
+        if self._watch_listener is None:
+            self._watch_listener = self._rules.dispatcher.listen(ListenerPhase.TRACE, Var(), self._record)
 
-    def _look(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
-        if self._is_named(_PERSISTENT, term):
+    def _record(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+        if self._is_selected(_PERSISTENT, term):
             self._write((_EVENT2, term, interval_term(start, end)))
-        if any(self._is_named(key, term) for key in _SHOWN):
+        if any(self._is_selected(key, term) for key in _SHOWN):
             shown = (_EVENT2, term, interval_term(start, end))
             log.info("%s", self._rules.logic.show(shown))
         return after
 
     def _write(self, event: Term) -> None:
-        """Write a persistent event; what cannot be written is counted and reported at 1, 2, 4, 8 ... of them."""
+        """Write a persistent event; failures are counted and reported at the counts 1, 2, 4, 8 and so on."""
         rules = self._rules
         try:
             door = rules.files.door
-            door.append(os.path.join(door.output, _FILE), f"{rules.logic.show(event)}.\n")
+            door.append(os.path.join(door.output, _PERSISTENT_FILE), f"{rules.logic.show(event)}.\n")
         except RetalisError as error:
-            self._unwritten += 1
-            if self._unwritten & (self._unwritten - 1) == 0:
+            self._failed_writes += 1
+            # Powers of two: a full disk must not produce one warning per event.
+            if self._failed_writes & (self._failed_writes - 1) == 0:
                 rules.on_warning(
-                    UsageError(f"{self._unwritten} persistent events could not be written: {error.message}")
+                    UsageError(
+                        f"{self._failed_writes} persistent events could not be written: {error.message}"
+                    )
                 )
 
-    def _is_named(self, key: Functor, term: Term) -> bool:
+    def _is_selected(self, key: Functor, term: Term) -> bool:
         predicate = self._rules.logic.database.predicates.get(key)
+        # A program may redefine or abolish the predicate.
         if predicate is None or predicate.kind != "user":
             return False
         heads = (clause.head for clause in predicate.live())
-        return any(_names(deref(head[1]), term) for head in heads if head.__class__ is tuple)
+        return any(_selects(deref(head[1]), term) for head in heads if head.__class__ is tuple)
 
 
-def _names(pattern: Term, event: Term) -> bool:
-    """Tell whether ``Name/Arity`` (either may be open) or an event pattern fits an event."""
+def _selects(pattern: Term, event: Term) -> bool:
+    """Return whether ``Name/Arity`` (both may be variables) or an event pattern matches an event."""
     if pattern.__class__ is tuple and pattern[0] is SLASH:
         key = functor_of(event)
         name, arity = deref(pattern[1]), deref(pattern[2])
@@ -301,10 +315,10 @@ def _names(pattern: Term, event: Term) -> bool:
 
 
 def solutions(
-    found: List[Tuple[Term, int, int]], machine: Machine, event: Term, interval: Term
+    stored: List[Tuple[Term, int, int]], machine: Machine, event: Term, interval: Term
 ) -> Iterator[bool]:
-    """Unify an event and its interval with one stored event after the other."""
-    for term, start, end in found:
+    """Unify an event and its interval with each stored event."""
+    for term, start, end in stored:
         mark = len(machine.trail)
         if machine.unify(event, copy(term)) and machine.unify(interval, interval_term(start, end)):
             yield True

@@ -1,4 +1,10 @@
-"""Why an event happened, as a term; or what was missing for one that did not."""
+"""Explanations of events as terms: why an event occurred, and why one did not occur.
+
+`Justifier` answers ``justify_event/3`` and ``justification_edge/2`` from the derivation graph of `LineageTracker`.
+Why-provenance is the tree of an occurrence: the rule that raised it, its match described with the operators of the
+pattern, and recursively the events of that match. Why-not provenance is found for each rule whose head unifies with
+the missing event: its pattern with the events that are remembered, and for each absent event the same again.
+"""
 
 from typing import (
     TYPE_CHECKING,
@@ -57,96 +63,100 @@ _FAILED = atom("failed")
 _FAILED_BODY = functor("failed", 1)
 _UNLABELED = atom("unlabeled")
 _MAX_RULES_EXPLAINED = 500
-"""How many rules an explanation of what did not happen goes through."""
-_WRITTEN_OUT = 100
-"""How many repetitions of a pattern it shows."""
+"""Maximum number of rules in a why-not explanation."""
+_MAX_SHOWN_REPETITIONS = 100
+"""Maximum number of repetitions of a pattern in an explanation."""
 
 
 _Streamed = Union[Windowed, Shaped, Awaited]
 Show = Callable[[Occurrence], Term]
-"""Gives what stands for an event in the term of a match."""
+"""Returns the representation of an event within the term of a match."""
 
 
 class Justifier:
-    """Answers ``justify_event/3`` and ``justification_edge/2`` from what the tracker remembers."""
+    """Explanations from the events that the tracker remembers."""
 
     def __init__(self, rules: "RuleBase", tracker: LineageTracker):
         self._rules = rules
         self._tracker = tracker
 
-    # ---- what happened -------------------------------------------------------------------------------
-
     def edges(self) -> Iterator[Tuple[Term, Term]]:
-        """Yield ``event(H,I)`` and ``clause_body(Label,Body)`` for each remembered event that a rule fired."""
-        for one in self._tracker.all():
-            if one.rule is not None and one.match is not None:
-                body = describe(one.rule.definition.pattern, one.match, _as_event)
-                yield _as_event(one), (_CLAUSE_BODY, _label(one.rule), body)
+        """Yield ``event(H,I)`` and ``clause_body(Label,Body)`` for each remembered event that a rule raised."""
+        for occurrence in self._tracker.all():
+            if occurrence.rule is not None and occurrence.match is not None:
+                body = describe(occurrence.rule.definition.pattern, occurrence.match, _as_event)
+                yield _as_event(occurrence), (_CLAUSE_BODY, _label(occurrence.rule), body)
 
     def explanations(self, event: Term, interval: Term) -> Iterator[Tuple[Term, Term, Term]]:
-        """Yield event, interval and explanation for each occurrence; one explanation where there is none."""
-        found = False
-        for one in self._tracker.all():
-            shown = interval_term(one.start, one.end)
-            if _unifies((event, one.term), (interval, shown)):
-                found = True
-                yield one.term, shown, self._why(one)
-        if not found:
-            yield event, interval, make_list(_Missing(self._rules, self._tracker).why_not(event, interval))
+        """Yield event, interval and explanation for each occurrence, or one why-not explanation if there is none."""
+        has_occurrence = False
+        for occurrence in self._tracker.all():
+            shown = interval_term(occurrence.start, occurrence.end)
+            if _unifies((event, occurrence.term), (interval, shown)):
+                has_occurrence = True
+                yield occurrence.term, shown, self._why(occurrence)
+        if not has_occurrence:
+            yield event, interval, make_list(_WhyNot(self._rules, self._tracker).why_not(event, interval))
 
     def _why(self, root: Occurrence) -> Term:
-        """Return the tree of an occurrence, the newest first; done without recursion along the rules."""
+        """Return the derivation tree of an occurrence."""
         done: Dict[int, Term] = {}
         stack = [root]
+        # Post-order with an explicit stack: chains of derived events can be longer than the recursion limit. The
+        # graph is acyclic, because an event is derived from earlier ones only.
         while stack:
-            one = stack[-1]
-            missing = [source for source in one.sources() if id(source) not in done]
-            if missing:
-                stack += missing
+            occurrence = stack[-1]
+            pending = [source for source in occurrence.sources() if id(source) not in done]
+            if pending:
+                stack += pending
                 continue
             stack.pop()
             label: Term = _UNLABELED
             body: Term = _DEFAULT
-            if one.rule is not None and one.match is not None:
-                label = _label(one.rule)
-                body = describe(one.rule.definition.pattern, one.match, lambda source: done[id(source)])
-            head = (_HEAD, one.term, interval_term(one.start, one.end))
-            done[id(one)] = (_JUSTIFICATION, label, head, body)
+            if occurrence.rule is not None and occurrence.match is not None:
+                label = _label(occurrence.rule)
+                body = describe(
+                    occurrence.rule.definition.pattern, occurrence.match, lambda source: done[id(source)]
+                )
+            head = (_HEAD, occurrence.term, interval_term(occurrence.start, occurrence.end))
+            done[id(occurrence)] = (_JUSTIFICATION, label, head, body)
         return done[id(root)]
 
 
-class _Missing:
-    """What was missing for an event that did not happen, each rule on the way looked at once."""
+class _WhyNot:
+    """Why-not explanation; the number of visited rules is limited."""
 
     def __init__(self, rules: "RuleBase", tracker: LineageTracker):
         self._rules = rules
         self._tracker = tracker
         self._open: Set[Hashable] = set()
-        self._left = _MAX_RULES_EXPLAINED
+        self._rules_left = _MAX_RULES_EXPLAINED
 
     def why_not(self, event: Term, interval: Term) -> List[Term]:
-        """Return one explanation for each rule that could have fired an event."""
+        """Return one explanation for each rule that could have raised an event."""
         key = variant_key(event)
-        found = []
+        explanations = []
         if key not in self._open:
+            # Rules may be recursive: an event is not explained again within its own explanation.
             self._open.add(key)
             for rule in self._rules.rules:
                 explained = self._for_rule(rule, event, interval)
                 if explained is not None:
-                    found.append(explained)
+                    explanations.append(explained)
             self._open.discard(key)
-        return found or [(_JUSTIFICATION, _UNLABELED, (_HEAD, event, interval), _FAILED)]
+        return explanations or [(_JUSTIFICATION, _UNLABELED, (_HEAD, event, interval), _FAILED)]
 
     def _for_rule(self, rule: "EventRule", event: Term, interval: Term) -> Optional[Term]:
         head = rule.definition.head
-        if head is None or not self._left:
+        if head is None or not self._rules_left:
             return None
         trail: Trail = []
         try:
             if not unify(head, event, trail):
                 return None
-            self._left -= 1
+            self._rules_left -= 1
             body = self._pattern(rule.definition.pattern)
+            # Resolved while the head is unified: `undo` below removes the bindings.
             shown = (_HEAD, resolve(event), interval)
             return (_JUSTIFICATION, _label(rule), shown, copy((_FAILED_BODY, body)))
         finally:
@@ -156,7 +166,7 @@ class _Missing:
         if isinstance(pattern, Occurs):
             return self._event(pattern.term)
         if isinstance(pattern, Repeated):
-            pattern = _shown_of(pattern)
+            pattern = _expanded(pattern)
         name, parts = _parts(pattern)
         operands = [part.term if isinstance(part, _Quoted) else self._pattern(part) for part in parts]
         shown = functor(name, len(parts))(*[_as_term(part) for part in parts])
@@ -169,15 +179,16 @@ class _Missing:
 
     def _event(self, term: Term) -> Term:
         term = resolve(term)
-        for one in self._tracker.all():
-            if _unifies((term, one.term)):
-                shown = interval_term(one.start, one.end)
-                return (_JUSTIFICATION, _UNLABELED, (_HEAD, one.term, shown), _DEFAULT)
+        for occurrence in self._tracker.all():
+            if _unifies((term, occurrence.term)):
+                shown = interval_term(occurrence.start, occurrence.end)
+                return (_JUSTIFICATION, _UNLABELED, (_HEAD, occurrence.term, shown), _DEFAULT)
         return self.why_not(term, make_list([Var(), Var()]))[0]
 
 
 def describe(pattern: Pattern, match: PartialMatch, show: Show) -> Term:
-    """Return the term of a match: its events, shown by ``show``, under the names of the operators."""
+    """Return the term of a match: its events, represented by ``show``, below the names of the operators."""
+    # These operators have no operands in an explanation: their match is that of the pattern below them.
     while isinstance(pattern, (Condition, Within)) or (isinstance(pattern, Absent) and pattern.inside):
         pattern = pattern.pattern
     if isinstance(pattern, Occurs):
@@ -197,24 +208,24 @@ def describe(pattern: Pattern, match: PartialMatch, show: Show) -> Term:
     if isinstance(pattern, Either):
         return describe(pattern.branches[parts[0]], parts[1], show)
     if isinstance(pattern, Repeated):
-        return _described_one_by_one(pattern, match, show)
+        return _describe_repeated(pattern, match, show)
     if isinstance(pattern, Pair):
         left = describe(pattern.left, parts[0], show)
         return functor(f"{pattern.operator}f", 2)(left, describe(pattern.right, parts[1], show))
     return _describe_run(pattern, parts, show)
 
 
-def _described_one_by_one(pattern: Repeated, match: PartialMatch, show: Show) -> Term:
-    """Return the term of several repetitions: that of the sequence written out."""
+def _describe_repeated(pattern: Repeated, match: PartialMatch, show: Show) -> Term:
+    """Return the term of repetitions, as that of the equivalent sequence."""
     first, *others = repetitions(match, pattern.times)
     shown = describe(pattern.pattern, first, show)
-    for one in others:
-        shown = functor("seqf", 2)(shown, describe(pattern.pattern, one, show))
+    for repetition in others:
+        shown = functor("seqf", 2)(shown, describe(pattern.pattern, repetition, show))
     return shown
 
 
 def _is_wrapped(parts: Sequence[Any]) -> bool:
-    """Tell whether the parts are those of a condition or action around a match."""
+    """Return whether the parts are those of a condition or action around a match."""
     return (
         bool(parts)
         and isinstance(parts[0], PartialMatch)
@@ -223,9 +234,9 @@ def _is_wrapped(parts: Sequence[Any]) -> bool:
 
 
 def _describe_run(pattern: Any, parts: Sequence[Any], show: Show) -> Term:
-    """Return the term of what is made of any number of matches, or given on by an operator on streams."""
+    """Return the term of a match with any number of repetitions, or of a stream operator."""
     if isinstance(pattern, (Windowed, Shaped, Awaited)):
-        return _describe_streamed(pattern, parts, show)
+        return _describe_stream(pattern, parts, show)
     first = describe(pattern.first, parts[0], show)
     held = [part for part in parts if part.__class__ is TrackedMatch]
     taken = list(held[0].matches) if held else []
@@ -235,11 +246,12 @@ def _describe_run(pattern: Any, parts: Sequence[Any], show: Show) -> Term:
     kind = atom(pattern.kind) if pattern.value is None else functor(pattern.kind, 1)(copy(pattern.value))
     if not taken:
         return functor("aggregate", 2)(kind, first)
+    # The original system lists aggregated events from the newest to the oldest.
     newest_first = [describe(pattern.collected, one, show) for one in reversed(taken)]
     return functor("aggregate", 2 + len(newest_first))(kind, *newest_first, first)
 
 
-def _describe_streamed(pattern: _Streamed, parts: Sequence[Any], show: Show) -> Term:
+def _describe_stream(pattern: _Streamed, parts: Sequence[Any], show: Show) -> Term:
     if isinstance(pattern, Windowed):
         held: List[Any] = [one for one in parts if one.__class__ is TrackedMatch]
         taken = held[0].match.parts if held else ()
@@ -252,7 +264,7 @@ def _describe_streamed(pattern: _Streamed, parts: Sequence[Any], show: Show) -> 
 
 
 def _kinds(pattern: Windowed) -> Term:
-    """Return what a window measures: the list of its kinds, or the only one."""
+    """Return the measures of a window: a list, or the only one."""
     kinds = []
     measured = zip(pattern.kinds, pattern.settings, pattern.values, pattern.scopes)
     for name, setting, value, scope in measured:
@@ -265,7 +277,7 @@ def _kinds(pattern: Windowed) -> Term:
 
 
 def _parts(pattern: Pattern) -> "Tuple[str, List[Union[Pattern, _Quoted]]]":
-    """Return name and operands of a pattern as an explanation shows it."""
+    """Return name and operands of a pattern in an explanation."""
     if isinstance(pattern, Pair):
         return f"{pattern.operator}f", [pattern.left, pattern.right]
     if isinstance(pattern, Either):
@@ -281,7 +293,7 @@ def _parts(pattern: Pattern) -> "Tuple[str, List[Union[Pattern, _Quoted]]]":
     if isinstance(pattern, (Condition, Action)):
         return _parts_with_goal(pattern)
     assert isinstance(pattern, (Windowed, Shaped, Awaited))
-    return _streamed_parts(pattern)
+    return _stream_parts(pattern)
 
 
 def _parts_with_goal(pattern: Union[Condition, Action]) -> "Tuple[str, List[Union[Pattern, _Quoted]]]":
@@ -289,7 +301,7 @@ def _parts_with_goal(pattern: Union[Condition, Action]) -> "Tuple[str, List[Unio
     return name, [pattern.pattern, _Quoted(resolve(pattern.goal))]
 
 
-def _streamed_parts(
+def _stream_parts(
     pattern: _Streamed,
 ) -> "Tuple[str, List[Union[Pattern, _Quoted]]]":
     if isinstance(pattern, Windowed):
@@ -304,13 +316,13 @@ def _streamed_parts(
     ]
 
 
-def _shown_of(part: Repeated) -> Pattern:
-    """Return what an explanation shows of repetitions: the sequence written out, of not too many of them."""
-    return part._replace(times=min(part.times, _WRITTEN_OUT)).written_out()
+def _expanded(part: Repeated) -> Pattern:
+    """Return the equivalent sequence of repetitions, up to a maximum length."""
+    return part._replace(times=min(part.times, _MAX_SHOWN_REPETITIONS)).written_out()
 
 
 class _Quoted:
-    """A part of an explanation that is shown as it stands."""
+    """Part of an explanation that is inserted unchanged."""
 
     def __init__(self, term: Term):
         self.term = term
@@ -322,7 +334,7 @@ def _as_term(part: "Union[Pattern, _Quoted]") -> Term:
     if isinstance(part, Occurs):
         return resolve(part.term)
     if isinstance(part, Repeated):
-        part = _shown_of(part)
+        part = _expanded(part)
     name, parts = _parts(part)
     return functor(name, len(parts))(*[_as_term(one) for one in parts])
 

@@ -1,4 +1,14 @@
-"""What events came from: kept for revision and justification, bounded, and only while a flag asks for it."""
+"""Lineage of events, for retraction and justification; active only while a flag requires it.
+
+`LineageTracker` gives each event an `Occurrence` as its token and links it to its sources. A bounded number of
+occurrences is remembered; older ones are unlinked.
+
+Retraction (``rev(E)``) works in two phases. First, the occurrences of E and everything derived from them are marked
+as gone and removed from all buffers, before any consequence is computed: a rule that ran in between could still use a
+retracted event. Then a ``rev`` event is dispatched for each derived occurrence, and matches that become valid are
+tried again: those that a retracted event had suppressed, and later results of runs from which a repetition was
+removed.
+"""
 
 from collections import deque
 from functools import partial
@@ -33,7 +43,7 @@ if TYPE_CHECKING:
 
 
 KEPT = 100_000
-"""How many events are remembered."""
+"""Maximum number of remembered events."""
 
 REV = functor("rev", 1)
 _SYNCHRONIZED = frozenset(
@@ -41,25 +51,25 @@ _SYNCHRONIZED = frozenset(
 )
 
 
-class _Extends(TriesAgain, Protocol):
-    """A node whose runs are extended."""
+class _RunNode(TriesAgain, Protocol):
+    """Node whose runs are extended by repetitions."""
 
     def results_again(self, run: Run) -> List[PartialMatch]:
-        """Return the later results of a run from which a repetition was taken."""
+        """Return the later results of a run from which a repetition was removed."""
 
     def unmade(self) -> List[TrackedMatch]:
-        """Return what stands for results that do not hold any more without being made of what was taken."""
+        """Return results that do not hold any more although no retracted event is part of them."""
 
 
 Again = Callable[[Frame], Frame]
-"""Dispatches something anew; takes the frame to go on with."""
+"""Function that dispatches or retries something; it takes and returns the next frame."""
 
 
 class LineageTracker:
-    """Remembers events and what they came from; takes back what ``rev`` asks for.
+    """Recorder of events and their lineage; executes retractions.
 
     Attributes:
-        blocker: the negated match that made the last test fail.
+        blocker: the negated match because of which the last test failed.
     """
 
     def __init__(self, rules: "RuleBase"):
@@ -67,75 +77,75 @@ class LineageTracker:
         self._recent: Deque[Occurrence] = deque()
         self._by_term: Dict[Hashable, List[Occurrence]] = {}
         self.listeners: List[Listener] = []
-        self._plain_mark = rules.dispatcher.mark
+        self._untracked_mark = rules.dispatcher.mark
         self.blocker: Optional[PartialMatch] = None
         self._numbers = count()
         self._arrivals = count(1)
-        self._woken = 0
+        self._deadline_number = 0
 
     def configure(self) -> None:
-        """Follow the flags."""
+        """Start or stop tracking according to the flags."""
         dispatcher = self._rules.dispatcher
         for listener in self.listeners:
             dispatcher.remove(listener)
         self.listeners = []
         dispatcher.tracked = self._rules.mode.tracked
         if not self._rules.mode.tracked:
-            dispatcher.mark = self._plain_mark
+            dispatcher.mark = self._untracked_mark
             self.clear()
             return
         dispatcher.mark = self._mark
-        self.listeners.append(dispatcher.listen(ListenerPhase.TRACE, Var(), self._note))
+        self.listeners.append(dispatcher.listen(ListenerPhase.TRACE, Var(), self._remember))
         if self._rules.flags.is_on("revision_flag"):
             self.listeners.append(
                 dispatcher.listen(ListenerPhase.RULES, (REV, Var()), self._take_back, (-1,))
             )
 
     def mend(self) -> None:
-        """Put right what an interrupt may have left half done."""
+        """Repair the state after an interrupt."""
         self._by_term.clear()
-        for one in self._recent:
-            self._by_term.setdefault(term_key(one.term), []).append(one)
-            if one.gone:
-                for match in one.held:
+        for occurrence in self._recent:
+            self._by_term.setdefault(term_key(occurrence.term), []).append(occurrence)
+            if occurrence.gone:
+                # A retraction may have been interrupted after marking and before removal.
+                for match in occurrence.held:
                     if isinstance(match, PartialMatch):
                         match.leave()
 
     def kept(self) -> Tuple[List[Occurrence], int, int]:
-        """Return the events that it remembers, and how many things were suppressed and events came; see `restore`."""
+        """Return the remembered events, and the counters of suppressed matches and of events; see `restore`."""
+        # Reading a counter consumes its value, so both are replaced.
         numbers, arrivals = next(self._numbers), next(self._arrivals)
         self._numbers, self._arrivals = count(numbers), count(arrivals)
         return list(self._recent), numbers, arrivals
 
     def restore(self, kept: Tuple[List[Occurrence], int, int]) -> None:
-        """Remember what another one did."""
+        """Set the state that another tracker returned from `kept`."""
         recent, numbers, arrivals = kept
         self._recent = deque(recent if self._rules.mode.tracked else ())
         self._numbers, self._arrivals = count(numbers), count(arrivals)
         self.mend()
 
     def clear(self) -> None:
-        """Forget all."""
+        """Drop all remembered events."""
         self._recent.clear()
         self._by_term.clear()
 
     def present(self) -> int:
-        """Return the number of the event that is being served; where the clock has woken a node, that of this."""
+        """Return the number of the current event, or of the current deadline if the clock has activated a node."""
         dispatcher = self._rules.dispatcher
-        number: int = self._woken if dispatcher.current is None else dispatcher.token().number
+        number: int = self._deadline_number if dispatcher.current is None else dispatcher.token().number
         return number
 
     def wakes(self) -> int:
-        """Return a number for what the clock wakes: after all events so far, before those that follow."""
-        self._woken = next(self._arrivals)
-        return self._woken
-
-    # ---- remembering ---------------------------------------------------------------------------------
+        """Return a number for a deadline of the clock: after all events so far, before those that follow."""
+        self._deadline_number = next(self._arrivals)
+        return self._deadline_number
 
     def _mark(self, context: Context) -> Occurrence:
-        """Return the token of an event that has none: one from outside, or made by a goal."""
+        """Return the token of an event without one: an input event, or one that a goal created."""
         term, start, end, cause = context[TERM], context[START], context[END], context[CAUSE]
-        if cause.__class__ is Occurrence:  # the event of a query that has waited
+        if cause.__class__ is Occurrence:  # the event of a synchronized query that was answered later
             released = Occurrence(term, start, end, None, None)
             released.follows([cause])
             return released
@@ -148,140 +158,156 @@ class LineageTracker:
         occurrence.follows(known)
         return occurrence
 
-    def _note(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+    def _remember(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         occurrence: Occurrence = self._rules.dispatcher.token()
         occurrence.number = next(self._arrivals)
         self._recent.append(occurrence)
         self._by_term.setdefault(term_key(term), []).append(occurrence)
         if len(self._recent) > KEPT:
             oldest = self._recent.popleft()
+            # The links are cut in both directions; otherwise old occurrences would be kept alive by newer ones.
             oldest.derived = []
             oldest.forgotten = True
             _unlink(oldest)
             key = term_key(oldest.term)
-            found = self._by_term[key]
-            found.remove(oldest)
-            if not found:
+            occurrences = self._by_term[key]
+            occurrences.remove(oldest)
+            if not occurrences:
                 del self._by_term[key]
         return after
 
     def fire(self, rule: "EventRule", match: PartialMatch, head: Term, after: Frame) -> Frame:
-        """Fire a rule and keep what its event came from."""
+        """Fire a rule, and record the lineage of its event."""
         occurrence = Occurrence(head, match.start, match.end, rule, match)
         occurrence.follows(known_in(match))
         return rule.fire(head, match.start, match.end, after, occurrence)
 
     def hold(self, match: PartialMatch) -> None:
-        """Remember that a partial match holds its events."""
+        """Record that a partial match uses its events."""
         for occurrence in known_in(match):
             if occurrence.gone:
                 match.leave()
                 return
             held = occurrence.held
             held.append(match)
+            # Matches that have left their buffer are swept at each doubling, so the cost per match is constant.
             if len(held) > 64 and len(held) & (len(held) - 1) == 0:
                 occurrence.held = [
-                    one for one in held if not isinstance(one, PartialMatch) or one.buffer is not None
+                    match_or_run
+                    for match_or_run in held
+                    if not isinstance(match_or_run, PartialMatch) or match_or_run.buffer is not None
                 ]
 
     def hold_repetition(self, run: Run, match: PartialMatch, node: TriesAgain) -> None:
-        """Remember that a run was extended by a match."""
+        """Record that a run was extended by a match."""
         for occurrence in known_in(match):
             occurrence.held.append((node, run, match))
 
     def suppressed(self, node: TriesAgain, what: Tried) -> None:
-        """Remember what the last negated match has kept from firing."""
+        """Record a match that the last negated match has suppressed."""
         if self.blocker is not None:
             kept = Suppressed(node, what, next(self._numbers))
             for occurrence in known_in(self.blocker):
                 occurrence.suppressed.append(kept)
 
-    # ---- taking back ---------------------------------------------------------------------------------
-
     def _take_back(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
-        """Take back what an event ``rev(E)`` names: all occurrences of E, or the one it was derived for."""
+        """Retract the events of ``rev(E)``: all occurrences of E, or those that a derived ``rev`` is for."""
         token = self._rules.dispatcher.token()
-        found = token.takes_back
+        retracted = token.takes_back
         again: List[Tuple[TriesAgain, Tried]] = []
         unmade: List[Tracked] = []
-        if found is None:
-            found = [one for one in self._by_term.get(term_key(values[0]), ()) if not one.gone]
-            if not found:
+        if retracted is None:
+            retracted = [
+                occurrence for occurrence in self._by_term.get(term_key(values[0]), ()) if not occurrence.gone
+            ]
+            if not retracted:
                 self._rules.took_nothing_back(values[0], token.rule)
                 return after
-            meter = self._meter(token.rule or _rule_after(found))
-            lost = self._forget(found, meter)
-            if lost is None:
+            meter = self._meter(token.rule or _deriving_rule(retracted))
+            removed = self._remove_derived(retracted, meter)
+            if removed is None:
                 return after
-            unmade, again = lost
+            unmade, again = removed
         else:
             meter = self._meter(token.rule)
-        work = _TakingBack(counted(self._steps([*found, *unmade], again, start, end), meter))
+        work = _RetractionSteps(counted(self._steps([*retracted, *unmade], again, start, end), meter))
         return work.run((work, after))
 
     def _meter(self, rule: object) -> Optional[Meter]:
         return self._rules.logic.machine.budget.meter(rule)
 
-    def _forget(
-        self, found: List[Occurrence], meter: Optional[Meter]
+    def _remove_derived(
+        self, retracted: List[Occurrence], meter: Optional[Meter]
     ) -> Optional[Tuple[List[Tracked], List[Tuple[TriesAgain, Tried]]]]:
-        """Take events and all that came from them out of what is kept, before anything follows from that.
+        """Remove events and everything derived from them from all buffers, before consequences are computed.
 
-        Returns what does not hold without them though it was not made of them, and what fires without them, each with
-        its node: what they kept from firing, and the later results of runs that they were part of. If there is too
-        much of it, nothing is taken out, and it returns None.
+        Returns:
+            The results that do not hold any more although they do not contain a removed event, and the matches to try
+            again, each with its node: suppressed matches, and later results of runs that lost a repetition. None if
+            the work limit is exceeded; nothing is removed then.
         """
-        gone = _mark_gone(found, meter)
+        gone = _mark_gone(retracted, meter)
         if gone is None:
             return None
         self._rules.dispatcher.retractions += 1
-        for named in found:
-            named.reported = True
-        runs: Dict[Any, _Extends] = {}
+        # The sender of ``rev`` knows about these: no ``rev`` event is dispatched for them.
+        for occurrence in retracted:
+            occurrence.reported = True
+        runs: Dict[Any, _RunNode] = {}
         kept: List[Suppressed] = []
         unmade: List[Tracked] = []
+        # Removing events can invalidate results of stream operators that do not contain them, and these can have
+        # derived events of their own: repeat until nothing is added.
         while gone:
-            touched = self._forget_all(gone, kept)
+            touched = self._detach(gone, kept)
             runs.update(touched)
-            lost = [one for node in dict.fromkeys(touched.values()) for one in node.unmade() if not one.gone]
-            gone = _mark_gone(lost, meter)  # if that is too much, outputs that are lost stand
-            unmade += lost if gone else ()
-        kept.sort(key=_number)  # as they were tried, which the policy says
+            invalid = [
+                lost_result
+                for node in dict.fromkeys(touched.values())
+                for lost_result in node.unmade()
+                if not lost_result.gone
+            ]
+            gone = _mark_gone(invalid, meter)  # over the limit, invalid outputs remain
+            unmade += invalid if gone else ()
+        kept.sort(key=_number)  # in the order in which they were tried, as the policy requires
         again: List[Tuple[TriesAgain, Tried]] = [
             (node, result) for run, node in runs.items() for result in node.results_again(run)
         ]
-        return unmade, again + [(each.node, each.what) for each in kept if each.free()]
+        return unmade, again + [
+            (suppressed.node, suppressed.what) for suppressed in kept if suppressed.free()
+        ]
 
     @staticmethod
-    def _forget_all(gone: Sequence[Tracked], kept: List[Suppressed]) -> Dict[Any, _Extends]:
-        """Take events that are marked as gone out of what holds them.
+    def _detach(gone: Sequence[Tracked], kept: List[Suppressed]) -> Dict[Any, _RunNode]:
+        """Remove events that are marked as gone from the matches and runs that use them.
 
         Returns:
-            The runs and nodes that are to look again, each with its node; what was suppressed goes to ``kept``.
+            The affected runs with their nodes. Suppressed matches are appended to ``kept``.
         """
-        runs: Dict[Any, _Extends] = {}
-        for one in gone:
-            held, one.held = one.held, []
+        runs: Dict[Any, _RunNode] = {}
+        for node in gone:
+            held, node.held = node.held, []
             for match in held:
                 if isinstance(match, PartialMatch):
                     match.leave()
                 elif match[0].forget(*match[1:]):
                     runs[match[1]] = match[0]
-            kept += one.suppressed
-            one.suppressed = []
+            kept += node.suppressed
+            node.suppressed = []
         return runs
 
     def _steps(
-        self, found: Sequence[Tracked], again: List[Tuple[TriesAgain, Tried]], start: int, end: int
+        self, retracted: Sequence[Tracked], again: List[Tuple[TriesAgain, Tried]], start: int, end: int
     ) -> Iterator[Again]:
-        """Yield functions from a frame to a frame: what is to be done one after the other."""
-        for occurrence in found:
-            for one in following(occurrence):
-                yield self._dispatch_rev(one, start, end)
+        """Yield the steps of a retraction: functions from a frame to a frame."""
+        for occurrence in retracted:
+            for derived in following(occurrence):
+                yield self._dispatch_rev(derived, start, end)
         for node, what in again:
             yield partial(self._retry, node, what)
 
     def _retry(self, node: TriesAgain, what: Tried, after: Frame) -> Frame:
+        # Matches of earlier events may be held back until another event arrives; the ``rev`` event is one.
         node.rule.add_those_of_other_events(self._rules.dispatcher.token())
         return node.retry(what, after)
 
@@ -291,68 +317,66 @@ class LineageTracker:
         token.takes_back = [occurrence]
         return lambda after: self._rules.dispatcher.dispatch(term, start, end, after, token)
 
-    # ---- looking -------------------------------------------------------------------------------------
-
     def all(self) -> List[Occurrence]:
-        """Return the remembered events that were not taken back, oldest first."""
-        return [one for one in self._recent if not one.gone]
+        """Return the remembered events that are not retracted, the oldest first."""
+        return [occurrence for occurrence in self._recent if not occurrence.gone]
 
 
-def _number(one: Suppressed) -> int:
-    return one.number
+def _number(suppressed: Suppressed) -> int:
+    return suppressed.number
 
 
-def _mark_gone(found: Sequence[Tracked], meter: Optional[Meter]) -> Optional[List[Tracked]]:
-    """Mark events, and all that came from them, as gone.
+def _mark_gone(retracted: Sequence[Tracked], meter: Optional[Meter]) -> Optional[List[Tracked]]:
+    """Mark events and everything derived from them as gone.
 
-    Taking them out of what holds them is not stopped half way: a rule would go on with what is gone. So what it takes
-    is counted before.
+    Removing them from the buffers must not be interrupted, because a rule would go on with retracted events. The work
+    is therefore counted here, in advance.
 
     Returns:
-        All that were marked; None after a limit was passed: none is marked then.
+        All marked nodes, or None if the work limit is exceeded; no node is marked then.
     """
-    stack: List[Tracked] = [*reversed(found)]
+    stack: List[Tracked] = [*reversed(retracted)]
     gone: List[Tracked] = []
     while stack:
-        one = stack.pop()
-        if one.gone:
+        node = stack.pop()
+        if node.gone:
             continue
-        if meter is not None and meter(1 + len(one.held) + len(one.suppressed)):
+        if meter is not None and meter(1 + len(node.held) + len(node.suppressed)):
             for marked in gone:
                 marked.gone = False
             return None
-        one.gone = True
-        gone.append(one)
-        stack += reversed(one.derived)
+        node.gone = True
+        gone.append(node)
+        stack += reversed(node.derived)
     return gone
 
 
-def _rule_after(found: Sequence[Occurrence]) -> Optional["EventRule"]:
+def _deriving_rule(retracted: Sequence[Occurrence]) -> Optional["EventRule"]:
     """Return a rule that derived an event from one of some events, or None."""
-    stack: List[Tracked] = [*found]
+    stack: List[Tracked] = [*retracted]
     while stack:
-        for one in stack.pop().derived:
-            if isinstance(one, Occurrence):
-                return one.rule
-            stack.append(one)
+        for derived in stack.pop().derived:
+            if isinstance(derived, Occurrence):
+                return derived.rule
+            stack.append(derived)
     return None
 
 
 def _unlink(oldest: Occurrence) -> None:
-    """Have repetitions that an occurrence came from forget it: they may stay as long as their run does."""
-    one: Any
+    """Remove a dropped occurrence from the repetitions it came from, which live as long as their run."""
+    repetition: Any
     if oldest.match is not None:
-        for one in sources(oldest.match):
-            if one.__class__ is TrackedMatch:
-                one.derived = [derived for derived in one.derived if derived is not oldest]
+        for repetition in sources(oldest.match):
+            if repetition.__class__ is TrackedMatch:
+                repetition.derived = [derived for derived in repetition.derived if derived is not oldest]
 
 
 def _is_synchronized(term: Term) -> bool:
     return term.__class__ is tuple and term[0] in _SYNCHRONIZED
 
 
-class _TakingBack:
-    """Code of a frame that does what is left of taking events back."""
+class _RetractionSteps:
+    """Code of a frame that executes the remaining steps of a retraction."""
 
     __slots__ = ("steps",)
 
