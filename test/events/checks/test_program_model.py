@@ -15,7 +15,7 @@ def test_of_the_same_name_is_taken_before_others_that_are_like_it():
 def test_many_unknown_names_among_many_known_ones_are_not_all_compared(monkeypatch):
     compared = []
     monkeypatch.setattr(
-        program_model, "near", lambda name, names, alike=0.66: compared.append(len(names)) or ""
+        program_model, "closest_name", lambda name, names, alike=0.66: compared.append(len(names)) or ""
     )
     nearby, keys = NearFunctors(), [functor(f"known_{at}", 1) for at in range(400)]
     for at in range(400):

@@ -38,12 +38,14 @@ class Run(Engine):
         return " ".join(self.seen)
 
     @property
-    def rules(self):
+    def event_rules(self):
         return self.rules.rules
 
     def streams(self):
         """Return the operators of all rules."""
-        return [node.stream for rule in self.rules for node, _, _ in rule.nodes if hasattr(node, "stream")]
+        return [
+            node.stream for rule in self.event_rules for node, _, _ in rule.nodes if hasattr(node, "stream")
+        ]
 
 
 EVERY = "{0}(N) <- aggregate(count, in(_), N, every({1})).\n"
@@ -98,7 +100,7 @@ def test_a_clock_that_goes_back_clears_all():
     engine.clock.move_to(0, back=True)
     engine.advance()
     assert sum(len(stream) for stream in engine.streams()) == 0
-    assert sum(rule.held for rule in engine.rules) == 0
+    assert sum(rule.held for rule in engine.event_rules) == 0
     assert engine.feed("in(2)@1") == "w([2])@1-1 t(2)@1-1"
     assert engine.feed("tick@20") == "a(1)@0-2 d(2)@1-2 c(2)@1-6"
 
@@ -128,10 +130,10 @@ def test_no_more_is_held_than_may_be_and_the_oldest_goes(name, flags):
     engine = Run(flags + HOLDING[name], cap=5)
     for number in range(150):
         engine.event(f"in({number})", number / 10)
-        assert engine.rules[0].held <= 5
+        assert engine.event_rules[0].held <= 5
     (stream,) = engine.streams()
     assert entries(stream) <= 100
-    assert engine.rules[0].dropped == 145
+    assert engine.event_rules[0].dropped == 145
     assert len(engine.reports) == 8
     assert engine.reports[0].endswith("more than 5 partial matches; 1 of the oldest have been dropped so far")
     if name in ("last", "running"):
@@ -152,13 +154,13 @@ def test_alarms_and_wishes_are_as_many_as_nodes_wait():
         engine.event(f"in({number})", number / 50)
         assert len(clock.alarms) <= 3
         assert len(own.deadlines) <= 2 * 3 + 64
-    assert sum(rule.held for rule in engine.rules) >= 650
+    assert sum(rule.held for rule in engine.event_rules) >= 650
 
 
 def test_what_comes_too_late_is_counted_and_said_seldom():
     engine = Run("w(N) <- aggregate(count, in(_), N, last(2)).")
     engine.feed("in(1)@10 " + "in(1)@5 " * 9)
-    assert engine.rules[0].late == 9
+    assert engine.event_rules[0].late == 9
     assert [one.rpartition("; ")[2] for one in engine.reports] == [
         "1 so far",
         "2 so far",
@@ -171,7 +173,7 @@ def test_what_comes_too_late_is_counted_and_said_seldom():
 def test_a_value_that_cannot_be_measured_is_reported_and_the_rest_is_measured():
     engine = Run("w(S) <- aggregate(sum(X), in(X), S, last(100)).")
     assert engine.feed("in(1)@1 in(a)@2 in(inf)@2.5 in(1+1)@3") == "w(1)@1-1 w(3)@1-3"
-    assert engine.rules[0].firings.errors == 2
+    assert engine.event_rules[0].firings.errors == 2
     assert [one.rpartition(", ")[2] for one in engine.reports] == [
         "at event in(a): aggregate sum: the value is 'a': expected a number",
         "at event in(inf): aggregate sum: the value is 'inf': expected a number",
@@ -384,7 +386,7 @@ def test_the_clock_goes_on_for_rules_that_are_read_again(tmp_path):
 def test_a_window_that_would_be_over_by_the_clock_does_not_begin(window, said):
     engine = Run(f"w(N) <- aggregate(count, in(_), N, {window}).")
     assert engine.feed("in(1)@1 tick@10 in(2)@6 in(3)@7 tick@10.5") == said
-    assert [rule.late for rule in engine.rules] == [2]
+    assert [rule.late for rule in engine.event_rules] == [2]
     assert "was over" in engine.reports[0]
     assert engine.feed("in(4)@8 tick@20").startswith("w(1)@8-")
 
@@ -458,8 +460,8 @@ def test_matches_of_steps_that_wait_are_given_on_where_what_they_wait_for_is_one
     engine = Run(f"{flags}w(L) <- aggregate(list(X), in(X), L, steps([{steps}])).", cap=5)
     for number in range(20):
         engine.event(f"in({number})", number)
-        assert engine.rules[0].held <= 5
+        assert engine.event_rules[0].held <= 5
     engine.event("in(80)", 20)
     assert [one.partition("@")[0] for one in engine.seen] == [f"w([{number}])" for number in range(20)]
-    assert engine.rules[0].dropped == 3
+    assert engine.event_rules[0].dropped == 3
     assert engine.reports

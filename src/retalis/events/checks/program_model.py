@@ -341,7 +341,7 @@ class EventConsumer(NamedTuple):
         return self.pattern if self.stands_for_event else self.form
 
 
-class DeclaredState(NamedTuple):
+class StateDeclaration(NamedTuple):
     """Declared state, with a function for the places of its parts and a prefix for messages without a place."""
 
     form: StateForm
@@ -393,7 +393,7 @@ class ProgramModel:
         self.declared = rules.declared.now()
         self.memories: List[EventConsumer] = []
         self.subscriptions: List[EventConsumer] = []
-        self.states: List[DeclaredState] = []
+        self.states: List[StateDeclaration] = []
         self._collect_consumers(knowledge)
         self._collect_states(knowledge)
         self._types: Dict[str, Optional[Definition]] = {}
@@ -496,11 +496,11 @@ class ProgramModel:
                     form = state_form(subterm.term)
                 except UsageError:  # reported when it was declared
                     continue
-                self.states.append(DeclaredState(form, subterm.spot, ""))
+                self.states.append(StateDeclaration(form, subterm.spot, ""))
                 seen.add(form.key)
         for state in knowledge.states:
             if state.form.key not in seen:
-                self.states.append(DeclaredState(state.form, everywhere(None), f"{state.name}: "))
+                self.states.append(StateDeclaration(state.form, everywhere(None), f"{state.name}: "))
 
     def topic(self, term: Term) -> str:
         """Return the topic of a subscription as text."""

@@ -96,7 +96,11 @@ class Justifier:
                 has_occurrence = True
                 yield occurrence.term, shown, self._why(occurrence)
         if not has_occurrence:
-            yield event, interval, make_list(_WhyNot(self._rules, self._tracker).why_not(event, interval))
+            yield (
+                event,
+                interval,
+                make_list(_MissingEventExplainer(self._rules, self._tracker).why_not(event, interval)),
+            )
 
     def _why(self, root: Occurrence) -> Term:
         """Return the derivation tree of an occurrence."""
@@ -123,7 +127,7 @@ class Justifier:
         return done[id(root)]
 
 
-class _WhyNot:
+class _MissingEventExplainer:
     """Why-not explanation; the number of visited rules is limited."""
 
     def __init__(self, rules: "RuleBase", tracker: LineageTracker):
