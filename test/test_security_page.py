@@ -43,7 +43,7 @@ FIXED = {
     "names of packages, types, slots": f"a letter first; {ros_names.MAX_NAME_CHARACTERS} characters",
     "the text of an event": f"{millions(MAX_EVENT_TEXT_CHARACTERS)} characters",
     "definitions of message types that publishers send": (
-        f"{type_registry.MOST_TYPES:,} types, {millions(type_registry.MOST_TEXT)} characters in all; each "
+        f"{type_registry.MAX_ADDED_TYPES:,} types, {millions(type_registry.MAX_ADDED_CHARACTERS)} characters in all; each "
         f"{millions(type_registry.MAX_DEFINITION_CHARACTERS)} characters, {type_definition.MAX_SLOTS:,} slots, depth {type_definition.MAX_TYPE_DEPTH}"
     ),
     "`pub_sub.xml`": f"{millions(program_folder.MAX_XML_CHARACTERS)} characters, depth {program_folder.MAX_XML_DEPTH}, no DOCTYPE",

@@ -1,4 +1,9 @@
-"""Caches that are bounded in entries and in bytes: a dictionary each, so that a hit costs a look-up and no more."""
+"""Caches with limits for the number of entries and for their total size in bytes.
+
+A cache is a dictionary, so that a hit costs one lookup and nothing else. It has no eviction order: when a limit is
+exceeded, all entries are dropped. That needs no lock and no bookkeeping on hits; entries that are used often are
+computed again at once, and threads that race compute the same entry twice at worst.
+"""
 
 from typing import Callable, Dict, TypeVar
 
@@ -8,22 +13,20 @@ Key = TypeVar("Key")
 Value = TypeVar("Value")
 
 ENTRY = 200
-"""Bytes that an entry takes besides its key and value: its place in the dictionary, and small objects around it."""
+"""Bytes of an entry in addition to key and value: its part of the dictionary, and small objects around it."""
 
 
 class Cache(Dict[Key, Value]):
-    """What was made for keys, to be found again; it starts anew where it would hold more than it may.
-
-    Starting anew, and not forgetting the oldest, needs no order and no lock: entries that are of use are back at
-    their next use, and threads that race make at worst the same entry twice.
+    """Bounded cache of computed values by key; cleared when it is full.
 
     Args:
-        entries: how many it holds at most.
-        size: how many bytes all entries may take, by what `keep` was told.
-        longest: how many bytes one entry may take; what is larger is not kept. By default a sixteenth of ``size``.
+        entries: maximum number of entries.
+        size: maximum total size of the entries in bytes, as given to `keep`.
+        longest: maximum size of one entry in bytes; larger values are not stored. One sixteenth of ``size`` by
+            default.
 
     Attributes:
-        held: bytes that the entries take.
+        held: total size of the entries in bytes.
     """
 
     __slots__ = ("entries", "size", "longest", "held")
@@ -36,15 +39,17 @@ class Cache(Dict[Key, Value]):
         self.held = 0
 
     def keep(self, key: Key, value: Value, size: int) -> Value:
-        """Keep what was made for a key, if it is not too large; return it.
+        """Store the value of a key unless it is too large; return the value.
 
         Args:
-            key: what it is found by.
-            value: what was made.
-            size: the bytes that key and value take.
+            key: the key.
+            value: the value.
+            size: size of key and value in bytes.
         """
         size += ENTRY
         if size <= self.longest:
+            # Not atomic on purpose: a race between threads can only lose entries or count them twice until the next
+            # `clear`, which resets the count.
             if len(self) >= self.entries or self.held + size > self.size:
                 self.clear()
             self.held += size
@@ -52,13 +57,13 @@ class Cache(Dict[Key, Value]):
         return value
 
     def clear(self) -> None:
-        """Forget all."""
+        """Remove all entries."""
         super().clear()
         self.held = 0
 
 
 class Texts(Cache[str, str]):
-    """What a function makes of texts: ``texts[text]`` is ``make(text)``, kept where it is short.
+    """Cache of a function on strings: ``texts[text]`` is ``make(text)``, stored if it is short.
 
     Args:
         make: the function.
@@ -74,5 +79,5 @@ class Texts(Cache[str, str]):
         self._make = make
 
     def __missing__(self, text: str) -> str:
-        made = self._make(text)
-        return self.keep(text, made, text_size(text) + text_size(made))
+        value = self._make(text)
+        return self.keep(text, value, text_size(text) + text_size(value))

@@ -1,9 +1,12 @@
-"""Long work inside one step of a machine, and who may end it.
+"""Cooperative cancellation of long work within one inference of a Prolog machine.
 
-A machine looks at the limits of a goal between steps. A walk over a large term or an operation on a long text
-is one step, so whatever may take long calls `look` once in a while (every `BULK` of small pieces of work, or
-before each large one, with the bytes that it will need), and who runs a goal in this thread is asked whether it may
-go on.
+A machine checks the limits of a goal (time, inferences, memory) between inferences. Walking over a large term or
+searching a long text is one inference, so such code has to check the limits itself: it calls `look` after every
+`BULK` of small pieces of work, and before each large allocation with its size in bytes. `look` raises an error if
+the goal that runs in this thread must end.
+
+The check finds the goal in one of two ways. A machine that runs in the current thread registers a function with
+`watched_by`; budgets of machines that know which thread they run in are registered once with `watch_for`.
 """
 
 from itertools import chain
@@ -12,17 +15,17 @@ from typing import Callable, Iterable, Iterator, Optional, Protocol, Sequence, T
 from weakref import ref
 
 BULK = (None,) * 1024
-"""Pieces of work, each as small as an inference, between two calls of `look`."""
+"""Number of pieces of work between two calls of `look`, each as small as an inference."""
 
 
 T = TypeVar("T")
 
 Ask = Callable[[int, int], None]
-"""Takes pieces of work and the bytes that are about to be allocated; raises an error to end the work."""
+"""Function of a number of inferences and a number of bytes to be allocated; it raises an error to end the work."""
 
 
 class StepWatch(local):
-    """Whom to ask in a thread; local, because each thread may run a machine of its own."""
+    """Check of the current thread; thread-local, because each thread may run a machine of its own."""
 
     ask: Optional[Ask] = None
 
@@ -31,43 +34,44 @@ WATCH = StepWatch()
 
 
 class WatchedBudget(Protocol):
-    """What knows by itself whether a goal of its own runs in this thread, and what that goal may still use."""
+    """Limits of a goal that knows in which thread it runs."""
 
     @property
     def runs_here(self) -> bool:
-        """Whether a goal of its own runs in this thread."""
+        """True if the goal runs in the current thread."""
 
     def look(self, work: int, size: int) -> None:
-        """Count pieces of work; raises where the goal has to end, or has no room for so many bytes."""
+        """Count inferences; raise an error if the goal must end or may not allocate ``size`` bytes."""
 
 
 _BUDGETS: Tuple[Callable[[], Optional[WatchedBudget]], ...] = ()
-"""Weak references to the budgets that know by themselves in which thread a goal of theirs runs."""
+"""Weak references to the budgets that `look` asks if no function is registered for the thread."""
 
 
 def watch_for(budget: WatchedBudget) -> None:
-    """Have `look` ask a budget wherever a goal of an entry of its own runs; nothing has to be set for each goal."""
+    """Register a budget that `look` asks whenever a goal of it runs in the current thread."""
     global _BUDGETS
-    _BUDGETS = (*[known for known in _BUDGETS if known() is not None], ref(budget))
+    # The tuple is replaced, never changed: `look` iterates over it in other threads.
+    _BUDGETS = (*[reference for reference in _BUDGETS if reference() is not None], ref(budget))
 
 
 def unwatched(work: int, size: int) -> None:
-    """Let any work go on: for `watched_by`."""
+    """Accept any amount of work; an argument of `watched_by` for work without limits."""
 
 
 def look(work: int = len(BULK), size: int = 0) -> None:
-    """Let who runs the goal end it here: raises what the function given to `watched_by` raises.
+    """Check the limits of the goal in this thread; raise its error if it must end.
 
     Args:
-        work: pieces of work since the last call, to be counted as inferences.
-        size: bytes that are allocated next in one piece.
+        work: pieces of work since the last call, counted as inferences.
+        size: bytes of the next allocation.
     """
-    ask = WATCH.ask
-    if ask is not None:
-        ask(work, size)
+    check = WATCH.ask
+    if check is not None:
+        check(work, size)
         return
-    for known in _BUDGETS:
-        budget = known()
+    for reference in _BUDGETS:
+        budget = reference()
         if budget is not None and budget.runs_here:
             budget.look(work, size)
 
@@ -81,7 +85,7 @@ def in_bulks(parts: Sequence[T]) -> Iterable[Sequence[T]]: ...
 
 
 def in_bulks(parts: Sequence[T]) -> Iterable[Sequence[T]]:
-    """Return the parts of a list or the characters of a text, `BULK` at a time, with a `look` between them."""
+    """Return the items of a list or the characters of a text in slices of `BULK`, with a `look` between them."""
     return (parts,) if len(parts) <= len(BULK) else _bulks(parts)
 
 
@@ -93,12 +97,12 @@ def _bulks(parts: Sequence[T]) -> Iterator[Sequence[T]]:
 
 
 def watched(parts: Sequence[T]) -> Iterable[T]:
-    """Return the parts of a list one by one, with a `look` after each `BULK` of them."""
+    """Return the items of a list one by one, with a `look` after every `BULK` of them."""
     return parts if len(parts) <= len(BULK) else chain.from_iterable(_bulks(parts))
 
 
 def watched_by(ask: Optional[Ask]) -> Optional[Ask]:
-    """Have `look` call a function in this thread; return the one before, to be put back."""
-    before = WATCH.ask
+    """Register the function that `look` calls in this thread; return the previous one, which must be restored."""
+    previous = WATCH.ask
     WATCH.ask = ask
-    return before
+    return previous

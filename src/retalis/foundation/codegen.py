@@ -1,9 +1,9 @@
-"""Python made at run time: the one place where text becomes code.
+"""Compilation of generated Python source: the only module that turns text into code.
 
-The names in generated source are made by the code that writes it: ``a1``, ``k7``. Whatever comes from outside (names
-of types and predicates, atoms, texts) is bound to such a name as a value and never stands in the source. Should
-something slip in all the same, the code sees only what it was given and the few functions of `_BUILTINS`: no imports,
-no files, no evaluation of texts.
+Identifiers in generated source are created by the generator (``a1``, ``k7``). Anything from outside (names of types
+and predicates, atoms, strings) is bound to such an identifier as a value and never becomes part of the source. As a
+second line of defence, generated code sees only the globals that it is given and the few functions of `_BUILTINS`: no
+imports, no files, no ``eval``.
 """
 
 import builtins
@@ -36,28 +36,28 @@ _BUILTINS: Dict[str, object] = {
         "tuple",
     )
 }
-"""What generated code may use without having been given it."""
+"""Built-in functions that generated code may use."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,30}\Z")
 _COST = 20
-"""Bytes that a function takes for each character of its source."""
+"""Estimated memory of a compiled function, in bytes per character of its source."""
 
 MAX_TERM_ARGUMENTS = 1500
-"""Arguments in all the compounds of a term for which code is made; for larger ones the general routines are used.
+"""Maximum number of arguments in a term, nested ones included, for which code is generated.
 
-What a message or a rule of a person has stays far below. Python's compiler takes time that grows faster than long
-functions do.
+Larger terms use the general routines: the time of Python's compiler grows faster than linearly with the length of a
+function. Messages and rules that people write stay far below.
 """
 
 _serials = count(1)
 
 _Key = Tuple[str, Tuple[str, ...], str]
 _makers: Cache[_Key, Callable[..., Any]] = Cache(1000, 16 << 20, _COST * 8000)
-"""Longer sources are not kept: those of two rules are hardly ever alike."""
+"""Functions of `shared_function` by source. Longer sources are not cached, because they are rarely equal."""
 
 
 class _GeneratedSource:
-    """Shows generated source in tracebacks: `linecache` asks for it, and it lives as long as the code does."""
+    """Loader that `linecache` asks for the source of generated code in tracebacks; it lives as long as the code."""
 
     __slots__ = ("_text",)
 
@@ -69,13 +69,13 @@ class _GeneratedSource:
 
 
 class BoundNames:
-    """The names in a source that is being written: of values that it is given, and of its own variables.
+    """Allocator of identifiers in generated source, for variables and for values.
 
     Args:
-        given: what has a name already; the names that are added stand there, too.
+        given: names that exist already; new names of values are added to this dictionary.
 
     Attributes:
-        values: the values by their names, as `function` takes them.
+        values: values by name, as `function` expects them.
     """
 
     __slots__ = ("values", "_serial", "_constants")
@@ -86,7 +86,7 @@ class BoundNames:
         self._constants: Dict[Hashable, str] = {}
 
     def name(self, prefix: str, value: Any = None) -> str:
-        """Return a new name, for a variable, or of a value that is not None."""
+        """Return a new identifier; it is bound to ``value`` unless that is None."""
         self._serial += 1
         name = f"{prefix}{self._serial}"
         if value is not None:
@@ -94,7 +94,7 @@ class BoundNames:
         return name
 
     def constant(self, value: Any, key: Hashable) -> str:
-        """Return the name of a value, the same for all that have one key."""
+        """Return the identifier of a value, which is the same for all values with the same key."""
         name = self._constants.get(key)
         if name is None:
             name = self._constants[key] = self.name("k")
@@ -112,8 +112,8 @@ class Block(NamedTuple):
             b = c()
 
     Attributes:
-        header: its first line, as ``if a:``.
-        body: the statements in it; without any it is left out.
+        header: its first line, for example ``if a:``.
+        body: its statements. A block without statements is omitted.
     """
 
     header: str
@@ -125,7 +125,7 @@ Statement = Union[str, Block]
 
 
 def source_of(statements: Iterable[Statement], depth: int = 0) -> str:
-    """Return the source of statements, indented by so many steps."""
+    """Return the source of statements, indented by ``depth`` levels."""
     lines = []
     for statement in statements:
         if isinstance(statement, str):
@@ -141,21 +141,22 @@ def tuple_source(items: Iterable[str]) -> str:
 
 
 def define(source: str, names: Dict[str, Any], title: str) -> Dict[str, Any]:
-    """Add the functions of a source to the names that they may use, and return these.
+    """Execute function definitions in the given globals, and return these.
 
     Args:
         source: function definitions, ASCII.
-        names: what the functions may name; it is their globals from now on.
-        title: what they are, for tracebacks; any text.
+        names: globals of the functions; the functions are added.
+        title: description for tracebacks; any text.
 
     Raises:
-        ValueError: where a name is none of ours, or the source holds what no source of ours does.
+        ValueError: if a name is not an identifier of generated source, or the source is not ASCII.
     """
     if not source.isascii():
         raise ValueError("generated source must be ASCII")
     for name in names:
         if not _NAME.match(name):
             raise ValueError(f"{shortened(name)} is not a name for generated source")
+    # `linecache` identifies sources by file name, so the name must be unique. Tracebacks then show the source.
     file = f"retalis, {_clean(title)} #{next(_serials)}"
     names["__name__"] = file
     names["__loader__"] = _GeneratedSource(source)
@@ -166,26 +167,28 @@ def define(source: str, names: Dict[str, Any], title: str) -> Dict[str, Any]:
 
 
 def function(lines: Iterable[str], names: Mapping[str, object], title: str, name: str = "made") -> Any:
-    """Return the function that ``lines`` define under a name, which they do not use; see `define`.
+    """Return the function that ``lines`` define under ``name``; see `define`.
 
-    It is not among its own globals: nothing of it stays until the collector of cycles comes, which it does seldom.
+    The function is removed from its own globals. Otherwise the two would form a reference cycle, and memory would be
+    freed only by the cyclic garbage collector, which runs rarely here. Functions can therefore not call themselves.
     """
     return define("\n".join(lines) + "\n", dict(names), title).pop(name)
 
 
 def shared_function(source: str, names: Mapping[str, object], title: str) -> Any:
-    """Return the function that ``source`` defines as ``made``; functions of one source share their code.
+    """Return the function that ``source`` defines as ``made``; functions with the same source share their code
+    object.
 
-    Rules that are alike but for their constants do not each wait for the interpreter to get used to theirs, nor push
-    each other's out of the processor's caches.
+    Rules that differ in constants only then share what CPython's adaptive interpreter has specialized, and occupy
+    the processor's caches once.
     """
     key = source, tuple(names), title
-    maker = _makers.get(key) or _makers.keep(key, _maker(*key), _COST * len(source))
-    return maker(*names.values())
+    factory = _makers.get(key) or _makers.keep(key, _maker(*key), _COST * len(source))
+    return factory(*names.values())
 
 
 def _maker(source: str, names: Tuple[str, ...], title: str) -> Callable[..., Any]:
-    """Return a function that makes the function of a source for the values of names."""
+    """Return a factory that binds values to ``names`` and returns the function of a source."""
     for name in names:
         if not _NAME.match(name):
             raise ValueError(f"{shortened(name)} is not a name for generated source")
@@ -196,5 +199,5 @@ def _maker(source: str, names: Tuple[str, ...], title: str) -> Callable[..., Any
 
 
 def _clean(title: str) -> str:
-    """Return a title as it may stand in a file's name: no NUL, no surrogates, one line."""
+    """Return a title in a form that is valid in a file name: no NUL, no surrogates, one line."""
     return shortened(title).strip("'\"") if not (title.isascii() and title.isprintable()) else title[:200]

@@ -1,46 +1,49 @@
-"""Errors of the package: one root, and a place in a text for every error that is about a text."""
+"""Exceptions of the package, positions in source texts, and safe display of external text.
+
+All exceptions derive from `RetalisError`. Errors about a text have a `Place`, which includes the source line, so that
+they can be shown with a caret after the source is gone. Texts from outside are shortened and escaped before display.
+"""
 
 import json
 import re
 from typing import Iterable, List, NamedTuple, Optional
 
 SHOWN = 200
-"""Characters of a text from outside that are kept and shown."""
+"""Maximum number of characters of an external text that are stored and displayed."""
 
 
 MAX_MESSAGE_CHARACTERS = 4000
-"""Characters that the message of an error may have."""
+"""Maximum length of an error message."""
 
 
 def beginning(text: str, most: int = SHOWN) -> str:
-    """Return a text as it is kept and shown: its beginning where it is long."""
+    """Return a text, shortened to its first ``most`` characters."""
     return text if len(text) <= most else f"{text[:most]}..."
 
 
-_ACTED_ON = re.compile(
+_FORGING_CHARACTERS = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\xad\u061c\u180e\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb"
     "\ufffe\uffff\ud800-\udfff\U000e0000-\U000e007f]|(?<![^\x00-\x7f])[\u200c\u200d]"
 )
-"""Characters that forge what is displayed: C0 but newline and tab, DEL, C1, marks of direction, characters without a
-width, halves of surrogate pairs, and what XML 1.0 does not have. Joiners (U+200C, U+200D) belong to words and emoji,
-so they are let through behind a character that is not ASCII."""
+"""Characters that could forge the display: C0 except newline and tab, DEL, C1, direction marks, characters without
+width, unpaired surrogates, and characters that XML 1.0 excludes. Joiners (U+200C, U+200D) are part of words and
+emoji, so they are allowed after a character that is not ASCII."""
 
 
 def printable(text: str) -> str:
-    r"""Return a text with escapes in place of what a terminal, a log or XML would act on, or has no way to show.
+    r"""Return a text in which characters that a terminal, a log or XML would interpret are escaped.
 
-    It is for each place where a text leaves the program for somebody to read. Newlines and tabs stay.
-
+    It is applied wherever a text leaves the program for display. Newlines and tabs are kept.
     >>> print(printable("\x1b[31m alarm \u202e"))
     \x1b[31m alarm \u202e
     """
     if text.isascii() and text.isprintable():
         return text
-    return _ACTED_ON.sub(lambda found: ascii(found[0])[1:-1], text)
+    return _FORGING_CHARACTERS.sub(lambda match: ascii(match[0])[1:-1], text)
 
 
 def printable_json(data: object) -> str:
-    """Return data as JSON for a page that shows it, all its texts `printable`."""
+    """Return data as JSON for display in a web page, with all strings made `printable`."""
     return json.dumps(_printable_parts(data))
 
 
@@ -55,8 +58,8 @@ def _printable_parts(data: object) -> object:
 class Place(NamedTuple):
     """A position in a text; line and column count from 1.
 
-    ``text`` is the line itself, so that the error can be shown without reading the source again; of a long one the
-    part around the column, which begins ``before`` characters after the start of the line.
+    ``text`` is the line itself, so that the error can be shown without reading the source again. Of a long line, it
+    is the part around the column, which begins ``before`` characters after the start of the line.
 
     >>> try:
     ...     Engine().query("X = (a b)")
@@ -76,13 +79,13 @@ class Place(NamedTuple):
 
     @property
     def character(self) -> str:
-        """What stands there; nothing at the end of a line.
+        """The character at the position; empty at the end of a line.
 
         >>> Place("mine", 1, 3, "a $ b").character
         '$'
         """
-        at = self.column - 1 - self.before
-        return self.text[at : at + 1]
+        index = self.column - 1 - self.before
+        return self.text[index : index + 1]
 
     def context(self) -> str:
         """Return the source line and, under it, a caret at the column.
@@ -91,16 +94,18 @@ class Place(NamedTuple):
         a $ b
           ^
         """
-        at = self.column - 1 - self.before
-        lead = "".join("\t" if char == "\t" else " " for char in self.text[:at])
+        index = self.column - 1 - self.before
+        # Tabs are repeated, so that the caret is in the right column at any tab width.
+        lead = "".join("\t" if char == "\t" else " " for char in self.text[:index])
         return f"{self.text}\n{lead}^"
 
 
 def place_on(source: str, line: int, text: str, start: int, offset: int) -> Place:
-    """Return the place of the character at ``offset`` of a text, on a line that begins at ``start``."""
+    """Return the place of the character at ``offset`` of a text, in the line that begins at ``start``."""
     end = text.find("\n", offset, offset + SHOWN)
     if end < 0:
         end = min(len(text), offset + SHOWN)
+    # Only a part of at most SHOWN characters around the offset is copied: a line may be as long as the file.
     before = max(0, min(offset - SHOWN // 2, end - SHOWN) - start)
     shown = text[start + before : min(end, start + before + SHOWN)]
     return Place(source, line, offset - start + 1, shown, before)
@@ -118,23 +123,23 @@ def place_at(source: str, text: str, offset: int) -> Place:
 
 
 def shortened(text: str) -> str:
-    """Return a text from outside as an error shows it: quoted, in ASCII, its first characters."""
+    """Return an external text for an error message: quoted, in ASCII, and shortened."""
     return ascii(text) if len(text) <= SHOWN else f"{ascii(text[:SHOWN])}... ({len(text)} characters)"
 
 
 def counted(number: int, one: str, many: str = "") -> str:
-    """Return a number of things in words: ``1 slot``, ``2 slots``; ``many`` where it is not ``one`` and an s."""
+    """Return a count with its noun: ``1 slot``, ``2 slots``; ``many`` is an irregular plural."""
     return f"{number} {one if number == 1 else many or f'{one}s'}"
 
 
 def undecodable(error: UnicodeDecodeError) -> str:
-    """Return what is wrong with a text that is not UTF-8, and where."""
+    """Return an error text for bytes that are not UTF-8, with line and byte."""
     line = error.object.count(b"\n", 0, error.start) + 1
     return f"not UTF-8 text (line {line}: {error.reason} 0x{error.object[error.start]:02x})"
 
 
 class RetalisError(Exception):
-    """Root of all errors that this package raises on purpose.
+    """Base class of all errors that this package raises on purpose.
 
     >>> try:
     ...     Engine().query("X = [1, 2")
@@ -144,7 +149,7 @@ class RetalisError(Exception):
 
     Attributes:
         message: what is wrong and what was expected, in one sentence.
-        place: where in a text, or None.
+        place: position in a source text, or None.
     """
 
     def __init__(self, message: str, place: Optional[Place] = None):
@@ -170,7 +175,7 @@ class RetalisError(Exception):
 
 
 class SyntaxFault(RetalisError):
-    """A text that does not read as a term.
+    """A syntax error in a term.
 
     >>> try:
     ...     Engine().query("smoke(kitchen")
@@ -181,7 +186,7 @@ class SyntaxFault(RetalisError):
 
 
 class RuleError(RetalisError):
-    """A rule, clause or directive that reads well and cannot be accepted.
+    """A rule, clause or directive that is syntactically correct but not allowed.
 
     >>> try:
     ...     Engine().load(rules="alarm <- 7.")
@@ -192,7 +197,7 @@ class RuleError(RetalisError):
 
 
 class Omission(RetalisError):
-    """What a Prolog file was loaded without: a term that does not read, a clause or directive that is wrong.
+    """A warning about a term, clause or directive of a Prolog file that was skipped because of an error.
 
     >>> found = []
     >>> class Told(Reports):
@@ -208,14 +213,14 @@ class Omission(RetalisError):
 
 
 MAX_ERRORS = 100
-"""Errors of a file that are kept and shown."""
+"""Maximum number of errors of a file that are stored and shown."""
 
 
 class Errors(List[RetalisError]):
-    """What is wrong with a file, as it is found: the first errors are kept, the others counted.
+    """Errors of a file: a list of the first `MAX_ERRORS` errors, and the number of further ones.
 
     Attributes:
-        more: how many were not kept.
+        more: number of errors that were not stored.
     """
 
     def __init__(self) -> None:
@@ -223,27 +228,27 @@ class Errors(List[RetalisError]):
         self.more = 0
 
     def append(self, error: RetalisError) -> None:
-        """Take an error."""
+        """Add an error, or count it if the list is full."""
         if len(self) < MAX_ERRORS:
             super().append(error)
         else:
             self.more += 1
 
     def extend(self, errors: Iterable[RetalisError]) -> None:
-        """Take errors, and count those that were not kept of them."""
+        """Add errors, including the number of those that were not stored in ``errors``."""
         for error in errors:
             self.append(error)
         self.more += getattr(errors, "more", 0)
 
     def with_rest(self) -> List[RetalisError]:
-        """Return the errors, and as the last one how many more there are."""
+        """Return the errors, followed by one that states the number of further errors if there are any."""
         return [*self, RetalisError(f"there are {self.more} more")] if self.more else list(self)
 
 
 class ProgramErrors(RetalisError):
-    """All errors of a file at once; nothing of the file is active.
+    """All errors of a file; nothing of the file is active.
 
-    Of many the first `MAX_ERRORS` are there, and one that says how many more there are.
+    If there are more than `MAX_ERRORS`, the last entry states the number of further errors.
 
     >>> try:
     ...     Engine().load(rules="a <- b. c <- 7. d <- . e <- f.", source="mine")
@@ -253,16 +258,16 @@ class ProgramErrors(RetalisError):
     """
 
     def __init__(self, errors: Iterable[RetalisError]):
-        found = errors if isinstance(errors, Errors) else Errors()
-        if found is not errors:
-            found.extend(errors)
-        self.errors: List[RetalisError] = found.with_rest()
+        collected = errors if isinstance(errors, Errors) else Errors()
+        if collected is not errors:
+            collected.extend(errors)
+        self.errors: List[RetalisError] = collected.with_rest()
         super().__init__("")
         self.message = "\n".join(str(error) for error in self.errors)
 
 
 class MessageError(RetalisError):
-    r"""A message, message definition, or term that is to become one, which does not fit its type.
+    r"""A message or message definition that is invalid, or a term that does not fit a message type.
 
     >>> try:
     ...     Definitions().add("my_robot/Bumper", "bool left\nbool centre of it")
@@ -273,7 +278,7 @@ class MessageError(RetalisError):
 
 
 class UsageError(RetalisError):
-    """A call of the package that asks for what cannot be (an id that is taken, an unknown memory).
+    """An invalid call of the package, for example with a duplicate id or an unknown memory.
 
     >>> try:
     ...     Engine().event("smoke(kitchen)", 3, 2)
@@ -284,7 +289,7 @@ class UsageError(RetalisError):
 
 
 class TermTooLarge(RetalisError):
-    """A term that contains itself, or is so large that nothing can be done with it in reasonable time."""
+    """A cyclic term, or a term that is too large to be processed in reasonable time."""
 
     def __init__(self) -> None:
         super().__init__("the term contains itself or is too large")

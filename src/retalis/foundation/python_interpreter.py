@@ -1,6 +1,7 @@
-"""What Python interpreters differ in: CPython counts who holds an object, PyPy looks for it now and then.
+"""Differences between Python interpreters: reference counting, garbage collection, and built-in functions.
 
-Whatever holds for one of them only stands here, in two versions of the same; no other module names it.
+CPython counts references, PyPy traces objects from time to time. Each function that differs is defined here twice; no
+other module refers to the interpreter.
 """
 
 import gc
@@ -14,16 +15,16 @@ from weakref import ref
 PYPY = sys.implementation.name == "pypy"
 
 LONG_DECIMALS = find_spec("_decimal") is not None
-"""Whether numbers of `decimal` are fast: where a PyPy has them in Python only, long ones take minutes."""
+"""True if `decimal` is implemented in C. Long numbers take minutes in the pure Python version of some PyPy builds."""
 
 O_PATH = getattr(os, "O_PATH", 0)
-"""Opens a folder without reading what is in it; a Python that has no name for it opens it to be read."""
+"""Flag that opens a folder without the right to list it; 0 (read access) if Python does not define it."""
 
 remove_dead: Callable[[Dict[Any, Any], Any], None]
-"""Takes a weak reference whose object is gone out of a table, by its key and in one step; leaves any other."""
+"""Atomically remove the weak reference of a key from a dictionary if its object is dead; keep any other value."""
 
 SEEN_AT: int
-"""How many objects make it worth asking `seen_elsewhere`; PyPy walks all that there is for it."""
+"""Minimum number of objects for which `seen_elsewhere` is worthwhile; PyPy traces the whole heap for it."""
 
 if not PYPY:
     from _weakref import _remove_dead_weakref  # type: ignore[attr-defined]
@@ -31,35 +32,38 @@ if not PYPY:
 
     remove_dead = _remove_dead_weakref
     SEEN_AT = 20_000
+    # Reference count of an object that only a local variable refers to; corrected below.
     _alone = 1
 
     def seen_elsewhere(objects: List[Any], kind: type) -> List[Any]:
-        """Empty a list of objects; return those that something else holds, and all that are of another class."""
-        seen = []
+        """Empty a list of objects; return those that are referenced elsewhere, and all of other classes."""
+        referenced = []
         objects.reverse()
-        while objects:  # first to last: what goes may have been the last to hold a later one
-            one = objects.pop()
-            if getrefcount(one) > _alone or one.__class__ is not kind:
-                seen.append(one)
-        return seen
+        # First to last: an object that is dropped may hold the last reference to a later one.
+        while objects:
+            candidate = objects.pop()
+            if getrefcount(candidate) > _alone or candidate.__class__ is not kind:
+                referenced.append(candidate)
+        return referenced
 
     def confine(code: CodeType, names: Dict[str, Any], allowed: Dict[str, Any]) -> None:
-        """Have code that is run with these names find no other built-in functions than those allowed."""
+        """Restrict the built-in functions of code that runs with these globals to those allowed."""
         names["__builtins__"] = allowed
 
     def releasing(release: Callable[[Any], None]) -> List[Any]:
-        """Return a new list. What ``del`` takes off its end ends there, the last first, if nothing else holds it.
+        """Return a new list. Items that ``del`` removes from its end are freed at once, last to first.
 
         Args:
-            release: what it takes to end an item where the interpreter does not do so by itself.
+            release: ends an item on interpreters that do not free objects at once.
         """
         return []
 
+    # Up to Python 3.13, the argument of the call counts as a further reference.
     if seen_elsewhere([object()], object):
-        _alone = 2  # the argument counts as well, up to Python 3.13
+        _alone = 2
 
     def text_size(text: str) -> int:
-        """Return how many bytes a text takes."""
+        """Return the size of a string in bytes."""
         return getsizeof(text)
 
 else:
@@ -70,49 +74,52 @@ else:
 
     SEEN_AT = 500_000
 
-    def _remove_dead(table: Dict[Any, Any], key: Any) -> None:
-        reference = table.get(key)
+    def _remove_dead(dictionary: Dict[Any, Any], key: Any) -> None:
+        reference = dictionary.get(key)
         if reference is not None and reference() is None:
-            delitem_if_value_is(table, key, reference)
+            delitem_if_value_is(dictionary, key, reference)
 
     remove_dead = _remove_dead
 
     def seen_elsewhere(objects: List[Any], kind: type) -> List[Any]:
-        """Empty a list of objects; return those that something else holds, and all that are of another class."""
-        found = [ref(one) if one.__class__ is kind else one for one in objects]
+        """Empty a list of objects; return those that are referenced elsewhere, and all of other classes."""
+        # Only weak references remain: what survives a full collection is referenced elsewhere.
+        entries = [ref(item) if item.__class__ is kind else item for item in objects]
         objects.clear()
         gc.collect()
-        seen = [one() if one.__class__ is ref else one for one in found]
-        return [one for one in seen if one is not None]
+        survivors = [entry() if entry.__class__ is ref else entry for entry in entries]
+        return [item for item in survivors if item is not None]
 
     class _Releasing(list):  # type: ignore[type-arg]
-        """A list that tells of what is taken off its end."""
+        """A list that passes items removed from its end to `release`."""
 
         __slots__ = ("release",)
 
         release: Callable[[Any], None]
 
         def __delitem__(self, where: Any) -> None:
-            gone = self[where]
+            removed = self[where]
             super().__delitem__(where)
-            while gone:
-                self.release(gone.pop())
+            while removed:
+                self.release(removed.pop())
 
     def releasing(release: Callable[[Any], None]) -> List[Any]:
-        """Return a new list. What ``del`` takes off its end is released then, the last first."""
-        made = _Releasing()
-        made.release = release
-        return made
+        """Return a new list. Items that ``del`` removes from its end are released at once, last to first."""
+        result = _Releasing()
+        result.release = release
+        return result
 
     def confine(code: CodeType, names: Dict[str, Any], allowed: Dict[str, Any]) -> None:
-        """Refuse code that looks for other built-in functions than those allowed: it would find all of them.
+        """Reject code that refers to built-in functions that are not allowed.
+
+        PyPy ignores ``__builtins__`` in the globals, so the code itself is inspected.
 
         Raises:
-            NameError: where it does.
+            NameError: if it does.
         """
-        for one in get_instructions(code):
-            if one.opname in ("LOAD_GLOBAL", "LOAD_NAME"):
-                name = one.argval
+        for instruction in get_instructions(code):
+            if instruction.opname in ("LOAD_GLOBAL", "LOAD_NAME"):
+                name = instruction.argval
                 if name not in names and name not in allowed and hasattr(builtins, name):
                     raise NameError(f"name {name!r} is not defined")
         for inner in code.co_consts:
@@ -120,58 +127,59 @@ else:
                 confine(inner, names, allowed)
 
     def text_size(text: str) -> int:
-        """Return how many bytes a text takes at most."""
+        """Return an upper bound for the size of a string in bytes."""
         return 64 + 4 * len(text)
 
 
 class YoungCollector:
-    """Garbage collection that walks new objects only, so that its pauses do not grow with the heap.
+    """Generational garbage collection whose pauses do not grow with the heap.
 
-    CPython walks all objects of a generation in one go, about 100 ns for each. With many live objects, a
-    collection of the second generation takes as long as one of the oldest. Here, what has survived a collection
-    of the second generation is frozen: no later collection walks it. It is still freed when its last reference
-    goes. Only objects in a reference cycle that becomes garbage after it was frozen remain; they are found by
-    a collection of everything, which is due when the heap has grown more than can be explained.
+    CPython visits all objects of a generation in one pause, about 100 ns per object. With many live objects, a
+    collection of the second generation takes as long as one of the oldest. This class freezes (`gc.freeze`) the
+    objects that survive a collection of the second generation, so that later collections skip them. Frozen objects
+    are still freed when their reference count drops to zero. Only reference cycles that become garbage after they
+    were frozen remain. They are found by a full collection, which runs when the heap has grown by more than the
+    live records explain.
 
-    PyPy collects in small steps by itself; it is left alone.
+    PyPy collects incrementally by itself, so this class does nothing there.
 
     Args:
-        explained: returns how many live records are known to the owner; called during a collection.
+        explained: returns the number of live records that the owner knows; called during a collection.
     """
 
     YOUNG = 2000
-    """Number of new objects after which the youngest generation is collected."""
+    """Number of new objects that triggers a collection of the youngest generation."""
     MIDDLE = 2
-    """Number of such collections after which the second generation is collected, of some 8,000 objects."""
+    """Number of such collections that triggers one of the second generation, of some 8,000 objects."""
     RARELY = 1_000_000
-    """Number of those after which CPython would collect the oldest generation, most of which is frozen."""
+    """Number of those that would trigger a collection of the oldest generation, most of which is frozen."""
     SPARE_BLOCKS = 4_000_000
-    """Blocks of memory, of some 60 bytes, that may be garbage before everything is collected at work."""
+    """Memory blocks of about 60 bytes that may be garbage before a full collection while events are processed."""
     SPARE_BLOCKS_IDLE = 250_000
-    """Blocks that may be garbage before everything is collected at a moment without work."""
+    """Memory blocks that may be garbage before a full collection at idle times."""
     BLOCKS_OF_RECORD = 16
-    """Blocks of memory that a record explains: a partial match with its event has ten."""
+    """Memory blocks that a live record explains: a partial match with its event has ten."""
 
     def __init__(self, explained: Callable[[], int]):
         self._explained = explained
-        self._usual = gc.get_threshold()
+        self._default_thresholds = gc.get_threshold()
         self._full_due = False
         self._blocks = 0
         self._records = 0
 
     @property
     def _active(self) -> bool:
-        return not PYPY and self._collected in gc.callbacks
+        return not PYPY and self._on_collection in gc.callbacks
 
     def start(self) -> None:
-        """Collect and freeze what is not frozen yet, and walk only newer objects from now on."""
+        """Collect and freeze all objects, and start to visit only newer ones."""
         gc.collect()
         if PYPY:
             return
         if not self._active:
-            self._usual = gc.get_threshold()
-            gc.callbacks.append(self._collected)
-        self._begin_anew()
+            self._default_thresholds = gc.get_threshold()
+            gc.callbacks.append(self._on_collection)
+        self._freeze_survivors()
         # CPython delays a full collection until the survivors since the last one are a quarter of what that one left.
         # After a collection of nothing, this condition always holds.
         gc.collect()
@@ -179,26 +187,26 @@ class YoungCollector:
     def stop(self) -> None:
         """Restore the thresholds from before `start`, and unfreeze everything."""
         if self._active:
-            gc.callbacks.remove(self._collected)
-            gc.set_threshold(*self._usual)
+            gc.callbacks.remove(self._on_collection)
+            gc.set_threshold(*self._default_thresholds)
             gc.unfreeze()
 
     def collect_if_due(self) -> bool:
-        """Collect everything if garbage may have gathered since the last time; for moments without work.
+        """Run a full collection if garbage may have accumulated since the last one; call this at idle times.
 
-        It takes about 100 ns for each live object.
+        It takes about 100 ns per live object.
 
         Returns:
-            Whether it did.
+            True if a collection was run.
         """
         due = self._active and self._has_grown(1.25, self.SPARE_BLOCKS_IDLE)
         if due:
             gc.unfreeze()
             gc.collect()
-            self._begin_anew()
+            self._freeze_survivors()
         return due
 
-    def _begin_anew(self) -> None:
+    def _freeze_survivors(self) -> None:
         gc.freeze()
         self._full_due = False
         self._blocks = sys.getallocatedblocks()
@@ -207,9 +215,10 @@ class YoungCollector:
             gc.set_threshold(self.YOUNG, self.MIDDLE, self.RARELY)
 
     def _has_grown(self, factor: float, blocks: int) -> bool:
-        """Return whether the heap has grown past a limit, without what live records explain."""
+        """Return whether the heap has grown beyond a limit, apart from the growth that live records explain."""
         now = sys.getallocatedblocks()
-        if now < self._blocks:  # what has gone must not hide what gathers
+        # Blocks that were freed since then must not hide new garbage: measure growth from the smaller heap.
+        if now < self._blocks:
             self._blocks, self._records = now, self._explained()
         limit = factor * self._blocks + blocks
         if now <= limit:
@@ -217,17 +226,17 @@ class YoungCollector:
         more = max(0, self._explained() - self._records)
         return now - self.BLOCKS_OF_RECORD * more > limit
 
-    def _collected(self, phase: str, info: Dict[str, int]) -> None:
-        """React to the end of a collection: freeze what is left, or have the next collection walk everything.
+    def _on_collection(self, phase: str, info: Dict[str, int]) -> None:
+        """React to the end of a collection: freeze the survivors, or prepare a full collection.
 
-        A collection cannot be started from here, as one is running. With a threshold of 0, CPython makes the next
-        one a full one, if what has survived since the last one is at least a quarter of what survived that one.
+        A collection cannot be started from a callback, because one is running. With a threshold of 0, CPython makes
+        the next one a full one, if the survivors since the last one are at least a quarter of its survivors.
         """
         if phase == "start" or info["generation"] == 0:
             return
         if self._full_due:
             if info["generation"] == 2:
-                self._begin_anew()
+                self._freeze_survivors()
         elif self._has_grown(3, self.SPARE_BLOCKS):
             self._full_due = True
             gc.unfreeze()
@@ -237,10 +246,10 @@ class YoungCollector:
 
 
 def stop_collecting() -> None:
-    """Exempt all objects from garbage collection; call it right before the process exits.
+    """Disable garbage collection for all objects; call this immediately before the process exits.
 
-    CPython runs several full collections while it exits. Each one visits every object, to free memory that the system
-    frees at once afterwards.
+    CPython runs several full collections at exit. Each visits every object, only to free memory that the operating
+    system reclaims anyway.
     """
     if not PYPY:
         gc.disable()

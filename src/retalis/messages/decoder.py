@@ -1,13 +1,18 @@
-"""Source of decoding functions: from the bytes of a type, piece by piece, to the source of its term.
+"""Decoding of serialized messages into event terms, by functions that are generated for each message type.
 
-Source of decoding functions for messages that are numbers, then texts, then numbers.
+Serialized ROS 1 messages are little-endian and unaligned: numbers have fixed sizes; strings and arrays of variable
+length are preceded by a 32-bit count. The generator walks over the type definition once and writes Python source:
 
-Message bytes to event terms, by functions that are generated for each type.
+* consecutive slots of fixed size are read with one `struct` call, however deep they are nested;
+* long arrays and strings become lazy terms, so that data which no rule reads is sliced out but never decoded;
+* an array of elements of equal size is decoded with one `Struct.iter_unpack` over its slice;
+* elements of different sizes are decoded one after the other, because only decoding finds where the next begins.
 
-The generated source reads each run of fixed-size slots with one `struct` call. Long arrays and texts become
-lazy terms: what no rule looks at is cut out of the message and left undecoded. Where a message is numbers,
-then texts, then numbers, all texts are looked up at once by the bytes they make up (a robot's frame names
-come again and again); so one transform costs two `struct` calls and one look-up.
+`FrameSource` generates a second form for the layout "numbers, then strings, then numbers", which covers transforms,
+odometry and stamped poses. Their strings are frame names, which repeat in every message. All strings are therefore
+looked up at once in a bounded cache, by the bytes from the first string to the last one. A transform then costs two
+`struct` calls and one lookup. If a message does not fit (an array with more than one element), the general function
+decodes it.
 """
 
 from copy import copy
@@ -50,10 +55,17 @@ from .type_definition import (
 
 
 class DecoderSource:
-    """Source of the function for one type, in the making.
+    """Generator of the decoding function of one message type.
 
-    Runs of fixed-size slots are collected until something of variable size comes. ``base`` is the source of
-    the place where the run starts.
+    Consecutive slots of fixed size are collected in a run, which `flush` ends when a value of variable size follows.
+
+    Attributes:
+        lines: the statements of the function so far; they advance the offset ``o`` in the bytes ``data``.
+        names: the globals of the function.
+        base: source of the offset that the start of the run is relative to.
+        shift: bytes from ``base`` to the start of the run.
+        format: `struct` codes of the run.
+        targets: variables of the values of the run.
     """
 
     def __init__(self) -> None:
@@ -78,13 +90,13 @@ class DecoderSource:
         self.targets: List[str] = []
 
     def constant(self, value: Union[Atom, Functor]) -> str:
-        """Return the name of an atom or a functor."""
+        """Return the global name that the generated source uses for an atom or a functor."""
         return self._given.constant(value, value)
 
-    # What a message is made of; the source of the term is returned.
+    # The following methods add the statements that read a value, and return the expression of its term.
 
     def message(self, definition: Definition) -> str:
-        """Return the source of a whole message's term."""
+        """Return the expression of a whole message."""
         if not definition.fields:
             return self.constant(atom(definition.functor_name))
         head = self.constant(functor(definition.functor_name, len(definition.fields)))
@@ -92,7 +104,7 @@ class DecoderSource:
         return f"({head}, {', '.join(parts)})"
 
     def slot(self, slot: Field) -> str:
-        """Return the source of a slot: of one value, or of an array."""
+        """Return the expression of a slot: a single value or an array."""
         if slot.length is None:
             return self.single(slot)
         if slot.length == VARIABLE:
@@ -130,7 +142,7 @@ class DecoderSource:
         return f"Lazy(C, {self.name('make', _maker(slot))}, {value})"
 
     def variable(self, slot: Field) -> str:
-        """Return the source of an array whose length the bytes say."""
+        """Return the expression of an array whose length precedes its elements."""
         number = self.fixed("I")
         self.flush()
         if slot.is_bytes:
@@ -151,20 +163,22 @@ class DecoderSource:
         return value
 
     def alike(self, slot: Field, number: str) -> str:
-        """An array whose elements have no bytes: all are one term."""
+        """Return the expression of an array whose elements have no bytes: all elements are the same term."""
+        # Such elements occupy no bytes, so the message's size does not bound their number; `check_bare` does.
         return f"alike({self.single(slot._replace(length=None))}, {number})"
 
     def elements(self, slot: Field, number: str) -> str:
-        """An array whose elements differ in size: each is decoded to find the next."""
+        """Return the expression of an array whose elements differ in size."""
         self.flush()
         read = self.name("read", variable_array(*_compile_element(slot)))
         value = self.name("t")
         self.lines.append(f"{value}, o = {read}(data, {self.place()}, {number})")
+        # The end of the array is only known when the generated code runs: offsets restart at the variable `o`.
         self.base, self.shift = "o", 0
         return value
 
     def string(self) -> str:
-        """Return the source of a text."""
+        """Return the expression of a string."""
         number = self.fixed("I")
         self.flush()
         self.move(number)
@@ -176,26 +190,26 @@ class DecoderSource:
         return value
 
     def blob(self, number: str) -> str:
-        """Return the source of an array of bytes, so many of them."""
+        """Return the expression of an array of ``number`` bytes."""
         self.move(number)
         value = self.name("t")
         self.lines.append(f"{value} = blob(data[s:o])")
         return value
 
-    # Runs.
+    # Runs of slots of fixed size.
 
     def fixed(self, code: str) -> str:
-        """Add a value of fixed size to the run, by its `struct` code; return its name."""
+        """Add a value to the run, by its `struct` code; return the variable that holds it."""
         self.format += code
         self.targets.append(self.name("v"))
         return self.targets[-1]
 
     def place(self) -> str:
-        """Return the source of the place where the run starts."""
+        """Return the source of the offset at which the run starts."""
         return f"{self.base} + {self.shift}" if self.shift else self.base
 
     def flush(self) -> None:
-        """End the run: add the line that reads it."""
+        """End the run: add the statement that unpacks it."""
         if not self.format:
             return
         layout = Struct("<" + self.format)
@@ -205,13 +219,13 @@ class DecoderSource:
         self.format, self.targets = "", []
 
     def move(self, size: str) -> None:
-        """Set ``s`` and ``o`` to the start and the end of ``size`` bytes that come next."""
+        """Set ``s`` and ``o`` to the start and the end of the next ``size`` bytes."""
         self.lines += [f"s = {self.place()}", f"o = s + {size}"]
         self.base, self.shift = "o", 0
 
 
 def _compile_element(slot: Field) -> Tuple[Callable[[bytes, int], Tuple[Term, int]], int]:
-    """Return the function that decodes one element of an array, and the least size of one."""
+    """Return the function that decodes one element of an array, and the minimum size of an element in bytes."""
     code = DecoderSource()
     result = code.single(slot._replace(length=None))
     code.flush()
@@ -222,7 +236,7 @@ def _compile_element(slot: Field) -> Tuple[Callable[[bytes, int], Tuple[Term, in
 
 
 def _compile_records(slot: Field) -> Callable[[bytes], Term]:
-    """Return the function that makes the list of an array's elements, which are of one size."""
+    """Return the function that decodes an array of elements of equal size into a list."""
     code = DecoderSource()
     result = code.single(slot._replace(length=None))
     layout = Struct("<" + code.format)
@@ -236,22 +250,25 @@ def _maker(slot: Field) -> Callable[[bytes], Term]:
 
 
 _BESIDE = 400
-"""Bytes of what is kept beside the texts under one name."""
+"""Bytes that one value cached beside the strings of a message costs, as an estimate for the cache's limit."""
 
 
 class Unsuited(Exception):
-    """The type is not numbers, texts, numbers."""
+    """Raised if a type does not have the layout "numbers, strings, numbers"."""
 
 
 class Watch(NamedTuple):
-    """Who looks at the stamps of messages while these are read: their frames are looked up then in any case.
+    """Observer of the stamps of messages, called while a message is decoded.
+
+    The cache of frame names is looked up for every message anyway, so comparing the second of the stamp there costs
+    almost nothing.
 
     Attributes:
-        texts: how many texts of a message name its frames, which have to be all that it has.
-        get: gives for the bytes of these texts what has the attribute ``second``, which is known; None for none.
-            What it gives no more has a negative one from then on.
-        look_all: looks at a message that is read in another way. What it raises comes out.
-        look: the same for a message of another second, of which the frames' bytes and the time are known.
+        texts: number of strings that name the frames; the type must have no other strings.
+        get: returns the state of a frame by its bytes, or None. A state has the attribute ``second``: the second of
+            the last observed stamp, negative for a state that ``get`` does not return any more.
+        look_all: called with a message that the general function decodes. Its exceptions propagate.
+        look: called with the bytes of the frames and the time in nanoseconds, if the second has changed.
     """
 
     texts: int
@@ -261,7 +278,7 @@ class Watch(NamedTuple):
 
 
 class _Nothing:
-    """What is known of frames that nobody has looked at."""
+    """State of frames without an observed stamp: no second equals -1."""
 
     second = -1
 
@@ -270,12 +287,12 @@ _NOTHING = _Nothing()
 
 
 class FrameSource(DecoderSource):
-    """Source for types that are numbers, then texts, then numbers.
+    """Generator of decoding functions for types that are numbers, then strings, then numbers.
 
-    An array of messages at the end is taken to have one element.
+    The last array of messages is assumed to have one element, as in nearly every ``tf2_msgs/TFMessage``.
 
     Args:
-        watch: looks at the stamps of messages that are read.
+        watch: observes the stamps of the messages that are decoded.
     """
 
     def __init__(self, watch: Optional[Watch] = None) -> None:
@@ -285,10 +302,10 @@ class FrameSource(DecoderSource):
         self.before: Tuple[str, List[str]] = ("", [])
         self.count: Optional[str] = None
         self.beside: List[str] = []
-        """Variables whose values are kept beside the texts of a message's frames, None at first."""
+        """Variables of values that are cached beside the strings of a message; None until they are first computed."""
 
     def string(self) -> str:
-        """Add a text, which stands beside the others."""
+        """Add a string; all strings of the message must be adjacent."""
         if self.texts and self.format:
             raise Unsuited
         if not self.texts:
@@ -298,7 +315,7 @@ class FrameSource(DecoderSource):
         return self.texts[-1]
 
     def variable(self, slot: Field) -> str:
-        """Add the array of messages, if it is the only one and before all texts."""
+        """Add the array of messages, if it is the only array and precedes all strings."""
         if slot.definition is None or self.texts or self.count:
             raise Unsuited
         self.count = self.fixed("I")
@@ -306,20 +323,25 @@ class FrameSource(DecoderSource):
         return self.only(element)
 
     def only(self, element: str) -> str:
-        """Return the source of the list of one element."""
+        """Return the expression of a list of one element."""
         return f"(C, {element}, N)"
 
     def elements(self, slot: Field, number: str) -> str:
-        """Refuse: elements that differ in size are not of this shape."""
+        """Refuse elements that differ in size: they do not fit the layout."""
         raise Unsuited
 
     def build(self, definition: Definition, general: Callable[[bytes], object]) -> List[str]:
-        """Return the source of the whole function, which falls back on ``general``, which looks by itself.
+        """Return the source of the whole function.
+
+        Args:
+            definition: the message type.
+            general: decodes messages that do not fit; it calls the observer itself.
 
         Raises:
-            Unsuited: where the type is not of this shape.
+            Unsuited: if the type does not have the layout.
         """
-        if definition.measure.may_be_bare:  # which have to be counted first
+        # Zero-byte elements must be counted before anything is decoded.
+        if definition.measure.may_be_bare:
             raise Unsuited
         result = self.message(definition)
         head, tail = Struct("<" + self.before[0]), Struct("<" + self.format)
@@ -333,6 +355,8 @@ class FrameSource(DecoderSource):
             lines.append(f"    {', '.join(self.before[1])}, = head(data)")
         if self.count:
             lines.append(f"    if {self.count} != 1: return general(data)")
+        # The strings' bytes are those between the two runs of numbers. A key of other lengths is parsed by `learn`,
+        # which returns None if the counts in it do not add up, for example in a truncated message.
         lines += [
             f"    key = data[{head.size}:{-tail.size if tail.size else ''}]",
             "    k = known(key)",
@@ -343,74 +367,83 @@ class FrameSource(DecoderSource):
         if tail.size:
             lines.append(f"    {', '.join(self.targets)}, = tail(data, {-tail.size})")
         lines += ["  except StructError:", "    return general(data)"]
-        found = list(self.texts)
+        # A cached entry has the strings, the values beside them, and the frame's state, which `look` replaces.
+        variables = list(self.texts)
         if self.watch is not None:
-            found.append("f")
-        found[len(self.texts) : len(self.texts)] = self.beside
-        lines.append(f"  {', '.join(found)}{'' if len(found) == 1 else ','} = k")
+            variables.append("f")
+        variables[len(self.texts) : len(self.texts)] = self.beside
+        lines.append(f"  {', '.join(variables)}{'' if len(variables) == 1 else ','} = k")
         if self.watch is not None:
             lines += self._look(self.watch)
         lines += self.prepare(tail.size)
         return [*lines, f"  return {result}"]
 
     def _look(self, watch: Watch) -> List[str]:
-        """Return the lines that have a message looked at whose second is not known of its frames.
+        """Return the statements that call the observer if the second of the stamp differs from the frame's state.
 
         Raises:
-            Unsuited: where the frames are not all texts, or no stamp stands where a header has it.
+            Unsuited: if not all strings name frames, or the message does not begin with a header's stamp.
         """
-        at = 2 if self.count else 1  # behind ``seq``
+        # The seconds follow ``seq``, and the array's count if there is an array.
+        second_index = 2 if self.count else 1
         code, targets = self.before
-        if len(self.texts) != watch.texts or code[: at + 2] != "I" * (at + 2):
+        if len(self.texts) != watch.texts or code[: second_index + 2] != "I" * (second_index + 2):
             raise Unsuited
         get, look_at = watch.get, watch.look
 
         def look(key: bytes, second: int, nanosecond: int, known: List[object]) -> None:
-            """Have a message looked at, and keep what is known of its frames beside the texts."""
+            """Call the observer, and cache the state of the frames beside the strings."""
             seen = get(key)
             try:
                 if seen is None or seen.second != second:
                     look_at(key, second * SECOND + nanosecond)
                     seen = get(key)
             finally:
+                # Also after an exception: the entry must not refer to a state that the observer has dropped.
                 known[-1] = seen or _NOTHING
 
         self.names["look"] = look
-        second, nanosecond = targets[at : at + 2]
+        second, nanosecond = targets[second_index : second_index + 2]
         return [f"  if f.second != {second}: look(key, {second}, {nanosecond}, k)"]
 
     def _cache_texts(self) -> None:
-        """Have ``known`` and ``learn`` give all texts of a message by the bytes that they make up."""
-        more = _BESIDE * len(self.beside)
-        cache: Cache[bytes, object] = Cache(2048, 2 << 20, 1024 + more) if more else text_cache()
-        number = len(self.texts)
-        kept, watched, beside = self.kept, self.watch is not None, [None] * len(self.beside)
+        """Define ``known`` and ``learn``, which return the strings of a message by the bytes that they occupy."""
+        beside_bytes = _BESIDE * len(self.beside)
+        cache: Cache[bytes, object] = (
+            Cache(2048, 2 << 20, 1024 + beside_bytes) if beside_bytes else text_cache()
+        )
+        string_count = len(self.texts)
+        cached_value, watched, beside = self.kept, self.watch is not None, [None] * len(self.beside)
 
         def learn(key: bytes) -> object:
-            read = read_texts(key, number)
-            if read is None:
+            strings = read_texts(key, string_count)
+            if strings is None:
                 return None
-            texts = [kept(text) for text in read]
+            values = [cached_value(text) for text in strings]
+            # A list, because the generated code replaces the cached values in place.
             if watched or beside:
-                known = [*texts, *beside, *([_NOTHING] if watched else ())]
-                return cache.keep(key, known, TEXT_COST * len(key) + more)
-            return keep_text(cache, key, tuple(texts) if number > 1 else texts[0])
+                entry = [*values, *beside, *([_NOTHING] if watched else ())]
+                return cache.keep(key, entry, TEXT_COST * len(key) + beside_bytes)
+            return keep_text(cache, key, tuple(values) if string_count > 1 else values[0])
 
         self.names.update(known=cache.get, learn=learn)
 
     def prepare(self, tail: int) -> List[str]:
-        """Return the lines that make what the result needs besides, ``tail`` being the bytes behind the texts.
+        """Return statements that compute further values for the result.
 
-        They find what is known of the frames in ``k``, and in it, after the texts, what is kept `beside` them.
+        The entry of the cache is in the variable ``k``; the values of `beside` follow the strings in it.
+
+        Args:
+            tail: number of bytes after the strings.
         """
         return []
 
     def finish(self, result: str) -> str:
-        """Return the source of what the function gives, from the source of the message's term."""
+        """Return the expression that the function returns, from the expression of the message."""
         return result
 
     def kept(self, text: Term) -> object:
-        """Return what stands for a text in it."""
+        """Return the value that is cached for a string."""
         return text
 
 
@@ -427,17 +460,17 @@ class Decoder:
 
     Args:
         definition: the type.
-        bare: how many elements without bytes a message may have.
+        bare: maximum number of zero-byte elements in a message.
 
     Attributes:
         definition: the type.
         functor: the functor of its event terms (arity 0: the term is an atom).
-        decode: the function from the bytes of a message to its term. Raises `MessageError` where the bytes
-            are no such message.
+        decode: the function from the bytes of a message to its term. Raises `MessageError` if the bytes are not a
+            message of this type.
         stamp: the function from the bytes to the time of ``header.stamp`` in nanoseconds; None for a zero
             stamp, and always for a type without a header.
-        watch: who looks at the stamps of the messages that `decode` reads; None for nobody.
-        plain: the same decoder with nobody who looks, where there is somebody; otherwise None.
+        watch: observer of the stamps of the messages that `decode` reads, or None.
+        plain: the same decoder without the observer; None if there is no observer.
     """
 
     __slots__ = ("definition", "functor", "decode", "stamp", "watch", "plain")
@@ -451,9 +484,9 @@ class Decoder:
         self.plain: Optional[Decoder] = None
 
     def lazy(self, data: bytes) -> Term:
-        """Return the term of a message, decoded when something looks at it.
+        """Return a term that is decoded on first access.
 
-        A message that is broken is found out only then.
+        A malformed message is therefore reported on first access, not by this call.
 
         >>> definitions = Definitions()
         >>> decoder = definitions.decoder(definitions.add("my_robot/Bumper", "bool left"))
@@ -466,10 +499,10 @@ class Decoder:
 
 
 def watching_decoder(decoder: Decoder, watch: Watch) -> Decoder:
-    """Return a decoder that has somebody look at the stamps of the messages that it reads.
+    """Return a decoder that passes the stamps of the messages that it decodes to an observer.
 
     Raises:
-        Unsuited: where the type is not of the form for that.
+        Unsuited: if the type does not have the layout that `FrameSource` supports.
     """
     plain = decoder.decode
 
@@ -477,11 +510,11 @@ def watching_decoder(decoder: Decoder, watch: Watch) -> Decoder:
         watch.look_all(data)
         return plain(data)
 
-    found = copy(decoder)
-    found.decode = _compile_frames(decoder.definition, general, watch)
-    found.watch = watch
-    found.plain = decoder
-    return found
+    watching = copy(decoder)
+    watching.decode = _compile_frames(decoder.definition, general, watch)
+    watching.watch = watch
+    watching.plain = decoder
+    return watching
 
 
 def _compile_decode(definition: Definition, bare: int) -> Decode:
@@ -492,6 +525,7 @@ def _compile_decode(definition: Definition, bare: int) -> Decode:
     code.names["fail"] = _failing(definition)
     lines = ["def decode(data):", "  try:", *("    " + line for line in code.lines)]
     lines += [
+        # Trailing bytes are an error as well: they mean that the publisher uses another version of the type.
         f"    if len(data) != {code.place()}: fail(data)",
         "  except StructError: fail(data)",
         f"  return {result}",
@@ -513,7 +547,10 @@ def _compile_frames(definition: Definition, general: Decode, watch: Optional[Wat
 
 
 def _checked(definition: Definition, bare: int, decode: Decode) -> Decode:
-    """Return the function of a type with arrays that a few bytes may say anything of: they are counted before."""
+    """Return a decoding function that first limits the number of zero-byte elements.
+
+    Without the limit, a message of a few bytes could claim 2**32 elements and exhaust the memory.
+    """
 
     def checked(data: bytes) -> Term:
         check_bare(definition, data, bare)

@@ -1,8 +1,12 @@
-"""Event terms to message bytes.
+"""Encoding of event terms into serialized messages, by functions that are generated for each message type.
 
-For each type a function is generated that takes terms apart by unpacking and packs each run of fixed-size
-slots with one `struct` call. It takes what events are made of and nothing else; whatever it stumbles over
-goes to `checking`, which takes every form that is allowed and says exactly what is wrong with the others.
+The generated function unpacks a term with tuple assignments, compares all functors in one condition, and packs each
+run of slots of fixed size with one `struct` call. It accepts only the forms that decoded events have: numbers, lists,
+atoms for strings, and lazy arrays, whose bytes are copied without decoding them.
+
+Any exception of the fast function leads to `CheckingEncoder`, which accepts every allowed form (Prolog strings, byte
+lists, ``datime`` terms, ``inf``) and reports exactly what is wrong with others. Errors are therefore detailed without
+checks in the fast function.
 """
 
 from struct import Struct, pack
@@ -32,7 +36,7 @@ class Encoder:
     Attributes:
         definition: the type.
         encode: the function ``encode(term, topic="")`` from an event term to the bytes of a message. Raises
-            `MessageError`, which names the topic, the slot and what was expected, where the term is none.
+            `MessageError`, which names the topic, the slot and what was expected, if the term is not such a message.
     """
 
     __slots__ = ("definition", "encode")
@@ -43,11 +47,11 @@ class Encoder:
 
 
 class _Unusual(Exception):
-    """The term is not as events are, or not right at all: to be looked at closely."""
+    """Raised by the generated function for terms that `CheckingEncoder` must handle."""
 
 
 class _PackedTexts(Cache[Atom, bytes]):
-    """The bytes of atoms that stand for texts, length included; bounded."""
+    """Cache of the bytes of atoms that stand for strings, with the length before them."""
 
     def read(self, term: Term) -> bytes:
         raw = text_bytes(term) if term.__class__ is Atom else raw_bytes(term)
@@ -64,7 +68,7 @@ _ERRORS = (_Unusual, MessageError, ValueError, TypeError, KeyError, StructError,
 
 
 class _EncoderSource:
-    """Source of the function for one type, in the making."""
+    """Generator of the encoding function of one message type."""
 
     def __init__(self) -> None:
         self.lines: List[str] = []
@@ -93,8 +97,8 @@ class _EncoderSource:
         head = self.name("f")
         parts = [self.name("v") for _ in definition.fields]
         self.lines.append(f"{head}, {', '.join(parts)} = {value}")
-        wanted = functor(definition.functor_name, len(definition.fields))
-        self.checks.append(f"{head} is not {self.name('F', wanted)}")
+        expected_functor = functor(definition.functor_name, len(definition.fields))
+        self.checks.append(f"{head} is not {self.name('F', expected_functor)}")
         for slot, part in zip(definition.fields, parts):
             self.slot(slot, part)
 
@@ -123,13 +127,14 @@ class _EncoderSource:
             self.fixed(PRIMITIVES[slot.type], value)
 
     def items(self, value: str, number: int) -> List[str]:
-        """Take a list of a known length apart; return the variables of its items."""
+        """Unpack a list of a known length; return the variables of its items."""
         items = [self.name("v") for _ in range(number)]
         ends = [self.name("c") for _ in range(number)]
         last = self.name("e")
         pattern = last
         for item, end in zip(reversed(items), reversed(ends)):
             pattern = f"({end}, {item}, {pattern})"
+        # The outermost parentheses are dropped: Python unpacks nested tuples, and a list is nested pairs.
         self.lines.append(f"{pattern[1:-1]} = {value}")
         self.checks += [f"{end} is not C" for end in ends] + [f"{last} is not N"]
         return items
@@ -176,12 +181,12 @@ def _compile_encode(definition: Definition) -> Callable[..., bytes]:
     lines = ["def encode(term, topic=''):", "  try:", *("    " + line for line in code.body())]
     lines += ["  except errors:", "    return check(term, topic)"]
     code.names["check"] = CheckingEncoder(definition).encode
-    made: Callable[..., bytes] = codegen.function(lines, code.names, f"encode {definition.name}", "encode")
-    return made
+    encode: Callable[..., bytes] = codegen.function(lines, code.names, f"encode {definition.name}", "encode")
+    return encode
 
 
 def _array_packer(slot: Field) -> Callable[[Term], bytes]:
-    """Return the function that packs the list of an array, with its number of elements where that varies."""
+    """Return the function that packs an array's list, preceded by its length if that is variable."""
     if slot.definition is None and slot.type in PRIMITIVES and slot.type != "bool":
         return _number_packer(slot)
     code = _EncoderSource()
@@ -207,16 +212,18 @@ def _number_packer(slot: Field) -> Callable[[Term], bytes]:
     size = Struct("<" + code).size
 
     def encode(term: Term) -> bytes:
+        # An array that nobody decoded keeps the bytes of the message: they are copied as they are. The same `make`
+        # guarantees the same element type.
         if term.__class__ is Lazy and term.make is make and term.made is None:
             raw = bytes(term.source)
-            number = len(raw) // size
+            count = len(raw) // size
         else:
             items = _list_items(term)
-            number = len(items)
-            raw = pack(f"<{number}{code}", *items)
+            count = len(items)
+            raw = pack(f"<{count}{code}", *items)
         if length == VARIABLE:
-            return pack("<I", number) + raw
-        if number != length:
+            return pack("<I", count) + raw
+        if count != length:
             raise _Unusual
         return raw
 
@@ -227,7 +234,8 @@ def _list_items(term: Term) -> List[Term]:
     if term.__class__ is Lazy:
         term = term.term()
     items = []
-    rest: Any = term  # what is no list does not unpack, or has no cons
+    # An improper list fails to unpack or has another functor; both lead to `CheckingEncoder`.
+    rest: Any = term
     while rest is not NIL:
         cons, item, rest = rest
         if cons is not CONS:

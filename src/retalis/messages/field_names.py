@@ -1,8 +1,10 @@
-"""Names of messages in other notations: ``Temperature``, ``sensor_msgs/Temperature``, ``sensor_msgs_Temperature``.
+"""Message slots by name, near misses of message names, and templates of messages.
 
-The slots of messages by name, for those who read programs.
+Programs may write a message with named slots (``T{a: X}``). `SlotNames` supplies the slots of the type and their
+default values. If the name is not a message, it suggests the messages that the name is another notation of
+(``Temperature``, ``sensor_msgs/Temperature``, ``sensor_msgs_Temperature``) or that are spelt like it.
 
-A message type as a term to paste into a program: slots in their order, by name, or with zeros.
+`positional`, `by_names` and `zero` print a type as a term that can be pasted into a program.
 """
 
 from difflib import get_close_matches
@@ -19,31 +21,31 @@ from .type_definition import TIMES, Definition, Field, functor_name, type_name
 from .type_registry import Definitions
 
 _MAX_NAME_CHARACTERS = 200
-"""Characters of a name for which others that are like it are looked for."""
+"""Names longer than this are not compared with similar names."""
 
 
 class TypeNotations:
-    """Finds the names of messages by how else they may be written.
+    """Index of message names by their letters, so that other notations of a name are found.
 
     Args:
-        names: what messages are called in programs, each with its type, or with itself.
+        names: pairs of a message's name in programs and its type (or the name again).
     """
 
     def __init__(self, names: Iterable[Tuple[str, str]]):
         self._names: Dict[str, List[str]] = {}
         self._by_first: Dict[str, List[str]] = {}
-        for name, kind in names:
-            for written in dict.fromkeys(map(_letters, (kind, kind.rpartition("/")[2]))):
-                self._names.setdefault(written, []).append(name)
-        for written in self._names:
-            self._by_first.setdefault(written[:1], []).append(written)
+        for name, message_type in names:
+            for letters in dict.fromkeys(map(_letters, (message_type, message_type.rpartition("/")[2]))):
+                self._names.setdefault(letters, []).append(name)
+        for letters in self._names:
+            self._by_first.setdefault(letters[:1], []).append(letters)
 
     def same(self, name: str) -> List[str]:
-        """Return what the messages are called that a name is another notation of."""
+        """Return the names of the messages that ``name`` is another notation of."""
         return self._names.get(_letters(name.replace("__0__", "/")), [])
 
     def near(self, name: str) -> List[str]:
-        """Return what the messages are called whose names are like another one, from its first letter on."""
+        """Return the names of the messages that are spelt like ``name`` and begin with the same letter."""
         if len(name) > _MAX_NAME_CHARACTERS:
             return []
         letters = _letters(name)
@@ -56,18 +58,18 @@ def _letters(name: str) -> str:
 
 
 MAX_ZERO_BYTES = 1 << 20
-"""Bytes that a message may have at least for its slots to be given by name: zeros are made of all of them."""
+"""Maximum size of the smallest message of a type whose slots are given by name: zeros are made for all of them."""
 
 
 class SlotNames:
-    """Slots of messages by the names of their terms.
+    """Slots of messages, by the names of their event terms.
 
     Args:
-        definitions: the message types that are known; by default those that are installed.
+        definitions: the known message types; the installed types by default.
 
     Attributes:
-        events: the types of events that a program calls by names of their own.
-        forms: how messages were written.
+        events: types of the events that have a name of their own in the program.
+        forms: the slots that messages were written with.
     """
 
     def __init__(self, definitions: Optional[Definitions] = None):
@@ -78,54 +80,58 @@ class SlotNames:
 
     @property
     def definitions(self) -> Definitions:
-        """The message types that are known; looked for where they are first asked for."""
+        """The known message types, loaded on first access."""
         if self._definitions is None:
             self._definitions = Definitions()
         return self._definitions
 
     def find(self, name: str) -> Optional[List[MessageSlot]]:
-        """Return the slots of the messages that are called so; None where no messages are.
+        """Return the slots of the messages with this name, or None if it is not a message.
 
         Raises:
-            UsageError: where they are not known.
+            UsageError: if the message type is unknown, or too large for named slots.
         """
-        kind = self.events.get(name) or type_name(name)
-        if kind is None:
+        message_type = self.events.get(name) or type_name(name)
+        if message_type is None:
             return None
         try:
-            definition = self.definitions.find(kind)
+            definition = self.definitions.find(message_type)
         except MessageError as error:
-            meant = self.definitions.misspelt(kind)
+            meant = self.definitions.misspelt(message_type)
             if meant:
-                raise UsageError(f"there is no message type {kind}; did you mean {meant}?") from error
+                raise UsageError(f"there is no message type {message_type}; did you mean {meant}?") from error
             raise UsageError(
-                f"the slots of {kind} are not known when this is read: {error.message}; install its package, "
+                f"the slots of {message_type} are not known when this is read: {error.message}; install its package, "
                 "put its folder on ROS_PACKAGE_PATH, or write all slots in their order: what only publishers "
                 "bring comes too late"
             ) from error
         if definition.measure.least > MAX_ZERO_BYTES:
             raise UsageError(
-                f"messages of {kind} have {counted(definition.measure.least, 'byte')} at least: write all slots in "
-                "their order"
+                f"messages of {message_type} have {counted(definition.measure.least, 'byte')} at least: "
+                "write all slots in their order"
             )
         return self._slots(definition)
 
     def meant(self, name: str) -> Meant:
-        """Return which messages were probably meant by a name that none are called."""
+        """Return suggestions for a name that is not a message."""
         if self._installed is None:
-            self._installed = TypeNotations((functor_name(one), one) for one in self.definitions.installed())
+            self._installed = TypeNotations(
+                (functor_name(notation), notation) for notation in self.definitions.installed()
+            )
         own = TypeNotations((event, event) for event in self.events)
-        added = TypeNotations((functor_name(one), one) for one in self.definitions.added())
+        added = TypeNotations((functor_name(notation), notation) for notation in self.definitions.added())
         notations = (own, added, self._installed)
-        same = [found for one in notations for found in one.same(name)]
+        same = [match for notation in notations for match in notation.same(name)]
         if same:
             return Meant(tuple(dict.fromkeys(same)), True)
-        near = [found for one in notations for found in one.near(name)]
+        near = [match for notation in notations for match in notation.near(name)]
         return Meant(tuple(dict.fromkeys(near)))
 
     def _slots(self, definition: Definition) -> List[MessageSlot]:
+        # A message of zero bytes is the default value of every slot. It is copied because lazy terms would keep the
+        # decoder's functions, while a program's terms must be plain.
         zero = copy(self.definitions.decoder(definition).decode(bytes(definition.measure.least)))
-        return [_slot(slot, zero[at]) for at, slot in enumerate(definition.fields, 1)]  # type: ignore[index]
+        return [_slot(slot, zero[position]) for position, slot in enumerate(definition.fields, 1)]  # type: ignore[index]
 
 
 def _slot(slot: Field, zero: object) -> MessageSlot:
@@ -138,10 +144,10 @@ _INDENT = "    "
 
 
 class _TemplateLine(NamedTuple):
-    """A line of a template, and what is said of it."""
+    """A line of a template and its comment."""
 
     text: str
-    said: str = ""
+    comment: str = ""
 
 
 def positional(definition: Definition) -> str:
@@ -158,7 +164,7 @@ def positional(definition: Definition) -> str:
 
 
 def by_names(definition: Definition) -> str:
-    """Return the same with slots by name, of which those that do not matter can be deleted.
+    """Return the same term with named slots; slots that do not matter can be deleted from it.
 
     >>> print(by_names(Definitions().find("std_msgs/Header")), end="")
     std_msgs__0__Header{
@@ -171,7 +177,7 @@ def by_names(definition: Definition) -> str:
 
 
 def zero(definition: Definition, definitions: Definitions) -> str:
-    """Return the message of a type that nobody has filled in, on a line.
+    """Return the message of a type with default values, on one line.
 
     >>> definitions = Definitions()
     >>> print(zero(definitions.find("std_msgs/Header"), definitions), end="")
@@ -181,10 +187,10 @@ def zero(definition: Definition, definitions: Definitions) -> str:
 
 
 class _Template:
-    """The lines of a term.
+    """Generator of the lines of a term.
 
     Args:
-        named: whether slots are by name.
+        named: if the slots are written with their names.
     """
 
     def __init__(self, named: bool):
@@ -193,61 +199,72 @@ class _Template:
 
     def text(self, definition: Definition) -> str:
         lines = list(self.message(definition, "", "", [], ""))
-        shown = _aligned(lines)
+        lines_shown = _aligned(lines)
         elements = _elements(definition)
-        for one in elements.values():
-            shown += ["", f"% {one.name}, an element:"]
-            inner = list(_Template(self.named).message(one, "", "", [], ""))
-            shown += [f"% {line}" for line in _aligned(inner)]
-        for one in (definition, *definition.dependencies()):
-            if one.constants:
-                shown += ["", f"% constants of {one.name}:"]
-                texts = [f"{found.name} = {_plain(found.text)} ({found.type})" for found in one.constants]
-                shown += [f"%   {text}" for text in texts]
-        return "\n".join(shown) + "\n"
+        for element_type in elements.values():
+            lines_shown += ["", f"% {element_type.name}, an element:"]
+            inner = list(_Template(self.named).message(element_type, "", "", [], ""))
+            lines_shown += [f"% {line}" for line in _aligned(inner)]
+        for element_type in (definition, *definition.dependencies()):
+            if element_type.constants:
+                lines_shown += ["", f"% constants of {element_type.name}:"]
+                texts = [
+                    f"{constant.name} = {_plain(constant.text)} ({constant.type})"
+                    for constant in element_type.constants
+                ]
+                lines_shown += [f"%   {text}" for text in texts]
+        return "\n".join(lines_shown) + "\n"
 
     def message(
-        self, definition: Definition, indent: str, before: str, above: List[str], said: str, end: str = ""
+        self,
+        definition: Definition,
+        indent: str,
+        prefix: str,
+        outer_names: List[str],
+        comment: str,
+        suffix: str = "",
     ) -> Iterator[_TemplateLine]:
-        """Yield the lines of a message: what stands before it, how deep it is, what is said, what follows it."""
+        """Yield the lines of a message between the texts ``before`` and ``end``; ``comment`` is its comment."""
         name = to_text(atom(definition.functor_name))
         if not definition.fields:
-            yield _TemplateLine(f"{indent}{before}{name}{end}", said)
+            yield _TemplateLine(f"{indent}{prefix}{name}{suffix}", comment)
             return
         opening, closing = ("{", "}") if self.named else ("(", ")")
-        if self.named and before:  # the type of the slot says which message it is
+        if self.named and prefix:  # the type of the slot says which message it is
             name = ""
-        yield _TemplateLine(f"{indent}{before}{name}{opening}", said)
-        for at, slot in enumerate(definition.fields, 1):
-            comma = "," if at < len(definition.fields) else ""
-            yield from self.slot(slot, indent + _INDENT, above, comma)
-        yield _TemplateLine(f"{indent}{closing}{end}")
+        yield _TemplateLine(f"{indent}{prefix}{name}{opening}", comment)
+        for position, slot in enumerate(definition.fields, 1):
+            comma = "," if position < len(definition.fields) else ""
+            yield from self.slot(slot, indent + _INDENT, outer_names, comma)
+        yield _TemplateLine(f"{indent}{closing}{suffix}")
 
-    def slot(self, slot: Field, indent: str, above: List[str], comma: str) -> Iterator[_TemplateLine]:
-        before = f"{_slot_name(slot.name)}: " if self.named else ""
-        said = slot.describe() if self.named else f"{slot.name}: {slot.describe()}"
+    def slot(self, slot: Field, indent: str, outer_names: List[str], comma: str) -> Iterator[_TemplateLine]:
+        prefix = f"{_slot_name(slot.name)}: " if self.named else ""
+        comment = slot.describe() if self.named else f"{slot.name}: {slot.describe()}"
         if slot.definition is not None and slot.length is None:
-            yield from self.message(slot.definition, indent, before, [*above, slot.name], said, comma)
+            yield from self.message(
+                slot.definition, indent, prefix, [*outer_names, slot.name], comment, comma
+            )
         elif slot.type in TIMES and slot.length is None:
-            parts = [self.variable(name, [*above, slot.name]) for name in ("sec", "n_sec")]
-            yield _TemplateLine(f"{indent}{before}[{', '.join(parts)}]{comma}", said)
+            parts = [self.variable(name, [*outer_names, slot.name]) for name in ("sec", "n_sec")]
+            yield _TemplateLine(f"{indent}{prefix}[{', '.join(parts)}]{comma}", comment)
         else:
-            yield _TemplateLine(f"{indent}{before}{self.variable(slot.name, above)}{comma}", said)
+            yield _TemplateLine(f"{indent}{prefix}{self.variable(slot.name, outer_names)}{comma}", comment)
 
-    def variable(self, name: str, above: List[str]) -> str:
-        """Return a variable for a slot, which has more of the names around it where others have taken its own."""
-        for at in range(len(above), -1, -1):
-            found = "".join(map(_capitalised, [*above[at:], name]))
-            if not found[:1].isupper():
-                found = f"V{found}"
-            if found not in self.used:
+    def variable(self, name: str, outer_names: List[str]) -> str:
+        """Return a new variable for a slot, preceded by names of enclosing slots if the name is taken."""
+        for depth in range(len(outer_names), -1, -1):
+            variable = "".join(map(_capitalised, [*outer_names[depth:], name]))
+            if not variable[:1].isupper():
+                variable = f"V{variable}"
+            if variable not in self.used:
                 break
-        number, plain = 1, found
-        while found in self.used:
+        number, stem = 1, variable
+        while variable in self.used:
             number += 1
-            found = f"{plain}_{number}"
-        self.used.add(found)
-        return found
+            variable = f"{stem}_{number}"
+        self.used.add(variable)
+        return variable
 
 
 def _capitalised(name: str) -> str:
@@ -259,24 +276,26 @@ def _slot_name(name: str) -> str:
 
 
 def _plain(text: str) -> str:
-    """Return the text of a constant as it may stand in a comment of one line."""
+    """Return the text of a constant in a form that fits into a comment of one line."""
     return text if text.isprintable() else ascii(text)
 
 
 def _elements(definition: Definition) -> Dict[str, Definition]:
-    """Return the types of the elements of arrays, each once: what stands in a list is written like that."""
-    found: Dict[str, Definition] = {}
-    left: List[Optional[Definition]] = [definition]
-    while left:
-        one = left.pop(0)
-        for slot in one.fields if one is not None else ():
-            if slot.definition is not None and slot.definition.name not in found:
+    """Return the message types of array elements, each once."""
+    types: Dict[str, Definition] = {}
+    pending: List[Optional[Definition]] = [definition]
+    while pending:
+        element = pending.pop(0)
+        for slot in element.fields if element is not None else ():
+            if slot.definition is not None and slot.definition.name not in types:
                 if slot.length is not None:
-                    found[slot.definition.name] = slot.definition
-                left.append(slot.definition)
-    return found
+                    types[slot.definition.name] = slot.definition
+                pending.append(slot.definition)
+    return types
 
 
 def _aligned(lines: List[_TemplateLine]) -> List[str]:
-    widest = max(len(line.text) for line in lines if line.said) if any(line.said for line in lines) else 0
-    return [f"{line.text.ljust(widest)}  % {line.said}" if line.said else line.text for line in lines]
+    widest = (
+        max(len(line.text) for line in lines if line.comment) if any(line.comment for line in lines) else 0
+    )
+    return [f"{line.text.ljust(widest)}  % {line.comment}" if line.comment else line.text for line in lines]

@@ -1,13 +1,13 @@
-"""Strings and byte arrays of messages as atoms: ``'"text"'``, or base64 for bytes that are not text.
+"""Strings, byte arrays and arrays of messages as terms.
 
-A ``string`` is text if it is valid UTF-8 and has no control characters (Unicode category Cc: U+0000 to U+001F,
-U+007F to U+009F) except tab, line feed and carriage return. A ``uint8[]`` is text only if all its bytes are printable
-ASCII (or tab and the ASCII line ends, as in the original), because its bytes need not have an encoding. Both are
-base64 if they begin with the mark of that form.
+Strings and byte arrays become atoms: ``'"text"'``, or base64 for bytes that are not text. A ``string`` is text if it
+is valid UTF-8 and has no control characters (Unicode category Cc: U+0000 to U+001F, U+007F to U+009F) except tab,
+line feed and carriage return. A ``uint8[]`` is text only if all its bytes are printable ASCII (or tab and the ASCII
+line ends), because its bytes need not have an encoding. Text that begins with the marker of the base64 form is
+encoded, so that decoding is unambiguous.
 
-Texts of messages that come again and again: frame names, mostly.
-
-Lists of array elements, made from the bytes of the array.
+Long strings and arrays become lazy terms. Short strings are cached by their bytes, because frame names repeat in
+every message.
 """
 
 import re
@@ -24,7 +24,7 @@ from ..foundation.errors import MessageError
 from ..prolog.terms.types import CONS, NIL, Atom, Functor, Lazy, String, Term, atom, functor
 
 MARK = "FFFFFFFFFF"
-"""What the base64 form begins with; a text that begins so is written in base64 itself."""
+"""Prefix of the base64 form; text that begins with it is itself written as base64."""
 
 _MARK_BYTES = MARK.encode()
 
@@ -33,10 +33,10 @@ _ASCII = re.compile(rb"[ -~\t\n\r\v\f]*\Z")
 _CONTROL = re.compile("[\0-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 
 LONG = 1024
-"""Bytes from which on a text is made only when something looks at it."""
+"""Strings longer than this many bytes become lazy terms."""
 
 TEXT: Functor = functor("", 0)
-"""The functor of a lazy text: an atom whose name is not known yet. It is the functor of no pattern."""
+"""Functor of a lazy string: an atom whose name is not known yet. No pattern has this functor."""
 
 
 def text_atom(data: bytes) -> Atom:
@@ -58,21 +58,21 @@ def blob_atom(data: bytes) -> Atom:
 
 
 def text_term(data: bytes) -> Term:
-    """Return the atom of a message's string, lazy where it is long."""
+    """Return the atom of a message's string, as a lazy term if it is long."""
     if len(data) > LONG:
         return Lazy(TEXT, text_atom, data)
     return text_atom(data)
 
 
 def blob_term(data: bytes) -> Term:
-    """Return the atom of a message's byte array, lazy where it is long."""
+    """Return the atom of a message's byte array, as a lazy term if it is long."""
     if len(data) > LONG:
         return Lazy(TEXT, blob_atom, data)
     return blob_atom(data)
 
 
 def raw_bytes(term: Term) -> Optional[bytes]:
-    """Return the bytes of a lazy term of `text_term` or `blob_term` whose atom has not been made; None for others."""
+    """Return the bytes of a lazy term of `text_term` or `blob_term` that was not accessed; None for other terms."""
     if term.__class__ is Lazy and term.made is None and (term.make is text_atom or term.make is blob_atom):
         raw: bytes = term.source
         return raw
@@ -80,13 +80,13 @@ def raw_bytes(term: Term) -> Optional[bytes]:
 
 
 def text_bytes(term: Term) -> Optional[bytes]:
-    """Return the bytes that a term stands for in a slot of text, or None where it stands for none.
+    """Return the bytes that a term denotes in a string slot, or None if it does not denote a string.
 
-    These are the atoms of `text_atom` and `blob_atom`, other atoms (their name is the text), and Prolog strings.
+    Accepted are the atoms of `text_atom` and `blob_atom`, other atoms (their name is the text), and Prolog strings.
     ``term`` is dereferenced.
 
     Raises:
-        MessageError: for a base64 form that is broken, and for a text that is none (half a surrogate pair).
+        MessageError: for malformed base64, and for text that cannot be encoded (an unpaired surrogate).
     """
     if term.__class__ is Atom:
         if term is NIL:
@@ -110,14 +110,17 @@ def text_bytes(term: Term) -> Optional[bytes]:
 
 def _base64_atom(data: bytes) -> Atom:
     text = str(b64encode(data), "ascii")
-    lines = "".join(text[at : at + _LINE] + _BREAK for at in range(0, len(text), _LINE))
+    lines = "".join(text[start : start + _LINE] + _BREAK for start in range(0, len(text), _LINE))
     return atom(f'"{MARK}{lines}"')
 
 
 def _decode_base64(text: str) -> bytes:
-    """Read lines back by position: the characters of a break are in the alphabet too."""
+    """Decode the lines of the base64 form.
+
+    Lines are split by position, because the characters of a line end are also in the base64 alphabet.
+    """
     step = _LINE + len(_BREAK)
-    lines = [text[at : at + step] for at in range(0, len(text), step)]
+    lines = [text[start : start + step] for start in range(0, len(text), step)]
     if any(not line.endswith(_BREAK) for line in lines):
         raise MessageError(f"expected base64 in lines of {_LINE} characters, each followed by {_BREAK}")
     try:
@@ -126,56 +129,60 @@ def _decode_base64(text: str) -> bytes:
         raise MessageError(f"expected base64 after {MARK}: {error}") from None
 
 
-_Made = TypeVar("_Made")
+_Value = TypeVar("_Value")
 
 TEXT_COST = 5
-"""Bytes that a text takes for each of its own: one in the key, and four in the atom if a character needs them."""
+"""Bytes of memory per byte of a cached string: one in the key, and up to four per character in the atom."""
 
 
-def text_cache() -> "Cache[bytes, _Made]":
-    """Return a cache of what is made of texts by their bytes: names come again and again, other texts do not stay."""
+def text_cache() -> "Cache[bytes, _Value]":
+    """Return a bounded cache of values by the bytes of strings.
+
+    Only short strings are worth caching: frame names repeat, while long strings usually differ.
+    """
     return Cache(2048, 1 << 20, 1024)
 
 
 texts: Cache[bytes, Term] = text_cache()
 
 
-def keep_text(cache: Cache[bytes, _Made], key: bytes, value: _Made) -> _Made:
-    """Keep what was made of the bytes of texts; return it."""
+def keep_text(cache: Cache[bytes, _Value], key: bytes, value: _Value) -> _Value:
+    """Store a value under the bytes of strings; return the value."""
     return cache.keep(key, value, TEXT_COST * len(key))
 
 
 def read_text(data: bytes, start: int, stop: int) -> Term:
-    """Return the text at a place of a message; the generated code has looked it up in the cache in vain."""
+    """Return the string at a position of a message, after generated code has missed it in the cache."""
     raw = data[start:stop]
+    # A slice beyond the end of the message is shorter than the length field says.
     if len(raw) != stop - start:
         raise StructError
     return keep_text(texts, raw, text_term(raw))
 
 
 def read_texts(key: bytes, number: int) -> Optional[Tuple[Term, ...]]:
-    """Return the texts that, each with its length before it, make up ``key``; None where they do not."""
-    found: List[Term] = []
-    at = 0
+    """Return the strings that fill ``key``, each preceded by its length; None if they do not fill it exactly."""
+    terms: List[Term] = []
+    offset = 0
     for _ in range(number):
-        size = int.from_bytes(key[at : at + 4], "little")
-        raw = key[at + 4 : at + 4 + size]
+        size = int.from_bytes(key[offset : offset + 4], "little")
+        raw = key[offset + 4 : offset + 4 + size]
         if len(raw) != size:
             return None
-        found.append(text_term(raw))
-        at += 4 + size
-    return tuple(found) if at == len(key) and number else None
+        terms.append(text_term(raw))
+        offset += 4 + size
+    return tuple(terms) if offset == len(key) and number else None
 
 
 SMALL = 4
-"""Arrays up to this length are decoded with the message: a lazy term would cost as much."""
+"""Arrays up to this length are decoded with the message, because a lazy term would cost as much."""
 
 Make = Callable[[bytes], Term]
 
 
 @lru_cache(maxsize=None)
 def array_maker(code: str) -> Make:
-    """Return the function that makes the list of the numbers of a `struct` code."""
+    """Return the function that decodes an array of numbers of a `struct` code into a list."""
     size = calcsize("<" + code)
 
     def make(source: bytes) -> Term:
@@ -187,10 +194,10 @@ def array_maker(code: str) -> Make:
     return make
 
 
-def alike(element: Term, number: int) -> Term:
-    """Return the list of so many elements that are one term."""
+def alike(element: Term, count: int) -> Term:
+    """Return the list of ``number`` elements that are the same term."""
     term: Term = NIL
-    for _ in range(number):
+    for _ in range(count):
         term = (CONS, element, term)
     return term
 
@@ -198,14 +205,14 @@ def alike(element: Term, number: int) -> Term:
 def record_maker(
     title: str, layout: Struct, targets: List[str], element: str, names: Dict[str, object]
 ) -> Make:
-    """Return the function that makes the list of elements of one size.
+    """Return the function that decodes an array of elements of equal size into a list.
 
     Args:
-        title: the type, for tracebacks.
-        layout: how one element lies in the bytes.
-        targets: the variables of its values.
-        element: the source of the term of one element, from these variables.
-        names: the globals of that source.
+        title: name of the type, for tracebacks.
+        layout: layout of one element.
+        targets: variables of an element's values.
+        element: expression of an element's term, in terms of these variables.
+        names: globals of that expression.
     """
     lines = [
         "def make(source):",
@@ -214,31 +221,32 @@ def record_maker(
         f"    term = (C, {element}, term)",
         "  return term",
     ]
-    given = {**names, "unpack": layout.iter_unpack}
-    made: Make = codegen.function(lines, given, f"decode {title}", "make")
-    return made
+    namespace = {**names, "unpack": layout.iter_unpack}
+    make: Make = codegen.function(lines, namespace, f"decode {title}", "make")
+    return make
 
 
 def variable_array(
-    element: Callable[[bytes, int], Tuple[Term, int]], least: int
+    element: Callable[[bytes, int], Tuple[Term, int]], min_size: int
 ) -> Callable[[bytes, int, int], Tuple[Term, int]]:
-    """Return the function that decodes elements of different sizes.
+    """Return the function that decodes an array of elements that differ in size.
 
     Args:
-        element: decodes the element at a place; returns it and the place after it.
-        least: the size of the shortest element.
+        element: decodes the element at an offset; returns it and the offset after it.
+        min_size: minimum size of an element in bytes.
     """
 
-    def decode(data: bytes, at: int, number: int) -> Tuple[Term, int]:
-        if number * least > len(data) - at:  # before anything is made
+    def decode(data: bytes, offset: int, count: int) -> Tuple[Term, int]:
+        # A wrong count must fail before memory is allocated for that many elements.
+        if count * min_size > len(data) - offset:
             raise StructError
         items = []
-        for _ in range(number):
-            item, at = element(data, at)
+        for _ in range(count):
+            item, offset = element(data, offset)
             items.append(item)
         term: Term = NIL
         while items:
             term = (CONS, items.pop(), term)
-        return term, at
+        return term, offset
 
     return decode

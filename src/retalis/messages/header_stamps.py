@@ -1,4 +1,11 @@
-"""The stamps in the bytes of a message, each with the frame that it is of; cheap to look at for every message."""
+"""Extraction of header stamps from serialized messages, for the monitoring of clock skew.
+
+A stamp is a time with the frame that it belongs to (``frame_id`` and, if it follows, ``child_frame_id``). Stamps are
+read from the message's own header and from the headers of array elements, at offsets that are computed from the type
+definition: nothing is decoded. Every message is inspected, so the common case must be cheap: the observer is called
+only if the second of a frame's stamp differs from the last one observed. For types that `FrameSource` supports, that
+comparison is part of the generated decoding function; for other types it happens when the message's time is read.
+"""
 
 from copy import copy
 from struct import Struct
@@ -10,15 +17,15 @@ from .decoder import Decoder, Unsuited, Watch, watching_decoder
 from .type_definition import HEADER, VARIABLE, Definition, Field, element_end
 
 FrameStamp = Tuple[bytes, int]
-"""The bytes that stand for a frame, and an instant in nanoseconds."""
+"""Bytes that identify a frame, and a time in nanoseconds."""
 
 ReadStamps = Callable[[bytes], List[FrameStamp]]
 
 ReadStamp = Callable[[bytes], Optional[int]]
-"""From the bytes of a message to the time of its own header, as `Decoder.stamp`."""
+"""Function from the bytes of a message to the time of its own header, as `Decoder.stamp`."""
 
 Look = Callable[[List[FrameStamp]], object]
-"""Takes the stamps of a message of which one may be new."""
+"""Observer of a message's stamps, called if at least one of them has a second that was not observed yet."""
 
 _CHILD = "child_frame_id"
 
@@ -27,36 +34,35 @@ _number = Struct("<I").unpack_from
 
 
 def stamp_reader(definition: Definition) -> Optional[ReadStamps]:
-    """Return what reads the stamps of messages of a type; None for a type that has none.
+    """Return the function that reads the stamps of messages of a type; None if the type has no stamps.
 
-    These are the stamps of its own header and of the elements of its arrays, with ``frame_id`` and, where it follows,
-    ``child_frame_id``. A stamp of zero says nothing and is left out, and so is what broken bytes do not hold.
+    Zero stamps are unset and are omitted. If the bytes are malformed, the stamps before the error are returned.
     """
     slots = _stamped_slots(definition)
     if not slots:
         return None
 
     def read(data: bytes) -> List[FrameStamp]:
-        found: List[FrameStamp] = []
+        stamps: List[FrameStamp] = []
         try:
-            _walk(data, slots, found)
-        except StructError:  # who makes the term says what is wrong
+            _walk(data, slots, stamps)
+        except StructError:  # decoding the message reports the error
             pass
-        return found
+        return stamps
 
     return read
 
 
 def watched(decoder: Decoder, known: Mapping[bytes, Any], look: Look) -> Decoder:
-    """Return a decoder that hands on the stamps that are not of a known second.
+    """Return a decoder that passes stamps to an observer if their second differs from the last observed one.
 
-    It does so where it decodes a message if frames are looked up there anyhow, otherwise where it gives the time
-    of the message's header: whoever takes messages has to call both.
+    The observer is called by `Decoder.decode` for types that `FrameSource` supports, otherwise by `Decoder.stamp`:
+    a caller has to call both for each message.
 
     Args:
-        decoder: of the messages' type.
-        known: has for the bytes of a frame what has the attribute ``second``: the second that is known.
-        look: takes all stamps of a message where one is of another second; what it raises comes out.
+        decoder: decoder of the messages' type.
+        known: states of frames by their bytes, with the attribute ``second``: the second that was observed last.
+        look: observer; receives all stamps of a message with a new second. Its exceptions propagate.
     """
     definition, stamp, get = decoder.definition, decoder.stamp, known.get
     read = stamp_reader(definition)
@@ -65,11 +71,11 @@ def watched(decoder: Decoder, known: Mapping[bytes, Any], look: Look) -> Decoder
     all_stamps: ReadStamps = read
 
     def look_at(data: bytes) -> None:
-        found = all_stamps(data)
-        for key, instant in found:
-            seen = get(key)
-            if seen is None or seen.second != instant // SECOND:
-                look(found)
+        stamps = all_stamps(data)
+        for key, instant in stamps:
+            state = get(key)
+            if state is None or state.second != instant // SECOND:
+                look(stamps)
                 break
 
     def look_at_one(key: bytes, instant: int) -> None:
@@ -94,10 +100,10 @@ def watched(decoder: Decoder, known: Mapping[bytes, Any], look: Look) -> Decoder
 
 
 def _texts_of_frames(definition: Definition) -> int:
-    """Return how many texts are the frames of a message with one stamp, or of the only element of its only slot.
+    """Return the number of strings that name frames in a message with one stamp, in its header or its only array.
 
     Raises:
-        Unsuited: for types of another form.
+        Unsuited: if the type has another form.
     """
     slots = _stamped_slots(definition)
     if len(slots) > 1 or (slots[0].slot.length is not None and len(definition.fields) > 1):
@@ -106,15 +112,15 @@ def _texts_of_frames(definition: Definition) -> int:
 
 
 def _own(get: Callable[[bytes], Any], rest: ReadStamp) -> ReadStamp:
-    """Return the short way for messages whose only stamp is that of their header."""
+    """Return a fast reader for messages whose only stamp is that of their header."""
 
     def watched_header(data: bytes) -> Optional[int]:
         try:
             second, nanosecond, size = _header(data)
         except StructError:
             return rest(data)
-        seen = get(data[12 : 16 + size])
-        if seen is not None and seen.second == second:
+        state = get(data[12 : 16 + size])
+        if state is not None and state.second == second:
             return second * SECOND + nanosecond or None
         return rest(data)
 
@@ -122,27 +128,28 @@ def _own(get: Callable[[bytes], Any], rest: ReadStamp) -> ReadStamp:
 
 
 def frame_text(key: bytes) -> str:
-    """Return the bytes that stand for a frame as people read them: the frame, or a frame and its child."""
+    """Return the bytes that identify a frame as text: ``frame``, or ``frame > child``."""
     names = []
-    at = 0
+    offset = 0
     try:
-        while at + 4 <= len(key):  # a byte may follow that tells slots apart
-            (size,) = _number(key, at)
-            names.append(key[at + 4 : at + 4 + size].decode("utf-8", "replace"))
-            at += 4 + size
+        # A last byte may follow, which distinguishes slots with the same frame.
+        while offset + 4 <= len(key):
+            (size,) = _number(key, offset)
+            names.append(key[offset + 4 : offset + 4 + size].decode("utf-8", "replace"))
+            offset += 4 + size
     except StructError:
         return repr(key)
     return " > ".join(names)
 
 
 class _StampedSlot(NamedTuple):
-    """A slot that has stamps, or one that lies before such a slot and has to be passed over.
+    """A slot with stamps, or a slot before it that has to be skipped.
 
     Attributes:
         slot: the slot.
-        suffix: what tells its frames from those of other slots.
-        has_child: whether a child's frame follows the header; None where there is no stamp.
-        rest: the bytes that follow; None where elements differ in them.
+        suffix: byte that distinguishes the slot's frames from those of other slots.
+        has_child: if a child frame follows the header; None if the slot has no stamp.
+        rest: number of bytes after the frames; None if elements differ in it.
     """
 
     slot: Field
@@ -152,23 +159,28 @@ class _StampedSlot(NamedTuple):
 
 
 def _stamped_slots(definition: Definition) -> List[_StampedSlot]:
-    """Return the slots up to the last one with stamps."""
+    """Return the slots up to the last one with a stamp."""
     slots: List[_StampedSlot] = []
-    stamped = 0
+    stamped_count = 0
     for slot in definition.fields:
-        inner = slot.definition
+        element = slot.definition
         if slot is definition.fields[0] and slot.length is None and _is_header(slot):
             slots.append(_StampedSlot(slot, b"", _has_child(definition), 0))
-            stamped = len(slots)
-        elif inner is not None and slot.length is not None and inner.fields and _is_header(inner.fields[0]):
-            suffix = b"%c" % len(slots) if stamped else b""
-            slots.append(_StampedSlot(slot, suffix, _has_child(inner), _fixed_rest(inner)))
-            stamped = len(slots)
+            stamped_count = len(slots)
+        elif (
+            element is not None
+            and slot.length is not None
+            and element.fields
+            and _is_header(element.fields[0])
+        ):
+            suffix = b"%c" % len(slots) if stamped_count else b""
+            slots.append(_StampedSlot(slot, suffix, _has_child(element), _fixed_rest(element)))
+            stamped_count = len(slots)
         else:
             slots.append(_StampedSlot(slot, b"", None, None))
         if len(slots) > 255:
             break
-    return slots[:stamped]
+    return slots[:stamped_count]
 
 
 def _is_header(slot: Field) -> bool:
@@ -181,32 +193,34 @@ def _has_child(definition: Definition) -> bool:
 
 
 def _fixed_rest(definition: Definition) -> Optional[int]:
-    """Return how many bytes follow the frames; None where that differs."""
+    """Return the number of bytes after the frames, or None if it varies."""
     rest = Definition(definition.name, definition.fields[2 if _has_child(definition) else 1 :]).measure
     return rest.least if rest.fixed else None
 
 
-def _walk(data: bytes, slots: List[_StampedSlot], found: List[FrameStamp]) -> None:
-    at = 0
+def _walk(data: bytes, slots: List[_StampedSlot], stamps: List[FrameStamp]) -> None:
+    # Offsets as on the wire: seq, secs, nsecs, length of frame_id (4 bytes each), then the frame's name.
+    offset = 0
     for slot, suffix, has_child, rest in slots:
         if has_child is None:
-            at = element_end(data, slot, at)
+            offset = element_end(data, slot, offset)
             continue
-        number = 1 if slot.length is None else slot.length
-        if number == VARIABLE:
-            (number,) = _number(data, at)
-            at += 4
-        for _ in range(number):
-            second, nanosecond, size = _header(data, at)
-            end = at + 16 + size
+        count = 1 if slot.length is None else slot.length
+        if count == VARIABLE:
+            (count,) = _number(data, offset)
+            offset += 4
+        for _ in range(count):
+            second, nanosecond, size = _header(data, offset)
+            end = offset + 16 + size
             following = end
             if has_child:
                 end += 4 + _number(data, end)[0]
             if second or nanosecond:
-                found.append((data[at + 12 : end] + suffix, second * SECOND + nanosecond))
-            if slot.length is None:  # the child's frame is the next slot
-                at = following
+                stamps.append((data[offset + 12 : end] + suffix, second * SECOND + nanosecond))
+            # The child frame is a slot of the message itself, so that the loop reaches it next.
+            if slot.length is None:
+                offset = following
             elif rest is not None:
-                at = end + rest
+                offset = end + rest
             else:
-                at = element_end(data, slot._replace(length=None), at)
+                offset = element_end(data, slot._replace(length=None), offset)

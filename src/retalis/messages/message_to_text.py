@@ -1,4 +1,10 @@
-"""Message bytes to the text of their event terms, without making the terms where their form allows it."""
+"""Serialized messages as the text of their event terms, without building the terms if the type allows it.
+
+The interface node sends events to node ``retalis`` as text. For the layout "numbers, strings, numbers" (see
+`decoder`) a function is generated that formats the unpacked values with one f-string; strings are cached as text.
+Formatting a float costs as much as everything else for its slot, and most joints of a robot rest or only turn.
+Therefore the text of consecutive floats is cached with the frame names, and reused while their bytes are unchanged.
+"""
 
 import re
 from itertools import groupby
@@ -13,26 +19,25 @@ from .field_values import SMALL
 from .type_definition import PRIMITIVES, TIMES, Definition, Field
 
 _EDGE = "\0"
-"""Stands in texts around the source of a value; no name has it in it."""
+"""Delimiter around the source of a value in a text; it occurs in no name."""
 
 
 _MAX_CACHED_FLOATS = 8
-"""Floats that stand together whose text is kept, at most."""
+"""Longer sequences of floats are not cached."""
 
 _WHOLE = re.compile(r"(^|,)(-?[0-9]+)e")
 
 
 def _with_points(text: str) -> str:
-    """Return the text of floats, as Python writes them, as event text has them: with a point before an exponent."""
+    """Return the text of Python floats in event syntax, which requires a decimal point before an exponent."""
     return _WHOLE.sub(r"\1\2.0e", text)
 
 
 def text_writer(decoder: Decoder) -> Callable[[bytes], str]:
     """Return the function from the bytes of a message to the text of its event term.
 
-    Messages that are numbers, then texts, then numbers are written by the text of their type with the values
-    put in; of others the term is made and written. The function raises `MessageError` as the decoder does, and has
-    stamps looked at where that does.
+    Types that `FrameSource` does not support are decoded, and the term is written. The function raises `MessageError`
+    like the decoder, and calls the decoder's observer of stamps.
     """
 
     def general(data: bytes) -> str:
@@ -43,49 +48,49 @@ def text_writer(decoder: Decoder) -> Callable[[bytes], str]:
         lines = code.build(decoder.definition, general)
     except Unsuited:
         return general
-    made: Callable[[bytes], str] = codegen.function(
+    write: Callable[[bytes], str] = codegen.function(
         lines, code.names, f"text of {decoder.definition.name}", "decode"
     )
-    return made
+    return write
 
 
 def text_without(decoder: Decoder, data: bytes, positions: AbstractSet[int], mark: Term) -> str:
-    """Return the text of a message with a mark in the place of long arrays and texts that nobody reads.
+    """Return the text of a message in which long values of unread slots are replaced by a marker.
 
     Args:
-        decoder: of its type.
-        data: its bytes.
-        positions: the slots that nobody reads, counted from 1.
-        mark: what stands there instead.
+        decoder: decoder of the message's type.
+        data: bytes of the message.
+        positions: slots that no rule reads, counted from 1.
+        mark: marker that replaces their values.
 
     Raises:
-        MessageError: where the bytes are no such message.
+        MessageError: if the bytes are not a message of this type.
     """
     term: Any = decoder.decode(data)
     slots = decoder.definition.fields
     parts = [
-        mark if at in positions and _is_long(slot, value) else value
-        for at, (slot, value) in enumerate(zip(slots, term[1:]), 1)
+        mark if position in positions and _is_long(slot, value) else value
+        for position, (slot, value) in enumerate(zip(slots, term[1:]), 1)
     ]
     return to_text((term[0], *parts))
 
 
 def _is_long(slot: Field, value: Term) -> bool:
-    """Tell whether a slot is an array or a text that is worth leaving out."""
+    """Return whether a slot is an array or a string that is worth omitting."""
     return (slot.length is not None or slot.type == "string") and value.__class__ in (Lazy, tuple)
 
 
 class _Floats(NamedTuple):
-    """Floats that stand together in a message.
+    """Consecutive floats of a message.
 
     Attributes:
-        text: the variable that has their text.
-        values: the variables that have them.
-        behind: whether they stand behind the texts of the message.
-        start: where they stand there, or before the texts.
-        stop: where they end.
-        kept: the variable of what is kept of them with the frames; "" for nothing.
-        place: its index among all that is kept of the message.
+        text: variable that holds their text.
+        values: variables that hold their values.
+        behind: if they follow the strings of the message.
+        start: offset of the first byte, in the numbers before or after the strings.
+        stop: offset of the end.
+        kept: variable of the cached pair of bytes and text; "" if they are not cached.
+        place: index of that pair among the values that are cached for the message.
     """
 
     text: str
@@ -97,15 +102,16 @@ class _Floats(NamedTuple):
     place: int
 
     def lines(self, tail: int, first: int) -> List[str]:
-        """Return the lines that make the text.
+        """Return the statements that compute the text.
 
         Args:
-            tail: the bytes behind the message's texts.
-            first: the index of place 0 in what is known of the frames.
+            tail: number of bytes after the message's strings.
+            first: index of the first such pair in the cached entry.
         """
         written = "{" + "!r},{".join(self.values) + "!r}"
         make = [f'{self.text} = f"{written}"', f'if "e" in {self.text}: {self.text} = points({self.text})']
         if not self.kept:
+            # Offsets after the strings are counted from the end, because the strings' length varies.
             return [f"  {line}" for line in make]
         start, stop = (self.start - tail, self.stop - tail) if self.behind else (self.start, self.stop)
         return [
@@ -118,11 +124,10 @@ class _Floats(NamedTuple):
 
 
 class _TextSource(FrameSource):
-    """Source of a function that gives the message's text, not its term.
+    """Generator of a function that returns the message's text instead of its term.
 
-    What is the source of a term elsewhere is its text here, with the sources of values in it. Writing a float takes
-    as long as all else for its slot, and most joints of a robot only turn or stand still: of floats that stand
-    together the last text is kept with the names of the frames.
+    Methods that return the expression of a term in the base class return its text here, with the expressions of
+    values between delimiters.
     """
 
     def __init__(self, watch: Optional[Watch] = None) -> None:
@@ -132,23 +137,23 @@ class _TextSource(FrameSource):
     def message(self, definition: Definition) -> str:
         name = to_text(atom(definition.functor_name))
         parts: List[str] = []
-        for real, group in groupby(definition.fields, _is_float):
+        for is_float, group in groupby(definition.fields, _is_float):
             slots = list(group)
-            if real:
-                parts.append(self._together([PRIMITIVES[one.type] for one in slots]))
+            if is_float:
+                parts.append(self._together([PRIMITIVES[slot.type] for slot in slots]))
             else:
                 parts += map(self.slot, slots)
         return f"{name}({','.join(parts)})" if parts else name
 
     def _together(self, codes: List[str]) -> str:
-        """Return the source of the text of floats that stand together."""
+        """Return the source of the text of consecutive floats."""
         start = calcsize("<" + self.format)
         values = [self.fixed(code) for code in codes]
         kept = self.name("b") if 1 < len(values) <= _MAX_CACHED_FLOATS else ""
         place = len(self.beside)
         if kept:
             self.beside.append(kept)
-        found = _Floats(
+        floats = _Floats(
             self.name("x"),
             values,
             bool(self.texts),
@@ -157,8 +162,8 @@ class _TextSource(FrameSource):
             kept,
             place,
         )
-        self._floats.append(found)
-        return _value(found.text)
+        self._floats.append(floats)
+        return _value(floats.text)
 
     def prepare(self, tail: int) -> List[str]:
         first = len(self.texts)
@@ -173,24 +178,25 @@ class _TextSource(FrameSource):
             code = TIMES[slot.type][0]
             return f"[{_value(self.fixed(code))},{_value(self.fixed(code))}]"
         code = PRIMITIVES[slot.type]
-        if code in "?c":  # not the value itself stands in the term
+        # A boolean is written as an atom, and characters are bytes: neither is the value's own text.
+        if code in "?c":
             raise Unsuited
         return self._together([code]) if code in "fd" else _value(self.fixed(code))
 
     def fixed_array(self, slot: Field) -> str:
-        number = slot.length or 0
-        if slot.is_bytes or number > SMALL or (number and slot.definition is not None):
+        length = slot.length or 0
+        if slot.is_bytes or length > SMALL or (length and slot.definition is not None):
             raise Unsuited
-        one = slot._replace(length=None)
-        if _is_float(one):
-            return f"[{self._together([PRIMITIVES[slot.type]] * number)}]" if number else "[]"
-        return f"[{','.join(self.single(one) for _ in range(number))}]"
+        element = slot._replace(length=None)
+        if _is_float(element):
+            return f"[{self._together([PRIMITIVES[slot.type]] * length)}]" if length else "[]"
+        return f"[{','.join(self.single(element) for _ in range(length))}]"
 
     def only(self, element: str) -> str:
         return f"[{element}]"
 
     def finish(self, result: str) -> str:
-        """Return an f-string: the pieces of the text by their names, and between them the values."""
+        """Return an f-string that inserts the constant texts by name, and the values between them."""
         self.names["points"] = _with_points
         pieces = result.split(_EDGE)
         pieces[::2] = [self.name("p", text) for text in pieces[::2]]
@@ -205,5 +211,5 @@ def _is_float(slot: Field) -> bool:
 
 
 def _value(source: str) -> str:
-    """Return the source of a value as it stands in a text."""
+    """Return the source of a value in the text."""
     return f"{_EDGE}{source}{_EDGE}"

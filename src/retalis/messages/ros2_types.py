@@ -1,18 +1,19 @@
-"""ROS 2 message types: definitions as those of ROS 1, and messages from CDR to the bytes of ROS 1.
+"""ROS 2 message types: their definitions in ROS 1 form, and conversion of CDR messages to ROS 1 serialization.
 
-The format of definitions is that of ROS 1 with more in it (https://docs.ros.org/en/rolling/Concepts/Basic/About-Interfaces.html):
-bounds of strings and arrays (``string<=10[<=5] names``), default values (``int32 x 5``), quoted strings as constants,
+Definitions of ROS 2 extend those of ROS 1 (https://docs.ros.org/en/rolling/Concepts/Basic/About-Interfaces.html) by
+bounds of strings and arrays (``string<=10[<=5] names``), default values (``int32 x 5``), quoted string constants,
 ``wstring``, and ``pkg/msg/Type`` for ``pkg/Type``. Bounds and default values do not change the bytes of a message, so
-they are left out of the ROS 1 definition. A ``byte`` is an octet (``uint8``), a ``wstring`` a ``string`` in UTF-8.
+they are omitted from the ROS 1 definition. A ``byte`` is an octet (``uint8``), a ``wstring`` a ``string`` in UTF-8.
 
 CDR (OMG, Common Object Request Broker Architecture, 9.3; in the plain form that ROS 2 uses) aligns each number to its
-size, counted from the end of the four bytes that tell the byte order. Numbers between values of variable size are
-copied as a run by one `struct` format for each of the eight alignments in which the run can begin. Strings end in a
-zero byte, which is counted; a type without slots has one byte; a header has no ``seq``, which is 0 here.
+size, counted from the end of the four bytes that encode the byte order. A function is generated for each type and
+byte order: numbers between values of variable size are copied as a run by one `struct` format for each of the eight
+alignments at which the run can begin. Strings end in a zero byte, which their length includes; a type without slots
+has one byte; a header has no ``seq``, which becomes 0.
 
-A ``wstring`` is a count and as many characters without a zero at the end. Fast DDS and Cyclone DDS write characters
-in four bytes, other implementations in two, and nothing in the message tells which. Two bytes are tried if four do
-not fit.
+A ``wstring`` is a count and that number of characters, without a zero at the end. Fast DDS and Cyclone DDS write
+characters in four bytes, other implementations in two, and the message does not encode the width. Four bytes are
+tried first, then two.
 """
 
 import re
@@ -40,7 +41,7 @@ from .type_definition import (
 from .type_registry import MAX_DEFINITION_CHARACTERS, Definitions, Installed
 
 FindText = Callable[[str], Optional[str]]
-"""Returns the definition of ``pkg/Type`` in the form of ROS 2 or ROS 1, those of nested types included; or None."""
+"""Function that returns the definition of ``pkg/Type`` with its nested types, in ROS 2 or ROS 1 form, or None."""
 
 _LINE = re.compile(
     r"\s*(?P<type>[\w/]+)(?P<bound><=[0-9]+)?(?P<array>\[(?:<=)?[0-9]*\])?\s+(?P<name>\w+)(?P<rest>(?:[\s=#].*)?)$"
@@ -55,22 +56,22 @@ _TYPES = {
     "builtin_interfaces/Time": "time",
     "builtin_interfaces/Duration": "duration",
 }
-"""ROS 1's names of types."""
+"""Names of types in ROS 1."""
 
 _TEXTS = ("string", "wstring")
 
 _INSTANT = "int32 sec\nuint32 nanosec\n"
 _USUAL = {"builtin_interfaces/Time": _INSTANT, "builtin_interfaces/Duration": _INSTANT}
-"""Types that definitions name and do not contain."""
+"""Types that definitions use without containing them."""
 
 
 class Ros2Type(NamedTuple):
-    """A message type of ROS 2.
+    """A message type of ROS 2 and its conversion to ROS 1.
 
     Attributes:
-        definition: the type as one of ROS 1.
-        to_ros1: the function from a message in CDR, with the four bytes before it, to that of ROS 1. Raises
-            `MessageError` if the bytes are not such a message.
+        definition: the type in ROS 1 form.
+        to_ros1: the function from a CDR message, including the four bytes of its encapsulation, to the serialized
+            ROS 1 message. Raises `MessageError` if the bytes are not a message of this type.
     """
 
     definition: Definition
@@ -78,15 +79,15 @@ class Ros2Type(NamedTuple):
 
 
 def ros2_type(name: str, text: str, find: FindText) -> Ros2Type:
-    """Read a definition of ROS 2.
+    """Parse a definition of ROS 2.
 
     Args:
         name: ``pkg/Type`` or ``pkg/msg/Type``.
-        text: the definition, with those of all nested types that ``find`` does not know.
-        find: looks up nested types.
+        text: the definition, including all nested types that ``find`` does not know.
+        find: returns the definitions of nested types.
 
     Raises:
-        MessageError: for a text that is not a definition or too long, or that names a type found nowhere.
+        MessageError: if the text is not a valid definition, is too long, or names an unknown type.
     """
     name = plain_type(name)
     if len(text) > MAX_DEFINITION_CHARACTERS:
@@ -96,20 +97,21 @@ def ros2_type(name: str, text: str, find: FindText) -> Ros2Type:
         )
     types = _reachable(name, _sections(name, text), find)
     parts = [types[name].text]
-    parts += [f"{'=' * 80}\nMSG: {other}\n{types[other].text}" for other in types if other != name]
-    alone = Definitions(Installed([], [], rosbags=False))  # nested types as in CDR, not as in ROS 1
-    definition = alone.add(name, "".join(parts))
-    wide = frozenset((kind, slot) for kind, found in types.items() for slot in found.wide)
-    return Ros2Type(definition, _converter(definition, wide))
+    parts += [f"{'=' * 80}\nMSG: {nested}\n{types[nested].text}" for nested in types if nested != name]
+    # A registry without installed types: the nested types must be those of CDR, not types of ROS 1 with equal names.
+    registry = Definitions(Installed([], [], rosbags=False))
+    definition = registry.add(name, "".join(parts))
+    wide_slots = frozenset((type_name, slot) for type_name, section in types.items() for slot in section.wide)
+    return Ros2Type(definition, _converter(definition, wide_slots))
 
 
 class _Ros2Section(NamedTuple):
-    """The definition of one type, without those of others.
+    """Definition of one type, without its nested types.
 
     Attributes:
-        text: in the form of ROS 1.
-        wide: names of the slots that are wide strings or arrays of them.
-        nested: names of the types of slots.
+        text: the definition in ROS 1 form.
+        wide: names of the slots that are wide strings or arrays of wide strings.
+        nested: types of slots.
     """
 
     text: str
@@ -118,39 +120,42 @@ class _Ros2Section(NamedTuple):
 
 
 def _sections(name: str, text: str) -> Dict[str, str]:
-    return {plain_type(kind): part for kind, part in split_sections(name, text).items()}
+    return {plain_type(type_name): section for type_name, section in split_sections(name, text).items()}
 
 
 def _reachable(name: str, texts: Dict[str, str], find: FindText) -> Dict[str, _Ros2Section]:
-    """Read the definitions of a type and of those nested in it."""
+    """Parse the definitions of a type and of all types nested in it."""
     types: Dict[str, _Ros2Section] = {}
-    waiting: Deque[str] = deque([name])
-    while waiting:
-        kind = waiting.popleft()
-        if kind in types:
+    pending: Deque[str] = deque([name])
+    while pending:
+        type_name = pending.popleft()
+        if type_name in types:
             continue
-        if kind not in texts:
-            text = _USUAL.get(kind) or find(kind)
+        if type_name not in texts:
+            text = _USUAL.get(type_name) or find(type_name)
             if text is None:
-                raise MessageError(f"the type {beginning(kind)} is not defined in the bag or on this system")
-            for other, part in _sections(kind, text).items():
-                texts.setdefault(other, part)
-        types[kind] = section = _Ros2DefinitionReader(kind, texts).read()
-        waiting += section.nested
+                raise MessageError(
+                    f"the type {beginning(type_name)} is not defined in the bag or on this system"
+                )
+            for nested, section_text in _sections(type_name, text).items():
+                texts.setdefault(nested, section_text)
+        types[type_name] = section = _Ros2DefinitionReader(type_name, texts).read()
+        pending += section.nested
     return types
 
 
 class _Ros2DefinitionReader:
-    """Reads the definition of one type.
+    """Parser of the definition of one type.
 
     Args:
         name: ``pkg/Type``.
-        texts: the definitions of all types that came with it.
+        texts: the definitions of all types in the same text.
     """
 
     def __init__(self, name: str, texts: Dict[str, str]):
         self.name = name
         self.texts = texts
+        # CDR has no `seq`, but the event terms of headers have the slots of ROS 1.
         self.lines: List[str] = ["uint32 seq"] if name == HEADER else []
         self.wide: List[str] = []
         self.slot_types: List[str] = []
@@ -161,65 +166,67 @@ class _Ros2DefinitionReader:
     def read(self) -> _Ros2Section:
         text = self.texts[self.name]
         for offset, line in lines_of(text):
-            body = line.strip()
-            if not body or body.startswith("#"):
+            content = line.strip()
+            if not content or content.startswith("#"):
                 continue
-            found = _LINE.match(line)
-            if found is None or (found["bound"] and found["type"] not in _TEXTS):
-                problem = f"expected 'type name' or 'type NAME=value', found {shortened(body)}"
+            match = _LINE.match(line)
+            if match is None or (match["bound"] and match["type"] not in _TEXTS):
+                problem = f"expected 'type name' or 'type NAME=value', found {shortened(content)}"
             else:
-                problem = self._line(found)
+                problem = self._line(match)
             if problem:
                 place = place_at(self.name, text, offset + len(line) - len(line.lstrip()))
                 raise MessageError(problem, place)
         return _Ros2Section("".join(f"{line}\n" for line in self.lines), self.wide, self.slot_types)
 
-    def _line(self, found: "re.Match[str]") -> str:
-        """Take a slot or a constant; return what is wrong with it, or an empty text."""
-        rest = found["rest"].lstrip()
+    def _line(self, match: "re.Match[str]") -> str:
+        """Add a slot or a constant; return an error text, or an empty string."""
+        rest = match["rest"].lstrip()
         if not rest.startswith("="):
-            self._slot(found)
+            self._slot(match)
             return ""
-        kind = _TYPES.get(found["type"], found["type"])
-        if kind not in PRIMITIVES and kind != "string":
-            return f"a constant cannot be of type {shortened(kind)}"
-        self._constant(kind, found["name"], rest[1:])
+        type_name = _TYPES.get(match["type"], match["type"])
+        if type_name not in PRIMITIVES and type_name != "string":
+            return f"a constant cannot be of type {shortened(type_name)}"
+        self._constant(type_name, match["name"], rest[1:])
         return ""
 
-    def _constant(self, kind: str, name: str, text: str) -> None:
-        """Add a constant; one whose value ROS 1 cannot express is left out, as it is in no message."""
-        quoted = _QUOTED.match(text) if kind == "string" else None
+    def _constant(self, type_name: str, name: str, text: str) -> None:
+        """Add a constant. A value that ROS 1 cannot express is omitted: constants are not part of messages."""
+        quoted = _QUOTED.match(text) if type_name == "string" else None
         if quoted is not None:
             value = re.sub(r"\\(.)", r"\1", quoted[1] if quoted[1] is not None else quoted[2])
         else:
             value = text.partition("#")[0].strip()
         try:
-            constant_value(kind, value)
+            constant_value(type_name, value)
         except ValueError:
             return
-        self.lines.append(f"{kind} {name}={value}")
+        self.lines.append(f"{type_name} {name}={value}")
 
-    def _slot(self, found: "re.Match[str]") -> None:
-        kind, name = found["type"], found["name"]
+    def _slot(self, match: "re.Match[str]") -> None:
+        type_name, name = match["type"], match["name"]
         if self.name == HEADER and name == "seq":
             return
-        if kind == "wstring":
+        if type_name == "wstring":
             self.wide.append(name)
-        kind = plain_type(kind)
-        kind = _TYPES.get(kind, kind)
-        if kind not in PRIMITIVES and kind not in TIMES and kind != "string":
-            kind = self._full_name(kind)
-            self.slot_types.append(kind)
-        length = (found["array"] or "").replace("<=", "]")  # a bounded array is one of variable length
-        self.lines.append(f"{kind}{length.partition(']')[0] + ']' if length else ''} {name}")
+        type_name = plain_type(type_name)
+        type_name = _TYPES.get(type_name, type_name)
+        if type_name not in PRIMITIVES and type_name not in TIMES and type_name != "string":
+            type_name = self._full_name(type_name)
+            self.slot_types.append(type_name)
+        # A bounded array is one of variable length.
+        length = (match["array"] or "").replace("<=", "]")
+        self.lines.append(f"{type_name}{length.partition(']')[0] + ']' if length else ''} {name}")
 
-    def _full_name(self, kind: str) -> str:
+    def _full_name(self, type_name: str) -> str:
         """Return the name of a nested type with its package."""
-        if "/" in kind:
-            return kind
-        own = f"{self.name.partition('/')[0]}/{kind}"
-        others = self.by_kind.get(kind, [])
-        return others[0] if own not in self.texts and len(others) == 1 else own
+        if "/" in type_name:
+            return type_name
+        # Definitions in bags may name a type of another package without the package, if only one has that name.
+        own_name = f"{self.name.partition('/')[0]}/{type_name}"
+        candidates = self.by_kind.get(type_name, [])
+        return candidates[0] if own_name not in self.texts and len(candidates) == 1 else own_name
 
 
 # ---- CDR ---------------------------------------------------------------------------------------------------
@@ -228,22 +235,22 @@ _Put = Callable[[bytes], object]
 _Convert = Callable[[bytes, int, _Put], int]
 
 _WideSlots = FrozenSet[Tuple[str, str]]
-"""Slots that are wide strings: names of type and slot."""
+"""Wide strings, as pairs of a type's name and a slot's name."""
 
 _CODES = {1: "B", 2: "H", 4: "I", 8: "Q"}
-"""Formats by which numbers are copied, by size: integers, which keep every bit of a float."""
+"""Codes by which numbers are copied, by size: integers, because they preserve every bit of a float."""
 
 _SHORT = 8
-"""Numbers of an array up to which it is copied with the slots around it."""
+"""Arrays of at most this many numbers are copied together with the slots around them."""
 
 _PADDING = 3
-"""Bytes that may follow a message: some implementations fill the last four."""
+"""Maximum number of bytes after a message: some implementations pad messages to a multiple of four bytes."""
 
 
 def _converter(definition: Definition, wide: _WideSlots) -> Callable[[bytes], bytes]:
-    """Return `Ros2Type.to_ros1` of a type."""
+    """Return the function `Ros2Type.to_ros1` of a type."""
     widths = (4, 2) if wide else (4,)
-    made: Dict[str, List[_Convert]] = {}
+    converters: Dict[str, List[_Convert]] = {}
 
     def to_ros1(raw: bytes) -> bytes:
         order = {b"\0\0": ">", b"\0\1": "<"}.get(bytes(raw[:2]), "")
@@ -253,9 +260,10 @@ def _converter(definition: Definition, wide: _WideSlots) -> Callable[[bytes], by
                 f"found {raw[:2].hex(' ') or 'nothing'}"
             )
         data = bytes(raw[4:])
-        if order not in made:
-            made[order] = [_ConverterSource(order, width, wide).compile(definition) for width in widths]
-        for convert in made[order]:
+        if order not in converters:
+            converters[order] = [_ConverterSource(order, width, wide).compile(definition) for width in widths]
+        # The message does not say how wide its characters are: the first width that consumes all bytes is right.
+        for convert in converters[order]:
             chunks: List[bytes] = []
             try:
                 end = convert(data, 0, chunks.append)
@@ -269,11 +277,11 @@ def _converter(definition: Definition, wide: _WideSlots) -> Callable[[bytes], by
 
 
 class _ConverterSource:
-    """Source of the function that converts one type, in the making.
+    """Generator of the function that converts messages of one type.
 
     Args:
-        order: the byte order, as in `struct`.
-        width: the bytes of a wide character.
+        order: byte order, as a `struct` prefix.
+        width: bytes of a wide character.
         wide: the slots that are wide strings.
     """
 
@@ -294,12 +302,14 @@ class _ConverterSource:
         """Sizes of the numbers of the run; 0 for four bytes that only ROS 1 has, -1 for a byte that only CDR has."""
 
     def compile(self, definition: Definition) -> _Convert:
-        """Return the function for a type: from the bytes and a place in them to the place behind the message."""
+        """Return the function for a type: from bytes and an offset, to the offset after the message."""
         self.message(definition)
         self.flush()
         lines = ["def convert(data, at, put):", *(f"  {line}" for line in self.lines), "  return at"]
-        made: _Convert = codegen.function(lines, self.given.values, f"convert {definition.name}", "convert")
-        return made
+        convert: _Convert = codegen.function(
+            lines, self.given.values, f"convert {definition.name}", "convert"
+        )
+        return convert
 
     def message(self, definition: Definition) -> None:
         fields = definition.fields
@@ -354,7 +364,7 @@ class _ConverterSource:
             self.lines += [f"for _ in range({count}):", f"  at = {name}(data, at, put)"]
 
     def numbers(self, count: str, sizes: List[int]) -> None:
-        """Copy the numbers of an array, which are all of one size: nothing lies between them."""
+        """Copy an array of numbers of equal size, between which there is no padding."""
         size = sizes[0]
         self.lines += [
             f"if {count}:",
@@ -366,19 +376,22 @@ class _ConverterSource:
         ]
 
     def flush(self) -> None:
-        """End the run: add the lines that copy it."""
+        """End the run: add the statements that copy it."""
         if not self.sizes:
             return
-        out = Struct("<" + "".join("4x" if not size else _CODES.get(size, "") for size in self.sizes))
-        read = [Struct(self.order + _aligned(self.sizes, phase)) for phase in range(8)]
-        layouts = self.given.name("layouts", [(layout.unpack_from, layout.size) for layout in read])
-        pack = self.given.name("pack", out.pack)
+        # Padding depends on the offset modulo 8 at which the run begins, which is only known when a message is read.
+        output_layout = Struct(
+            "<" + "".join("4x" if not size else _CODES.get(size, "") for size in self.sizes)
+        )
+        input_layouts = [Struct(self.order + _aligned(self.sizes, phase)) for phase in range(8)]
+        layouts = self.given.name("layouts", [(layout.unpack_from, layout.size) for layout in input_layouts])
+        pack = self.given.name("pack", output_layout.pack)
         self.lines += [f"read, size = {layouts}[at & 7]", f"put({pack}(*read(data, at)))", "at += size"]
         self.sizes = []
 
 
 def _sizes(slot: Field) -> List[int]:
-    """Return the sizes of the numbers of one element if these are all alike; otherwise an empty list."""
+    """Return the sizes of the numbers in one element if all are equal, otherwise an empty list."""
     if slot.definition is None:
         if slot.type in TIMES:
             return [4, 4]
@@ -387,24 +400,24 @@ def _sizes(slot: Field) -> List[int]:
     if slot.definition.name == HEADER:
         return sizes
     for inner in slot.definition.fields:
-        found = _sizes(inner) if inner.length is None or 0 < inner.length <= _SHORT else []
-        if not found or found[0] != (sizes or found)[0]:
+        element_sizes = _sizes(inner) if inner.length is None or 0 < inner.length <= _SHORT else []
+        if not element_sizes or element_sizes[0] != (sizes or element_sizes)[0]:
             return []
-        sizes += found * (inner.length or 1)
+        sizes += element_sizes * (inner.length or 1)
     return sizes if len(sizes) <= _SHORT else []
 
 
 def _aligned(sizes: List[int], phase: int) -> str:
     """Return the format of numbers that begin at a place, given modulo 8."""
-    codes, at = [], phase
+    codes, offset = [], phase
     for size in sizes:
         if size > 0:
-            padding = -at % size
+            padding = -offset % size
             codes.append(f"{padding}x{_CODES[size]}")
-            at += padding + size
+            offset += padding + size
         elif size < 0:
             codes.append("x")
-            at += 1
+            offset += 1
     return "".join(codes)
 
 

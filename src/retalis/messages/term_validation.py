@@ -1,6 +1,11 @@
-"""The careful way from a term to a message: slot by slot, with every form that is allowed.
+"""Validating encoder: event terms to messages, with precise errors and every form that is allowed.
 
-Terms with variables against message types: what no values of the variables would make right.
+`encoder` generates a fast function for the usual forms; terms that it rejects come here. This encoder walks over the
+type slot by slot, accepts alternatives (Prolog strings, lists of bytes, ``True``, 0 and 1, ``datime`` terms,
+``inf``), and names the slot and the expected type in errors.
+
+`fault_of` applies the same rules to terms with variables, for checks before the program runs: variables are replaced
+by values that fit their slots, so that an error concerns the constant parts of the term only.
 """
 
 from struct import error as StructError
@@ -18,20 +23,20 @@ from .type_definition import PRIMITIVES, TIMES, VARIABLE, Definition, Field, int
 _BOOLS: Dict[Atom, bool] = {TRUE: True, atom("True"): True, FALSE: False, atom("False"): False}
 _SPECIAL = {atom("nan"): float("nan"), atom("inf"): float("inf"), atom("infinite"): float("inf")}
 _NEGATIVE = functor("-", 1)
-_SHOWN = 60
+_MAX_SHOWN_CHARACTERS = 60
 
 
 class CheckingEncoder:
-    """Encodes the terms of one type, saying what is wrong with those that do not fit."""
+    """Encoder of one type that reports why a term does not fit."""
 
     def __init__(self, definition: Definition):
         self.definition = definition
 
     def encode(self, term: Term, topic: str = "") -> bytes:
-        """Return the bytes of the message that ``term`` stands for.
+        """Return the bytes of the message that ``term`` denotes.
 
         Raises:
-            MessageError: naming the topic, the slot and what was expected.
+            MessageError: with the topic, the slot, and what was expected.
         """
         chunks: List[bytes] = []
         try:
@@ -101,15 +106,15 @@ def _items(slot: Field, term: Term, path: str) -> List[Term]:
     return items
 
 
-def _check_length(slot: Field, number: int, path: str) -> None:
-    if slot.length != VARIABLE and number != slot.length:
+def _check_length(slot: Field, count: int, path: str) -> None:
+    if slot.length != VARIABLE and count != slot.length:
         raise _Misfit(
-            path, f"expected {counted(slot.length or 0, 'element')} ({slot.describe()}), got {number}"
+            path, f"expected {counted(slot.length or 0, 'element')} ({slot.describe()}), got {count}"
         )
 
 
 def _bytes(slot: Field, term: Term, path: str) -> bytes:
-    """Return the bytes of a byte array, given as text or as a list of numbers."""
+    """Return the bytes of a byte array, which may be a string or a list of numbers."""
     value = deref(term)
     if value.__class__ is tuple or value is NIL:
         chunks: List[bytes] = []
@@ -135,30 +140,29 @@ def _single(slot: Field, term: Term, path: str, chunks: List[bytes]) -> None:
     if slot.definition is not None:
         _message(slot.definition, term, path, chunks)
         return
-    chunks.append(_READERS[slot.type](slot.type, deref(term), path))
+    chunks.append(_PACKERS[slot.type](slot.type, deref(term), path))
 
 
-def _string(kind: str, value: Term, path: str) -> bytes:
+def _string(type_name: str, value: Term, path: str) -> bytes:
     raw = _text(value, path, "a string")
     return pack("<I", len(raw)) + raw
 
 
-def _time(kind: str, value: Term, path: str) -> bytes:
-    if (
-        kind == "time" and value.__class__ is tuple and timestamps.is_instant(value)
-    ):  # a datime, as `t2` gives it
+def _time(type_name: str, value: Term, path: str) -> bytes:
+    # A time may also be a `datime` term, as in the variables `t1` and `t2` of a pattern.
+    if type_name == "time" and value.__class__ is tuple and timestamps.is_instant(value):
         value = make_list(timestamps.to_parts(timestamps.from_term(value)))
     items = [deref(part) for part in list_items(value) or ()]
     parts = [part for part in items if isinstance(part, int)]
     if len(items) != 2 or len(parts) != 2:
-        raise _expected(path, f"{kind} as [Sec,NSec]", value)
-    code = TIMES[kind]
+        raise _expected(path, f"{type_name} as [Sec,NSec]", value)
+    code = TIMES[type_name]
     for part, name in zip(parts, ("Sec", "NSec")):
-        _check_range(code[0], part, path, f"{kind} as [Sec,NSec], {name}")
+        _check_range(code[0], part, path, f"{type_name} as [Sec,NSec], {name}")
     return pack("<" + code, *parts)
 
 
-def _bool(kind: str, value: Term, path: str) -> bytes:
+def _bool(type_name: str, value: Term, path: str) -> bytes:
     if value.__class__ is Atom and value in _BOOLS:
         return pack("<?", _BOOLS[value])
     if isinstance(value, int) and value in (0, 1):
@@ -166,25 +170,25 @@ def _bool(kind: str, value: Term, path: str) -> bytes:
     raise _expected(path, "bool (true or false)", value)
 
 
-def _integer(kind: str, value: Term, path: str) -> bytes:
+def _integer(type_name: str, value: Term, path: str) -> bytes:
     if not isinstance(value, int):
-        raise _expected(path, kind, value)
-    _check_range(PRIMITIVES[kind], value, path, kind)
-    return pack("<" + PRIMITIVES[kind], value)
+        raise _expected(path, type_name, value)
+    _check_range(PRIMITIVES[type_name], value, path, type_name)
+    return pack("<" + PRIMITIVES[type_name], value)
 
 
-def _float(kind: str, value: Term, path: str) -> bytes:
+def _float(type_name: str, value: Term, path: str) -> bytes:
     if value.__class__ is Atom:
         value = _SPECIAL.get(value, value)
     elif value.__class__ is tuple and value[0] is _NEGATIVE:
         inner = deref(value[1])
         value = -_SPECIAL[inner] if inner.__class__ is Atom and inner in _SPECIAL else value
     if not isinstance(value, (float, int)):
-        raise _expected(path, kind, value)
+        raise _expected(path, type_name, value)
     try:
-        return pack("<" + PRIMITIVES[kind], value)
+        return pack("<" + PRIMITIVES[type_name], value)
     except (OverflowError, StructError):
-        raise _Misfit(path, f"{describe(value)} is too large for {kind}") from None
+        raise _Misfit(path, f"{describe(value)} is too large for {type_name}") from None
 
 
 def _check_range(code: str, value: int, path: str, what: str) -> None:
@@ -194,7 +198,7 @@ def _check_range(code: str, value: int, path: str, what: str) -> None:
 
 
 _Packer = Callable[[str, Term, str], bytes]
-_READERS: Dict[str, _Packer] = {
+_PACKERS: Dict[str, _Packer] = {
     **dict.fromkeys(PRIMITIVES, _integer),
     "bool": _bool,
     "float32": _float,
@@ -206,7 +210,7 @@ _READERS: Dict[str, _Packer] = {
 
 
 def describe(term: Term) -> str:
-    """Return a term in a few words for an error: what it is and how it begins."""
+    """Return a short description of a term for an error: its type and its beginning."""
     term = deref(term)
     if term.__class__ is Var:
         return "an unbound variable"
@@ -224,7 +228,7 @@ def describe(term: Term) -> str:
 
 
 def _short(lead: str, text: str) -> str:
-    return lead + (text if len(text) <= _SHOWN else text[:_SHOWN] + "...")
+    return lead + (text if len(text) <= _MAX_SHOWN_CHARACTERS else text[:_MAX_SHOWN_CHARACTERS] + "...")
 
 
 _DEFAULTS: Dict[str, Term] = {
@@ -233,74 +237,79 @@ _DEFAULTS: Dict[str, Term] = {
     "time": make_list([0, 0]),
     "duration": make_list([0, 0]),
 }
-_SECONDS = Field("", "uint32")
+_TIME_PART = Field("", "uint32")
 
 MAX_CHECKED_BYTES = 1 << 20
-"""Bytes that a message may have at least for its terms to be looked at: values are made of all that is left open."""
+"""Types with larger minimum messages are not checked: values would have to be created for all their variables."""
 
 
 def fault_of(definition: Definition, term: Term, topic: str = "") -> Optional[str]:
-    """Return why a term is no message of a type, whatever its variables are; None where it may be one.
+    """Return why a term with variables cannot become a message of a type, or None if it can.
 
-    Nothing is found in types whose messages are larger than `MAX_CHECKED_BYTES` whatever they hold.
+    Types whose smallest message exceeds `MAX_CHECKED_BYTES` are not checked.
 
     Args:
         definition: the type.
         term: the term.
-        topic: is named in the answer.
+        topic: name for the error text.
     """
     if definition.measure.least > MAX_CHECKED_BYTES:
         return None
     try:
-        CheckingEncoder(definition).encode(_filled(definition, term), topic)
+        CheckingEncoder(definition).encode(_without_variables(definition, term), topic)
     except MessageError as error:
         return error.message
     return None
 
 
-def _filled(definition: Definition, term: Term) -> Term:
-    """Return a message that has values which fit in the place of variables."""
+def _without_variables(definition: Definition, term: Term) -> Term:
+    """Return the message with variables replaced by values that fit."""
     term = deref(term)
     if term.__class__ is Var:
-        return _pattern_message(definition)
+        return _default_message(definition)
+    # A term of another form stays as it is: the encoder reports it.
     if term.__class__ is not tuple or len(term) - 1 != len(definition.fields):
         return term
-    return (term[0], *[_pattern_slot(slot, value) for slot, value in zip(definition.fields, term[1:])])
+    return (
+        term[0],
+        *[_slot_without_variables(slot, value) for slot, value in zip(definition.fields, term[1:])],
+    )
 
 
-def _pattern_slot(slot: Field, value: Term) -> Term:
+def _slot_without_variables(slot: Field, value: Term) -> Term:
     value = deref(value)
     if value.__class__ is Var:
-        return _some(slot)
+        return _default_value(slot)
     if slot.length is not None:
-        return _elements(slot, slot._replace(length=None), value)
+        return _list_without_variables(slot, slot._replace(length=None), value)
     if slot.definition is not None:
-        return _filled(slot.definition, value)
-    return _elements(slot, _SECONDS, value) if slot.type in TIMES else value
+        return _without_variables(slot.definition, value)
+    return _list_without_variables(slot, _TIME_PART, value) if slot.type in TIMES else value
 
 
-def _elements(slot: Field, element: Field, value: Any) -> Term:
-    """Return a list that has values for its variables; where its end is one, any that fits."""
+def _list_without_variables(slot: Field, element: Field, value: Any) -> Term:
+    """Return the list with variables replaced by values that fit; the same if its tail is a variable."""
     items: List[Term] = []
     rest = value
     while rest.__class__ is tuple and rest[0] is CONS:
-        items.append(_pattern_slot(element, rest[1]))
+        items.append(_slot_without_variables(element, rest[1]))
         rest = deref(rest[2])
+    # A partial list stands for lists of any length: its known elements are not checked.
     if rest.__class__ is Var:
-        return _some(slot)
+        return _default_value(slot)
     return make_list(items) if rest is NIL else value
 
 
-def _some(slot: Field) -> Term:
-    """Return a value that fits into a slot."""
+def _default_value(slot: Field) -> Term:
+    """Return a value that fits a slot."""
     if slot.length is not None:
-        number = 0 if slot.length == VARIABLE else slot.length
-        return make_list([_some(slot._replace(length=None))] * number)
-    return _DEFAULTS.get(slot.type, 0) if slot.definition is None else _pattern_message(slot.definition)
+        count = 0 if slot.length == VARIABLE else slot.length
+        return make_list([_default_value(slot._replace(length=None))] * count)
+    return _DEFAULTS.get(slot.type, 0) if slot.definition is None else _default_message(slot.definition)
 
 
-def _pattern_message(definition: Definition) -> Term:
+def _default_message(definition: Definition) -> Term:
     slots = definition.fields
     if not slots:
         return atom(definition.functor_name)
-    return (functor(definition.functor_name, len(slots)), *map(_some, slots))
+    return (functor(definition.functor_name, len(slots)), *map(_default_value, slots))

@@ -1,10 +1,12 @@
-"""The types that slots of messages are made of, and how large a message can be.
+"""ROS 1 message definitions: parsing, sizes, checksums, and skipping of serialized fields.
 
-ROS 1 message definitions: their slots, how large they are, and the checksum of all that.
+A definition is the text of a ``.msg`` file, optionally followed by those of nested types after lines of ``=``
+(https://wiki.ros.org/msg). `parse` reads one definition; nested types are resolved by a callback (see
+`type_registry`). Each definition knows its `Measure`: the size of its messages and the number of its slots. The
+limits on both are checked while a definition is parsed, because definitions come from publishers and are not trusted.
 
-Where the slots of a message lie in its bytes.
-
-The text of a ``.msg`` file, read and checked.
+The MD5 sum is that of ROS: of the constants and slots without comments and spacing, in which nested types are
+replaced by their own MD5 sums.
 """
 
 import re
@@ -36,16 +38,16 @@ TIMES: Dict[str, str] = {"time": "II", "duration": "ii"}
 BUILTIN = frozenset(PRIMITIVES) | frozenset(TIMES) | {"string"}
 
 VARIABLE = -1
-"""The length of an array whose number of elements is in the message."""
+"""Length of an array whose number of elements is part of the message."""
 
 MAX_SLOTS = 10_000
-"""Slots that a type may have, those of the types in it included: its functions name each of them."""
+"""Maximum number of slots of a type including nested types; generated functions have a variable for each of them."""
 
 MAX_TYPE_DEPTH = 50
-"""How deep types may lie in each other."""
+"""Maximum nesting depth of types."""
 
 MAX_MESSAGE_BYTES = (1 << 32) - 1
-"""Bytes that a message can have: the wire gives its size in 32 bits."""
+"""Maximum size of a message: its size is a 32-bit number on the wire."""
 
 
 HEADER = "std_msgs/Header"
@@ -81,26 +83,26 @@ class Field(NamedTuple):
 
     @property
     def is_bytes(self) -> bool:
-        """Whether the slot is an array of bytes, which events show as text."""
+        """True if the slot is a byte array, which events represent as text."""
         return self.length is not None and self.type in ("uint8", "char")
 
     def describe(self) -> str:
-        """Return the type as a definition writes it: ``float64[36]``."""
+        """Return the type in the syntax of definitions, for example ``float64[36]``."""
         if self.length is None:
             return self.type
         return f"{self.type}[{'' if self.length == VARIABLE else self.length}]"
 
 
 class Measure(NamedTuple):
-    """How large the messages of a type are, and what is made for them.
+    """Size limits of the messages of a type, and the complexity of the type.
 
     Attributes:
-        least: bytes of the shortest one.
-        fixed: whether all are as long as that.
-        slots: how many slots there are, those of nested types included.
-        depth: how deep types lie in each other.
-        bare: how many elements of fixed arrays have no bytes.
-        may_be_bare: whether there is an array, of whatever length, whose elements have no bytes.
+        least: minimum size of a message in bytes.
+        fixed: if all messages have that size.
+        slots: number of slots, including those of nested types.
+        depth: nesting depth of types.
+        bare: number of zero-byte elements in arrays of fixed length.
+        may_be_bare: if there is an array, of fixed or variable length, whose elements have no bytes.
     """
 
     least: int = 0
@@ -111,22 +113,22 @@ class Measure(NamedTuple):
     may_be_bare: bool = False
 
     def plus(self, slot: Field) -> "Measure":
-        """Return the measure of messages with one more slot."""
-        one = measure_of(slot)
-        number = 1 if slot.length is None else slot.length
-        varies = number == VARIABLE
-        is_bare = slot.length is not None and not one.least
+        """Return the measure of messages with one additional slot."""
+        element = measure_of(slot)
+        count = 1 if slot.length is None else slot.length
+        is_variable = count == VARIABLE
+        elements_are_bare = slot.length is not None and not element.least
         return Measure(
-            self.least + (4 if varies else one.least * number),
-            self.fixed and one.fixed and not varies,
-            self.slots + one.slots + 1,
-            max(self.depth, one.depth + 1),
-            self.bare + (0 if varies else number * (one.bare + is_bare)),
-            self.may_be_bare or one.may_be_bare or is_bare,
+            self.least + (4 if is_variable else element.least * count),
+            self.fixed and element.fixed and not is_variable,
+            self.slots + element.slots + 1,
+            max(self.depth, element.depth + 1),
+            self.bare + (0 if is_variable else count * (element.bare + elements_are_bare)),
+            self.may_be_bare or element.may_be_bare or elements_are_bare,
         )
 
     def problem(self) -> str:
-        """Return what is too much; an empty text where nothing is."""
+        """Return a description of the exceeded limit, or an empty string."""
         if self.slots > MAX_SLOTS:
             return f"a type cannot have more than {MAX_SLOTS} slots, including those of the types it contains"
         if self.depth > MAX_TYPE_DEPTH:
@@ -147,14 +149,14 @@ def measure_of(slot: Field) -> Measure:
 
 def measured(fields: Iterable[Field]) -> Measure:
     """Return the measure of messages with these slots."""
-    found = Measure()
+    measure = Measure()
     for slot in fields:
-        found = found.plus(slot)
-    return found
+        measure = measure.plus(slot)
+    return measure
 
 
 class Definition:
-    """A message type with all the types it is made of.
+    """A message type with its nested types.
 
     >>> kind = Definitions().find("std_msgs/String")
     >>> kind.name, [slot.name for slot in kind.fields], kind.md5sum
@@ -167,10 +169,12 @@ class Definition:
         text: the definition's own text.
         event: what its event terms are called, where that is not ``pkg__0__Type``.
         md5sum: the checksum by which ROS tells versions of a type apart.
-        measure: how large its messages are.
+        event: name of its event terms if it differs from ``pkg__0__Type``.
+        md5sum: checksum that identifies the version of the type in ROS.
+        measure: size of its messages.
 
     Raises:
-        MessageError: for a name that is none.
+        MessageError: if ``name`` is not a valid type name.
     """
 
     def __init__(
@@ -205,7 +209,7 @@ class Definition:
 
     @property
     def full_text(self) -> str:
-        """The text with those of all nested types, as it stands in connection headers and bags.
+        """The definition with those of all nested types, as in connection headers and bags.
 
         >>> definitions = Definitions()
         >>> seen = definitions.add("my_robot/Seen", "Header header")
@@ -218,16 +222,16 @@ class Definition:
         return "\n".join(parts)
 
     def dependencies(self) -> List["Definition"]:
-        """Return the definitions of all nested types, each once, in the order of their first use.
+        """Return the definitions of all nested types in the order of their first use, without duplicates.
 
         >>> definitions = Definitions()
         >>> seen = definitions.add("my_robot/Seen", "Header header")
         >>> [nested.name for nested in seen.dependencies()]
         ['std_msgs/Header']
         """
-        found: Dict[str, Definition] = {}
-        _collect(self, found)
-        return list(found.values())
+        definitions: Dict[str, Definition] = {}
+        _collect(self, definitions)
+        return list(definitions.values())
 
     def renamed(self, name: str) -> "Definition":
         """Return the same definition under another name (``tf/tfMessage`` for ``tf2_msgs/TFMessage``).
@@ -238,7 +242,7 @@ class Definition:
         return Definition(name, self.fields, self.constants, self.text)
 
     def as_event(self, event: str) -> "Definition":
-        """Return the same definition with event terms of another name; "" is that of the type.
+        """Return the same definition with event terms of another name; "" restores the type's name.
 
         >>> Definitions().find("std_msgs/Bool").as_event("bumper_left").functor_name
         'bumper_left'
@@ -252,28 +256,28 @@ class Definition:
 
 
 def functor_name(type_name: str) -> str:
-    """Return the functor's name of a message type: ``pkg__0__Type`` for ``pkg/Type``."""
+    """Return the functor name of a message type: ``pkg__0__Type`` for ``pkg/Type``."""
     return type_name.replace("/", "__0__")
 
 
 def type_name(functor_name: str) -> Optional[str]:
-    """Return ``pkg/Type`` for ``pkg__0__Type``, or None where the name is not of that form."""
+    """Return ``pkg/Type`` for ``pkg__0__Type``, or None if the name does not have that form."""
     package, mark, rest = functor_name.partition("__0__")
     return f"{package}/{rest}" if mark and package and rest else None
 
 
-def _collect(definition: Definition, found: Dict[str, Definition]) -> None:
+def _collect(definition: Definition, definitions: Dict[str, Definition]) -> None:
     for slot in definition.fields:
         nested = slot.definition
-        if nested is not None and nested.name not in found:
-            found[nested.name] = nested
-            _collect(nested, found)
+        if nested is not None and nested.name not in definitions:
+            definitions[nested.name] = nested
+            _collect(nested, definitions)
 
 
 def _checksum_text(definition: Definition) -> str:
-    """Return the text whose MD5 is the type's: constants, then slots, nested types by their checksums.
+    """Return the text whose MD5 sum is that of the type: constants, then slots, with nested types as checksums.
 
-    Comments, spacing and whether a nested type is an array do not count, as in ROS's own tools.
+    As in genmsg, comments, spacing and the array length of nested types do not count.
     """
     lines = [f"{constant.type} {constant.name}={constant.text}" for constant in definition.constants]
     for slot in definition.fields:
@@ -285,17 +289,17 @@ def _checksum_text(definition: Definition) -> str:
 
 
 BARE = 10_000
-"""Elements without bytes (messages without slots in an array) that a message may have, where no setting says so."""
+"""Default limit for the zero-byte elements of a message: elements of arrays whose type has no slots."""
 
 
 def element_size(slot: Field) -> Optional[int]:
-    """Return the bytes of one element of a slot, or None where elements differ in size."""
+    """Return the size of one element of a slot in bytes, or None if it varies."""
     measure = measure_of(slot)
     return measure.least if measure.fixed else None
 
 
 def explain(definition: Definition, data: bytes) -> str:
-    """Say why bytes are not a message of a type."""
+    """Return an error text that says why the bytes are not a message of a type."""
     size = len(data)
     try:
         end = _Walk(data).end(definition, 0, "")
@@ -308,28 +312,28 @@ def _size(size: int) -> str:
     return f"{counted(size, 'byte')} {'is' if size == 1 else 'are'}"
 
 
-def check_bare(definition: Definition, data: bytes, most: int) -> None:
-    """Count the elements without bytes in a message: their number is all that there is of them.
+def check_bare(definition: Definition, data: bytes, limit: int) -> None:
+    """Check the number of zero-byte elements in a message, which the message's size does not limit.
 
     Raises:
-        MessageError: where there are too many, or the bytes are not a message.
+        MessageError: if there are more than ``limit``, or the bytes are not a message of this type.
     """
     walk = _Walk(data)
     try:
         walk.end(definition, 0, "")
     except _Truncated:
         raise MessageError(explain(definition, data)) from None
-    if walk.bare > most:
+    if walk.bare > limit:
         raise MessageError(
-            f"a {definition.name} has {walk.bare} zero-byte elements in its arrays: at most {most} are allowed"
+            f"a {definition.name} has {walk.bare} zero-byte elements in its arrays: at most {limit} are allowed"
         )
 
 
 def element_end(data: bytes, slot: Field, at: int) -> int:
-    """Return where a slot ends that begins at a place.
+    """Return the offset of the end of a slot that begins at offset ``at``.
 
     Raises:
-        struct.error: where the bytes end before.
+        struct.error: if the bytes end before.
     """
     try:
         return _Walk(data).end_of(slot, at, slot.name)
@@ -344,35 +348,35 @@ class _Truncated(Exception):
 
 
 class _Walk:
-    """Goes over the bytes of a message without making anything of them, and counts elements without bytes."""
+    """Skips over the slots of a serialized message without decoding them, and counts zero-byte elements."""
 
     def __init__(self, data: bytes):
         self.data = data
         self.bare = 0
 
     def end(self, definition: Definition, at: int, prefix: str) -> int:
-        """Return where a message that begins at a place ends."""
+        """Return the end offset of a message that begins at ``at``."""
         for slot in definition.fields:
             at = self.end_of(slot, at, prefix + slot.name)
         return at
 
     def end_of(self, slot: Field, at: int, path: str) -> int:
-        """Return where a slot that begins at a place ends."""
-        number = 1 if slot.length is None else slot.length
+        """Return the end offset of a slot that begins at ``at``."""
+        count = 1 if slot.length is None else slot.length
         if slot.length == VARIABLE:
-            at, number = at + 4, self.number(at, path)
-        one = measure_of(slot)
-        if not one.fixed:
-            return self.elements(slot, number, at, path)
-        at += number * one.least
-        self.bare += number * (one.bare + (slot.length is not None and not one.least))
+            at, count = at + 4, self.number(at, path)
+        element = measure_of(slot)
+        if not element.fixed:
+            return self.elements(slot, count, at, path)
+        at += count * element.least
+        self.bare += count * (element.bare + (slot.length is not None and not element.least))
         if at > len(self.data):
             raise _Truncated(path)
         return at
 
-    def elements(self, slot: Field, number: int, at: int, path: str) -> int:
-        """Return where elements that differ in size end."""
-        for index in range(number):
+    def elements(self, slot: Field, count: int, at: int, path: str) -> int:
+        """Return the end offset of elements that differ in size."""
+        for index in range(count):
             place = path if slot.length is None else f"{path}[{index}]"
             if slot.definition is not None:
                 at = self.end(slot.definition, at, place + ".")
@@ -383,11 +387,11 @@ class _Walk:
         return at
 
     def number(self, at: int, path: str) -> int:
-        """Return the number at a place."""
+        """Return the 32-bit count at an offset."""
         if at + 4 > len(self.data):
             raise _Truncated(path)
-        number: int = unpack_from("<I", self.data, at)[0]
-        return number
+        count: int = unpack_from("<I", self.data, at)[0]
+        return count
 
 
 _HEADER_NAMES = ("Header", "std_msgs/Header", "roslib/Header")
@@ -400,7 +404,7 @@ _CONSTANT = re.compile(r"\s*(?P<type>[\w/]+)\s+(?P<name>\w+)\s*=(?P<value>.*)")
 _FIELD = re.compile(r"\s*(?P<type>[\w/]+)(?P<array>\[\s*(?:[0-9]+\s*)?\])?\s+(?P<name>\w+)\s*$")
 
 _MAX_INTEGER_CHARACTERS = 100
-"""Characters of the longest text of an integer, with all its zeros; Python takes long for long ones."""
+"""Maximum number of characters of an integer, including leading zeros: Python parses long integers slowly."""
 
 
 def split_sections(name: str, text: str) -> Dict[str, str]:
@@ -480,83 +484,88 @@ class _DefinitionReader:
         return tuple(self.fields.values()), tuple(self.constants.values())
 
     def _line(self, offset: int, line: str) -> None:
-        found = _STRING_CONSTANT.match(line)
-        if found:
-            self._constant("string", found, offset)
+        # A string constant takes the rest of the line literally: `#` does not begin a comment in it.
+        match = _STRING_CONSTANT.match(line)
+        if match:
+            self._constant("string", match, offset)
             return
         line = _COMMENT.sub("", line)
         if not line.strip():
             return
-        found = _FIELD.match(line)
-        if found:
-            self._field(found, offset)
+        match = _FIELD.match(line)
+        if match:
+            self._field(match, offset)
             return
-        found = _CONSTANT.match(line)
-        if found:
-            self._constant(found["type"], found, offset)
+        match = _CONSTANT.match(line)
+        if match:
+            self._constant(match["type"], match, offset)
             return
-        at = offset + len(line) - len(line.lstrip())
-        raise self._error(f"expected 'type name' or 'type NAME=value', found {shortened(line.strip())}", at)
+        start = offset + len(line) - len(line.lstrip())
+        raise self._error(
+            f"expected 'type name' or 'type NAME=value', found {shortened(line.strip())}", start
+        )
 
-    def _constant(self, kind: str, found: "re.Match[str]", offset: int) -> None:
-        text = found["value"].strip()
-        self._new_name(found, offset, self.constants)
+    def _constant(self, type_name: str, match: "re.Match[str]", offset: int) -> None:
+        # Definitions come from other nodes: limits are checked per line, before the rest of the text is read.
+        text = match["value"].strip()
+        self._new_name(match, offset, self.constants)
         if len(self.constants) >= MAX_SLOTS:
             raise self._error(
-                f"a type cannot have more than {MAX_SLOTS} constants", offset + found.start("name")
+                f"a type cannot have more than {MAX_SLOTS} constants", offset + match.start("name")
             )
-        if kind not in PRIMITIVES and kind != "string":
-            raise self._error(f"a constant cannot be of type {kind[:SHOWN]}", offset + found.start())
+        if type_name not in PRIMITIVES and type_name != "string":
+            raise self._error(f"a constant cannot be of type {type_name[:SHOWN]}", offset + match.start())
         try:
-            value = constant_value(kind, text)
+            value = constant_value(type_name, text)
         except ValueError:
-            at = offset + found.start("value")
-            raise self._error(f"{shortened(text)} is not a value of type {kind}", at) from None
-        self.constants[found["name"]] = Constant(kind, found["name"], text, value)
+            position = offset + match.start("value")
+            raise self._error(f"{shortened(text)} is not a value of type {type_name}", position) from None
+        self.constants[match["name"]] = Constant(type_name, match["name"], text, value)
 
-    def _field(self, found: "re.Match[str]", offset: int) -> None:
-        self._new_name(found, offset, self.fields)
-        kind, array, length = plain_type(found["type"]), found["array"], None
+    def _field(self, match: "re.Match[str]", offset: int) -> None:
+        self._new_name(match, offset, self.fields)
+        type_name, array, length = plain_type(match["type"]), match["array"], None
         if array is not None:
-            length = self._length(array[1:-1].strip(), offset + found.start("array"))
-        if kind in BUILTIN:
+            length = self._length(array[1:-1].strip(), offset + match.start("array"))
+        if type_name in BUILTIN:
             definition = None
         else:
-            definition = self._nested(kind, offset + found.start("type"))
-            kind = definition.name
-        slot = self.fields[found["name"]] = Field(found["name"], kind, length, definition)
+            definition = self._nested(type_name, offset + match.start("type"))
+            type_name = definition.name
+        slot = self.fields[match["name"]] = Field(match["name"], type_name, length, definition)
         self.measure = self.measure.plus(slot)
         problem = self.measure.problem()
         if problem:
-            raise self._error(problem, offset + found.start("type"))
+            raise self._error(problem, offset + match.start("type"))
 
-    def _length(self, digits: str, at: int) -> int:
+    def _length(self, digits: str, position: int) -> int:
         if len(digits) > len(str(MAX_MESSAGE_BYTES)) or (digits and int(digits) > MAX_MESSAGE_BYTES):
-            raise self._error(f"an array cannot have more than {MAX_MESSAGE_BYTES} elements", at)
+            raise self._error(f"an array cannot have more than {MAX_MESSAGE_BYTES} elements", position)
         return int(digits) if digits else VARIABLE
 
-    def _nested(self, kind: str, at: int) -> Definition:
+    def _nested(self, type_name: str, position: int) -> Definition:
+        # `Header` without a package always means std_msgs/Header, as in genmsg.
         try:
-            return self.find(HEADER if kind in _HEADER_NAMES else kind, self.package)
+            return self.find(HEADER if type_name in _HEADER_NAMES else type_name, self.package)
         except MessageError as error:
             if error.place is not None:
                 raise
-            raise self._error(error.message, at) from None
+            raise self._error(error.message, position) from None
 
-    def _new_name(self, found: "re.Match[str]", offset: int, known: Container[str]) -> None:
-        name = found["name"]
+    def _new_name(self, match: "re.Match[str]", offset: int, names: Container[str]) -> None:
+        name = match["name"]
         fault = plain_fault(name)
         if fault is not None:
-            raise self._error(fault, offset + found.start("name"))
-        if name in known:
-            raise self._error(f"{name[:SHOWN]} is defined twice", offset + found.start("name"))
+            raise self._error(fault, offset + match.start("name"))
+        if name in names:
+            raise self._error(f"{name[:SHOWN]} is defined twice", offset + match.start("name"))
 
     def _error(self, message: str, offset: int) -> MessageError:
         return MessageError(message, place_at(self.source, self.text, offset))
 
 
 def lines_of(text: str) -> Iterator[Tuple[int, str]]:
-    """Yield the lines of a text, each with the offset at which it begins."""
+    """Yield the lines of a text with the offset of their first character."""
     offset = 0
     for line in text.splitlines(keepends=True):
         yield offset, line.rstrip("\r\n")
@@ -566,30 +575,30 @@ def lines_of(text: str) -> Iterator[Tuple[int, str]]:
 _BOOLS = {"true": True, "True": True, "1": True, "false": False, "False": False, "0": False}
 
 
-def constant_value(kind: str, text: str) -> ConstantValue:
+def constant_value(type_name: str, text: str) -> ConstantValue:
     """Return the value of a constant.
 
     Raises:
         ValueError: if the text is not a value of that type.
     """
-    if kind == "string":
+    if type_name == "string":
         return text
-    if kind == "bool":
+    if type_name == "bool":
         if text not in _BOOLS:
             raise ValueError(text)
         return _BOOLS[text]
-    if kind in ("float32", "float64"):
+    if type_name in ("float32", "float64"):
         return float(text)
     if len(text) > _MAX_INTEGER_CHARACTERS:
         raise ValueError(text)
     value = int(text) if text.lstrip("+-").isdigit() else int(text, 0)
-    low, high = integer_range(PRIMITIVES[kind])
+    low, high = integer_range(PRIMITIVES[type_name])
     if not low <= value <= high:
         raise ValueError(text)
     return value
 
 
 def integer_range(code: str) -> Tuple[int, int]:
-    """Return the least and the greatest integer of a `struct` code."""
+    """Return the minimum and the maximum integer of a `struct` code."""
     bits = {"b": 8, "h": 16, "i": 32, "q": 64}[code.lower()]
     return (0, (1 << bits) - 1) if code.isupper() else (-(1 << (bits - 1)), (1 << (bits - 1)) - 1)

@@ -1,6 +1,7 @@
-"""Looks up the texts of installed message types in the file system.
+"""Registry of message types: received definitions, and definitions that are installed on the system.
 
-The message types that are known: from texts, and from what is installed. No part of ROS is needed.
+`Installed` finds the text of a type in the file system without any part of ROS. `Definitions` resolves nested types,
+compiles decoders and encoders once per version of a type, and bounds the memory of types that publishers send.
 """
 
 import codecs
@@ -24,27 +25,27 @@ _MODULES = ("/usr/lib/python3/dist-packages",)
 _DEPTH = 4
 
 _FULL_TEXT = re.compile(r'^[ \t]*_full_text = """((?:[^"\\]|\\.|"(?!""))*)"""', re.MULTILINE | re.DOTALL)
-"""The definition in a module that genpy has generated: always a literal in three double quotes."""
+"""Definition in a module that genpy has generated: always a literal in three double quotes."""
 
 _ESCAPE = re.compile(
     r"""\\(?:\n|[\\'"abfnrtv]|[0-7]{1,3}|x[0-9a-fA-F]{2}|u[0-9a-fA-F]{4}|U[0-9a-fA-F]{8}|N\{[A-Za-z0-9 -]+\})"""
 )
-"""The escape sequences of Python's literals; a backslash before anything else stands for itself."""
+"""Escape sequences of Python literals; a backslash before any other character is literal."""
 
 
 class Installed:
-    """Finds ``pkg/Type`` where ROS and its tools keep message definitions.
+    """Message definitions that are installed on the system.
 
-    In this order: ``msg/*.msg`` files of packages under ``ROS_PACKAGE_PATH``, ``CMAKE_PREFIX_PATH``,
-    ``/opt/ros`` and ``/usr/share``; generated Python modules ``pkg/msg/_Type.py`` on the module path, which
-    are read, not imported (Debian installs some types so only); the types that the package ``rosbags``
-    brings, where it is installed.
+    They are searched in this order: ``msg/*.msg`` files of packages under ``ROS_PACKAGE_PATH``,
+    ``CMAKE_PREFIX_PATH``, ``/opt/ros`` and ``/usr/share``; generated Python modules ``pkg/msg/_Type.py`` on the
+    module path, which are read, not imported (Debian installs some types in this form only); the types of the package
+    ``rosbags``, if that is installed.
 
     Args:
-        packages: folders that contain packages, instead of the usual ones.
+        packages: folders that contain packages, instead of the standard ones.
         modules: folders of Python modules, instead of the module path.
-        rosbags: whether to ask ``rosbags``.
-        further: folders that are looked at before these; a package's own, or one that contains packages.
+        rosbags: if ``rosbags`` is searched.
+        further: folders that are searched first; each is a package or contains packages.
     """
 
     def __init__(
@@ -61,53 +62,56 @@ class Installed:
         self._sources: Optional[Dict[str, str]] = None
 
     def types(self, package: str) -> List[str]:
-        """Return the names of the types of a package, in the order of the alphabet; none where there is no such."""
+        """Return the names of the types of a package in alphabetical order; empty for an unknown package."""
         folders = [os.path.join(folder, package, "msg") for folder in (*self._packages, *self._modules)]
         nested = self._source_packages().get(package)
-        found = {name for folder in folders for name in _type_names(folder)}
+        names = {name for folder in folders for name in _type_names(folder)}
         if nested is not None:
-            found.update(_type_names(os.path.join(nested, "msg")))
-        return sorted(found.union(_rosbags_types().get(package, ())) if self._rosbags else found)
+            names.update(_type_names(os.path.join(nested, "msg")))
+        return sorted(names.union(_rosbags_types().get(package, ())) if self._rosbags else names)
 
     def packages(self) -> List[str]:
-        """Return the names of the packages that have messages, in the order of the alphabet."""
-        found = set(self._source_packages())
+        """Return the names of the packages that have messages, in alphabetical order."""
+        names = set(self._source_packages())
         for folder in self._packages:
-            found.update(_with_messages(folder))
-        return sorted(found.union(_rosbags_types()) if self._rosbags else found)
+            names.update(_with_messages(folder))
+        return sorted(names.union(_rosbags_types()) if self._rosbags else names)
 
     def text(self, name: str) -> Optional[Tuple[str, str]]:
-        """Return the text of a type and where it was read, or None where it is not installed."""
-        package, _, kind = name.partition("/")
+        """Return the text of a type and its source, or None if the type is not installed."""
+        package, _, type_name = name.partition("/")
         if type_fault(name) is not None:
             return None
-        for path in self._message_files(package, kind):
+        for path in self._message_files(package, type_name):
             if os.path.isfile(path):
                 return Path(path).read_text(encoding="utf-8", errors="replace"), path
-        return self._module_text(package, kind) or (_rosbags_text(package, kind) if self._rosbags else None)
+        return self._module_text(package, type_name) or (
+            _rosbags_text(package, type_name) if self._rosbags else None
+        )
 
-    def _message_files(self, package: str, kind: str) -> Iterator[str]:
+    def _message_files(self, package: str, type_name: str) -> Iterator[str]:
         for folder in self._packages:
-            yield os.path.join(folder, package, "msg", kind + ".msg")
+            yield os.path.join(folder, package, "msg", type_name + ".msg")
             if os.path.basename(folder.rstrip("/")) == package:
-                yield os.path.join(folder, "msg", kind + ".msg")
+                yield os.path.join(folder, "msg", type_name + ".msg")
         nested = self._source_packages().get(package)
         if nested is not None:
-            yield os.path.join(nested, "msg", kind + ".msg")
+            yield os.path.join(nested, "msg", type_name + ".msg")
 
     def _source_packages(self) -> Dict[str, str]:
-        """Return the packages that lie deeper in a folder of packages, as in a workspace's ``src``."""
+        """Return the packages in nested folders, for example in a workspace's ``src``."""
         if self._sources is None:
             sources: Dict[str, str] = {}
             for folder in self._packages:
                 if os.path.basename(folder.rstrip("/")) != "share":
                     _find_packages(folder, _DEPTH, sources)
-            self._sources = sources  # only now: another thread must not search in a part of them
+            # Assigned last: another thread must not search in an incomplete dictionary.
+            self._sources = sources
         return self._sources
 
-    def _module_text(self, package: str, kind: str) -> Optional[Tuple[str, str]]:
+    def _module_text(self, package: str, type_name: str) -> Optional[Tuple[str, str]]:
         for folder in self._modules:
-            path = os.path.join(folder, package, "msg", f"_{kind}.py")
+            path = os.path.join(folder, package, "msg", f"_{type_name}.py")
             if os.path.isfile(path):
                 text = _full_text(path)
                 if text is not None:
@@ -116,7 +120,7 @@ class Installed:
 
 
 def _type_names(folder: str) -> Iterator[str]:
-    """Yield the types whose definitions lie in a folder: ``Type.msg`` or ``_Type.py``."""
+    """Yield the types that a folder defines, as ``Type.msg`` or ``_Type.py``."""
     for name in _names_in(folder):
         if name.endswith(".msg"):
             yield name[:-4]
@@ -134,23 +138,24 @@ def _with_messages(folder: str) -> Iterator[str]:
 def _names_in(folder: str) -> List[str]:
     try:
         return os.listdir(folder)
-    except OSError:  # a folder of the path that is not there or not ours to read
+    except OSError:  # the folder does not exist or is not readable
         return []
 
 
 def _rosbags_types() -> Dict[str, List[str]]:
-    """Return the types that ``rosbags`` brings, by package."""
-    found: Dict[str, List[str]] = {}
+    """Return the types of the package ``rosbags``, by package."""
+    types: Dict[str, List[str]] = {}
     try:
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - slow, and an optional package
     except ImportError:
-        return found
+        return types
     store = get_typestore(Stores.ROS1_NOETIC)
-    names: Any = getattr(store, "fielddefs", None) or getattr(store, "FIELDDEFS", ())  # by its version
+    # The attribute depends on the version of rosbags.
+    names: Any = getattr(store, "fielddefs", None) or getattr(store, "FIELDDEFS", ())
     for name in names:
-        package, _, kind = name.partition("/msg/")
-        found.setdefault(package, []).append(kind)
-    return found
+        package, _, type_name = name.partition("/msg/")
+        types.setdefault(package, []).append(type_name)
+    return types
 
 
 def _package_folders() -> List[str]:
@@ -162,57 +167,58 @@ def _package_folders() -> List[str]:
 
 
 def _distributions() -> List[str]:
-    """Return the folders of the distributions of ROS that are not Debian's."""
+    """Return the folders of ROS distributions that are installed below ``/opt/ros``."""
     try:
         names = sorted(os.listdir(_ROS))
-    except OSError:  # none is there
+    except OSError:  # no distribution is installed
         return []
     return [os.path.join(_ROS, name, "share") for name in names]
 
 
-def _find_packages(folder: str, depth: int, found: Dict[str, str]) -> None:
+def _find_packages(folder: str, depth: int, packages: Dict[str, str]) -> None:
     try:
         entries = sorted(os.scandir(folder), key=lambda entry: entry.name)
-    except OSError:  # a folder of the path that is not there or not ours to read
+    except OSError:  # the folder does not exist or is not readable
         return
     names = {entry.name for entry in entries}
+    # Packages cannot be nested (REP 128), so the search ends at a package.
     if "package.xml" in names:
         if "msg" in names:
-            found.setdefault(os.path.basename(folder.rstrip("/")), folder)
+            packages.setdefault(os.path.basename(folder.rstrip("/")), folder)
         return
     if depth:
         for entry in entries:
             if not entry.name.startswith(".") and entry.is_dir():
-                _find_packages(entry.path, depth - 1, found)
+                _find_packages(entry.path, depth - 1, packages)
 
 
 def _full_text(path: str) -> Optional[str]:
-    """Return the definition that a generated Python module holds as ``_full_text``, without running the module.
+    """Return the definition in a generated Python module (``_full_text``) without executing the module.
 
-    A scan and not `ast.parse`: CPython counts the depth of syntax trees per interpreter, so two threads that build
-    one at the same time make each other fail, and every connection has a thread.
+    The file is scanned instead of parsed with `ast.parse`: CPython counts the depth of syntax trees per interpreter,
+    so two threads that parse at the same time make each other fail, and every connection has a thread.
     """
     try:
         source = Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         return None
-    found = _FULL_TEXT.search(source)
-    if found is None:
+    literal = _FULL_TEXT.search(source)
+    if literal is None:
         return None
     try:
-        return _ESCAPE.sub(lambda escape: codecs.decode(escape[0], "unicode_escape"), found[1])
+        return _ESCAPE.sub(lambda escape: codecs.decode(escape[0], "unicode_escape"), literal[1])
     except ValueError:  # an escape of a character that does not exist
         return None
 
 
-def _rosbags_text(package: str, kind: str) -> Optional[Tuple[str, str]]:
+def _rosbags_text(package: str, type_name: str) -> Optional[Tuple[str, str]]:
     try:
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - slow, and an optional package
     except ImportError:
         return None
     store = get_typestore(Stores.ROS1_NOETIC)
     try:
-        text = store.generate_msgdef(f"{package}/msg/{kind}", ros_version=1)[0]
+        text = store.generate_msgdef(f"{package}/msg/{type_name}", ros_version=1)[0]
     except KeyError:
         return None
     except Exception as error:
@@ -223,28 +229,31 @@ def _rosbags_text(package: str, kind: str) -> Optional[Tuple[str, str]]:
 
 
 _SAME = {"tf/tfMessage": "tf2_msgs/TFMessage"}
-"""Types that are another one by an old name: equal texts, equal checksums."""
+"""Types that are another type under an old name, with equal text and checksum."""
 
 _COMMON = {"tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms\n"}
-"""Types that every robot sends and that not every system has as text (Debian, ``rosbags``)."""
+"""Types that every robot publishes, and that some systems do not install as text (Debian, ``rosbags``)."""
 
 _Key = Tuple[str, str]
 
 _CodeKey = Tuple[str, str, str]
-"""Type, checksum, and what its events are called."""
+"""Type, checksum and name of the events."""
 
 MAX_DEFINITION_CHARACTERS = 1_000_000
-"""Characters that a definition may have, with those of the types in it."""
+"""Maximum length of a definition, including nested types."""
 
-MOST_TYPES, MOST_TEXT = 1000, 16_000_000
-"""Types that are added at most, and characters that their definitions may have all together."""
+MAX_ADDED_TYPES = 1000
+"""Maximum number of types that are added from texts."""
 
-_SLOT = 2000
+MAX_ADDED_CHARACTERS = 16_000_000
+"""Maximum total length of their definitions."""
+
+_BYTES_PER_SLOT = 2000
 """Bytes that a slot takes in a definition or in the functions of its type, as measured."""
 
 
 class Learned(NamedTuple):
-    """How to read the messages of a publisher, and whether their own type stands in for one that is not known."""
+    """Decoder of a publisher's messages; ``instead`` if the requested type was unknown and replaced by theirs."""
 
     decoder: Decoder
     instead: bool
@@ -253,8 +262,8 @@ class Learned(NamedTuple):
 class Definitions:
     r"""Message types by name, with their decoders and encoders.
 
-    A type is looked for among those added from texts (connection headers, bags), then among the installed
-    ones, then among the types nested in added texts.
+    A type is searched among those added from texts (connection headers, bags), then among the installed types, then
+    among the types nested in added texts.
 
     >>> definitions = Definitions()
     >>> bumper = definitions.add("my_robot/Bumper", "bool left\nbool right")
@@ -262,8 +271,8 @@ class Definitions:
     (functor('my_robot__0__Bumper', 2), atom('true'), atom('false'))
 
     Args:
-        installed: where installed types are looked up; the usual places by default.
-        bare: how many elements without bytes (messages without slots in an array) a message may have.
+        installed: source of installed types; searches the standard folders by default.
+        bare: maximum number of zero-byte elements in a message (elements of arrays whose type has no slots).
     """
 
     def __init__(self, installed: Optional[Installed] = None, bare: int = BARE):
@@ -280,17 +289,17 @@ class Definitions:
     def add(self, name: str, text: str, md5sum: str = "") -> Definition:
         """Add a type from its text, which may contain the texts of nested types (``MSG: pkg/Type``).
 
-        The first definition that is added under a name is the one that `find` gives; another text for the
-        same name is read and returned all the same.
+        `find` returns the first definition that was added under a name. A different text for the same name is parsed
+        and returned, but not registered.
 
         Args:
-            name: ``pkg/Type``, or ``pkg/msg/Type`` as in ROS 2; so wherever a type is named.
+            name: ``pkg/Type``, or ``pkg/msg/Type`` as in ROS 2. This holds for all arguments that name a type.
             text: the definition.
-            md5sum: the checksum that came with the text; it is compared where it is given and is not ``*``.
+            md5sum: checksum that was sent with the text; it is compared unless it is empty or ``*``.
 
         Raises:
-            MessageError: for a text that is not a definition or too long, that names a type found nowhere, or that
-                has another checksum; where too many types were added.
+            MessageError: if the text is not a valid definition, is too long, names an unknown type, or has another
+                checksum; or if too many types were added.
         """
         name = plain_type(name)
         definition = self._read(name, text, md5sum)
@@ -299,7 +308,7 @@ class Definitions:
         return definition
 
     def _read(self, name: str, text: str, md5sum: str) -> Definition:
-        """Return the type that a text defines, and keep it only to be found again by the same text."""
+        """Return the type that a text defines; it is cached by its text, but not registered by its name."""
         if len(text) > MAX_DEFINITION_CHARACTERS:
             raise MessageError(
                 f"the definition of {beginning(name)} has {len(text)} characters: "
@@ -308,7 +317,9 @@ class Definitions:
         definition = self._by_text.get((name, text))
         if definition is None:
             definition = _Resolver(self, split_sections(name, text)).resolve(name)
-            self._by_text.keep((name, text), definition, 2 * len(text) + _SLOT * definition.measure.slots)
+            self._by_text.keep(
+                (name, text), definition, 2 * len(text) + _BYTES_PER_SLOT * definition.measure.slots
+            )
         if md5sum not in ("", "*", definition.md5sum):
             raise MessageError(
                 f"the definition of {name} that came with the messages does not match theirs: "
@@ -317,15 +328,16 @@ class Definitions:
         return definition
 
     def _note(self, definition: Definition, characters: int) -> None:
-        """Have a type be found by its name, and those nested in it.
+        """Register a type and its nested types by name.
 
         Raises:
-            MessageError: where there are too many.
+            MessageError: if too many types were added.
         """
-        if len(self._added) >= MOST_TYPES or self._characters + characters > MOST_TEXT:
+        if len(self._added) >= MAX_ADDED_TYPES or self._characters + characters > MAX_ADDED_CHARACTERS:
             raise MessageError(
                 f"{definition.name} is refused: the definitions of {len(self._added)} message types "
-                f"are held already, with {self._characters} characters (at most {MOST_TYPES}, with {MOST_TEXT})"
+                f"are held already, with {self._characters} characters "
+                f"(at most {MAX_ADDED_TYPES}, with {MAX_ADDED_CHARACTERS})"
             )
         self._characters += characters
         self._added[definition.name] = definition
@@ -333,7 +345,7 @@ class Definitions:
             self._nested.setdefault(nested.name, nested)
 
     def learn(self, name: str, sent: str, text: str, md5sum: str, event: str = "") -> Learned:
-        """Return what reads the messages of a publisher as a type, as events of a name; see `received`.
+        """Return the decoder of a publisher's messages as events of the name ``event``; see `received`.
 
         >>> definitions = Definitions()
         >>> learned = definitions.learn("my_robot/Bumper", "my_robot/Bumper", "bool left", "*")
@@ -341,7 +353,7 @@ class Definitions:
         'my_robot__0__Bumper(false)'
 
         Raises:
-            MessageError: where they are of another type, or what came with them is wrong.
+            MessageError: if they are of another type, or their definition is invalid.
         """
         name, sent = plain_type(name), plain_type(sent)
         unknown = name not in self
@@ -349,22 +361,21 @@ class Definitions:
         return Learned(self.decoder(definition.as_event(event)), unknown and sent != name)
 
     def received(self, name: str, sent: str, text: str, md5sum: str) -> Definition:
-        """Return the definition by which to read messages as a type: the known one, or what came with them.
+        """Return the definition by which a publisher's messages are read as a type: the known one, or their own.
 
-        A type that is known stays what it is for everybody else: a publisher can describe its own messages, not
-        others'.
+        A known type is not replaced for other publishers: a publisher describes its own messages only.
 
         >>> Definitions().received("my_robot/Bumper", "my_robot/Bumper", "bool left", "*").name
         'my_robot/Bumper'
 
         Args:
-            name: the type that is wanted.
-            sent: the type as which they are sent; the wanted one may be another name of it.
-            text: the definition that came with them.
-            md5sum: the checksum that came with them.
+            name: the requested type.
+            sent: the type that the publisher declares; ``name`` may be another name of it.
+            text: the definition that the publisher sent.
+            md5sum: the checksum that the publisher sent.
 
         Raises:
-            MessageError: where they are of another type, or what came with them is wrong.
+            MessageError: if they are of another type, or their definition is invalid.
         """
         name, sent = plain_type(name), plain_type(sent)
         known = self.find(name) if name in self else None
@@ -384,16 +395,16 @@ class Definitions:
         ['string', 'data']
 
         Raises:
-            MessageError: where it is found nowhere, or is wrong.
+            MessageError: if the type is unknown, or its definition is invalid.
         """
         name = plain_type(name)
-        found = self._added.get(name) or self._found.get(name)
-        if found is None:
-            found = self._found[name] = _Resolver(self, {}).resolve(name)
-        return found
+        definition = self._added.get(name) or self._found.get(name)
+        if definition is None:
+            definition = self._found[name] = _Resolver(self, {}).resolve(name)
+        return definition
 
     def __contains__(self, name: object) -> bool:
-        """Tell whether `find` finds a type."""
+        """Return whether `find` finds a type."""
         try:
             self.find(str(name))
         except MessageError:
@@ -401,18 +412,18 @@ class Definitions:
         return True
 
     def decoder(self, definition: Union[Definition, str]) -> Decoder:
-        """Return the decoder of a type, compiled once."""
+        """Return the decoder of a type, which is compiled once."""
         definition = self.find(definition) if isinstance(definition, str) else definition
         key = (definition.name, definition.md5sum, definition.event)
-        found = self._decoders.get(key)
-        if found is None:
-            found = self._decoders.keep(
-                key, Decoder(definition, self._bare), _SLOT * (definition.measure.slots + 2)
+        decoder = self._decoders.get(key)
+        if decoder is None:
+            decoder = self._decoders.keep(
+                key, Decoder(definition, self._bare), _BYTES_PER_SLOT * (definition.measure.slots + 2)
             )
-        return found
+        return decoder
 
     def encoder(self, definition: Union[Definition, str]) -> Encoder:
-        """Return the encoder of a type, compiled once.
+        """Return the encoder of a type, which is compiled once.
 
         >>> definitions = Definitions()
         >>> bumper = definitions.add("my_robot/Bumper", "bool left")
@@ -421,13 +432,15 @@ class Definitions:
         """
         definition = self.find(definition) if isinstance(definition, str) else definition
         key = (definition.name, definition.md5sum)
-        found = self._encoders.get(key)
-        if found is None:
-            found = self._encoders.keep(key, Encoder(definition), _SLOT * (definition.measure.slots + 2))
-        return found
+        encoder = self._encoders.get(key)
+        if encoder is None:
+            encoder = self._encoders.keep(
+                key, Encoder(definition), _BYTES_PER_SLOT * (definition.measure.slots + 2)
+            )
+        return encoder
 
     def installed_text(self, name: str) -> Optional[Tuple[str, str]]:
-        """Return the text of an installed type and where it was read, or None.
+        """Return the text of an installed type and its source, or None.
 
         >>> text, where = Definitions().installed_text("std_msgs/String")
         >>> text.split()
@@ -436,7 +449,7 @@ class Definitions:
         return self._installed.text(plain_type(name))
 
     def misspelt(self, name: str) -> str:
-        """Return the type that was probably meant by one that is not known; "" where none is like it.
+        """Return a known type with a similar name, as a suggestion for an unknown one; "" if there is none.
 
         >>> Definitions().misspelt("std_msgs/Strng"), Definitions().misspelt("string")
         ('std_msgs/String', 'std_msgs/String')
@@ -444,22 +457,31 @@ class Definitions:
         name = plain_type(name)
         if name in self:
             return ""
-        package, _, kind = name.rpartition("/")
+        package, _, type_name = name.rpartition("/")
         packages = self._installed.packages()
         if not package:
-            return next((f"{one}/{found}" for one in packages for found in self._alike(one, kind, 1)), "")
-        for one in dict.fromkeys([package, *get_close_matches(package, packages, 3, 0.8)]):
-            close = self._alike(one, kind, 0.7)
-            if close and (one == package or close[0] == kind):
-                return f"{one}/{close[0]}"
+            return next(
+                (
+                    f"{candidate}/{match}"
+                    for candidate in packages
+                    for match in self._alike(candidate, type_name, 1)
+                ),
+                "",
+            )
+        for candidate in dict.fromkeys([package, *get_close_matches(package, packages, 3, 0.8)]):
+            close = self._alike(candidate, type_name, 0.7)
+            if close and (candidate == package or close[0] == type_name):
+                return f"{candidate}/{close[0]}"
         return ""
 
-    def _alike(self, package: str, kind: str, alike: float) -> List[str]:
-        """Return the type of a package whose name is most like another, large letters or small; at most one."""
-        small: Dict[str, str] = {}
+    def _alike(self, package: str, type_name: str, cutoff: float) -> List[str]:
+        """Return the type of a package with the most similar name, ignoring case, as a list of at most one name."""
+        by_lower_case: Dict[str, str] = {}
         for name in self._installed.types(package):
-            small.setdefault(name.lower(), name)
-        return [small[one] for one in get_close_matches(kind.lower(), small, 1, alike)]
+            by_lower_case.setdefault(name.lower(), name)
+        return [
+            by_lower_case[name] for name in get_close_matches(type_name.lower(), by_lower_case, 1, cutoff)
+        ]
 
     def added(self) -> List[str]:
         """Return the names of the types that were added from texts, and of those nested in them.
@@ -478,10 +500,12 @@ class Definitions:
         True
         """
         packages = self._installed.packages()
-        return [f"{package}/{kind}" for package in packages for kind in self._installed.types(package)]
+        return [
+            f"{package}/{type_name}" for package in packages for type_name in self._installed.types(package)
+        ]
 
     def known(self, name: str) -> Optional[Definition]:
-        """Return an added or nested type without looking at what is installed.
+        """Return a type that was added or is nested in an added one, without searching the installed types.
 
         >>> definitions = Definitions()
         >>> definitions.known("my_robot/Bumper") is None
@@ -494,18 +518,18 @@ class Definitions:
 
 
 class _Resolver:
-    """Reads a type and those it is made of: from the sections of one text first, then from the registry."""
+    """Resolver of a type and its nested types, first from the sections of one text, then from the registry."""
 
     def __init__(self, registry: Definitions, sections: Dict[str, str], inside: Optional[Set[str]] = None):
         self.registry = registry
         self.sections = sections
         self.done: Dict[str, Definition] = {}
         self.open: Set[str] = set() if inside is None else inside
-        """The types that are being read, the others in which they lie included."""
+        """Types that are being resolved. A type that is needed while it is in this set contains itself."""
 
     def resolve(self, name: str) -> Definition:
-        found = self.done.get(name)
-        if found is None:
+        definition = self.done.get(name)
+        if definition is None:
             fault = type_fault(name)
             if fault is not None:
                 raise MessageError(fault)
@@ -515,10 +539,10 @@ class _Resolver:
                 raise MessageError(f"types cannot be nested more than {MAX_TYPE_DEPTH} deep")
             self.open.add(name)
             try:
-                found = self.done[name] = self.read(name)
+                definition = self.done[name] = self.read(name)
             finally:
                 self.open.discard(name)
-        return found
+        return definition
 
     def read(self, name: str) -> Definition:
         text = self.sections.get(name)
@@ -550,7 +574,7 @@ class _Resolver:
 
 
 def _candidates(written: str, package: str, sections: Dict[str, str]) -> Sequence[str]:
-    """Return the names that a nested type may have in a concatenated text, the likeliest first."""
+    """Return the possible names of a nested type in a concatenated text, the most likely name first."""
     if "/" in written:
         return [written]
     others: List[str] = [name for name in sections if name.endswith("/" + written)]
