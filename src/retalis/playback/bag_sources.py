@@ -1,8 +1,10 @@
-"""Several bags as one, and a part of that: what came when, in the order of receipt.
+"""Locations of bags and results, and several bags merged into one.
 
-Where bags are and where results go: files, folders with bags below them, and URLs as ``s3://``.
+Programs are run over files, over folders with bags below them, and over URLs such as ``s3://``. `find_bags` lists the
+bags of such locations, `in_parts` groups the files of a split recording, and `MergedBag` presents several bags as
+one, whose messages are merged in the order of receipt.
 
-URLs are the work of the Python package ``fsspec`` and of what it needs for their kind (``s3fs``).
+URLs require the Python package ``fsspec`` and a file system implementation for their scheme (``s3fs``).
 """
 
 import os
@@ -37,19 +39,19 @@ from .rosbag2 import METADATA, SUFFIXES, Ros2BagReader
 OneBag = Union[BagReader, Ros2BagReader]
 
 Bag = Union[OneBag, "MergedBag"]
-"""Whatever a program can be run over."""
+"""Any bag that a program can be run over."""
 
 
 def open_bag(path: PathLike, max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES) -> OneBag:
-    """Open a bag of ROS 1 (a file) or of ROS 2 (a folder, or a file that ends as one of `SUFFIXES`).
+    """Open a bag of ROS 1 (a file) or of ROS 2 (a folder, or a file whose name ends with one of `SUFFIXES`).
 
     Args:
-        path: the bag.
-        max_chunk_megabytes: the size of the largest chunk or compressed message that is unpacked. A compressed file
-            may have a hundred times its own size unpacked, if that is more.
+        path: path of the bag.
+        max_chunk_megabytes: maximum size of a chunk or compressed message after decompression. A compressed file may
+            have a hundred times its own size after decompression if that is more.
 
     Raises:
-        BagError: where it cannot be read.
+        BagError: if the bag cannot be read.
     """
     path = Path(path)
     is_of_ros2 = path.is_dir() or (path.is_file() and path.name.endswith(SUFFIXES))
@@ -57,7 +59,7 @@ def open_bag(path: PathLike, max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES) -> 
 
 
 class MergedBag:
-    """One or more bags, whose messages come in the order of their receipt; a context manager.
+    """One or more bags whose messages are merged in the order of receipt; a context manager.
 
     >>> with BagSeries([folder / "talk.bag"], duration=5) as bags:
     ...     print([(record.topic.name, record.time) for record in bags.records()])
@@ -65,18 +67,18 @@ class MergedBag:
 
     Args:
         paths: bags of ROS 1 or of ROS 2.
-        start: how many seconds after the first message of all to begin.
-        duration: how many seconds to go on; by default up to the end.
+        start: seconds to skip after the first message of all bags.
+        duration: seconds to read from there; up to the end by default.
         max_chunk_megabytes: as for `open_bag`.
 
     Attributes:
-        path: what to call them in messages.
-        topics: the connections of all.
-        start, end: the times between which messages are given, in nanoseconds; 0 where there are none.
+        path: description of the bags for messages.
+        topics: connections of all bags.
+        start, end: times of the first and the last message that are read, in nanoseconds; 0 for empty bags.
 
     Raises:
-        BagError: where a bag cannot be read.
-        UsageError: where one is given twice, or none of them has a message after ``start``.
+        BagError: if a bag cannot be read.
+        UsageError: if a bag is given twice, or no bag has a message after ``start``.
     """
 
     def __init__(
@@ -87,17 +89,18 @@ class MergedBag:
         max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES,
     ):
         _refuse_twice(paths)
+        # The bags that are open already are closed if a later one cannot be opened.
         with ExitStack() as stack:
             self._bags: List[OneBag] = []
             for path in paths:
                 self._bags.append(open_bag(path, max_chunk_megabytes))
                 stack.callback(self._bags[-1].close)
-            self._part(start, duration)
+            self._select_interval(start, duration)
             self._stack = stack.pop_all()
         self.path = ", ".join(str(bag.path) for bag in self._bags)
         self.topics: Tuple[Topic, ...] = tuple(topic for bag in self._bags for topic in bag.topics)
 
-    def _part(self, start: float, duration: Optional[float]) -> None:
+    def _select_interval(self, start: float, duration: Optional[float]) -> None:
         there = [bag for bag in self._bags if bag.messages]
         first = min((bag.start for bag in there), default=0)
         last = max((bag.end for bag in there), default=0)
@@ -116,13 +119,13 @@ class MergedBag:
         start: Optional[int] = None,
         stop: Optional[int] = None,
     ) -> Iterator[Record]:
-        """Yield the messages of all bags, a part at most; see `BagReader.records`.
+        """Yield the messages of all bags in the order of receipt; see `BagReader.records`.
 
         Raises:
-            BagError: where a bag turns out to be broken.
+            BagError: if a bag is malformed.
         """
         start = self.start if start is None else max(start, self.start)
-        ends = [one for one in (stop, self._stop) if one is not None]
+        ends = [end for end in (stop, self._stop) if end is not None]
         streams = [bag.records(topics, start, min(ends, default=None)) for bag in self._bags]
         return streams[0] if len(streams) == 1 else iter(merge(*streams, key=attrgetter("time")))
 
@@ -138,28 +141,28 @@ class MergedBag:
 
 
 def _refuse_twice(paths: Sequence[PathLike]) -> None:
-    """Refuse a bag that is given twice: its messages would come twice."""
+    """Raise an error if a bag is given twice, because its messages would be processed twice."""
     seen: Dict[Path, PathLike] = {}
     for path in paths:
-        real = Path(path).resolve()
-        if real in seen:
+        resolved = Path(path).resolve()
+        if resolved in seen:
             raise UsageError(f"{path} is given twice")
-        seen[real] = path
+        seen[resolved] = path
     if not seen:
         raise BagError("there is no bag")
 
 
-_KINDS = (".bag", *SUFFIXES)
-_PART = ".part"
-"""What a result ends in, and begins with a dot, until it is complete."""
+_BAG_SUFFIXES = (".bag", *SUFFIXES)
+_INCOMPLETE_SUFFIX = ".part"
+"""Suffix of an incomplete result, whose name also begins with a dot."""
 
 
 class FoundBag(NamedTuple):
-    """A bag that is there to be played.
+    """A bag that was found.
 
     Attributes:
-        place: its path, or its URL.
-        name: what its result is called: its name without the ending, below the folder that was given.
+        place: path or URL.
+        name: name of its result: the name of the bag without its suffix, relative to the folder that was searched.
     """
 
     place: str
@@ -167,58 +170,60 @@ class FoundBag(NamedTuple):
 
 
 def is_url(place: str) -> bool:
-    """Tell whether a place is a URL, and not a path."""
-    kind, mark, _ = place.partition("://")
-    return bool(kind and mark) and "/" not in kind
+    """Return whether a location is a URL rather than a path."""
+    scheme, separator, _ = place.partition("://")
+    return bool(scheme and separator) and "/" not in scheme
 
 
 def find_bags(places: Sequence[str]) -> List[FoundBag]:
-    """Return the bags that places name: bags in the order given, those below a folder in the order of their names.
+    """Return the bags at the given locations, in the given order, and sorted by name below a folder.
 
     Raises:
-        BagError: where there is none below a folder, or a URL cannot be looked at. A path that is not there is
-            found out when it is played.
+        BagError: if there is no bag below a folder, or a URL cannot be accessed. A missing path is reported when it
+            is played.
     """
-    found: List[FoundBag] = []
+    bags: List[FoundBag] = []
     for place in places:
-        inside = _names_below(place)
-        if inside is None:
-            found.append(FoundBag(place, _without_kind(PurePosixPath(place.rstrip("/")).name)))
+        names_below = _names_below(place)
+        if names_below is None:
+            bags.append(FoundBag(place, _without_suffix(PurePosixPath(place.rstrip("/")).name)))
             continue
-        bags = _bags_of(inside)
-        if not bags:
+        names = _bags_of(names_below)
+        if not names:
             raise BagError(
-                f"{place} has no bags below it: no {METADATA}, nothing that ends in {', '.join(_KINDS)}"
+                f"{place} has no bags below it: no {METADATA}, nothing that ends in {', '.join(_BAG_SUFFIXES)}"
             )
-        found += [FoundBag(f"{place.rstrip('/')}/{name}", _without_kind(name)) for name in bags]
-    return found
+        bags += [FoundBag(f"{place.rstrip('/')}/{name}", _without_suffix(name)) for name in names]
+    return bags
 
 
 def in_parts(bags: Iterable[FoundBag]) -> List[List[FoundBag]]:
-    """Return bags as recordings: what ``rosbag record --split`` has written in parts as one, each other bag as one.
+    """Group the files of split recordings; every other bag forms a group of its own.
 
-    Parts are called ``NAME_0.bag``, ``NAME_1.bag``, or ``NAME_DATE_0.bag`` with the date at which each begins; they
-    are of one folder, and none is missing between them. A recording stands where its first part stood.
+    ``rosbag record --split`` names the files ``NAME_0.bag``, ``NAME_1.bag``, or ``NAME_DATE_0.bag`` with the date at
+    which each begins. A group consists of files of one folder with consecutive numbers. It is listed at the position
+    of its first file.
     """
-    named: Dict[Tuple[str, str], List[Tuple[str, int, int, FoundBag]]] = {}
-    for place, bag in enumerate(bags):
-        base, date, number = _part_of(bag.name)
+    parts_by_name: Dict[Tuple[str, str], List[Tuple[str, int, int, FoundBag]]] = {}
+    for position, bag in enumerate(bags):
+        base, date, number = _parse_part_name(bag.name)
         key = (os.path.dirname(bag.place), base if number >= 0 else bag.place)
-        named.setdefault(key, []).append((date, number, place, bag))
-    found: List[Tuple[int, List[FoundBag]]] = []
-    for parts in named.values():
-        before = None
-        for _, number, place, bag in sorted(parts):
-            if before is None or number != before + 1:
-                found.append((place, [bag]))
+        parts_by_name.setdefault(key, []).append((date, number, position, bag))
+    groups: List[Tuple[int, List[FoundBag]]] = []
+    for parts in parts_by_name.values():
+        previous = None
+        # Sorted by date first: several recordings of one name may lie in the folder, each with a part 0.
+        for _, number, position, bag in sorted(parts):
+            if previous is None or number != previous + 1:
+                groups.append((position, [bag]))
             else:
-                found[-1][1].append(bag)
-            before = number
-    return [recording for _, recording in sorted(found)]
+                groups[-1][1].append(bag)
+            previous = number
+    return [recording for _, recording in sorted(groups)]
 
 
-def _part_of(name: str) -> Tuple[str, str, int]:
-    """Return what a part's recording is called, the part's date, and its number; -1 where it has none."""
+def _parse_part_name(name: str) -> Tuple[str, str, int]:
+    """Return the name of the recording, the date and the number of a part; number -1 for other names."""
     base, mark, number = PurePosixPath(name).name.rpartition("_")
     if not (mark and number.isdecimal() and len(number) < 10):
         return name, "", -1
@@ -229,28 +234,28 @@ def _part_of(name: str) -> Tuple[str, str, int]:
 
 
 def is_folder_of_bags(place: str) -> bool:
-    """Tell whether a path is a folder that is no bag itself."""
+    """Return whether a path is a folder that is not a ROS 2 bag itself."""
     return os.path.isdir(place) and not os.path.exists(os.path.join(place, METADATA))
 
 
 def is_there(place: str) -> bool:
-    """Tell whether a place has something already."""
+    """Return whether a location exists."""
     if not is_url(place):
         return os.path.lexists(place)
     files, path = _filesystem(place)
-    return bool(_asked(place, files.exists, path))
+    return bool(_call_filesystem(place, files.exists, path))
 
 
 @contextmanager
 def fetched(place: str, scratch: str) -> Iterator[str]:
-    """Give the path of a bag; that of a URL is fetched for as long as it is used.
+    """Provide the local path of a bag; a bag at a URL is downloaded and deleted afterwards.
 
     Args:
-        place: a path or a URL.
-        scratch: a folder to fetch it into.
+        place: path or URL.
+        scratch: folder for the download.
 
     Raises:
-        BagError: where it cannot be fetched.
+        BagError: if the download fails.
     """
     if not is_url(place):
         yield place
@@ -258,15 +263,16 @@ def fetched(place: str, scratch: str) -> Iterator[str]:
     files, path = _filesystem(place)
     with TemporaryDirectory(dir=scratch) as folder:
         local = str(Path(folder) / PurePosixPath(path).name)
-        _asked(place, _fetch, files, path, local)
+        _call_filesystem(place, _fetch, files, path, local)
         yield local
 
 
 def _fetch(files: Any, path: str, local: str) -> None:
-    """Copy a file or a folder, each file up to the size that is stated for it, and half of the free disk space."""
+    """Copy a file or a folder; each file up to its stated size and up to half of the free disk space."""
     names = files.find(path) if files.isdir(path) else [path]
     for name in names:
         inside = PurePosixPath(name).relative_to(path)
+        # The names come from a server, so they must not lead out of the target folder.
         if ".." in inside.parts:
             raise ValueError(f"'{name}' is outside of the folder")
         target = Path(local) / inside
@@ -282,72 +288,77 @@ def _fetch(files: Any, path: str, local: str) -> None:
 
 @contextmanager
 def result_file(target: str, scratch: str) -> Iterator[str]:
-    """Give a path to write to: when all has gone well, what is there becomes the target, all at once.
+    """Provide a path to write a result to, which is moved to the target atomically if no exception is raised.
 
     Args:
-        target: a path or a URL; folders are made as needed.
-        scratch: a folder to write in where the target is a URL.
+        target: path or URL; missing folders are created.
+        scratch: folder for the file before it is uploaded to a URL.
 
     Raises:
-        BagError: where it cannot be written.
+        BagError: if the target cannot be written.
     """
     if is_url(target):
         files, path = _filesystem(target)
         with TemporaryDirectory(dir=scratch) as folder:
             local = str(Path(folder) / PurePosixPath(path).name)
             yield local
-            _asked(target, files.makedirs, str(PurePosixPath(path).parent), exist_ok=True)
-            _asked(target, files.put_file, local, path)
+            _call_filesystem(target, files.makedirs, str(PurePosixPath(path).parent), exist_ok=True)
+            _call_filesystem(target, files.put_file, local, path)
         return
     folder, name = os.path.split(target)
-    part = os.path.join(folder, f".{name}.{uuid4().hex}{_PART}")
-    _written(target, os.makedirs, folder or ".", exist_ok=True)
+    # In the target's folder, because a move is only atomic within one file system.
+    part = os.path.join(folder, f".{name}.{uuid4().hex}{_INCOMPLETE_SUFFIX}")
+    _call_os(target, os.makedirs, folder or ".", exist_ok=True)
     try:
         yield part
-        _written(target, os.replace, part, target)
+        _call_os(target, os.replace, part, target)
     finally:
         if os.path.exists(part):
             os.unlink(part)
 
 
 def remove_parts(targets: Iterable[str]) -> None:
-    """Remove what workers that have died left of their results."""
+    """Remove incomplete results of worker processes that were killed."""
     names = {os.path.split(target) for target in targets if not is_url(target)}
     for folder in {folder for folder, _ in names}:
-        for path in Path(folder).glob(f".*{_PART}"):
-            if (folder, path.name[1 : -len(_PART)].rpartition(".")[0]) in names:
+        for path in Path(folder).glob(f".*{_INCOMPLETE_SUFFIX}"):
+            if (folder, path.name[1 : -len(_INCOMPLETE_SUFFIX)].rpartition(".")[0]) in names:
                 path.unlink()
 
 
-def _written(target: str, do: Callable[..., object], *arguments: str, **options: bool) -> None:
+def _call_os(target: str, do: Callable[..., object], *arguments: str, **options: bool) -> None:
     try:
         do(*arguments, **options)
     except OSError as error:
         raise BagError(f"{target} cannot be written: {reason(error)}") from error
 
 
-def _without_kind(name: str) -> str:
-    kind = max((kind for kind in _KINDS if name.endswith(kind)), key=len, default="")
-    return name[: len(name) - len(kind)]
+def _without_suffix(name: str) -> str:
+    suffix = max((suffix for suffix in _BAG_SUFFIXES if name.endswith(suffix)), key=len, default="")
+    return name[: len(name) - len(suffix)]
 
 
 def _names_below(place: str) -> Optional[List[str]]:
-    """Return the names of all files below a folder, relative to it; None where it is none, or is a bag itself."""
+    """Return the names of all files below a folder, relative to it; None for files and bags."""
     if not is_url(place):
         if not is_folder_of_bags(place):
             return None
         return [path.relative_to(place).as_posix() for path in Path(place).rglob("*")]
     files, path = _filesystem(place)
-    if not _asked(place, files.isdir, path) or _asked(place, files.exists, f"{path.rstrip('/')}/{METADATA}"):
+    if not _call_filesystem(place, files.isdir, path) or _call_filesystem(
+        place, files.exists, f"{path.rstrip('/')}/{METADATA}"
+    ):
         return None
-    return [PurePosixPath(one).relative_to(path).as_posix() for one in _asked(place, files.find, path)]
+    return [
+        PurePosixPath(name).relative_to(path).as_posix() for name in _call_filesystem(place, files.find, path)
+    ]
 
 
 def _bags_of(names: Iterable[str]) -> List[str]:
-    """Return which of the names below a folder are bags, in their order; what begins with a dot is left out."""
+    """Return the names that are bags, sorted; hidden files and folders are skipped."""
     paths = [path for path in map(PurePosixPath, names) if not any(part[0] == "." for part in path.parts)]
     folders = {path.parent for path in paths if path.name == METADATA}
-    files = {path for path in paths if path.name.endswith(_KINDS) and path.parent not in folders}
+    files = {path for path in paths if path.name.endswith(_BAG_SUFFIXES) and path.parent not in folders}
     return [path.as_posix() for path in sorted(folders | files, key=lambda path: path.parts)]
 
 
@@ -358,13 +369,13 @@ def _filesystem(url: str) -> Tuple[Any, str]:
         raise BagError(
             f"{url}: URLs need the Python package fsspec (pip install fsspec, and s3fs for s3://)"
         ) from None
-    files, path = _asked(url, url_to_fs, url)
+    files, path = _call_filesystem(url, url_to_fs, url)
     return files, str(path)
 
 
-def _asked(url: str, ask: Any, *arguments: Any, **options: Any) -> Any:
-    """Return what a file system answers; it is another package's, which raises whatever it likes."""
+def _call_filesystem(url: str, function: Any, *arguments: Any, **options: Any) -> Any:
+    """Call a function of a file system, and convert any exception: its implementation is not part of this package."""
     try:
-        return ask(*arguments, **options)
+        return function(*arguments, **options)
     except Exception as error:
         raise BagError(f"{url}: {reason(error)}") from error

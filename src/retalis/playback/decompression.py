@@ -1,7 +1,7 @@
-"""Decompression with a bound: a few bytes can hold gigabytes.
+"""Decompression with a size limit, because a few compressed bytes can expand to gigabytes.
 
-A chunk's header states the size that it has unpacked, and the reader allows a largest size. No more than the smaller
-of the two is ever unpacked. Libraries are asked for one byte more than stated, to find out that a chunk has more.
+The header of a chunk states its size after decompression, and the reader has a limit. Output never exceeds the
+smaller of the two. To detect chunks that are larger than stated, libraries are asked for one byte more.
 """
 
 import bz2
@@ -9,7 +9,7 @@ from io import BytesIO
 from typing import Any, BinaryIO, List
 
 MAX_CHUNK_MEGABYTES = 512
-"""Default of the largest chunk, or single message, that is unpacked."""
+"""Default limit for a chunk or a single message after decompression."""
 
 _MEGABYTE = 1_000_000
 
@@ -17,10 +17,10 @@ _BLOCK = 1 << 20
 
 
 class ChunkLimit:
-    """The largest size of a chunk, in bytes.
+    """Maximum size of a chunk after decompression.
 
     Args:
-        megabytes: the size.
+        megabytes: the limit in units of 10**6 bytes.
     """
 
     def __init__(self, megabytes: int = MAX_CHUNK_MEGABYTES):
@@ -28,19 +28,19 @@ class ChunkLimit:
         self._megabytes = megabytes
 
     def check(self, size: int, what: str) -> None:
-        """Refuse a size.
+        """Check the size of a chunk in bytes.
 
         Raises:
-            ValueError: if it is larger than allowed.
+            ValueError: if it exceeds the limit.
         """
         if size > self.bytes:
             raise ValueError(f"{what} {size} bytes: expected {self._allowed()}")
 
     def unpack_message(self, packed: bytes) -> bytes:
-        """Return a message that was compressed by zstd, which does not have to state its size.
+        """Decompress a message that was compressed with zstd, whose frame need not state the size.
 
         Raises:
-            ValueError: if it is larger than allowed.
+            ValueError: if the message exceeds the limit.
         """
         data = read_up_to(zstd_reader(BytesIO(packed)), self.bytes + 1)
         if len(data) > self.bytes:
@@ -52,16 +52,16 @@ class ChunkLimit:
 
 
 def unpack(compression: str, packed: bytes, size: int) -> bytes:
-    """Return what a chunk holds.
+    """Return the decompressed content of a chunk.
 
     Args:
-        compression: ``none`` or nothing, ``bz2``, ``lz4``, ``zstd``.
-        packed: the chunk as it is in the file.
-        size: the bytes that its header states, which the caller has compared with the limit.
+        compression: ``none`` or an empty string, ``bz2``, ``lz4``, or ``zstd``.
+        packed: the content as it is in the file.
+        size: size after decompression as stated in the header; the caller has compared it with the limit.
 
     Raises:
-        ValueError: if it has more or less than stated.
-        Exception: of the library, if it cannot be unpacked.
+        ValueError: if the content does not have the stated size.
+        Exception: of the library, if the content cannot be decompressed.
     """
     decompressor: Any
     complete = True
@@ -88,7 +88,7 @@ def unpack(compression: str, packed: bytes, size: int) -> bytes:
 
 
 def read_up_to(source: BinaryIO, size: int) -> bytes:
-    """Return what a stream holds, up to a size; no more memory than for twice of that is used."""
+    """Return at most ``size`` bytes of a stream, using memory for at most twice the bytes that are read."""
     blocks: List[bytes] = []
     while size > 0:
         block = source.read(min(size, _BLOCK))
@@ -100,7 +100,7 @@ def read_up_to(source: BinaryIO, size: int) -> bytes:
 
 
 def copy_up_to(source: BinaryIO, target: BinaryIO, size: int) -> int:
-    """Copy a stream until its end, or until more than a size has been copied; return how many bytes were."""
+    """Copy a stream until its end or until more than ``size`` bytes are copied; return the number of copied bytes."""
     copied = 0
     while copied <= size:
         block = source.read(_BLOCK)
@@ -112,16 +112,17 @@ def copy_up_to(source: BinaryIO, target: BinaryIO, size: int) -> int:
 
 
 def zstd_reader(packed: BinaryIO) -> Any:
-    """Return a reader of what zstd has packed, by the package that this version of ``rosbags`` imports."""
+    """Return a decompressing reader, based on the zstd package that the installed version of ``rosbags`` imports."""
     from rosbags.rosbag2 import reader  # noqa: PLC0415 - an optional package
 
     zstd = getattr(reader, "zstd", None)
     if zstd is not None:
         return zstd.open(packed, "rb")
-    zstandard: Any = vars(reader)["zstandard"]  # before version 0.11
+    # Before version 0.11, rosbags imported the package `zstandard`.
+    zstandard: Any = vars(reader)["zstandard"]
     return zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
 
 
 def reason(error: BaseException) -> str:
-    """Return what went wrong, without a full stop at its end."""
+    """Return the text of an exception without a final full stop, or its class if it has no text."""
     return str(error).rstrip(".") or type(error).__name__

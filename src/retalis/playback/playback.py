@@ -1,4 +1,13 @@
-"""A program over a bag, without ROS: what the nodes give live, from the same messages, in the bag's time."""
+"""Running a program over a bag without ROS, with the results that the nodes would produce live.
+
+A `Playback` has an engine whose clock is driven by the bag: before a message is processed, the clock is moved to the
+time of its receipt, and every alarm that is due earlier rings at its own time. The result therefore depends on the
+bag only, not on the speed of the machine.
+
+Messages are passed to the engine in batches (`Engine.post_each`), which is faster than one by one. A batch ends when
+an alarm is due or a message has produced an output, so that outputs are yielded as soon as they exist. Topics that
+goals subscribe to while the bag is played are merged into the stream of messages from then on.
+"""
 
 import logging
 from collections import Counter
@@ -52,12 +61,12 @@ class Output(NamedTuple):
     ('echo', 1000000000, 'std_msgs/String', b'hello')
 
     Attributes:
-        topic: the topic as the subscription names it.
+        topic: the topic as in the subscription.
         term: the message as a term.
-        time: the bag's time at which it was published, in nanoseconds.
-        definition: its type; None where ``pub_sub.xml`` gives the topic none.
-        data: the message; None where the term does not fit the type.
-        id: of the subscription.
+        time: the time of the bag at which it was published, in nanoseconds.
+        definition: the message type; None if ``pub_sub.xml`` does not specify one.
+        data: the serialized message; None if the term does not fit the type.
+        id: id of the subscription.
     """
 
     topic: str
@@ -69,7 +78,7 @@ class Output(NamedTuple):
 
 
 class Playback:
-    """One program that is fed from bags.
+    """A program that processes messages from bags.
 
     >>> playback = Playback(folder, report=print)
     >>> with BagReader(folder / "talk.bag") as bag:
@@ -78,20 +87,20 @@ class Playback:
     echo std_msgs__0__String('"hello"')
 
     Args:
-        program: the program's folder.
-        report: takes each error of the program and of the types of the bag's topics; messages that do not fit
-            are logged with their number, as all that goes wrong while events flow.
-        topics: topics that become events besides those in ``pub_sub.xml``.
-        settings: of the engine.
-        max_skew: how many seconds a stamp may be away from what its topic and frame had so far, for the message to
-            be taken; by default any number.
-        bag: whose types the program may name slots of, besides those that are installed.
-        state: of an engine with this program (`Engine.snapshot`), which goes on; by default it begins anew.
-        direct: the value of parameter ``~direct`` of the node: the topics that it subscribes by itself are played
-            too, by default ``tf`` and ``ar_pose_marker`` if the program does not name them.
+        program: folder of the program.
+        report: called with each error of the program, and with errors in the types of the bag's topics. Messages that
+            do not fit their type are logged with their number, like all errors during processing.
+        topics: topics that become events, in addition to those in ``pub_sub.xml``.
+        settings: settings of the engine.
+        max_skew: limit in seconds for the deviation of a stamp from the clock of its topic and frame; messages beyond
+            it are dropped. Unlimited by default.
+        bag: a bag whose types the program may use with named slots, in addition to the installed types.
+        state: state of an engine with this program (`Engine.snapshot`) to continue from; a new engine by default.
+        direct: value of the node's parameter ``~direct``: topics that are subscribed without the program naming them;
+            by default ``tf`` and ``ar_pose_marker``, unless the program names them.
 
     Raises:
-        UsageError: where a file of the program cannot be read, or the state is none.
+        UsageError: if a file of the program cannot be read, or the state is invalid.
     """
 
     def __init__(
@@ -121,23 +130,23 @@ class Playback:
             )
         self._decoders: Dict[Topic, Optional[Decoder]] = {}
         self._outputs: List[Output] = []
-        self._told: Set[str] = set()
-        named = read_topics(folder / TOPICS)
-        topics = tuple(TopicType(one.topic, plain_type(one.type)) for one in topics)
-        self._topics = named._replace(subscribed=(*named.subscribed, *topics))
+        self._topics_warned: Set[str] = set()
+        topic_file = read_topics(folder / TOPICS)
+        topics = tuple(TopicType(topic.topic, plain_type(topic.type)) for topic in topics)
+        self._topics = topic_file._replace(subscribed=(*topic_file.subscribed, *topics))
         self._direct = direct_topics(direct, self._topics, by_name)
-        # Of a topic that several name, the last type counts: the direct ones stand above pub_sub.xml, as in a node.
-        self._asked = [*named.subscribed, *self._direct, *topics]
-        listed = isinstance(direct, tuple)
+        # If a topic has several types, the last one counts: direct topics precede pub_sub.xml, as in a node.
+        self._requested = [*topic_file.subscribed, *self._direct, *topics]
+        direct_is_listed = isinstance(direct, tuple)
         named_topics = {by_name(topic) for topic, _ in self._topics.subscribed}
-        self._by_default = frozenset(
-            () if listed else {by_name(topic) for topic, _ in self._direct} - named_topics
+        self._default_topics = frozenset(
+            () if direct_is_listed else {by_name(topic) for topic, _ in self._direct} - named_topics
         )
-        self._types = {by_name(topic): kind for topic, kind in self._asked}
-        self._published = {by_name(topic): kind for topic, kind in named.published}
-        self._events = {by_name(topic): event for topic, event in named.events}
-        self._joining: Set[str] = set()
-        self._latched = {by_name(topic) for topic in named.latched}
+        self._types = {by_name(topic): type_name for topic, type_name in self._requested}
+        self._published = {by_name(topic): type_name for topic, type_name in topic_file.published}
+        self._events = {by_name(topic): event for topic, event in topic_file.events}
+        self._new_topics: Set[str] = set()
+        self._latched = {by_name(topic) for topic in topic_file.latched}
         self.engine.on_output(self._collect)
         self.engine.input_topics.begin(self._subscribe, self._topics, self._direct)
         if state is None:
@@ -151,32 +160,34 @@ class Playback:
                 self._report(error)
 
     def run(self, bag: Bag, progress: Callable[[int], object] = lambda done: None) -> Iterable[Output]:
-        """Feed a bag and yield what the program publishes, as it does.
+        """Process a bag, and yield the outputs of the program as they are published.
 
         >>> with BagReader(folder / "talk.bag") as bag:
         ...     print(len(list(Playback(folder, report=print).run(bag))))
         1
 
         Args:
-            bag: the messages, in the order of their receipt: a `BagReader`, or several bags as one.
-            progress: called with the number of messages read so far, after each, while the engine is at work: it may
-                look at the engine and must not use it.
+            bag: source of messages in the order of receipt: a `BagReader`, or several bags merged into one.
+            progress: called with the number of messages read so far after each message, while the engine is
+                processing: it may inspect the engine but must not change it.
         """
         outputs = self._outputs
         self._skew.forget()
-        self._learn_all(bag, [topic for topic, _ in self._asked], self._by_default)
+        self._learn_all(bag, [topic for topic, _ in self._requested], self._default_topics)
         for warning in self.engine.warnings(self._folder, self.definitions, self._topics, self._direct):
             log.warning("%s", warning)
-        self._told.update(self.engine.output_topics())  # of those without a type it was said
+        # The warnings above cover outputs without a type.
+        self._topics_warned.update(self.engine.output_topics())
         wanted = {topic.name for topic in bag.topics if by_name(topic.name) in self._types}
-        self._joining.clear()
+        self._new_topics.clear()
         decoders = {id(topic): self._decoders.get(topic) for topic in bag.topics}
         records = self._records(bag, wanted, decoders)
         done = count(1)
+        # Each iteration is one batch: `records` yields None before alarms ring, outside `post_each`.
         for record in records:
             if record is not None:
-                several = chain((record,), records)
-                self.engine.post_each(self._messages(several, decoders, lambda: progress(next(done))))
+                batch = chain((record,), records)
+                self.engine.post_each(self._messages(batch, decoders, lambda: progress(next(done))))
                 yield from outputs
                 outputs.clear()
         self.clock.move_to(bag.end)
@@ -187,7 +198,7 @@ class Playback:
         self._reports.sum_up()
 
     def is_latched(self, topic: str) -> bool:
-        """Tell whether ``pub_sub.xml`` has a topic's last message go to those who subscribe it later.
+        """Return whether ``pub_sub.xml`` declares a topic as latched.
 
         >>> Playback(folder, report=print).is_latched("echo")
         False
@@ -198,82 +209,84 @@ class Playback:
         self,
         records: Iterable[Optional[Record]],
         decoders: Dict[int, Optional[Decoder]],
-        told: Callable[[], object],
+        count_message: Callable[[], object],
     ) -> Iterator[Tuple[Term, Optional[int]]]:
-        """Yield records as messages, each at its time, until one makes an output or alarms are to ring."""
+        """Yield records as decoded messages, until a message produces an output or an alarm is due."""
         clock, outputs = self.clock, self._outputs
         for record in records:
             if record is None:
                 return
-            topic, instant, data = record
-            clock.move_to(instant, back=True)
+            topic, time, data = record
+            # `back`: the clocks of several bags, or a bag with unordered times, may go back.
+            clock.move_to(time, back=True)
             decoder = decoders[id(topic)]
             message = None if decoder is None else self._decoded(topic, decoder, data)
             if message is not None:
                 yield message
-            told()
+            count_message()
             if outputs:
                 return
 
     def _records(
         self, bag: Bag, topics: Set[str], decoders: Dict[int, Optional[Decoder]]
     ) -> Iterator[Optional[Record]]:
-        """Yield the messages of some topics, and of those that goals subscribe meanwhile from then on.
+        """Yield the messages of topics, including topics that goals subscribe to while the bag is played.
 
-        The alarms that come before a message have rung when it is given, and all when none is left. Before they
-        ring None is given: whoever asks must not be at work in the engine when the next is asked for.
+        Alarms ring before the message that follows them is yielded, and all of them after the last message. Before
+        they ring, None is yielded: the caller must leave `Engine.post_each` before it requests the next item.
         """
         stream = iter(bag.records(topics))
         while True:
             record = next(stream, None)
-            due = self.clock.next_alarm()
-            if due is not None and not self._joining:
-                until = bag.end if record is None else record.time
-                if due <= until or not self.clock.reached():
+            alarm = self.clock.next_alarm()
+            if alarm is not None and not self._new_topics:
+                limit = bag.end if record is None else record.time
+                if alarm <= limit or not self.clock.reached():
                     yield None
-                    self._ring_until(bag.start, until)
-            if self._joining:
-                rest = stream if record is None else chain((record,), stream)
-                stream = iter(merge(rest, self._join(bag, decoders), key=_TIME))
+                    self._ring_until(bag.start, limit)
+            if self._new_topics:
+                remaining = stream if record is None else chain((record,), stream)
+                stream = iter(merge(remaining, self._join(bag, decoders), key=_TIME))
             elif record is None:
                 return
             else:
                 yield record
 
     def _join(self, bag: Bag, decoders: Dict[int, Optional[Decoder]]) -> Iterator[Record]:
-        """Return the messages that come from now on of the topics that goals have just subscribed."""
-        joining = {topic.name for topic in bag.topics if by_name(topic.name) in self._joining}
-        missing = [topic for topic, _ in self._asked if by_name(topic) in self._joining]
-        self._joining.clear()
-        self._learn_all(bag, missing)
+        """Return the messages after the current time of the topics that goals have just subscribed to."""
+        joining = {topic.name for topic in bag.topics if by_name(topic.name) in self._new_topics}
+        names = [topic for topic, _ in self._requested if by_name(topic) in self._new_topics]
+        self._new_topics.clear()
+        self._learn_all(bag, names)
         decoders.update((id(topic), self._decoders[topic]) for topic in bag.topics if topic.name in joining)
         return bag.records(joining, start=self.clock.now() + 1)
 
     def _subscribe(self, wanted: AskedTopic) -> None:
-        """Have the messages of a topic become events, from now on or, before a bag is played, from its start."""
-        plain = by_name(wanted.topic)
-        self._asked.append(TopicType(wanted.topic, wanted.kind))
-        self._types[plain] = wanted.kind
-        self._events[plain] = wanted.event
-        self._joining.add(plain)
+        """Convert the messages of a topic to events, from the current time on, or from the start of the next bag."""
+        name = by_name(wanted.topic)
+        self._requested.append(TopicType(wanted.topic, wanted.kind))
+        self._types[name] = wanted.kind
+        self._events[name] = wanted.event
+        self._new_topics.add(name)
 
-    def _ring_until(self, begin: int, instant: int) -> None:
-        """Let each alarm ring at its own time, as it does on a robot, and not when the next message comes."""
+    def _ring_until(self, first_time: int, limit: int) -> None:
+        """Let each alarm ring at its own time, as on a robot, instead of at the time of the next message."""
         clock = self.clock
-        if not clock.reached():  # timers that wait for a time count from the bag's first message
-            clock.move_to(begin)
-        clock.head_for(instant)
-        due = clock.next_alarm()
-        while due is not None and due <= instant and not self._joining:
-            clock.move_to(due)
+        # Timers that were started before the bag count from its first message.
+        if not clock.reached():
+            clock.move_to(first_time)
+        clock.head_for(limit)
+        alarm = clock.next_alarm()
+        while alarm is not None and alarm <= limit and not self._new_topics:
+            clock.move_to(alarm)
             self.engine.advance()
-            due = clock.next_alarm()
+            alarm = clock.next_alarm()
 
     def _decoded(self, topic: Topic, decoder: Decoder, data: bytes) -> Optional[Tuple[Term, Optional[int]]]:
-        """Return a message as a term with its stamp; None where it cannot be taken, which is reported."""
+        """Return a message as a term with its stamp, or None if it is invalid, which is reported."""
         try:
             return decoder.decode(data), decoder.stamp(data)
-        except Refused:  # counted and reported where it was seen
+        except Refused:  # counted and reported by the clock skew monitor
             pass
         except MessageError as error:
             message = f"a message on {topic.name} is dropped: {error.message}"
@@ -281,26 +294,31 @@ class Playback:
         return None
 
     def _learn_types(self, topics: Iterable[Topic]) -> None:
-        """Learn the types of a bag that are not known; what is wrong with them is said when it is played."""
+        """Register the unknown types of a bag; errors are reported when the bag is played."""
         for topic in topics:
             try:
                 self.definitions.received(topic.type, topic.type, topic.definition, topic.md5sum)
             except MessageError as error:
                 log.debug("%s", error)
 
-    def _learn_all(self, bag: Bag, asked: Iterable[str], by_default: FrozenSet[str] = frozenset()) -> None:
-        """Store the decoders for the connections of topics; report what cannot become events, and what is missing.
+    def _learn_all(
+        self, bag: Bag, requested: Iterable[str], by_default: FrozenSet[str] = frozenset()
+    ) -> None:
+        """Store the decoders for the connections of topics; report types that do not fit, and missing topics.
 
         Args:
-            bag: the messages.
-            asked: names of the topics.
-            by_default: those of them that nobody named: a bag need not have them, or may have another type.
+            bag: source of messages.
+            requested: names of the topics.
+            by_default: the topics among them that the program does not name: a bag may lack them, or have them with
+                another type.
         """
-        asked = list(asked)
-        names = set(map(by_name, asked))
-        there = {by_name(topic.name) for topic in bag.topics}
+        requested = list(requested)
+        names = set(map(by_name, requested))
+        available = {by_name(topic.name) for topic in bag.topics}
         missing = [
-            topic for topic in asked if by_name(topic) not in there and by_name(topic) not in by_default
+            topic
+            for topic in requested
+            if by_name(topic) not in available and by_name(topic) not in by_default
         ]
         if missing:
             log.warning(
@@ -315,19 +333,23 @@ class Playback:
             if problem is not None:
                 text = f"topic {topic.name}: {problem}"
                 dropped[text, by_name(topic.name) in by_default] += topic.messages
-        for (text, unnamed), messages in dropped.items():
-            text = f"{text}; {counted(messages, 'message')} dropped"
-            if unnamed:
+        for (text, is_default), number in dropped.items():
+            text = f"{text}; {counted(number, 'message')} dropped"
+            if is_default:
                 log.warning("%s", text)
             else:
                 self._report(MessageError(text))
 
     def _learn(self, topic: Topic) -> Optional[MessageError]:
-        """Note the decoder for a connection, under the type that the program gives the topic, or return why not."""
-        kind = self._types[by_name(topic.name)]
+        """Store the decoder of a connection with the type that the program requests, or return the error."""
+        type_name = self._types[by_name(topic.name)]
         try:
             learned = self.definitions.learn(
-                kind, topic.type, topic.definition, topic.md5sum, self._events.get(by_name(topic.name), "")
+                type_name,
+                topic.type,
+                topic.definition,
+                topic.md5sum,
+                self._events.get(by_name(topic.name), ""),
             )
         except MessageError as error:
             self._decoders[topic] = None
@@ -336,40 +358,40 @@ class Playback:
             log.warning(
                 "topic %s is requested as %s, which is unknown here; the bag has %s, which is used instead",
                 topic.name,
-                kind,
+                type_name,
                 topic.type,
             )
         self._decoders[topic] = self._skew.watch(learned.decoder, topic.name, topic.caller)
         return None
 
     def _collect(self, term: Term, topic: str, name: Term) -> None:
-        kind = self._published.get(by_name(topic))
+        type_name = self._published.get(by_name(topic))
         definition = data = None
         try:
-            if kind is None and topic not in self._told:
-                shown = beginning(topic)
+            if type_name is None and topic not in self._topics_warned:
+                name_shown = beginning(topic)
                 self._reports.warning(
-                    f"topic {shown} has no type: its outputs are no messages; "
-                    f'<publish_to name="{shown}" msg_type="package/Type"/> in {TOPICS} would give it one',
+                    f"topic {name_shown} has no type: its outputs are no messages; "
+                    f'<publish_to name="{name_shown}" msg_type="package/Type"/> in {TOPICS} would give it one',
                     "topics without a type",
                     texts=20,
                 )
-            elif kind is not None:
-                definition = self._published_type(kind, topic)
+            elif type_name is not None:
+                definition = self._published_type(type_name, topic)
                 data = self.definitions.encoder(definition).encode(term, topic)
         except MessageError as error:
             self._reports.error(error, ("out", topic))
         self._outputs.append(Output(topic, term, self.clock.now(), definition, data, name))
 
-    def _published_type(self, kind: str, topic: str) -> Definition:
+    def _published_type(self, type_name: str, topic: str) -> Definition:
         try:
-            return self.definitions.find(kind)
+            return self.definitions.find(type_name)
         except MessageError as error:
             raise MessageError(f"topic {topic}: {error.message}", error.place) from error
 
 
 def _shown(topics: Iterable[Topic]) -> List[str]:
-    """Return names and types of a bag's topics, as ROS allows them or quoted."""
+    """Return names and types of a bag's topics; names that ROS does not allow are quoted."""
     return sorted(
         {
             f"{topic.name if topic_fault(topic.name) is None else shortened(topic.name)} "

@@ -1,6 +1,15 @@
-"""The chunks of a bag, in the order in which its messages ask for them.
+"""Reading and writing of ROS 1 bags (rosbag format 2.0), message by message as raw bytes.
 
-ROS 1 bags, read and written message by message as raw bytes; the ``rosbags`` package does the work.
+The package ``rosbags`` parses the index. Chunks and messages are read here, which is three times as fast and safe for
+malformed files: sizes that a file states are compared with its real size, and a chunk is never read more often than a
+factor of the file's size allows, however its index refers to it.
+
+Messages of different chunks may alternate in time. Chunks are read in the order in which the messages, sorted by
+time, need them. A chunk that is needed again later is kept in memory if the kept chunks fit into the limit of one
+chunk; otherwise it is read again. Chunks that are compressed with bz2, which dominates the reading time, are
+decompressed ahead by threads; `bz2` releases the GIL.
+
+Format: http://wiki.ros.org/Bags/Format/2.0
 """
 
 import io
@@ -36,22 +45,22 @@ from ..messages.type_definition import Definition
 from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, reason, unpack
 
 AHEAD = 3
-"""Chunks that are decompressed before they are asked for."""
+"""Number of chunks that are decompressed before they are needed."""
 
 _MAX_AHEAD_BYTES = 16 << 20
-"""Size of a chunk up to which it is decompressed before it is asked for."""
+"""Larger chunks are not decompressed ahead."""
 
 MAX_REPEATS = 8
-"""Average number of times that a chunk of a bag may be read again because messages of chunks alternate in time."""
+"""Average number of times that a chunk may be read again because messages of several chunks alternate in time."""
 
 
 class Chunk(NamedTuple):
-    """The place of a chunk in a bag.
+    """Location of a chunk in a bag.
 
     Attributes:
-        position: of its data.
-        packed_size: the bytes that it has in the file.
-        size: the bytes that it has unpacked, as its header states.
+        position: offset of its data.
+        packed_size: size in the file in bytes.
+        size: size after decompression in bytes, as its header states.
         compression: ``none``, ``bz2`` or ``lz4``.
     """
 
@@ -64,88 +73,89 @@ class Chunk(NamedTuple):
 def chunks(
     file: BinaryIO, places: Mapping[int, Chunk], positions: Iterable[int], limit: ChunkLimit
 ) -> Generator[bytes, None, None]:
-    """Yield the records of chunks, one after the other; a chunk that is asked for twice in a row comes once.
-
-    Those that are compressed by bz2, which takes most of the time of reading, are decompressed by other threads
-    meanwhile: that needs no lock of the interpreter's. A chunk that is asked for again later is held until then, if
-    all that are held stay below the limit of one; if not, it is read again.
+    """Yield the contents of chunks; consecutive requests for the same chunk yield it once.
 
     Args:
         file: the bag.
-        places: of the chunks, by their position.
-        positions: of the chunks, as the messages need them.
-        limit: the largest size of a chunk.
+        places: locations of the chunks by their position.
+        positions: positions of the chunks in the order of the messages that need them.
+        limit: maximum size of a chunk.
 
     Raises:
-        ValueError: for a chunk that has not the size that it states, or a larger one than is allowed, when its turn
-            comes; if chunks have to be read again too often.
-        Exception: what else the bytes of a broken bag lead to.
+        ValueError: if a chunk does not have the size that it states, or exceeds the limit, when it is next; or if
+            chunks have to be read again too often.
+        Exception: any other error that the bytes of a malformed bag lead to.
     """
     order = [position for position, _ in groupby(positions)]
     reader = _ChunkReader(file, places, limit, order)
-    others = min(2, (os.cpu_count() or 1) - 1)
-    if others and any(map(reader.is_slow, order)):
-        with ThreadPoolExecutor(others, "chunks of a bag") as pool:
+    thread_count = min(2, (os.cpu_count() or 1) - 1)
+    if thread_count and any(map(reader.is_slow, order)):
+        with ThreadPoolExecutor(thread_count, "chunks of a bag") as pool:
             yield from reader.read_ahead(pool.submit)
         return
-    for number in range(len(order)):
-        yield reader.begin(number, _at_once).result()
+    for index in range(len(order)):
+        yield reader.begin(index, _completed_future).result()
 
 
 _Submit = Callable[..., "Future[bytes]"]
-"""Runs a function, now or in a thread."""
+"""Function that executes another one, at once or in a thread."""
 
 
 class _ChunkReader:
-    """Reads chunks in an order that is known."""
+    """Reader of chunks in a known order."""
 
     def __init__(self, file: BinaryIO, places: Mapping[int, Chunk], limit: ChunkLimit, order: List[int]):
         self._file = file
         self._places = places
         self._limit = limit
         self._order = order
-        self._last_use = {position: number for number, position in enumerate(order)}
-        self._held: Dict[int, Tuple[int, Future[bytes]]] = {}
-        self._held_bytes = 0
-        self._seen: Set[int] = set()
-        self._repeatable = MAX_REPEATS * sum(places[one].size for one in self._last_use if one in places)
+        self._last_use = {position: index for index, position in enumerate(order)}
+        self._kept: Dict[int, Tuple[int, Future[bytes]]] = {}
+        self._kept_bytes = 0
+        self._read_positions: Set[int] = set()
+        self._rereadable_bytes = MAX_REPEATS * sum(
+            places[position].size for position in self._last_use if position in places
+        )
 
     def is_slow(self, position: int) -> bool:
-        """Return whether a chunk is worth a thread, and small enough to be held before it is asked for."""
+        """Return whether a chunk takes long to decompress, and is small enough to be decompressed ahead."""
         chunk = self._places.get(position)
         return chunk is not None and chunk.compression == "bz2" and chunk.size <= _MAX_AHEAD_BYTES
 
     def read_ahead(self, submit: _Submit) -> Iterator[bytes]:
-        """Yield the records of each chunk, while others are decompressed."""
-        waiting: Deque[Future[bytes]] = deque()
-        for number, position in enumerate(self._order):
+        """Yield the contents of all chunks, while the next ones are decompressed."""
+        pending: Deque[Future[bytes]] = deque()
+        for index, position in enumerate(self._order):
             if self.is_slow(position):
-                waiting.append(self.begin(number, submit))
-                if len(waiting) > AHEAD:
-                    yield waiting.popleft().result()
+                pending.append(self.begin(index, submit))
+                if len(pending) > AHEAD:
+                    yield pending.popleft().result()
                 continue
-            while waiting:
-                yield waiting.popleft().result()
-            yield self.begin(number, _at_once).result()
-        while waiting:
-            yield waiting.popleft().result()
+            # Chunks are yielded in order, so the pending ones come first.
+            while pending:
+                yield pending.popleft().result()
+            yield self.begin(index, _completed_future).result()
+        while pending:
+            yield pending.popleft().result()
 
-    def begin(self, number: int, submit: _Submit) -> "Future[bytes]":
-        """Return the records of the chunk with this number in the order, or the error that it leads to."""
-        position = self._order[number]
-        if position in self._held:
-            records = self._held[position][1]
+    def begin(self, index: int, submit: _Submit) -> "Future[bytes]":
+        """Return a future of the contents of a chunk, given by its index in the order, or of the error."""
+        position = self._order[index]
+        if position in self._kept:
+            records = self._kept[position][1]
         else:
             try:
                 chunk, packed = self._packed(position)
-            except (OSError, ValueError) as error:  # the chunks before this one are read all the same
-                return _at_once(_raise, error)
+            # The error is raised when this chunk is next: the chunks before it are still read.
+            except (OSError, ValueError) as error:
+                return _completed_future(_raise, error)
             records = submit(_unpack, chunk, packed, position)
-            if number < self._last_use[position] and self._held_bytes + chunk.size <= self._limit.bytes:
-                self._held[position] = chunk.size, records
-                self._held_bytes += chunk.size
-        if number == self._last_use[position] and position in self._held:
-            self._held_bytes -= self._held.pop(position)[0]
+            # Kept until its last use, within the limit for one chunk, so that memory does not depend on the index.
+            if index < self._last_use[position] and self._kept_bytes + chunk.size <= self._limit.bytes:
+                self._kept[position] = chunk.size, records
+                self._kept_bytes += chunk.size
+        if index == self._last_use[position] and position in self._kept:
+            self._kept_bytes -= self._kept.pop(position)[0]
         return records
 
     def _packed(self, position: int) -> Tuple[Chunk, bytes]:
@@ -153,23 +163,23 @@ class _ChunkReader:
         if chunk is None:
             raise ValueError(f"the index names a chunk at byte {position}: there is none")
         self._limit.check(chunk.size, f"the chunk at byte {position} states")
-        if position in self._seen:
-            self._repeatable -= chunk.size
-            if self._repeatable < 0:
+        if position in self._read_positions:
+            self._rereadable_bytes -= chunk.size
+            if self._rereadable_bytes < 0:
                 raise ValueError(
                     "messages of large chunks alternate in time too often: expected chunks one after the other "
                     "(a larger --max-chunk-megabytes holds several)"
                 )
-        self._seen.add(position)
+        self._read_positions.add(position)
         self._file.seek(chunk.position)
         return chunk, self._file.read(chunk.packed_size)
 
 
-def _at_once(function: Callable[..., bytes], *arguments: object) -> "Future[bytes]":
+def _completed_future(function: Callable[..., bytes], *arguments: object) -> "Future[bytes]":
     done: Future[bytes] = Future()
     try:
         done.set_result(function(*arguments))
-    except Exception as error:  # it is raised where the result is asked for, as from a thread
+    except Exception as error:  # raised when the result is requested, as for a thread
         done.set_exception(error)
     return done
 
@@ -181,22 +191,22 @@ def _raise(error: Exception) -> bytes:
 def _unpack(chunk: Chunk, packed: bytes, position: int) -> bytes:
     try:
         return unpack(chunk.compression, packed, chunk.size)
-    except Exception as error:  # of the library that decompresses
+    except Exception as error:  # any exception of the decompression library
         raise ValueError(f"the chunk at byte {position}: {reason(error)}") from error
 
 
 _SIZE = Struct("<I")
 _MAX_FIRST_LINE_BYTES = 64
-"""Bytes of the first line that are read; it has 13."""
+"""Maximum length of the first line of a bag; a valid one has 13 bytes."""
 
 _IS_MESSAGE, _IS_CONNECTION = (b"\x04\x00\x00\x00op=" + bytes([code]) for code in (2, 7))
-"""The field of a record's header that says what it is."""
+"""Field of a record's header that states the type of the record."""
 
 PathLike = Union[str, Path]
 
 
 _MessageEntry = Tuple[int, int, int, "Topic"]
-"""Where a message is: its time, its chunk, its place there, and its connection."""
+"""Location of a message: time, position of its chunk, offset in the chunk, and connection."""
 
 
 class BagError(RetalisError):
@@ -211,7 +221,7 @@ class BagError(RetalisError):
 
 
 class Topic(NamedTuple):
-    """A connection of a bag: one publisher's topic.
+    """A connection of a bag: a topic of one publisher.
 
     >>> with BagReader(folder / "talk.bag") as bag:
     ...     (topic,) = bag.topics
@@ -219,13 +229,13 @@ class Topic(NamedTuple):
     ('/chatter', 'std_msgs/String', 1)
 
     Attributes:
-        name: the topic's name.
-        type: the message type, ``pkg/Type``.
-        definition: the text of the type's definition, with those of nested types.
-        md5sum: the type's checksum.
-        messages: how many messages the bag has of this connection.
-        latched: whether the publisher latched its last message.
-        caller: the publishing node, where the bag says so.
+        name: name of the topic.
+        type: message type, ``pkg/Type``.
+        definition: text of the type's definition, including nested types.
+        md5sum: checksum of the type.
+        messages: number of messages of this connection in the bag.
+        latched: if the publisher latched its last message.
+        caller: name of the publishing node, if the bag contains it.
     """
 
     name: str
@@ -238,7 +248,7 @@ class Topic(NamedTuple):
 
 
 class Record(NamedTuple):
-    """A message of a bag: its topic, the time of its receipt in nanoseconds, and its bytes.
+    """A message of a bag: its topic, the time of its receipt in nanoseconds, and its serialized bytes.
 
     >>> with BagReader(folder / "talk.bag") as bag:
     ...     (record,) = bag.records()
@@ -252,7 +262,7 @@ class Record(NamedTuple):
 
 
 class BagReader:
-    """A bag that is open for reading; a context manager.
+    """A ROS 1 bag opened for reading; a context manager.
 
     >>> with BagReader(folder / "talk.bag") as bag:
     ...     for topic, time, data in bag.records(["chatter"]):
@@ -260,17 +270,17 @@ class BagReader:
     /chatter std_msgs/String 1000000000 b'hello'
 
     Args:
-        path: the file.
-        max_chunk_megabytes: the size of the largest chunk that is unpacked.
+        path: path of the file.
+        max_chunk_megabytes: maximum size of a chunk after decompression.
 
     Attributes:
-        path: the file.
-        topics: its connections; a topic with several publishers is there several times.
-        start, end: the times of the first and the last message in nanoseconds; 0 for an empty bag.
-        messages: the number of messages.
+        path: path of the file.
+        topics: connections; a topic with several publishers has several connections.
+        start, end: times of the first and the last message in nanoseconds; 0 for an empty bag.
+        messages: number of messages.
 
     Raises:
-        BagError: where the file is missing, is not a ROS 1 bag, or is cut off (``rosbag reindex`` helps).
+        BagError: if the file is missing, is not a ROS 1 bag, or is truncated (``rosbag reindex`` repairs it).
     """
 
     def __init__(self, path: PathLike, max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES):
@@ -298,31 +308,31 @@ class BagReader:
         [1000000000]
 
         Args:
-            topics: names of the topics wanted, with or without leading ``/``; all by default.
-            start: leave out what came before this instant, in nanoseconds.
-            stop: leave out what came then or later.
+            topics: names of the topics, with or without leading ``/``; all by default.
+            start: skip messages before this time, in nanoseconds.
+            stop: skip messages at or after this time, in nanoseconds.
 
         Raises:
-            BagError: where the bag turns out to be broken.
+            BagError: if the bag is malformed.
         """
         connections = list(self._reader.connections)
         if topics is not None:
             wanted = {name.lstrip("/") for name in topics}
-            connections = [found for found in connections if found.topic.lstrip("/") in wanted]
+            connections = [connection for connection in connections if connection.topic.lstrip("/") in wanted]
         if not connections:
             return
         try:
             entries = self._entries(connections, start, stop)
             positions = [position for _, position, _, _ in entries]
-            with closing(chunks(self._reader.bio, self._reader.chunks, positions, self._limit)) as coming:
-                yield from _messages(entries, coming)
-        except Exception as error:  # broken bags raise whatever their bytes lead to
+            with closing(chunks(self._reader.bio, self._reader.chunks, positions, self._limit)) as contents:
+                yield from _messages(entries, contents)
+        except Exception as error:  # malformed bags raise arbitrary exceptions
             raise BagError(f"{self.path}: the bag is broken: {reason(error)}") from error
 
     def _entries(
         self, connections: List[Any], start: Optional[int], stop: Optional[int]
     ) -> List[_MessageEntry]:
-        """Return where the messages of connections are, in their order, by the index that ``rosbags`` has read."""
+        """Return the locations of messages sorted by time, from the index that ``rosbags`` has read."""
         entries = [
             (entry.time, entry.chunk_pos, entry.offset, self._topics[connection.id])
             for connection in connections
@@ -348,7 +358,7 @@ class BagReader:
 
 
 class BagWriter:
-    """A new bag; a context manager. The bag is complete when it is closed.
+    """A new ROS 1 bag; a context manager. The bag is complete when it is closed.
 
     >>> with BagWriter(folder / "new.bag") as bag:
     ...     text = bag.add("/chatter", Definitions().find("std_msgs/String"))
@@ -358,11 +368,11 @@ class BagWriter:
     1
 
     Args:
-        path: the file.
-        overwrite: whether a file that is there already may be replaced.
+        path: path of the file.
+        overwrite: if an existing file may be replaced.
 
     Raises:
-        BagError: where the file exists already or cannot be written.
+        BagError: if the file exists already, or cannot be written.
     """
 
     def __init__(self, path: PathLike, overwrite: bool = False):
@@ -379,7 +389,7 @@ class BagWriter:
             raise BagError(f"{self.path} cannot be written: {reason(error)}") from error
 
     def add(self, topic: str, definition: Definition, latched: bool = False, caller: str = "") -> object:
-        """Add a connection; return what `write` takes for it."""
+        """Add a connection; return the argument for `write` that identifies it."""
         return self._writer.add_connection(
             topic,
             definition.name.replace("/", "/msg/"),
@@ -390,7 +400,7 @@ class BagWriter:
         )
 
     def write(self, connection: object, time: int, data: bytes) -> None:
-        """Write a message with the time of its receipt in nanoseconds."""
+        """Write a message, with the time of its receipt in nanoseconds."""
         self._writer.write(connection, time, data)
 
     def close(self) -> None:
@@ -418,32 +428,35 @@ def _rosbag1() -> Any:
     return rosbag1
 
 
-def _messages(entries: List[_MessageEntry], coming: Iterator[bytes]) -> Iterator[Record]:
-    """Yield messages, from the chunks that come.
+def _messages(entries: List[_MessageEntry], contents: Iterator[bytes]) -> Iterator[Record]:
+    """Yield messages from the contents of chunks.
 
-    The way of ``rosbags`` reads every field of their headers from a file object, in three times the time.
+    `rosbags` reads every header field from a file object, which takes three times as long.
     """
     size_at = _SIZE.unpack_from
-    current, chunk, unread = -1, b"", 0
-    rests: Dict[int, int] = {}  # bytes of chunks that no message has taken yet
+    current, chunk, unclaimed_in_chunk = -1, b"", 0
+    # Bytes of each chunk that no message has claimed. The sizes of messages must add up to the size of the chunk at
+    # most: otherwise index entries of 12 bytes each could repeat a message of megabytes.
+    unclaimed: Dict[int, int] = {}
     for time, position, offset, topic in entries:
         if position != current:
-            rests[current] = unread
-            current, chunk = position, next(coming)
-            unread = rests.get(position, len(chunk))
+            unclaimed[current] = unclaimed_in_chunk
+            current, chunk = position, next(contents)
+            unclaimed_in_chunk = unclaimed.get(position, len(chunk))
         (size,) = size_at(chunk, offset)
-        at = offset + 4 + size
-        while chunk.find(_IS_MESSAGE, offset, at) < 0:  # a connection's record that stands before its message
-            if chunk.find(_IS_CONNECTION, offset, at) < 0:
+        body_offset = offset + 4 + size
+        # The index may point to a connection record that precedes the message.
+        while chunk.find(_IS_MESSAGE, offset, body_offset) < 0:
+            if chunk.find(_IS_CONNECTION, offset, body_offset) < 0:
                 raise ValueError(f"the index of the chunk at byte {position} does not point to a message")
-            offset = at + 4 + size_at(chunk, at)[0]
-            at = offset + 4 + size_at(chunk, offset)[0]
-        (size,) = size_at(chunk, at)
-        data = chunk[at + 4 : at + 4 + size]
+            offset = body_offset + 4 + size_at(chunk, body_offset)[0]
+            body_offset = offset + 4 + size_at(chunk, offset)[0]
+        (size,) = size_at(chunk, body_offset)
+        data = chunk[body_offset + 4 : body_offset + 4 + size]
         if len(data) != size:
             raise ValueError(f"a message in the chunk at byte {position} is truncated")
-        unread -= size
-        if unread < 0:  # an index of 12 bytes for each copy of a message of megabytes
+        unclaimed_in_chunk -= size
+        if unclaimed_in_chunk < 0:
             raise ValueError(f"the index names a message in the chunk at byte {position} more than once")
         yield Record(topic, time, data)
 
@@ -457,19 +470,19 @@ def _open(path: Path) -> Any:
         reader.path = _BagPath(path)
         reader.open()
         reader.bio.end_opening()
-    except Exception as error:  # broken bags raise whatever their bytes lead to
-        why = reason(error)
-        if "index looks damaged" in why:  # as rosbags says of a recording that was cut off
-            why = "its index is missing or damaged: repair it with 'rosbag reindex'"
-        raise BagError(f"{path} is not a complete ROS 1 bag: {why}") from error
+    except Exception as error:  # malformed bags raise arbitrary exceptions
+        problem = reason(error)
+        if "index looks damaged" in problem:  # the error of rosbags for a truncated recording
+            problem = "its index is missing or damaged: repair it with 'rosbag reindex'"
+        raise BagError(f"{path} is not a complete ROS 1 bag: {problem}") from error
     return reader
 
 
 class _BagFile(io.BufferedReader):
-    """A file in which lengths that come from itself are compared with its size.
+    """A file that compares lengths from its content with its size.
 
-    While the index is read, no more bytes are read than the file has: an index whose entries name the same bytes
-    again and again would take time and memory that grow with the square of its size.
+    While the index is read, no more bytes are read than the file has. Otherwise an index whose entries refer to the
+    same bytes repeatedly would take time and memory quadratic in its size.
     """
 
     def __init__(self, path: Path):
@@ -478,41 +491,41 @@ class _BagFile(io.BufferedReader):
         self._unread: float = self._size + io.DEFAULT_BUFFER_SIZE
 
     def end_opening(self) -> None:
-        """Let all bytes be read as often as is needed."""
+        """Remove the limit on the total number of bytes that are read."""
         self._unread = float("inf")
 
     def read(self, size: Optional[int] = -1) -> bytes:
-        """Read what there is, at most a number of bytes, without memory for more."""
+        """Read at most ``size`` bytes; memory is allocated only for bytes that the file has."""
         if size is None or size < 0 or size > io.DEFAULT_BUFFER_SIZE:
-            rest = max(0, self._size - self.tell())
-            size = rest if size is None or size < 0 else min(size, rest)
+            remaining = max(0, self._size - self.tell())
+            size = remaining if size is None or size < 0 else min(size, remaining)
         self._unread -= size
         if self._unread < 0:
             raise ValueError("its index names the same bytes again and again")
         return super().read(size)
 
     def readline(self, size: Optional[int] = -1) -> bytes:
-        """Read the first line, which says that this is a bag."""
+        """Read the first line, which identifies the format; its length is limited."""
         return super().readline(_MAX_FIRST_LINE_BYTES)
 
 
 class _BagPath:
-    """The path of a bag, which `rosbags` opens."""
+    """Path whose `open` returns a `_BagFile` to ``rosbags``."""
 
     def __init__(self, path: Path):
         self._path = path
 
     def open(self, mode: str) -> BinaryIO:
-        """Open the file for reading."""
+        """Open the file for reading; ``mode`` is ignored."""
         return _BagFile(self._path)
 
 
 def _index_reader(rosbag1: Any) -> Any:
-    """Return a reader of ``rosbags`` that knows sizes of chunks, and refuses connections and chunks that repeat."""
+    """Return a reader class of ``rosbags`` that locates chunks, and rejects repeated connections and chunks."""
     from rosbags.rosbag1.reader import Header, RecordType  # noqa: PLC0415 - an optional package
 
     class IndexReader(rosbag1.Reader):  # type: ignore[misc]
-        """A reader of the index of a bag."""
+        """Reader of the index of a bag."""
 
         def __init__(self, path: Path):
             super().__init__(path)
@@ -537,6 +550,7 @@ def _index_reader(rosbag1: Any) -> Any:
 
         def open(self) -> None:
             super().open()
+            # Overlapping chunks would allow a small file to contain the same messages many times.
             self._records.sort()
             for (_, end), (position, _) in zip(self._records, self._records[1:]):
                 if position < end:
@@ -546,7 +560,7 @@ def _index_reader(rosbag1: Any) -> Any:
 
 
 def _topic(connection: Any) -> Topic:
-    """Return a connection in ROS's own terms; versions of ``rosbags`` differ in where the text is."""
+    """Return a connection with the names of ROS 1; the definition depends on the ``rosbags`` version."""
     text = connection.msgdef
     return Topic(
         connection.topic,

@@ -1,15 +1,16 @@
-"""The files of ROS 2 bags: SQLite databases and mcap files.
+"""Reading of ROS 2 bags (SQLite and MCAP files), with messages converted to ROS 1 serialization.
 
-They are read here, and not by ``rosbags``, so that a hostile file cannot take more memory or time than its size
-allows: chunks are unpacked up to the size that they state, lengths are compared with the file's size, and a database
-may have plain tables only, and takes a number of steps that its size bounds.
+`Ros2BagReader` has the interface of `rosbag1.BagReader`. `SqliteFile` and `McapFile` read one file each; types come
+from the definitions in the bag, from ROS 2 (with the package ``rosbags``), or from the installed messages.
 
-Mcap (https://mcap.dev/spec): a file is a header, records, a summary and a footer. A record is an opcode, its length
-and its body. Messages are in chunks, which may be compressed, or beside them. The summary repeats schemas and
-channels, and has an index entry with the time range of each chunk, by which the messages of all chunks are merged. A
-file without a summary is read from its start.
+The files are parsed here instead of with ``rosbags``, so that a malformed file cannot consume more memory or time
+than its size justifies: chunks are decompressed up to the size that they state, lengths are compared with the file's
+size, and a database may only have plain tables and is limited to a number of virtual machine instructions.
 
-ROS 2 bags (SQLite and mcap), read as if ROS 1 had recorded them; types as the ``rosbags`` package knows them.
+MCAP (https://mcap.dev/spec): a file consists of a header, records, a summary, and a footer. A record is an opcode, a
+length, and a body. Messages are in chunks, which may be compressed, or directly in the file. The summary repeats
+schemas and channels, and has an index entry with the time range of each chunk. Chunks are merged by time with a heap,
+into which a chunk enters when its time range begins. A file without a summary is scanned from its start.
 """
 
 import logging
@@ -35,20 +36,20 @@ from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, copy_up_to, reason, 
 from .rosbag1 import BagError, PathLike, Record, Topic
 
 Message = Tuple[int, int, bytes]
-"""A message: the number of its connection, its time in nanoseconds, its bytes."""
+"""A message: number of its connection, time in nanoseconds, and bytes."""
 
 
 class Connection(NamedTuple):
-    """A topic in a file.
+    """A topic of a file.
 
     Attributes:
         id: its number in the file.
-        topic: the topic's name.
-        type: the message type, ``pkg/msg/Type``.
-        encoding: the form of the definition: ``ros2msg``, ``ros2idl`` or nothing.
-        definition: the text of the definition, if the file has it.
-        format: the form of the messages, ``cdr``.
-        messages: the number of messages.
+        topic: name of the topic.
+        type: message type, ``pkg/msg/Type``.
+        encoding: format of the definition: ``ros2msg``, ``ros2idl``, or empty.
+        definition: text of the definition, if the file contains it.
+        format: serialization format of the messages, ``cdr``.
+        messages: number of messages.
     """
 
     id: int
@@ -64,38 +65,40 @@ class Connection(NamedTuple):
 
 _FREE_STEPS = 1_000_000
 _STEPS_PER_BYTE = 10
-"""Instructions of SQLite's virtual machine for a query: a row takes at least 10 bytes, and about 20 instructions."""
+"""Limit for the virtual machine instructions of a query: a row has at least 10 bytes, and takes about 20 of them."""
 
 _STEPS_AT_A_TIME = 1000
 
 _TOO_MANY_BYTES = "its rows have more bytes than the file: some name the same pages"
 
 _LIMIT_LENGTH = 0
-"""``SQLITE_LIMIT_LENGTH`` of ``sqlite3.h``: the largest text, blob or row."""
+"""``SQLITE_LIMIT_LENGTH`` of ``sqlite3.h``: maximum size of a string, blob or row."""
 
 _MAX_LENGTH = (1 << 31) - 1
-"""The largest value of a limit, which is an ``int`` of C."""
+"""Maximum value of a limit, which is a C ``int``."""
 
 
 class SqliteFile:
     """A ``.db3`` file.
 
     Attributes:
-        connections: its topics.
-        start, end: the times of the first and the last message in nanoseconds, 0 if there are none.
+        connections: topics of the file.
+        start, end: times of the first and the last message in nanoseconds; 0 if there are none.
 
     Raises:
-        Exception: if it cannot be read.
+        Exception: if the file cannot be read.
     """
 
     def __init__(self, path: Path, limit: ChunkLimit):
         self._size = path.stat().st_size
         self._steps = 0
         with ExitStack() as stack:
+            # `immutable` skips locks and journals, so that bags on read-only media can be read.
             self._database = sqlite3.connect(
                 f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True, check_same_thread=False
             )
             stack.callback(self._database.close)
+            # A schema from an untrusted file must not call functions with side effects.
             self._database.execute("PRAGMA trusted_schema = OFF")
             set_limit = getattr(self._database, "setlimit", None)  # from Python 3.11
             if set_limit is not None:
@@ -106,19 +109,19 @@ class SqliteFile:
             self._stack = stack.pop_all()
 
     def read(self, ids: Collection[int], start: Optional[int], stop: Optional[int]) -> Iterator[Message]:
-        """Yield the messages of connections in the order of time, from a start and before a stop.
+        """Yield the messages of connections in order of time, from ``start`` and before ``stop``.
 
         Raises:
-            Exception: if the file turns out to be broken.
+            Exception: if the file is malformed.
         """
         query = (
             f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({','.join(map(str, ids))})"
         )
         arguments = []
-        for sign, instant in ((">=", start), ("<", stop)):
-            if instant is not None:
-                query += f" AND timestamp {sign} ?"
-                arguments.append(instant)
+        for operator, bound in ((">=", start), ("<", stop)):
+            if bound is not None:
+                query += f" AND timestamp {operator} ?"
+                arguments.append(bound)
         for identifier, time, data in self._ask(f"{query} ORDER BY timestamp", *arguments):
             if time.__class__ is not int or data.__class__ is not bytes:
                 raise ValueError("a message is not an integer and a blob")
@@ -129,17 +132,18 @@ class SqliteFile:
         self._stack.close()
 
     def _ask(self, query: str, *arguments: object) -> Iterator[Tuple[Any, ...]]:
-        unread = self._size
+        # Rows of a malformed database can share pages, so that a small file returns gigabytes.
+        remaining = self._size
         for row in self._execute(query, *arguments):
-            unread -= sum(len(value) for value in row if isinstance(value, (str, bytes)))
-            if unread < 0:
+            remaining -= sum(len(value) for value in row if isinstance(value, (str, bytes)))
+            if remaining < 0:
                 raise ValueError(_TOO_MANY_BYTES)
             yield row
 
     def _execute(self, query: str, *arguments: object) -> Iterator[Tuple[Any, ...]]:
         self._steps = _FREE_STEPS + _STEPS_PER_BYTE * self._size
         try:
-            # "yield from" would close the cursor of a reading that is given up, which raises once the file is closed.
+            # `yield from` would close the cursor of an abandoned iterator, which raises after the file was closed.
             for row in self._database.execute(query, arguments):  # noqa: UP028
                 yield row
         except sqlite3.OperationalError as error:
@@ -149,7 +153,7 @@ class SqliteFile:
 
     def _count_steps(self) -> bool:
         self._steps -= _STEPS_AT_A_TIME
-        return self._steps < 0  # the query ends as interrupted
+        return self._steps < 0  # True interrupts the query
 
     def _read_connections(self) -> List[Connection]:
         for table in ("topics", "messages"):
@@ -161,31 +165,39 @@ class SqliteFile:
                 "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
             )
             for name, encoding, text in rows:
-                definitions.setdefault(_checked(name), (_checked(encoding), _checked(text)))
+                definitions.setdefault(_require_text(name), (_require_text(encoding), _require_text(text)))
         counts = dict(self._ask("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
-        found = []
-        for identifier, topic, name, form in self._ask(
+        connections = []
+        for identifier, topic, name, message_format in self._ask(
             "SELECT id, name, type, serialization_format FROM topics"
         ):
-            encoding, text = definitions.get(_checked(name), ("", ""))
-            number = counts.get(identifier, 0)
-            found.append(
-                Connection(int(identifier), _checked(topic), name, encoding, text, _checked(form), number)
+            encoding, text = definitions.get(_require_text(name), ("", ""))
+            message_count = counts.get(identifier, 0)
+            connections.append(
+                Connection(
+                    int(identifier),
+                    _require_text(topic),
+                    name,
+                    encoding,
+                    text,
+                    _require_text(message_format),
+                    message_count,
+                )
             )
-        return found
+        return connections
 
     def _has_table(self, name: str) -> bool:
-        """Return whether there is a plain table.
+        """Return whether there is a table; raise `ValueError` if it is not a plain one.
 
-        A view or a generated column would run SQL of the file's, which can go on for ever or make gigabytes.
+        A view or a generated column would execute SQL from the file, which may run forever or produce gigabytes.
         """
         rows = list(self._ask("SELECT type, sql FROM sqlite_master WHERE name = ?", name))
         if not rows:
             return False
-        kinds = [str(kind) for kind, sql in rows if str(sql)[:13].upper() == "CREATE TABLE "]
+        types = [str(object_type) for object_type, sql in rows if str(sql)[:13].upper() == "CREATE TABLE "]
         columns = list(self._ask(f"PRAGMA table_xinfo({name})"))
-        # Of each column: number, name, type, whether it is not null, default, key, and 0 for a plain one.
-        if kinds != ["table"] or any(column[6] or column[4] is not None for column in columns):
+        # Columns: number, name, type, not null, default, primary key, and 0 for columns that are not generated.
+        if types != ["table"] or any(column[6] or column[4] is not None for column in columns):
             raise ValueError(
                 f"'{name}' is not a plain table: expected columns without defaults or expressions"
             )
@@ -195,12 +207,13 @@ class SqliteFile:
         ((first, last, size),) = self._ask(
             "SELECT min(timestamp), max(timestamp), total(length(data)) FROM messages"
         )
-        if size > self._size:  # many rows with the same pages: sorted on disk, they would fill it
+        # Rows that share pages would fill the disk when SQLite sorts them.
+        if size > self._size:
             raise ValueError(_TOO_MANY_BYTES)
         return (0, 0) if first is None else (int(first), int(last))
 
 
-def _checked(text: object) -> str:
+def _require_text(text: object) -> str:
     if not isinstance(text, str):
         raise ValueError("a name or a definition is not text")
     return text
@@ -222,11 +235,11 @@ _STATISTICS = Struct("<QHIIIIQQ")
 _COUNT = Struct("<HQ")
 
 _HEADER, _END, _SCHEMA, _CHANNEL, _DATA, _CHUNK_RECORD, _CHUNK_INDEX, _TOTALS = 1, 2, 3, 4, 5, 6, 8, 11
-"""Opcodes."""
+"""Opcodes of records."""
 
 
 class _McapChunk(NamedTuple):
-    """A chunk that the index names: its times, its place and its length."""
+    """Index entry of a chunk: time range, offset, and length including the record's header."""
 
     start: int
     end: int
@@ -238,11 +251,11 @@ class McapFile:
     """An ``.mcap`` file.
 
     Attributes:
-        connections: its topics.
-        start, end: the times of the first and the last message in nanoseconds, 0 if there are none.
+        connections: topics of the file.
+        start, end: times of the first and the last message in nanoseconds; 0 if there are none.
 
     Raises:
-        Exception: if it cannot be read.
+        Exception: if the file cannot be read.
     """
 
     def __init__(self, path: Path, limit: ChunkLimit):
@@ -263,17 +276,17 @@ class McapFile:
                 identifier,
                 topic,
                 *self._schemas.get(schema, ("", "", "")),
-                form,
+                message_format,
                 self._counts.get(identifier, 0),
             )
-            for identifier, (schema, topic, form) in self._channels.items()
+            for identifier, (schema, topic, message_format) in self._channels.items()
         ]
 
     def read(self, ids: Collection[int], start: Optional[int], stop: Optional[int]) -> Iterator[Message]:
-        """Yield the messages of connections in the order of time, from a start and before a stop.
+        """Yield the messages of connections in order of time, from ``start`` and before ``stop``.
 
         Raises:
-            Exception: if the file turns out to be broken, or too many chunks overlap in time.
+            Exception: if the file is malformed, or too many chunks overlap in time.
         """
         first = 0 if start is None else start
         last = 1 << 64 if stop is None else stop
@@ -306,37 +319,38 @@ class McapFile:
             self._scan()
 
     def _read_summary(self, footer: int) -> bool:
-        """Read the summary; return whether it says how many messages there are, and when."""
+        """Read the summary; return whether it contains the number of messages and their time range."""
         has_totals = False
         for opcode, position, length in self._records(self._data_end, footer):
             if opcode in (_SCHEMA, _CHANNEL):
-                self._take_type(opcode, self._bytes(position, length))
+                self._add_type(opcode, self._bytes(position, length))
             elif opcode == _CHUNK_INDEX:
                 self._chunks.append(_McapChunk(*_INDEX.unpack_from(self._bytes(position, length))))
             elif opcode == _TOTALS:
                 has_totals = True
                 body = self._bytes(position, length)
-                number, _, _, _, _, _, start, end = _STATISTICS.unpack_from(body)
-                self.start, self.end = (start, end) if number else (0, 0)
+                message_count, _, _, _, _, _, start, end = _STATISTICS.unpack_from(body)
+                self.start, self.end = (start, end) if message_count else (0, 0)
                 (size,) = _LENGTH.unpack_from(body, _STATISTICS.size)
                 counts = body[_STATISTICS.size + _LENGTH.size :][:size]
                 self._counts = dict(_COUNT.iter_unpack(counts))
+        # Overlapping index entries would let a small file contain the same chunk many times.
         self._chunks.sort(key=lambda chunk: chunk.position)
-        for before, chunk in zip(self._chunks, self._chunks[1:]):
-            if chunk.position < before.position + before.length:
+        for previous, chunk in zip(self._chunks, self._chunks[1:]):
+            if chunk.position < previous.position + previous.length:
                 raise ValueError(f"the index names the chunk at byte {chunk.position} inside another one")
         self._has_loose_messages = not self._chunks
         return has_totals
 
     def _scan(self) -> None:
-        """Read everything before the summary, to find types, times and chunks."""
+        """Read all records before the summary, to find types, times, and chunks."""
         self._chunks.clear()
         self._has_loose_messages = False
         counts: Counter[int] = Counter()
         first, last = 1 << 64, -1
         for opcode, position, length in self._records(self._data_start, self._data_end):
             if opcode in (_SCHEMA, _CHANNEL):
-                self._take_type(opcode, self._bytes(position, length))
+                self._add_type(opcode, self._bytes(position, length))
             elif opcode == _DATA:
                 self._has_loose_messages = True
                 channel, _, time, _ = _MESSAGE.unpack(self._bytes(position, min(length, _MESSAGE.size)))
@@ -346,11 +360,11 @@ class McapFile:
                 chunk = _McapChunk(0, 0, position - _RECORD.size, length + _RECORD.size)
                 data = self._unpack(chunk)
                 begin, end = 1 << 64, -1
-                for kind, place, stop in _records_in(data):
-                    if kind in (_SCHEMA, _CHANNEL):
-                        self._take_type(kind, data[place:stop])
-                    elif kind == _DATA:
-                        channel, _, time, _ = _MESSAGE.unpack_from(data, place)
+                for inner_opcode, body_start, body_end in _records_in(data):
+                    if inner_opcode in (_SCHEMA, _CHANNEL):
+                        self._add_type(inner_opcode, data[body_start:body_end])
+                    elif inner_opcode == _DATA:
+                        channel, _, time, _ = _MESSAGE.unpack_from(data, body_start)
                         counts[channel] += 1
                         begin, end = min(begin, time), max(end, time)
                 if end >= 0:
@@ -359,49 +373,50 @@ class McapFile:
         self._counts = counts
         self.start, self.end = (first, last) if last >= 0 else (0, 0)
 
-    def _take_type(self, opcode: int, body: bytes) -> None:
+    def _add_type(self, opcode: int, body: bytes) -> None:
         if opcode == _SCHEMA:
             (identifier,) = _ID.unpack_from(body)
-            name, at = _text(body, _ID.size)
-            encoding, at = _text(body, at)
-            self._schemas.setdefault(identifier, (name, encoding, _text(body, at)[0]))
+            name, offset = _text(body, _ID.size)
+            encoding, offset = _text(body, offset)
+            self._schemas.setdefault(identifier, (name, encoding, _text(body, offset)[0]))
         else:
             identifier, schema = _IDS.unpack_from(body)
-            topic, at = _text(body, _IDS.size)
-            self._channels.setdefault(identifier, (schema, topic, _text(body, at)[0]))
+            topic, offset = _text(body, _IDS.size)
+            self._channels.setdefault(identifier, (schema, topic, _text(body, offset)[0]))
 
     def _merge(self, wanted: Set[int], start: int, stop: int) -> Iterator[Message]:
-        """Yield the messages of all chunks by their time; only chunks that overlap in time are held."""
-        held = 0
+        """Yield the messages of all chunks by time; only chunks that overlap in time are in memory."""
+        bytes_in_memory = 0
         heap: List[Tuple[int, int, Message, Iterator[Message], int]] = []
 
-        def take(number: int, messages: Iterator[Message], size: int) -> int:
+        def push_next(index: int, messages: Iterator[Message], size: int) -> int:
             message = next(messages, None)
             if message is None:
                 return size
-            heappush(heap, (message[1], number, message, messages, size))
+            heappush(heap, (message[1], index, message, messages, size))
             return 0
 
         chunks = sorted(chunk for chunk in self._chunks if chunk.end >= start and chunk.start < stop)
-        for number, chunk in enumerate(chunks):
+        for index, chunk in enumerate(chunks):
+            # Messages before this chunk's start are final. Chunks that end by then free their memory.
             while heap and heap[0][0] <= chunk.start:
-                _, earlier, message, messages, size = heappop(heap)
+                _, earlier_index, message, messages, size = heappop(heap)
                 yield message
-                held -= take(earlier, messages, size)
+                bytes_in_memory -= push_next(earlier_index, messages, size)
             data = self._unpack(chunk)
             size = len(data)
-            held += size
-            self._limit.check(held, "chunks that overlap in time have")
-            held -= take(number, _messages_in(data, wanted, start, stop), size)
-            del data  # the iterator has it for as long as it is needed
+            bytes_in_memory += size
+            self._limit.check(bytes_in_memory, "chunks that overlap in time have")
+            bytes_in_memory -= push_next(index, _messages_in(data, wanted, start, stop), size)
+            del data  # the iterator holds it for as long as it is needed
         while heap:
-            _, earlier, message, messages, size = heappop(heap)
+            _, earlier_index, message, messages, size = heappop(heap)
             yield message
-            take(earlier, messages, size)
+            push_next(earlier_index, messages, size)
 
     def _stream(self, wanted: Set[int], start: int, stop: int) -> Iterator[Message]:
-        """Yield the messages of a file without an index, which has to have them in the order of time."""
-        before = -1
+        """Yield the messages of a file without an index, which must be in order of time."""
+        previous_time = -1
         for opcode, position, length in self._records(self._data_start, self._data_end):
             data = b""
             if opcode == _DATA:
@@ -409,36 +424,36 @@ class McapFile:
             elif opcode == _CHUNK_RECORD:
                 data = self._unpack(_McapChunk(0, 0, position - _RECORD.size, length + _RECORD.size))
             for message in _messages_in(data, wanted, start, stop):
-                if message[1] < before:
+                if message[1] < previous_time:
                     raise ValueError(
                         "its messages are not in the order of time: expected an index of its chunks"
                     )
-                before = message[1]
+                previous_time = message[1]
                 yield message
 
     def _unpack(self, chunk: _McapChunk) -> bytes:
-        where = f"the chunk at byte {chunk.position}"
+        location = f"the chunk at byte {chunk.position}"
         opcode, length = self._record(chunk.position, self._size)
         if opcode != _CHUNK_RECORD or length + _RECORD.size != chunk.length:
-            raise ValueError(f"the index names {where}: there is none of {chunk.length} bytes")
+            raise ValueError(f"the index names {location}: there is none of {chunk.length} bytes")
         body = self._bytes(chunk.position + _RECORD.size, length)
         _, _, size, checksum = _CHUNK.unpack_from(body)
-        compression, at = _text(body, _CHUNK.size)
-        (packed_size,) = _SIZE.unpack_from(body, at)
-        packed = body[at + _SIZE.size :][:packed_size]
+        compression, offset = _text(body, _CHUNK.size)
+        (packed_size,) = _SIZE.unpack_from(body, offset)
+        packed = body[offset + _SIZE.size :][:packed_size]
         if len(packed) != packed_size:
-            raise ValueError(f"{where} is truncated")
-        self._limit.check(size, f"{where} states")
+            raise ValueError(f"{location} is truncated")
+        self._limit.check(size, f"{location} states")
         try:
             data = unpack(compression, packed, size)
-        except Exception as error:  # of the library that decompresses
-            raise ValueError(f"{where}: {reason(error)}") from error
+        except Exception as error:  # any exception of the decompression library
+            raise ValueError(f"{location}: {reason(error)}") from error
         if checksum and crc32(data) != checksum:
-            raise ValueError(f"{where} is damaged: its checksum is wrong")
+            raise ValueError(f"{location} is damaged: its checksum is wrong")
         return data
 
     def _records(self, position: int, end: int) -> Iterator[Tuple[int, int, int]]:
-        """Yield opcode, place and length of the records between two places."""
+        """Yield opcode, offset, and length of the records between two offsets."""
         while position < end:
             opcode, length = self._record(position, end)
             position += _RECORD.size
@@ -458,17 +473,17 @@ class McapFile:
         return self._file.read(size)
 
 
-def _text(body: bytes, at: int) -> Tuple[str, int]:
-    """Return a text and the place after it."""
-    (size,) = _LENGTH.unpack_from(body, at)
-    begin = at + _LENGTH.size
-    if begin + size > len(body):
+def _text(body: bytes, offset: int) -> Tuple[str, int]:
+    """Return the string at an offset, and the offset after it."""
+    (size,) = _LENGTH.unpack_from(body, offset)
+    start = offset + _LENGTH.size
+    if start + size > len(body):
         raise ValueError(f"a text states {size} bytes: there are fewer")
-    return body[begin : begin + size].decode(), begin + size
+    return body[start : start + size].decode(), start + size
 
 
 def _records_in(data: bytes) -> Iterator[Tuple[int, int, int]]:
-    """Yield opcode, begin and end of the records in a chunk."""
+    """Yield opcode, start, and end of the records in a chunk."""
     position, size = 0, len(data)
     while position < size:
         opcode, length = _RECORD.unpack_from(data, position)
@@ -485,23 +500,24 @@ def _records_in(data: bytes) -> Iterator[Tuple[int, int, int]]:
 
 
 def _messages_in(data: bytes, wanted: Set[int], start: int, stop: int) -> Iterator[Message]:
-    """Yield the messages in a chunk in the order of time."""
-    times, places = array("Q"), array("Q")  # two numbers for a message of 31 bytes at least
-    is_sorted, before = True, 0
-    for opcode, place, _ in _records_in(data):
+    """Yield the messages in a chunk in order of time."""
+    # Arrays instead of lists of tuples: 16 bytes per message, while the smallest message record has 31.
+    times, offsets = array("Q"), array("Q")
+    is_sorted, previous_time = True, 0
+    for opcode, offset, _ in _records_in(data):
         if opcode == _DATA:
-            channel, _, time, _ = _MESSAGE.unpack_from(data, place)
+            channel, _, time, _ = _MESSAGE.unpack_from(data, offset)
             if channel in wanted and start <= time < stop:
                 times.append(time)
-                places.append(place)
-                is_sorted = is_sorted and time >= before
-                before = time
+                offsets.append(offset)
+                is_sorted = is_sorted and time >= previous_time
+                previous_time = time
     order = range(len(times)) if is_sorted else sorted(range(len(times)), key=times.__getitem__)
-    for number in order:
-        place = places[number]
-        (channel,) = _ID.unpack_from(data, place)
-        (length,) = _SIZE.unpack_from(data, place - _SIZE.size)
-        yield channel, times[number], data[place + _MESSAGE.size : place + length]
+    for index in order:
+        offset = offsets[index]
+        (channel,) = _ID.unpack_from(data, offset)
+        (length,) = _SIZE.unpack_from(data, offset - _SIZE.size)
+        yield channel, times[index], data[offset + _MESSAGE.size : offset + length]
 
 
 Storage = Union[SqliteFile, McapFile]
@@ -510,41 +526,41 @@ Storage = Union[SqliteFile, McapFile]
 log = logging.getLogger("retalis")
 
 COMPRESSED = ".zstd"
-"""The ending that ``ros2 bag record --compression-mode file`` adds to the name of a file."""
+"""Suffix that ``ros2 bag record --compression-mode file`` adds to file names."""
 
 SUFFIXES = (".db3", ".mcap", f".db3{COMPRESSED}", f".mcap{COMPRESSED}")
-"""Endings of the files of a ROS 2 bag."""
+"""Suffixes of the files of a ROS 2 bag."""
 
 METADATA = "metadata.yaml"
-"""The file that makes a folder a bag of ROS 2."""
+"""File that identifies a folder as a ROS 2 bag."""
 
 MAX_UNPACKED_RATIO = 100
-"""Largest ratio of a compressed file's size unpacked to its own, if that is more than the limit of a chunk.
+"""Maximum ratio of a file's size after decompression to its compressed size, unless the chunk limit is larger.
 
-An unpacked file may also take at most half of the free disk space.
+A decompressed file may also take at most half of the free disk space.
 """
 
 MAX_METADATA_BYTES = 4_000_000
 
 _HEADINGS = re.compile(r"^(?:={20,}|IDL:.*)$", re.MULTILINE)
-"""Lines between the definitions of types in IDL, which are not IDL themselves."""
+"""Lines between IDL definitions that are not part of IDL."""
 
 
-class _Way(NamedTuple):
-    """A topic, and what makes ROS 1's bytes of its messages."""
+class _ConvertedTopic(NamedTuple):
+    """A topic, and the conversion of its messages to ROS 1."""
 
     topic: Topic
-    converted: Callable[[bytes], bytes]
+    convert: Callable[[bytes], bytes]
 
 
 class Ros2BagReader:
-    """A bag of ROS 2 that is open for reading: a folder with ``metadata.yaml``, or one of its files.
+    """A ROS 2 bag opened for reading: a folder with ``metadata.yaml``, or one of its files.
 
-    Types have ROS 1's names, and a header has the sequence number 0. Arguments, attributes and methods are those of
-    `BagReader`.
+    Types have the names of ROS 1, and headers have the sequence number 0. Arguments, attributes, and methods are
+    those of `BagReader`.
 
     Raises:
-        BagError: where it cannot be read.
+        BagError: if the bag cannot be read.
     """
 
     def __init__(self, path: PathLike, max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES):
@@ -555,34 +571,36 @@ class Ros2BagReader:
         self._sources = self._read_types()
         self.topics: Tuple[Topic, ...] = tuple(source.topic for source in self._sources.values())
         self.messages = sum(connection.messages for file in self._files for connection in file.connections)
-        full = [file for file in self._files if any(connection.messages for connection in file.connections)]
-        self.start = min((file.start for file in full), default=0)
-        self.end = max((file.end for file in full), default=0)
+        non_empty_files = [
+            file for file in self._files if any(connection.messages for connection in file.connections)
+        ]
+        self.start = min((file.start for file in non_empty_files), default=0)
+        self.end = max((file.end for file in non_empty_files), default=0)
 
-    def _read_types(self) -> "Dict[Tuple[str, str], _Way]":
-        """Return how to read each topic by its name and type; warn of those that cannot be read."""
+    def _read_types(self) -> "Dict[Tuple[str, str], _ConvertedTopic]":
+        """Return the readable topics by name and type; log a warning for the others."""
         merged: Dict[Tuple[str, str], Connection] = {}
         for file in self._files:
             for connection in file.connections:
                 key = connection.topic, connection.type
-                known = merged.get(key)
-                if known is not None:
-                    messages = known.messages + connection.messages
-                    connection = (known if known.definition else connection)._replace(messages=messages)
+                previous = merged.get(key)
+                if previous is not None:
+                    messages = previous.messages + connection.messages
+                    connection = (previous if previous.definition else connection)._replace(messages=messages)
                 merged[key] = connection
         types = _Types()
-        sources: Dict[Tuple[str, str], _Way] = {}
+        sources: Dict[Tuple[str, str], _ConvertedTopic] = {}
         unreadable: Dict[Tuple[str, str], List[str]] = {}
         for key, connection in merged.items():
             try:
                 sources[key] = types.source(connection)
             except MessageError as error:
-                problem = str(error).partition("\n")[0]  # without the text of the line
+                problem = str(error).partition("\n")[0]  # without the source line
                 topics = unreadable.setdefault((plain_type(connection.type), problem), [])
-                topics.append(_shown(connection.topic))
-        for (kind, problem), topics in unreadable.items():
+                topics.append(_quoted_if_invalid(connection.topic))
+        for (type_name, problem), topics in unreadable.items():
             names = f"topic{'s' if len(topics) > 1 else ''} {', '.join(sorted(topics))}"
-            log.warning("%s: left out: %s (%s): %s", self.path, names, _shown(kind), problem)
+            log.warning("%s: left out: %s (%s): %s", self.path, names, _quoted_if_invalid(type_name), problem)
         return sources
 
     def records(
@@ -591,46 +609,44 @@ class Ros2BagReader:
         start: Optional[int] = None,
         stop: Optional[int] = None,
     ) -> Iterator[Record]:
-        """Yield the messages in the order of their receipt; see `BagReader.records`.
+        """Yield the messages in order of receipt; see `BagReader.records`.
 
-        Messages that are not of their type are dropped, with a warning for the first one of a topic and their number.
+        Messages that do not fit their type are dropped, with a warning for the first one of a topic and their number.
 
         Raises:
-            BagError: where the bag turns out to be broken.
+            BagError: if the bag is malformed.
         """
         dropped: Counter[str] = Counter()
         wanted = None if topics is None else {name.lstrip("/") for name in topics}
         try:
             for file in self._files:
-                ways = {
+                sources = {
                     connection.id: self._sources[connection.topic, connection.type]
                     for connection in file.connections
                     if (connection.topic, connection.type) in self._sources
                     and (wanted is None or connection.topic.lstrip("/") in wanted)
                 }
-                if not ways:
+                if not sources:
                     continue
-                for identifier, time, data in file.read(ways, start, stop):
-                    topic, converted = ways[identifier]
+                for identifier, time, data in file.read(sources, start, stop):
+                    topic, convert = sources[identifier]
                     try:
-                        raw = converted(
-                            self._limit.unpack_message(data) if self._has_packed_messages else data
-                        )
+                        raw = convert(self._limit.unpack_message(data) if self._has_packed_messages else data)
                     except MessageError as error:
-                        name = _shown(topic.name)
+                        name = _quoted_if_invalid(topic.name)
                         if not dropped[name]:
                             log.warning("%s: a message on %s is dropped: %s", self.path, name, error)
                         dropped[name] += 1
                         continue
                     yield Record(topic, time, raw)
-        except Exception as error:  # broken bags raise whatever their bytes lead to
+        except Exception as error:  # malformed bags raise arbitrary exceptions
             raise BagError(f"{self.path}: the bag is broken: {reason(error)}") from error
         finally:
-            for name, number in dropped.items():
-                log.warning("%s: %s on %s dropped", self.path, counted(number, "message"), name)
+            for name, count in dropped.items():
+                log.warning("%s: %s on %s dropped", self.path, counted(count, "message"), name)
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the files."""
         self._stack.close()
 
     def __enter__(self) -> "Ros2BagReader":
@@ -641,30 +657,30 @@ class Ros2BagReader:
 
 
 class _Types:
-    """The types of a bag's topics: by the definitions in the bag, by those of ROS 2, by what is installed."""
+    """Resolver of the types of a bag: definitions in the bag first, then those of ROS 2, then installed ones."""
 
     def __init__(self) -> None:
         from rosbags import typesys  # noqa: PLC0415 - an optional package
 
         self._typesys: Any = typesys
-        self._usual: Any = typesys.get_typestore(typesys.Stores.LATEST)
+        self._ros2_store: Any = typesys.get_typestore(typesys.Stores.LATEST)
         self._installed = Installed()
-        self._read: Dict[Tuple[str, str], Ros2Type] = {}
+        self._by_definition: Dict[Tuple[str, str], Ros2Type] = {}
 
-    def source(self, connection: Connection) -> _Way:
-        """Return how to read a connection.
+    def source(self, connection: Connection) -> _ConvertedTopic:
+        """Return the topic of a connection and the conversion of its messages.
 
         Raises:
-            MessageError: where its type is not defined, or the definition is wrong.
+            MessageError: if its type is not defined, or the definition is invalid.
         """
         if connection.format != "cdr":
             raise MessageError(f"its messages are in '{beginning(connection.format)}': expected cdr")
         key = connection.type, connection.definition
-        found = self._read.get(key)
-        if found is None:
+        message_type = self._by_definition.get(key)
+        if message_type is None:
             text = self._definition(connection)
-            found = self._read[key] = ros2_type(connection.type, text, self._find)
-        definition = found.definition
+            message_type = self._by_definition[key] = ros2_type(connection.type, text, self._find)
+        definition = message_type.definition
         topic = Topic(
             connection.topic,
             definition.name,
@@ -672,44 +688,45 @@ class _Types:
             definition.md5sum,
             connection.messages,
         )
-        return _Way(topic, found.to_ros1)
+        return _ConvertedTopic(topic, message_type.to_ros1)
 
     def _definition(self, connection: Connection) -> str:
         name, text = connection.type, connection.definition
         if not text:
-            found = self._find(plain_type(name))
-            if found is None:
+            definition = self._find(plain_type(name))
+            if definition is None:
                 raise MessageError("the type is not defined in the bag or on this system")
-            return found
+            return definition
         if connection.encoding.endswith("idl") or text.lstrip("=\r\n ").startswith("IDL:"):
-            return self._of_idl(name, text)
+            return self._convert_idl(name, text)
         return text
 
-    def _of_idl(self, name: str, text: str) -> str:
+    def _convert_idl(self, name: str, text: str) -> str:
         store = self._typesys.get_typestore(self._typesys.Stores.EMPTY)
         try:
-            usual = getattr(self._usual, "fielddefs", None) or self._usual.FIELDDEFS  # by its version
-            store.register({**usual, **self._typesys.get_types_from_idl(_HEADINGS.sub("", text))})
+            # The attribute depends on the version of rosbags.
+            field_definitions = getattr(self._ros2_store, "fielddefs", None) or self._ros2_store.FIELDDEFS
+            store.register({**field_definitions, **self._typesys.get_types_from_idl(_HEADINGS.sub("", text))})
             return str(store.generate_msgdef(name, ros_version=2)[0])
-        except Exception as error:  # text of a bag can lead its parser to anything
+        except Exception as error:  # the IDL parser raises arbitrary exceptions for malformed text
             problem = shortened(" ".join(reason(error).split()))
             raise MessageError(f"its definition in IDL cannot be read: {problem}") from error
 
-    def _find(self, kind: str) -> Optional[str]:
-        name = "/msg/".join(kind.split("/"))
-        if name in self._usual.types:
-            return str(self._usual.generate_msgdef(name, ros_version=2)[0])
-        installed = self._installed.text(kind)
+    def _find(self, type_name: str) -> Optional[str]:
+        name = "/msg/".join(type_name.split("/"))
+        if name in self._ros2_store.types:
+            return str(self._ros2_store.generate_msgdef(name, ros_version=2)[0])
+        installed = self._installed.text(type_name)
         return None if installed is None else installed[0]
 
 
-def _shown(name: str) -> str:
-    """Return the name of a topic or type, quoted if ROS does not allow it."""
+def _quoted_if_invalid(name: str) -> str:
+    """Return the name of a topic or type; it is quoted if ROS does not allow it."""
     return name if topic_fault(name) is None else shortened(name)
 
 
 def _open(path: Path, limit: ChunkLimit, stack: ExitStack) -> Tuple[List[Storage], bool]:
-    """Return the open files of a bag, which the stack closes, and whether each message is compressed."""
+    """Return the open files of a bag, which ``stack`` closes, and whether its messages are compressed."""
     try:
         import rosbags.typesys  # noqa: F401, PLC0415 - an optional package, which brings those that decompress
     except ImportError:
@@ -722,42 +739,43 @@ def _open(path: Path, limit: ChunkLimit, stack: ExitStack) -> Tuple[List[Storage
                 if file.suffix == COMPRESSED:
                     folder = opened.enter_context(TemporaryDirectory(prefix="retalis-"))
                     file = _unpack(file, Path(folder) / file.stem, limit)
-                kind = McapFile if file.suffix == ".mcap" else SqliteFile
-                files.append(kind(file, limit))
+                reader_class = McapFile if file.suffix == ".mcap" else SqliteFile
+                files.append(reader_class(file, limit))
                 opened.callback(files[-1].close)
         except BagError:
             raise
-        except Exception as error:  # broken bags raise whatever their bytes lead to
+        except Exception as error:  # malformed bags raise arbitrary exceptions
             raise BagError(f"{path} is not a complete ROS 2 bag: {reason(error)}") from error
+        # Handed over only after all files were opened: an error above closes those that are open already.
         stack.push(opened.pop_all())
     return files, has_packed_messages
 
 
 def _read_metadata(path: Path) -> Tuple[List[Path], bool]:
-    """Return the files of a bag in their order, and whether each message is compressed.
+    """Return the files of a bag in their order, and whether messages are compressed individually.
 
     Raises:
-        ValueError: for a text that does not say it.
+        ValueError: if the metadata is invalid.
     """
     size = path.stat().st_size
     if size > MAX_METADATA_BYTES:
         raise ValueError(f"{path.name} has {size} bytes: expected at most {MAX_METADATA_BYTES}")
     values = _metadata_values(path.read_text(encoding="utf-8"))
     names = [name.rpartition("/")[2] for name in values.get("relative_file_paths", [])]
-    storage, mode, form = ("".join(values.get(name, [])) for name in _METADATA_SCALARS)
-    ending = {"sqlite3": ".db3", "mcap": ".mcap"}.get(storage)
-    if not names or ending is None:
+    storage, mode, compression_format = ("".join(values.get(name, [])) for name in _METADATA_SCALARS)
+    suffix = {"sqlite3": ".db3", "mcap": ".mcap"}.get(storage)
+    if not names or suffix is None:
         raise ValueError(f"{path.name} names no files, or no storage_identifier: expected sqlite3 or mcap")
     mode = mode.lower() or "none"
-    if mode not in ("none", "file", "message") or (mode != "none" and form != COMPRESSED[1:]):
+    if mode not in ("none", "file", "message") or (mode != "none" and compression_format != COMPRESSED[1:]):
         raise ValueError(
-            f"its compression by '{mode}' with '{form}' is unknown: expected zstd by file or message"
+            f"its compression by '{mode}' with '{compression_format}' is unknown: expected zstd by file or message"
         )
     if len(set(names)) < len(names):
         raise ValueError("a file is named twice")
     files = [path.parent / name for name in names]
     for file in files:
-        if file.suffix != (COMPRESSED if mode == "file" else ending):
+        if file.suffix != (COMPRESSED if mode == "file" else suffix):
             raise ValueError(f"the name '{file.name}' does not end as one of storage '{storage}'")
         if not file.is_file():
             raise ValueError(f"its file {file.name} is missing")
@@ -769,34 +787,34 @@ _METADATA_KEYS = (*_METADATA_SCALARS, "relative_file_paths")
 
 
 def _metadata_values(text: str) -> Dict[str, List[str]]:
-    """Return the values of the four keys that are needed, each as a list.
+    """Return the values of the four keys in `_METADATA_KEYS`, each as a list.
 
-    A reader of all YAML takes 10 s for 5,000 brackets, and does not end for a mapping that is merged three times into
-    each of forty others. This one reads the form in which ``ros2 bag`` and ``rosbags`` write: the keys on lines of
-    their own, one level deep, and a list in brackets or with a dash before each of its values.
+    A complete YAML parser takes 10 s for 5,000 brackets, and does not terminate for a mapping that is merged three
+    times into each of forty others. This one parses the form that ``ros2 bag`` and ``rosbags`` write: the keys on
+    separate lines, one level deep, and a list in brackets or with a dash before each value.
     """
     lines = text.splitlines()
     values: Dict[str, List[str]] = {}
-    level = -1
+    key_depth = -1
     for number, line in enumerate(lines):
         content = line.lstrip(" ")
         depth = len(line) - len(content)
         key, colon, value = content.partition(":")
-        if level < 0 and depth and colon:
-            level = depth
-        if depth != level or key not in _METADATA_KEYS or key in values or not colon:
+        if key_depth < 0 and depth and colon:
+            key_depth = depth
+        if depth != key_depth or key not in _METADATA_KEYS or key in values or not colon:
             continue
         value = value.strip()
-        rest = islice(lines, number + 1, None)
+        following = islice(lines, number + 1, None)
         if value.startswith("["):
             parts = [value]
             while "]" not in parts[-1]:
-                parts.append(next(rest, "]"))
+                parts.append(next(following, "]"))
             values[key] = [_unquoted(part) for part in "".join(parts)[1:].partition("]")[0].split(",")]
         elif value:
             values[key] = [_unquoted(value)]
         else:
-            items = takewhile(lambda item: item.startswith("- "), (item.strip() for item in rest))
+            items = takewhile(lambda item: item.startswith("- "), (item.strip() for item in following))
             values[key] = [_unquoted(item[2:]) for item in items]
     return values
 
@@ -809,7 +827,7 @@ def _unquoted(value: str) -> str:
 
 
 def _unpack(path: Path, target: Path, limit: ChunkLimit) -> Path:
-    """Unpack a compressed file; return the new one.
+    """Decompress a file; return the path of the new file.
 
     Raises:
         BagError: if it would take too much disk space.

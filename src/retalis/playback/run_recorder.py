@@ -1,6 +1,7 @@
-"""What happens in a run over a bag, as plain records that turn into JSON: for files, and for pictures of it.
+"""Recording of a playback as flat records: events, outputs, waiting queries, and memories.
 
-A run as a Parquet file: a row for each line that it would be as JSON. ``pyarrow`` does the work.
+`RunRecorder` produces the records, which are written as JSON lines, drawn as a timeline, or written to a Parquet file
+by `RunTable` (with the package ``pyarrow``), one row per record.
 """
 
 from itertools import islice
@@ -14,14 +15,14 @@ from .playback import Output, Playback
 from .rosbag1 import BagError, PathLike
 
 Line = Dict[str, Union[None, int, str, List[str]]]
-"""A record; its kind is the name of its first field. Instants are nanoseconds since the epoch, terms are texts."""
+"""A record; its type is the name of its first field. Times are nanoseconds since the epoch, terms are strings."""
 
 MAX_RECORDED_QUERIES = 1000
-"""Queries that are looked at; where more wait at once, the others are not told of."""
+"""Maximum number of waiting queries that are observed; further ones are not recorded."""
 
 
 class _Wait(NamedTuple):
-    """A query that waits: its event, the ids of the memories, and since when by the bag's time."""
+    """A waiting query: its event, the ids of the memories that it waits for, and its start in bag time."""
 
     event: str
     memories: List[str]
@@ -29,13 +30,13 @@ class _Wait(NamedTuple):
 
 
 class RunRecorder:
-    """Looks at a run and tells of events, outputs and waits as they come, and of memories at the end.
+    """Observer of a playback that reports events, outputs and waits as they occur, and the memories at the end.
 
-    A wait of a query lasts from the message that had it wait to the one that it was waiting for, by the bag's time.
+    The wait of a query lasts from the message that triggers it to the message that it waits for, in bag time.
 
     Args:
-        playback: whose events, queries and memories are looked at.
-        tell: takes each record.
+        playback: the playback to observe.
+        tell: called with each record.
     """
 
     def __init__(self, playback: Playback, tell: Callable[[Line], None]):
@@ -47,23 +48,24 @@ class RunRecorder:
         self._engine.on_event(self._event)
 
     def _event(self, term: Term, start: int, end: int) -> None:
+        # Events of memories are internal; `finish` reports their result.
         if term.__class__ is not tuple or term[0] not in OF_MEMORIES:
             self._tell({"event": canonical_text(term), "start": int(start), "end": int(end)})
 
     def output(self, output: Output) -> None:
-        """Tell of an output."""
+        """Report an output."""
         self._tell(output_line(output))
 
     def look(self) -> None:
-        """Look which queries wait; to be called after each message."""
-        waiting = self._knowledge.waiting
-        if not self._waits and not len(waiting):
+        """Update the waiting queries; to be called after each message."""
+        pending = self._knowledge.waiting
+        if not self._waits and not len(pending):
             return
         now = int(self._now())
-        there = {one[0]: one for one in islice(waiting, MAX_RECORDED_QUERIES)}
-        for order in [one for one in self._waits if one not in there]:
+        current = {query[0]: query for query in islice(pending, MAX_RECORDED_QUERIES)}
+        for order in [query for query in self._waits if query not in current]:
             self._end(self._waits.pop(order), now)
-        for order, (_, question, values, _, _, missing) in there.items():
+        for order, (_, question, values, _, _, missing) in current.items():
             if order not in self._waits:
                 memories = [canonical_text(instance.id) for instance, _ in missing]
                 self._waits[order] = _Wait(canonical_text(question.event(values)), memories, now)
@@ -72,7 +74,7 @@ class RunRecorder:
         self._tell({"wait": wait.event, "memories": wait.memories, "start": wait.start, "end": now})
 
     def finish(self) -> None:
-        """Tell of the queries that still wait, and of what the memories hold."""
+        """Report the queries that are still waiting, and the contents of the memories."""
         now = int(self._now())
         for wait in self._waits.values():
             self._end(wait, now)
@@ -92,21 +94,21 @@ class RunRecorder:
 
 
 def output_line(output: Output) -> Line:
-    """Return what is told of an output."""
-    name = None if output.id is None else canonical_text(output.id)
+    """Return the record of an output."""
+    output_id = None if output.id is None else canonical_text(output.id)
     return {
         "output": canonical_text(output.term),
         "topic": output.topic,
-        "id": name,
+        "id": output_id,
         "time": int(output.time),
     }
 
 
-_ROWS = 10_000
-"""Rows that are written at a time: a row group."""
+_ROW_GROUP_SIZE = 10_000
+"""Number of rows in a row group."""
 
-_OF_OUTPUTS = {"output": "text", "topic": "text", "id": "text", "time": "instant"}
-_OF_OTHERS = {
+_OUTPUT_COLUMNS = {"output": "text", "topic": "text", "id": "text", "time": "instant"}
+_OTHER_COLUMNS = {
     "event": "text",
     "start": "instant",
     "end": "instant",
@@ -118,55 +120,58 @@ _OF_OTHERS = {
     "records": "number",
     "taken": "number",
 }
-"""Columns of outputs, and those that the other lines have besides."""
+"""Columns of outputs, and the additional columns of other records."""
 
 
 class RunTable:
-    """A new Parquet file of a run; a context manager. The file is complete when it is closed.
+    """A new Parquet file with the records of a playback; a context manager. The file is complete when it is closed.
 
     Args:
-        path: the file; one that is there is replaced.
-        events: whether there are lines besides outputs.
+        path: path of the file; an existing file is replaced.
+        events: if there are records other than outputs.
 
     Raises:
-        BagError: where the Python package pyarrow is missing.
+        BagError: if the Python package pyarrow is not available.
     """
 
     def __init__(self, path: PathLike, events: bool):
         try:
             import pyarrow  # noqa: PLC0415 - an optional package
             from pyarrow import parquet  # noqa: PLC0415
-        except ImportError as error:  # also where it does not fit what else is installed
+        except ImportError as error:  # also raised by a pyarrow that does not fit the installed numpy
             raise BagError(
                 f"writing Parquet needs the Python package pyarrow (pip install pyarrow): {reason(error)}"
             ) from None
-        kinds = {
+        arrow_types = {
             "text": pyarrow.string(),
             "texts": pyarrow.list_(pyarrow.string()),
             "number": pyarrow.int64(),
             "instant": pyarrow.timestamp("ns", tz="UTC"),
         }
-        columns: Dict[str, str] = {**_OF_OUTPUTS, **(_OF_OTHERS if events else {})}
+        columns: Dict[str, str] = {**_OUTPUT_COLUMNS, **(_OTHER_COLUMNS if events else {})}
         self._arrow: Any = pyarrow
-        self._schema: Any = pyarrow.schema([(name, kinds[kind]) for name, kind in columns.items()])
+        self._schema: Any = pyarrow.schema(
+            [(name, arrow_types[column_type]) for name, column_type in columns.items()]
+        )
         self._writer: Any = parquet.ParquetWriter(str(path), self._schema)
         self._lines: List[Line] = []
 
     def write(self, line: Line) -> None:
-        """Write a line."""
+        """Write a record as a row."""
         self._lines.append(line)
-        if len(self._lines) >= _ROWS:
+        if len(self._lines) >= _ROW_GROUP_SIZE:
             self._flush()
 
     def _flush(self) -> None:
         columns = [
-            self._arrow.array([line.get(one.name) for line in self._lines], one.type) for one in self._schema
+            self._arrow.array([line.get(field.name) for line in self._lines], field.type)
+            for field in self._schema
         ]
         self._writer.write_table(self._arrow.Table.from_arrays(columns, schema=self._schema))
         self._lines.clear()
 
     def close(self) -> None:
-        """Write the rest and the index."""
+        """Write the remaining rows and the index."""
         try:
             if self._lines:
                 self._flush()

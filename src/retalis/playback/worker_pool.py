@@ -1,6 +1,7 @@
-"""Tasks shared between processes of this machine, or between the workers of a Dask cluster.
+"""Worker pools that run tasks in processes of this machine, or on a Dask cluster.
 
-A worker may die: what it was at is done again by another one, up to `MAX_WORKER_DEATHS` deaths, and then given up.
+A task may kill its worker, for example by a crash or by exhausting the memory. The task is then repeated on another
+worker, and reported as unfinished after `MAX_WORKER_DEATHS` deaths.
 """
 
 import multiprocessing
@@ -27,26 +28,26 @@ from ..foundation.errors import UsageError
 from .decompression import reason
 
 MAX_WORKER_DEATHS = 4
-"""Workers that a task may take with it; of a cluster its scheduler says it, by default the same."""
+"""Number of worker deaths after which a task is given up; on a cluster, the scheduler's setting applies."""
 
-_CONNECT = 10
-"""Seconds that a scheduler has to answer."""
+_CONNECT_TIMEOUT_SECONDS = 10
+"""Timeout in seconds for connecting to a scheduler."""
 
 T = TypeVar("T")
 R = TypeVar("R")
 
 Function = Callable[[T, str], R]
-"""Does a task, given a folder for what it needs meanwhile; raises nothing."""
+"""Function that performs a task, given a folder for temporary files; it must not raise exceptions."""
 
 
 class Unfinished(NamedTuple):
-    """What there is of a task instead of a result: why it could not be done."""
+    """Result of a task that could not be completed, with the reason."""
 
     cause: str
 
 
 Done = Generator[Tuple[int, Union[R, Unfinished]], None, None]
-"""Yields the number of a task and its result, in whatever order they come; the workers end when it is closed."""
+"""Generator of task indexes and results in order of completion; closing it terminates the workers."""
 
 
 def in_processes(
@@ -57,42 +58,44 @@ def in_processes(
     lost: Callable[[int, str], object],
     ready: Optional[Deque[int]] = None,
 ) -> "Done[R]":
-    """Do tasks in processes of this machine; they end with the iterator.
+    """Run tasks in processes of this machine, which end when the generator is closed.
 
-    An executor of Python's own would give up all tasks where one of its processes dies, and not say whose it was.
+    `ProcessPoolExecutor` is not used: when a worker dies, it fails all pending tasks, and does not report which task
+    the worker was running.
 
     Args:
-        function: does a task; imported by each process.
-        tasks: what to do.
-        jobs: how many at a time.
-        scratch: a folder.
-        lost: told the number of each task that is done again, and how its process ended.
-        ready: the numbers of the tasks to do, by default all; who takes the results may add others meanwhile.
+        function: performs a task; each process imports it.
+        tasks: the tasks.
+        jobs: maximum number of concurrent processes.
+        scratch: folder for temporary files.
+        lost: called with the index of each task that is repeated, and a description of its worker's death.
+        ready: indexes of the tasks to run, all by default. The consumer may add indexes while it iterates.
     """
-    waiting = deque(range(len(tasks))) if ready is None else ready
+    pending = deque(range(len(tasks))) if ready is None else ready
     deaths: Dict[int, int] = Counter()
     idle: List[_Worker[T, R]] = []
     busy: Dict[object, _Worker[T, R]] = {}
     try:
-        while waiting or busy:
-            while waiting and len(busy) < jobs:
+        while pending or busy:
+            while pending and len(busy) < jobs:
                 worker = idle.pop() if idle else _Worker(function, scratch)
                 busy[worker.connection] = worker
-                worker.begin(waiting.popleft(), tasks)
+                worker.begin(pending.popleft(), tasks)
             for connection in wait([worker.connection for worker in busy.values()]):
                 worker = busy.pop(connection)
-                number, result = worker.number, worker.result()
+                index, result = worker.number, worker.result()
                 if not isinstance(result, _Death):
                     idle.append(worker)
-                    yield number, result
+                    yield index, result
                     continue
-                deaths[number] += 1
-                if deaths[number] < MAX_WORKER_DEATHS:
-                    lost(number, result.how)
-                    waiting.appendleft(number)
+                deaths[index] += 1
+                if deaths[index] < MAX_WORKER_DEATHS:
+                    # First in the queue, so that a deadly task is given up before it delays the end of the run.
+                    lost(index, result.how)
+                    pending.appendleft(index)
                 else:
                     yield (
-                        number,
+                        index,
                         Unfinished(f"its worker died {MAX_WORKER_DEATHS} times, at last {result.how}"),
                     )
     finally:
@@ -105,51 +108,54 @@ class _Death(NamedTuple):
 
 
 class _Worker(Generic[T, R]):
-    """A process that does one task at a time.
+    """A process that runs one task at a time.
 
     Attributes:
-        connection: has the result when it can be read.
-        number: of the task that it is at.
+        connection: becomes readable when a result is available or the process has died.
+        number: index of its current task.
     """
 
     def __init__(self, function: "Function[T, R]", scratch: str):
-        context = multiprocessing.get_context("spawn")  # threads and locks of this process are not its
-        self.connection, other = context.Pipe()
+        # "spawn": a forked process would inherit locks that other threads of this process hold.
+        context = multiprocessing.get_context("spawn")
+        self.connection, child_connection = context.Pipe()
         self.number = -1
-        self._process = context.Process(target=_serve, args=(function, other, scratch), daemon=True)
+        self._process = context.Process(
+            target=_serve, args=(function, child_connection, scratch), daemon=True
+        )
         self._process.start()
-        other.close()
+        # Otherwise this process would keep the pipe open, and `recv` would not notice the death of the worker.
+        child_connection.close()
 
     def begin(self, number: int, tasks: Sequence[T]) -> None:
-        """Send it a task."""
+        """Send a task to the process."""
         self.number = number
         try:
             self.connection.send(tasks[number])
-        except OSError:  # it has died: its result will say so
+        except OSError:  # the process has died, which `result` reports
             pass
 
     def result(self) -> Union[R, _Death]:
-        """Return what became of the task."""
+        """Return the result of the task, or the death of the process."""
         try:
             result: R = self.connection.recv()
             return result
         except (EOFError, OSError):
             self.connection.close()
             self._process.join()
-            return _Death(_ended(self._process.exitcode))
+            return _Death(_exit_text(self._process.exitcode))
 
     def end(self) -> None:
-        """End it, whatever it is at."""
+        """Kill the process."""
         self._process.kill()
         self._process.join()
         self.connection.close()
 
 
 def _serve(function: "Function[T, R]", connection: Connection, scratch: str) -> None:
-    """Do the tasks that come, until nobody is there any more to send one."""
-    signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # ctrl-C is for the process that started this one, which ends it
+    """Run tasks from a connection until it is closed."""
+    # Ctrl-C interrupts the parent process, which kills this one.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         while True:
             connection.send(function(connection.recv(), scratch))
@@ -157,7 +163,7 @@ def _serve(function: "Function[T, R]", connection: Connection, scratch: str) -> 
         pass
 
 
-def _ended(code: Optional[int]) -> str:
+def _exit_text(code: Optional[int]) -> str:
     if code is not None and code < 0:
         return f"by {signal.Signals(-code).name}"
     return f"with status {code}"
@@ -166,39 +172,40 @@ def _ended(code: Optional[int]) -> str:
 def on_cluster(
     function: "Function[T, R]", tasks: Sequence[T], address: str, ready: Optional[Deque[int]] = None
 ) -> "Done[R]":
-    """Do tasks on the workers of a Dask cluster, which has to have this package.
+    """Run tasks on the workers of a Dask cluster on which this package is installed.
 
-    A task goes from a worker that is lost to another one; its scheduler gives one up after as many deaths as
-    ``distributed.scheduler.allowed-failures`` says. There are never more tasks there than workers: to the scheduler
-    a death is the fault of all that the worker has.
+    The scheduler repeats the tasks of a lost worker, and gives a task up after the number of deaths in
+    ``distributed.scheduler.allowed-failures``. At most one task per worker is submitted, because the scheduler counts
+    a death against all tasks of the worker.
 
     Args:
-        function: does a task.
-        tasks: what to do.
-        address: of the scheduler, ``tcp://HOST:PORT``.
+        function: performs a task.
+        tasks: the tasks.
+        address: address of the scheduler, ``tcp://HOST:PORT``.
         ready: as for `in_processes`.
 
     Raises:
-        UsageError: where no scheduler answers there, or the Python package distributed is missing.
+        UsageError: if no scheduler answers, or the Python package distributed is not installed.
     """
     distributed = _distributed()
     try:
-        client = distributed.Client(address, timeout=_CONNECT, set_as_default=False)
-    except (OSError, ValueError) as error:  # also one of time
+        client = distributed.Client(address, timeout=_CONNECT_TIMEOUT_SECONDS, set_as_default=False)
+    except (OSError, ValueError) as error:  # includes timeouts
         raise UsageError(f"--scheduler {address}: no scheduler answers: {reason(error)}") from error
     with client:
-        waiting = deque(range(len(tasks))) if ready is None else ready
-        numbers: Dict[Any, int] = {}
+        pending = deque(range(len(tasks))) if ready is None else ready
+        indexes: Dict[Any, int] = {}
         finished = distributed.as_completed(loop=client.loop)
-        while waiting or numbers:
-            while waiting and len(numbers) < max(1, len(client.nthreads())):
-                future = client.submit(_on_worker, function, tasks[waiting[0]], pure=False)
-                numbers[future] = waiting.popleft()
+        while pending or indexes:
+            while pending and len(indexes) < max(1, len(client.nthreads())):
+                future = client.submit(_on_worker, function, tasks[pending[0]], pure=False)
+                indexes[future] = pending.popleft()
                 finished.add(future)
             future = next(finished)
             result = _result(future)
-            future.release()  # or it would be done again where its worker dies later
-            yield numbers.pop(future), result
+            # A future that is not released would be computed again if its worker dies later.
+            future.release()
+            yield indexes.pop(future), result
 
 
 def _distributed() -> Any:
@@ -212,14 +219,13 @@ def _distributed() -> Any:
 
 
 def _on_worker(function: "Function[T, R]", task: T) -> R:
-    """Do a task in the process of a Dask worker, in the folder that ends with it."""
+    """Run a task in a process of a Dask worker, in the worker's temporary folder."""
     return function(task, _distributed().get_worker().local_directory)
 
 
 def _result(future: Any) -> Any:
     try:
         return future.result()
-    except (
-        Exception
-    ) as error:  # the cluster's: a worker that is lost or lacks a package, a scheduler that has gone
+    # Errors of the cluster: a lost worker, a package that is missing on it, or a scheduler that is gone.
+    except Exception as error:
         return Unfinished(f"{type(error).__name__}: {reason(error)}")
