@@ -1,6 +1,11 @@
-"""Why a subscription did not take an event: another pattern, or a condition that was false.
+"""Explanations of events: why an event happened, or why it did not (why- and why-not provenance).
 
-Why an event happened, or what was missing for it: trees of rules and events, to be read by people.
+If the event happened, its lineage is shown as a tree: the rule that fired it, and recursively the events that
+matched. If it did not, each rule whose head unifies with the event is evaluated by `WhyNot` over the recorded events,
+and missing events are explained recursively. `WhyNotSent` explains in the same way why subscriptions did not publish.
+
+The engine must record lineage (flag ``etalis_justification``, `record_origins`). An explanation takes time that grows
+with the number of recorded events, so callers that serve others set a limit.
 """
 
 from contextlib import closing
@@ -27,16 +32,16 @@ from .why_not import Part, TimeFormat, WhyNot, own_names, show_term
 
 _AND = functor(",", 2)
 _MAX_SUBSCRIPTIONS = 20
-"""Subscriptions that are told of."""
+"""Maximum number of subscriptions in an explanation."""
 
 
 class WhyNotSent:
-    """Looks why subscriptions did not take events that happened.
+    """Explains why subscriptions did not select events that happened.
 
     Args:
-        logic: calls conditions.
-        subscriptions: of the program, with topic and id.
-        show: returns a term as text.
+        logic: evaluates conditions.
+        subscriptions: subscriptions of the program, with topic and id.
+        show: returns the text of a term.
     """
 
     def __init__(
@@ -46,73 +51,78 @@ class WhyNotSent:
         show: Callable[[Term], str],
     ):
         self._logic = logic
-        self._all = subscriptions
+        self._subscriptions = subscriptions
         self._show = show
 
     def of(self, event: Term) -> Iterator[str]:
-        """Yield for each subscription of an event's functor that does not take it why that is so."""
-        told = 0
+        """Yield the reason for each subscription to events with this functor that does not select the event."""
+        count = 0
         for name, definition in self._definitions():
             if _key(definition[1]) != _key(event):
                 continue
-            why = self._why_not(definition, event)
-            if why:
-                told += 1
-                yield f"{name} does not take it: {why}"
-            if told == _MAX_SUBSCRIPTIONS:
+            problem = self._why_not(definition, event)
+            if problem:
+                count += 1
+                yield f"{name} does not take it: {problem}"
+            if count == _MAX_SUBSCRIPTIONS:
                 return
 
     def sending(self, asked: Term) -> Iterator[Tuple[str, Any]]:
-        """Yield the subscriptions that send such a message, in a form of their own: name and definition."""
-        told = 0
+        """Yield the subscriptions that would publish the message as their template: description and definition."""
+        count = 0
         for name, definition in self._definitions():
-            form = deref(definition[3])
-            if _key(form) is None or _key(form) != _key(asked):
+            template = deref(definition[3])
+            if _key(template) is None or _key(template) != _key(asked):
                 continue
+            # Only tested, not bound: the definition is used with its own variables afterwards.
             trail: Trail = []
-            fits = unify(form, copy(asked), trail)
+            fits = unify(template, copy(asked), trail)
             undo(trail, 0)
-            if fits and told < _MAX_SUBSCRIPTIONS:
-                told += 1
+            if fits and count < _MAX_SUBSCRIPTIONS:
+                count += 1
                 yield f"{name} sends it of {self._show(definition[1])}", definition
 
-    def reasons(self, definition: Any, kept: Sequence[Occurrence]) -> Iterator[Tuple[Occurrence, str]]:
-        """Yield the events of a subscription's functor, with why it does not take them; "" where it does."""
-        for one in kept:
-            if _key(one.term) == _key(definition[1]):
-                yield one, self._why_not(definition, one.term)
+    def reasons(self, definition: Any, occurrences: Sequence[Occurrence]) -> Iterator[Tuple[Occurrence, str]]:
+        """Yield the events with the functor of a subscription, and the reason if it did not select them, or ""."""
+        for occurrence in occurrences:
+            if _key(occurrence.term) == _key(definition[1]):
+                yield occurrence, self._why_not(definition, occurrence.term)
 
     def _definitions(self) -> Iterator[Tuple[str, Any]]:
-        for (topic, _), one in self._all:
-            made: Any = copy(one.definition)
-            event = subscribed_event(made[1])
-            yield f"subscription {self._show(one.id)} of topic {topic}", (made[0], event, *made[2:])
+        for (topic, _), subscription in self._subscriptions:
+            definition: Any = copy(subscription.definition)
+            event = subscribed_event(definition[1])
+            yield (
+                f"subscription {self._show(subscription.id)} of topic {topic}",
+                (definition[0], event, *definition[2:]),
+            )
 
     def _why_not(self, definition: Any, event: Term) -> str:
-        """Return why a subscription does not take an event, "" where it does."""
+        """Return the reason why a subscription does not select an event, or "" if it does."""
         look(1)
-        made: Any = copy(definition)
+        instance: Any = copy(definition)
         trail: Trail = []
         try:
-            if not unify(made[1], copy(event), trail):
-                return f"it takes {self._show(made[1])}"
-            goals = list_items(made[2]) or []
+            if not unify(instance[1], copy(event), trail):
+                return f"it takes {self._show(instance[1])}"
+            goals = list_items(instance[2]) or []
             shown = [self._show(goal) for goal in goals]
-            for number in range(1, len(goals) + 1):
-                problem = self._fails(goals[:number], goals[number:], shown)
+            # The first condition without a solution is the reason: conditions are tested with all those before it.
+            for count in range(1, len(goals) + 1):
+                problem = self._failure(goals[:count], goals[count:], shown)
                 if problem is not None:
-                    return f"its condition {shown[number - 1]} {problem}"
+                    return f"its condition {shown[count - 1]} {problem}"
             return ""
         finally:
             undo(trail, 0)
 
-    def _fails(self, goals: Sequence[Term], others: Sequence[Term], shown: List[str]) -> Optional[str]:
-        """Return None where goals have a solution, and show the others with its values; else what became of them."""
-        together = goals[-1]
+    def _failure(self, goals: Sequence[Term], others: Sequence[Term], shown: List[str]) -> Optional[str]:
+        """Return None if the goals have a solution, and show the other goals with its values; otherwise a reason."""
+        conjunction = goals[-1]
         for goal in reversed(goals[:-1]):
-            together = (_AND, goal, together)
+            conjunction = (_AND, goal, conjunction)
         try:
-            with closing(self._logic.solutions(together)) as solutions:
+            with closing(self._logic.solutions(conjunction)) as solutions:
                 for _ in solutions:
                     shown[len(goals) :] = [self._show(goal) for goal in others]
                     return None
@@ -122,18 +132,18 @@ class WhyNotSent:
 
 
 def _key(term: Any) -> Any:
-    """Return the functor of a term, None for one that has none."""
+    """Return the functor of a term, or None for other terms."""
     term = deref(term)
     return term[0] if term.__class__ is tuple else getattr(term, "functor", None)
 
 
 EVENT = functor("event", 2)
-_SHOWN = 10
+_MAX_SHOWN_OCCURRENCES = 10
 _MAX_EXPLANATION_DEPTH = 50
 
 
 class ExplanationLine(NamedTuple):
-    """A line of an explanation, and the lines that belong below it.
+    """A line of an explanation, and the lines below it.
 
     >>> ExplanationLine("the alarm", [ExplanationLine("the smoke", [])]).below[0].text
     'the smoke'
@@ -143,7 +153,7 @@ class ExplanationLine(NamedTuple):
     below: List["ExplanationLine"]
 
     def indented(self, depth: int = 0) -> Iterator[str]:
-        """Yield the line and all below it as text, two blanks more for each level.
+        """Yield the line and all lines below it as text, indented by two spaces per level.
 
         >>> for line in ExplanationLine("the alarm", [ExplanationLine("the smoke", [])]).indented():
         ...     print(line)
@@ -156,7 +166,7 @@ class ExplanationLine(NamedTuple):
 
 
 class Explanation(NamedTuple):
-    """The answer to the question why.
+    """Result of `explain`.
 
     >>> engine = Engine()
     >>> record_origins(engine)
@@ -166,8 +176,8 @@ class Explanation(NamedTuple):
     True
 
     Attributes:
-        happened: whether the event happened.
-        lines: why it did, one tree for each time; or what was missing, one for each rule that could have fired.
+        happened: if the event happened.
+        lines: a tree for each occurrence if it did, otherwise a tree for each rule that could have fired it.
     """
 
     happened: bool
@@ -175,7 +185,7 @@ class Explanation(NamedTuple):
 
 
 def record_origins(engine: Engine) -> None:
-    """Have an engine record what events come from; to be called before anything is loaded.
+    """Let an engine record the lineage of events; to be called before anything is loaded.
 
     >>> engine = Engine()
     >>> record_origins(engine)
@@ -188,7 +198,7 @@ def record_origins(engine: Engine) -> None:
 
 
 def records_origins(engine: Engine) -> bool:
-    """Tell whether an engine records what events come from (`record_origins`).
+    """Return whether an engine records the lineage of events (`record_origins`).
 
     >>> engine = Engine()
     >>> record_origins(engine)
@@ -221,32 +231,33 @@ def explain(
         - heat(kitchen): did not happen
 
     Args:
-        engine: has run with its flag ``etalis_justification`` on (`record_origins`).
-        asked: the event, as far as it is known, as a term or its text; or ``event(TERM,[T1,T2])`` to ask for an
-            interval too.
-        seconds: time limit in s; the engine processes no events in that time. None for no limit.
-        origin: show times in seconds relative to this instant, in ns since the epoch; None for absolute times.
+        engine: engine that has run with the flag ``etalis_justification`` (`record_origins`).
+        asked: the event as a term or its text, with variables for unknown arguments; or ``event(TERM,[T1,T2])`` to
+            specify the interval as well.
+        seconds: time limit in seconds, during which the engine processes no events; None for no limit.
+        origin: show times in seconds relative to this time, in nanoseconds since the epoch; None for absolute times.
 
     Raises:
-        UsageError: where it is not an event, or the time is up.
-        SyntaxFault: for a text that is not a term.
+        UsageError: if ``asked`` is not an event, or the time limit is exceeded.
+        SyntaxFault: if the text is not a term.
     """
     term = read_term(asked, engine.operators, "explain").term if isinstance(asked, str) else asked
 
     def work() -> Explanation:
         if seconds is None:
             return _Explainer(engine, origin).explain(term)
-        before = watched_by(_until(monotonic() + seconds, seconds))
+        # Unification and conditions call `look` in between, which calls the function that is registered here.
+        previous = watched_by(_until(monotonic() + seconds, seconds))
         try:
             return _Explainer(engine, origin).explain(term)
         finally:
-            watched_by(before)
+            watched_by(previous)
 
     return engine.do(work)
 
 
 def _until(end: float, seconds: float) -> Callable[[int, int], None]:
-    """Return what ends work, once in a while asked, when its time is up."""
+    """Return a function for `watched_by` that raises an error after the time limit."""
 
     def ask(work: int, size: int) -> None:
         if monotonic() > end:
@@ -260,110 +271,130 @@ class _Explainer:
         self._parts = engine
         self._origin = origin
         self._times = TimeFormat(self._show, origin)
-        self._kept = self._parts.rules.tracker.all()
-        self._untaken = WhyNotSent(self._parts.logic, self._parts.knowledge.subscriptions.items(), self._show)
-        self._shown: Set[int] = set()
-        self._made_by: Dict[int, List[Occurrence]] = {}
-        for one in self._kept:
-            for derived in one.derived:
-                self._made_by.setdefault(id(derived), []).append(one)
+        self._occurrences = self._parts.rules.tracker.all()
+        self._why_not_sent = WhyNotSent(
+            self._parts.logic, self._parts.knowledge.subscriptions.items(), self._show
+        )
+        self._expanded: Set[int] = set()
+        self._causes: Dict[int, List[Occurrence]] = {}
+        for occurrence in self._occurrences:
+            for derived in occurrence.derived:
+                self._causes.setdefault(id(derived), []).append(occurrence)
 
     def explain(self, asked: Term) -> Explanation:
-        term, interval = _asked(asked)
-        found = [one for one in self._kept if _is_instance(one.term, term)]
+        term, interval = _parse_request(asked)
+        occurrences = [occurrence for occurrence in self._occurrences if _is_instance(occurrence.term, term)]
         if interval is not None:
-            found = [one for one in found if _is_interval(one, interval)]
-        if not found:
+            occurrences = [occurrence for occurrence in occurrences if _is_interval(occurrence, interval)]
+        if not occurrences:
             return Explanation(False, self._missing(term, interval, ()))
-        lines = [self._because(one, 0) for one in found[:_SHOWN]]
-        for one, line in zip(found, lines):
-            line.below.extend(ExplanationLine(text, []) for text in self._untaken.of(one.term))
-        if len(found) > _SHOWN:
-            lines.append(ExplanationLine(f"and {counted(len(found) - _SHOWN, 'more time')}", []))
+        lines = [self._lineage(occurrence, 0) for occurrence in occurrences[:_MAX_SHOWN_OCCURRENCES]]
+        for occurrence, line in zip(occurrences, lines):
+            line.below.extend(ExplanationLine(text, []) for text in self._why_not_sent.of(occurrence.term))
+        if len(occurrences) > _MAX_SHOWN_OCCURRENCES:
+            lines.append(
+                ExplanationLine(f"and {counted(len(occurrences) - _MAX_SHOWN_OCCURRENCES, 'more time')}", [])
+            )
         return Explanation(True, lines)
 
-    def _because(self, one: Occurrence, depth: int) -> ExplanationLine:
-        """Return why an event happened; what was said before is not said again."""
-        text = self._event(one)
-        if one.takes_back is not None:
+    def _lineage(self, occurrence: Occurrence, depth: int) -> ExplanationLine:
+        """Return the explanation of an occurrence; a subtree that was shown before is referred to."""
+        text = self._event(occurrence)
+        if occurrence.takes_back is not None:
             return ExplanationLine(
-                f"{text} retracts", [ExplanationLine(self._event(it), []) for it in one.takes_back]
+                f"{text} retracts",
+                [ExplanationLine(self._event(retracted), []) for retracted in occurrence.takes_back],
             )
-        made_by = self._made_by.get(id(one), [])
-        if one.match is None and not made_by:
+        causes = self._causes.get(id(occurrence), [])
+        if occurrence.match is None and not causes:
             return ExplanationLine(f"{text} came from outside", [])
-        if id(one) in self._shown or depth > _MAX_EXPLANATION_DEPTH:
+        # Shared causes would make the tree grow exponentially, so each occurrence is expanded once.
+        if id(occurrence) in self._expanded or depth > _MAX_EXPLANATION_DEPTH:
             return ExplanationLine(
                 f"{text}, see above" if depth <= _MAX_EXPLANATION_DEPTH else f"{text} ...", []
             )
-        self._shown.add(id(one))
-        sources = [self._because(source, depth + 1) for source in one.sources() or made_by]
-        if one.rule is None:
-            how = "is over: it held from" if self._is_state(one) else "was released by"
-            return ExplanationLine(f"{text} {how}", sources)
-        return ExplanationLine(f"{text} by {self._rule(one.rule)}", sources)
+        self._expanded.add(id(occurrence))
+        sources = [self._lineage(source, depth + 1) for source in occurrence.sources() or causes]
+        if occurrence.rule is None:
+            verb = "is over: it held from" if self._is_state(occurrence) else "was released by"
+            return ExplanationLine(f"{text} {verb}", sources)
+        return ExplanationLine(f"{text} by {self._rule(occurrence.rule)}", sources)
 
-    def _is_state(self, one: Occurrence) -> bool:
-        return bool(self._parts.knowledge.states.like(one.term))
+    def _is_state(self, occurrence: Occurrence) -> bool:
+        return bool(self._parts.knowledge.states.like(occurrence.term))
 
     def _missing(
         self, term: Term, interval: Optional[Tuple[int, int]], above: Tuple[EventRule, ...]
     ) -> List[ExplanationLine]:
-        """Return what was missing for each rule that could have fired the event."""
+        """Return the missing parts for each rule that could have fired the event."""
         lines = []
         for rule in self._parts.rules.rules:
             head = rule.definition.head
+            # Rules above are skipped: a recursive rule would explain its event by itself forever.
             if head is None or rule in above:
                 continue
             trail: Trail = []
-            if unify(_fired(head), copy(term), trail):
-                shortfall = WhyNot(self._parts.logic, self._kept, rule, self._origin)
-                part = shortfall.of(rule.definition.pattern)
+            if unify(_event_of_head(head), copy(term), trail):
+                why_not = WhyNot(self._parts.logic, self._occurrences, rule, self._origin)
+                part = why_not.of(rule.definition.pattern)
                 lines.append(ExplanationLine(self._rule(rule), [self._part(part, (*above, rule))]))
                 if part.found:
                     lines[-1].below.append(ExplanationLine(f"- but {_why_not(rule, part, interval)}", []))
             undo(trail, 0)
         if not above:
-            lines += self._unsent(term)
+            lines += self._missing_messages(term)
         if not lines and not above:
             lines.append(ExplanationLine("no rule has such a head, and no such event came from outside", []))
         if not above:
-            lines += self._taken_back(term) + self._alike(term)
+            lines += self._retracted(term) + self._same_name(term)
         return lines
 
-    def _unsent(self, term: Term) -> List[ExplanationLine]:
-        """Return which subscriptions send such a message, and what became of the events that they are about."""
+    def _missing_messages(self, term: Term) -> List[ExplanationLine]:
+        """Return the subscriptions that publish such messages, and the reasons for their events."""
         lines = []
-        for text, definition in self._untaken.sending(term):
-            found = list(self._untaken.reasons(definition, self._kept))[-_SHOWN:]
-            below = [ExplanationLine(f"{self._event(one)}: {why or 'sent'}", []) for one, why in found]
+        for text, definition in self._why_not_sent.sending(term):
+            reasons = list(self._why_not_sent.reasons(definition, self._occurrences))[
+                -_MAX_SHOWN_OCCURRENCES:
+            ]
+            below = [
+                ExplanationLine(f"{self._event(occurrence)}: {problem or 'sent'}", [])
+                for occurrence, problem in reasons
+            ]
             lines.append(ExplanationLine(text, below or [ExplanationLine("no such event happened", [])]))
         return lines
 
     def _part(self, part: Part, above: Tuple[EventRule, ...]) -> ExplanationLine:
-        below = [self._part(one, above) for one in part.parts]
+        below = [self._part(inner, above) for inner in part.parts]
         if part.event is not None and not part.found:
             below += self._missing(part.event, None, above)
         return ExplanationLine(f"{part.mark} {part.text}", below)
 
-    def _taken_back(self, term: Term) -> List[ExplanationLine]:
-        """Return such events that did happen and were taken back."""
-        gone = [one for rev in self._kept for one in rev.takes_back or () if _is_instance(one.term, term)]
-        return [ExplanationLine(f"{self._event(one)} was retracted", []) for one in gone[-_SHOWN:]]
+    def _retracted(self, term: Term) -> List[ExplanationLine]:
+        """Return matching events that happened and were retracted."""
+        retracted = [
+            occurrence
+            for revision in self._occurrences
+            for occurrence in revision.takes_back or ()
+            if _is_instance(occurrence.term, term)
+        ]
+        return [
+            ExplanationLine(f"{self._event(occurrence)} was retracted", [])
+            for occurrence in retracted[-_MAX_SHOWN_OCCURRENCES:]
+        ]
 
-    def _alike(self, term: Term) -> List[ExplanationLine]:
-        """Return events of the same name that did happen."""
+    def _same_name(self, term: Term) -> List[ExplanationLine]:
+        """Return events of the same name that happened."""
         name = _name(term)
-        found: Dict[str, None] = {}
-        for one in self._kept:
-            if _name(one.term) == name:
-                found.setdefault(self._event(one))
-        if not found:
+        texts: Dict[str, None] = {}
+        for occurrence in self._occurrences:
+            if _name(occurrence.term) == name:
+                texts.setdefault(self._event(occurrence))
+        if not texts:
             return []
-        shown = list(found)[-_SHOWN:]
+        shown = list(texts)[-_MAX_SHOWN_OCCURRENCES:]
         return [
             ExplanationLine(
-                f"{len(found)} of this name happened", [ExplanationLine(text, []) for text in shown]
+                f"{len(texts)} of this name happened", [ExplanationLine(text, []) for text in shown]
             )
         ]
 
@@ -374,14 +405,14 @@ class _Explainer:
         text = show_term(rule.definition.term, self._parts.logic.operators, own_names(names), names)
         return f"rule {label}{text}{place}"
 
-    def _event(self, one: Occurrence) -> str:
-        return f"{self._show(one.term)} {self._times.interval(one.start, one.end)}"
+    def _event(self, occurrence: Occurrence) -> str:
+        return f"{self._show(occurrence.term)} {self._times.interval(occurrence.start, occurrence.end)}"
 
     def _show(self, term: Term) -> str:
         return show_term(term, self._parts.logic.operators, {})
 
 
-def _asked(asked: Term) -> Tuple[Term, Optional[Tuple[int, int]]]:
+def _parse_request(asked: Term) -> Tuple[Term, Optional[Tuple[int, int]]]:
     asked = deref(asked)
     if asked.__class__ is tuple and asked[0] is EVENT:
         stamps = list_items(asked[2])
@@ -389,38 +420,40 @@ def _asked(asked: Term) -> Tuple[Term, Optional[Tuple[int, int]]]:
             return deref(asked[1]), (timestamps.from_term(stamps[0]), timestamps.from_term(stamps[1]))
         raise UsageError("expected event(TERM,[T1,T2])")
     if asked.__class__ not in (Atom, tuple):
-        kind = "a variable" if asked.__class__ is Var else "a number or string"
-        raise UsageError(f"expected an event to explain, not {kind}")
+        type_name = "a variable" if asked.__class__ is Var else "a number or string"
+        raise UsageError(f"expected an event to explain, not {type_name}")
     return asked, None
 
 
 def _why_not(rule: EventRule, part: Part, interval: Optional[Tuple[int, int]]) -> str:
-    """Return why a rule did not fire though all of its pattern was met somewhere."""
-    measured = any(isinstance(one, Windowed) for one in walk(rule.definition.pattern))
-    meets = any((one.start, one.end) == interval for one in part.found)
-    if interval is not None and not measured and not meets:
+    """Return why a rule did not fire although all parts of its pattern matched."""
+    has_window = any(isinstance(item, Windowed) for item in walk(rule.definition.pattern))
+    has_interval = any((item.start, item.end) == interval for item in part.found)
+    if interval is not None and not has_window and not has_interval:
         return "nowhere with that interval"
-    if rule.window is not None and all(one.end - one.start > rule.window for one in part.found):
+    if rule.window is not None and all(item.end - item.start > rule.window for item in part.found):
         return f"all took longer than the window of the rule's label, {timestamps.to_seconds(rule.window):g} seconds"
-    return _why_not_of(rule)
+    return _likely_reasons(rule)
 
 
-def _why_not_of(rule: EventRule) -> str:
-    """Return what may have kept a rule from firing, by the kinds of parts that its pattern has."""
-    results: List[Term] = []
+def _likely_reasons(rule: EventRule) -> str:
+    """Return possible reasons why a rule did not fire, depending on the operators in its pattern."""
+    aggregate_results: List[Term] = []
     shapes: List[str] = []
-    for one in walk(rule.definition.pattern):
-        if isinstance(one, Aggregate):
-            results.append(one.result)
-        elif isinstance(one, Shaped):
-            shapes.append(one.shape)
-    if any(deref(result).__class__ is not Var for result in results):
+    for part in walk(rule.definition.pattern):
+        if isinstance(part, Aggregate):
+            aggregate_results.append(part.result)
+        elif isinstance(part, Shaped):
+            shapes.append(part.shape)
+    if any(deref(result).__class__ is not Var for result in aggregate_results):
         return "with other results, or other matches consumed all of it"
     if shapes:
         return f"{shapes[0]} did not let it through after others, or other matches consumed all of it"
-    kind = rule.mode.after_match
+    strategy = rule.mode.after_match
     skipped = (
-        "" if kind is AfterMatchSkipStrategy.KEEP else f"a match that had fired skipped it ({kind.value}), "
+        ""
+        if strategy is AfterMatchSkipStrategy.KEEP
+        else f"a match that had fired skipped it ({strategy.value}), "
     )
     return (
         f"{skipped}other matches consumed all of it, it came in another order, its window had ended, or a goal after "
@@ -428,8 +461,8 @@ def _why_not_of(rule: EventRule) -> str:
     )
 
 
-def _fired(head: Term) -> Term:
-    """Return the event that a head fires: an alarm's is its first argument."""
+def _event_of_head(head: Term) -> Term:
+    """Return the event of a rule's head; an alarm has it as first argument."""
     if head.__class__ is tuple and head[0] in _ALARMS:
         alarmed: Term = head[1]
         return alarmed
@@ -446,8 +479,8 @@ def _is_instance(term: Term, pattern: Term) -> bool:
     return fits
 
 
-def _is_interval(one: Occurrence, interval: Tuple[int, int]) -> bool:
-    return bool((one.start, one.end) == interval)
+def _is_interval(occurrence: Occurrence, interval: Tuple[int, int]) -> bool:
+    return bool((occurrence.start, occurrence.end) == interval)
 
 
 def _name(term: Term) -> str:

@@ -1,10 +1,12 @@
-"""Why-not provenance: how far the pattern of a rule got with the events that happened.
+"""Why-not provenance: evaluation of a rule's pattern over recorded events, to find what is missing.
 
-Each part of a pattern is evaluated over the recorded events as if no event were ever used up. The result is a tree of
-parts with one of three states: the part matched, it did not match, or it was never tested because a part below it did
-not match. The lowest parts that did not match are what was missing. Windows and other operators on streams are run
-again with a new operator over the newest matches, at most `MAX_CANDIDATES`. A result that a window computed of older
-ones, too, differs from that of the rule; the text of the part says so.
+Each part of a pattern is evaluated over all recorded events as if no event were consumed. The result is a tree of
+parts with one of three states: the part matched, it did not match, or it was not tested because a part below it did
+not match. The lowest parts that did not match are the missing ones.
+
+A part keeps its newest `MAX_CANDIDATES` matches, because the number of combinations would grow exponentially with the
+depth of the pattern. Windows and other stream operators are evaluated by new operators over these matches. A result
+that the rule's own window computed from older matches can differ; the text of the part says so.
 """
 
 from contextlib import closing
@@ -64,12 +66,12 @@ from ..prolog.terms.types import NIL, Term, Trail, Var, deref, functor
 from ..prolog.terms.unification import undo, unify
 
 MAX_CANDIDATES = 200
-"""Matches of a part that are examined; the newest ones."""
+"""Maximum number of matches of a part that are examined; the newest ones are kept."""
 MAX_REPETITIONS = 50
-"""Repetitions of ``ntimes`` that are examined."""
+"""Maximum number of repetitions of ``ntimes`` that are examined."""
 MAX_SHOWN_CANDIDATES = 3
 MAX_SHOWN_VALUE = 60
-"""Characters of a variable's value that are shown."""
+"""Maximum length of the text of a variable's value."""
 
 _VALUES = functor("values", 0)
 _EQUAL = functor("=", 2)
@@ -92,14 +94,14 @@ _T1, _T2 = functor("t1", 1), functor("t2", 1)
 
 
 class Candidate(NamedTuple):
-    """One way in which a part of a pattern was met.
+    """A match of a part of a pattern.
 
     Attributes:
-        values: the rule's variables, as a compound term.
-        start: where it starts.
-        end: where it ends.
-        event: the occurrence, where it is one single event.
-        gap: end of the first and start of the second side of a sequence.
+        values: values of the rule's variables, as a compound term.
+        start: start time in nanoseconds.
+        end: end time in nanoseconds.
+        event: the occurrence, if the match is a single event.
+        gap: end of the first and start of the second operand of a sequence.
     """
 
     values: Term
@@ -110,18 +112,18 @@ class Candidate(NamedTuple):
 
 
 _NO_TERM: Term = (_VALUES,)
-_NOWHERE = Candidate(_NO_TERM, 0, 0)
+_ANY_MATCH = Candidate(_NO_TERM, 0, 0)
 
 
 class Part(NamedTuple):
-    """A part of a pattern and how far it got.
+    """Result for a part of a pattern.
 
     Attributes:
         text: the part and its result.
-        found: the matches of the part.
-        parts: the parts below it.
-        event: the event of a part that is a single event.
-        tested: False if the part was never tested, because a part below it did not match.
+        found: matches of the part.
+        parts: results of the parts below it.
+        event: the event, if the part is a single event.
+        tested: False if the part was not tested, because a part below it did not match.
     """
 
     text: str
@@ -139,12 +141,12 @@ class Part(NamedTuple):
 
 
 class TimeFormat:
-    """Text of intervals: ``at T`` for an instant, ``[T1,T2]`` for others.
+    """Text of intervals: ``at T`` for a point in time, ``[T1,T2]`` for others.
 
     Args:
         show: returns the text of a term.
-        origin: the instant in ns since the epoch that times are relative to; None for absolute times. Relative times
-            are in seconds.
+        origin: reference of relative times, which are shown in seconds, in nanoseconds since the epoch; None for
+            absolute times.
     """
 
     def __init__(self, show: Callable[[Term], str], origin: Optional[int] = None):
@@ -171,33 +173,34 @@ class TimeFormat:
 
 
 class WhyNot:
-    """Evaluates the parts of one rule's pattern.
+    """Evaluation of the parts of one rule's pattern.
 
     Args:
-        logic: calls conditions.
-        kept: the events that happened.
-        rule: the rule; its head is bound to the event that is explained.
-        origin: the instant that times are relative to; None for absolute times.
+        logic: evaluates conditions.
+        kept: the recorded events.
+        rule: the rule; its head is unified with the event that is explained.
+        origin: reference of relative times; None for absolute times.
     """
 
     def __init__(
         self, logic: PrologSystem, kept: Sequence[Occurrence], rule: EventRule, origin: Optional[int] = None
     ):
         self._logic = logic
-        self._kept = kept
-        own = [
+        self._occurrences = kept
+        own_variables = [
             var
-            for part in (rule.definition.term, rule.definition.head)
-            if part is not None
-            for var in variables(part)
+            for term in (rule.definition.term, rule.definition.head)
+            if term is not None
+            for var in variables(term)
         ]
         self._rule = rule
         self._now = rule.network.time()
-        self._vars = (_VALUES, *dict.fromkeys(own))
+        # A match is represented by a copy of all variables of the rule: two matches are joined by unifying them.
+        self._vars = (_VALUES, *dict.fromkeys(own_variables))
         self._names = own_names(rule.definition.names)
         self._named = rule.definition.names
         self._times = TimeFormat(self._show, origin)
-        self._look: Dict[type, Callable[[Any], Part]] = {
+        self._evaluators: Dict[type, Callable[[Any], Part]] = {
             Occurs: self._occurs,
             Pair: self._pair,
             Repeated: self._repeated,
@@ -214,131 +217,142 @@ class WhyNot:
         }
 
     def of(self, pattern: Any) -> Part:
-        """Return how far a pattern got."""
-        return self._look[type(pattern)](pattern)
+        """Return the result for a pattern."""
+        return self._evaluators[type(pattern)](pattern)
 
-    # ---- one method for each kind of pattern -----------------------------------------------------------
+    # ---- one method per type of pattern ----------------------------------------------------------------
 
     def _occurs(self, pattern: Occurs) -> Part:
-        found = []
-        for one in self._kept:
+        matches = []
+        for occurrence in self._occurrences:
             look(1)
             trail: Trail = []
-            if unify(pattern.term, copy(one.term), trail):
-                found.append(Candidate(copy(self._vars), one.start, one.end, one))
+            if unify(pattern.term, copy(occurrence.term), trail):
+                matches.append(Candidate(copy(self._vars), occurrence.start, occurrence.end, occurrence))
             undo(trail, 0)
-        text = f"{self._show(pattern.term)}: {self._seen(found, 'did not happen', pattern.term)}"
-        return Part(text, found[-MAX_CANDIDATES:], [], copy(pattern.term))
+        text = f"{self._show(pattern.term)}: {self._result_text(matches, 'did not happen', pattern.term)}"
+        return Part(text, matches[-MAX_CANDIDATES:], [], copy(pattern.term))
 
     def _pair(self, pattern: Pair) -> Part:
         left, right = self.of(pattern.left), self.of(pattern.right)
         spans = _spans(OPERATORS[pattern.operator])
-        agree = False
-        found = []
-        for one in left.found:
-            for two in right.found:
-                values = self._joined(one, two)
-                if values is None or (one.event is not None and one.event is two.event):
+        values_agree = False
+        matches = []
+        for first in left.found:
+            for second in right.found:
+                values = self._join(first, second)
+                # A rule never uses one event as both operands.
+                if values is None or (first.event is not None and first.event is second.event):
                     continue
-                agree = True
-                span = spans(one.start, one.end, two.start, two.end)
+                values_agree = True
+                span = spans(first.start, first.end, second.start, second.end)
                 if span is not None:
-                    found.append(Candidate(values, *span, None, (one.end, two.start)))
+                    matches.append(Candidate(values, *span, None, (first.end, second.start)))
         reason = "one side is missing"
         if left.found and right.found:
-            reason = OPERATORS[pattern.operator].wrong if agree else "no pair with the same values"
+            reason = OPERATORS[pattern.operator].wrong if values_agree else "no pair with the same values"
         return Part(
-            f"{pattern.operator}: {self._seen(found, reason)}", found[-MAX_CANDIDATES:], [left, right]
+            f"{pattern.operator}: {self._result_text(matches, reason)}",
+            matches[-MAX_CANDIDATES:],
+            [left, right],
         )
 
     def _repeated(self, pattern: Repeated) -> Part:
+        # A repetition of many events is cut off: the first missing event is among the first repetitions.
         return self.of(pattern._replace(times=min(pattern.times, MAX_REPETITIONS)).written_out())
 
     def _either(self, pattern: Either) -> Part:
         parts = [self.of(branch) for branch in pattern.branches]
-        found = [one for part in parts for one in part.found]
-        return Part(f"{_OR}: {self._seen(found, 'no branch matched')}", found, parts)
+        matches = [match for part in parts for match in part.found]
+        return Part(f"{_OR}: {self._result_text(matches, 'no branch matched')}", matches, parts)
 
     def _absent(self, pattern: Absent) -> Part:
         part, negated = self.of(pattern.pattern), self.of(pattern.negated)
-        found = [one for one in part.found if not any(self._blocks(no, one) for no in negated.found)]
+        matches = [
+            match
+            for match in part.found
+            if not any(self._blocks(negative, match) for negative in negated.found)
+        ]
         name = _BETWEEN if pattern.inside else _ABSENCE
         reason = "ruled out by what must not happen" if part.found else "not tested"
-        text = f"{name}: {self._seen(found, reason)}"
-        return Part(text, found, [part, _unwanted(negated)], None, bool(part.found))
+        text = f"{name}: {self._result_text(matches, reason)}"
+        return Part(text, matches, [part, _negated_part(negated)], None, bool(part.found))
 
-    def _blocks(self, negated: Candidate, one: Candidate) -> bool:
-        if self._joined(one, negated) is None:
+    def _blocks(self, negated: Candidate, match: Candidate) -> bool:
+        if self._join(match, negated) is None:
             return False
-        if one.gap is None:
-            return negated.end < one.start
-        return one.gap[0] < negated.start and negated.end < one.gap[1]
+        if match.gap is None:
+            return negated.end < match.start
+        return match.gap[0] < negated.start and negated.end < match.gap[1]
 
     def _star(self, pattern: Star) -> Part:
-        first, repeated = self.of(pattern.first), self.of(pattern.repeated)
+        first_part, repeated_part = self.of(pattern.first), self.of(pattern.repeated)
         extended = [
-            Candidate(values, one.start, two.end) for one, two, values in self._later(first, repeated)
+            Candidate(values, match.start, last.end)
+            for match, last, values in self._later(first_part, repeated_part)
         ]
-        found = first.found + extended[-MAX_CANDIDATES:]
-        return Part(f"{_STAR}: {self._seen(found, 'it did not start')}", found, [first, repeated])
+        matches = first_part.found + extended[-MAX_CANDIDATES:]
+        return Part(
+            f"{_STAR}: {self._result_text(matches, 'it did not start')}", matches, [first_part, repeated_part]
+        )
 
     def _aggregate(self, pattern: Aggregate) -> Part:
-        first, collected = self.of(pattern.first), self.of(pattern.collected)
+        first_part, collected_part = self.of(pattern.first), self.of(pattern.collected)
         value = NIL if pattern.value is None else pattern.value
         names = variables(value)
         evaluate = Evaluators(self._rule).evaluating(pattern.kind, value, names)
         collector = Collector(pattern.kind, lambda values: values[-1], evaluate)
-        found: List[Candidate] = []
+        matches: List[Candidate] = []
         results: List[str] = []
 
         def add(start: Candidate, end: int, result: Term) -> None:
-            # A result that differs from the one that was asked for is no match, but it is what explains that.
-            values = self._with(start.values, [(pattern.result, result)])
+            # A result that differs from the requested one is not a match, but it is shown as the reason.
+            values = self._extend(start.values, [(pattern.result, result)])
             if values is not None:
-                found.append(Candidate(values, start.start, end))
+                matches.append(Candidate(values, start.start, end))
             results.append(f"{self._short(result)} {self._times.interval(start.start, end)}")
 
         problem = ""
-        for one in first.found:
+        for match in first_part.found:
             state = collector.start
             if collector.initial is not None:
-                add(one, one.end, collector.initial)
-            for _, two, values in self._later(first._replace(found=[one]), collected):
-                measured = tuple([self._under(values, term) for term in (*names, value)])
+                add(match, match.end, collector.initial)
+            for _, last, values in self._later(first_part._replace(found=[match]), collected_part):
+                measured = tuple([self._instantiate(values, term) for term in (*names, value)])
                 try:
                     state = collector.add(state, measured)
                 except RuleError as error:
                     problem = f", {error.message}"
                     continue
-                add(one, two.end, collector.result(state))
+                add(match, last.end, collector.result(state))
         reason = self._other_results(results) or "nothing was collected"
-        reason = f"{reason}{problem}" if first.found else "it did not begin"
-        found = found[-MAX_CANDIDATES:]
-        text = f"{pattern.kind}: {self._seen(found, reason, pattern.result)}"
-        return Part(text, found, [first, collected])
+        reason = f"{reason}{problem}" if first_part.found else "it did not begin"
+        matches = matches[-MAX_CANDIDATES:]
+        text = f"{pattern.kind}: {self._result_text(matches, reason, pattern.result)}"
+        return Part(text, matches, [first_part, collected_part])
 
     def _later(self, first: Part, second: Part) -> Iterator[Tuple[Candidate, Candidate, Term]]:
-        """Yield the matches of a part with those of another that start after their end, and their common values."""
-        for one in first.found:
-            for two in second.found:
-                if one.end < two.start:
-                    values = self._joined(one, two)
+        """Yield pairs of matches of which the second starts after the end of the first, and their joint values."""
+        for match in first.found:
+            for later in second.found:
+                if match.end < later.start:
+                    values = self._join(match, later)
                     if values is not None:
-                        yield one, two, values
+                        yield match, later, values
 
     def _condition(self, pattern: Condition) -> Part:
         part = self.of(pattern.pattern)
-        found = []
+        matches = []
         problems: Dict[str, None] = {}
-        for one in part.found:
-            goal = _timed(pattern.goal, one) if pattern.timed else pattern.goal
+        for match in part.found:
+            goal = _with_times(pattern.goal, match) if pattern.timed else pattern.goal
             try:
-                values = self._solved(goal, one)
+                values = self._solve(goal, match)
             except RetalisError as error:
                 problems.setdefault(error.message)
                 continue
             if values is not None:
-                found.append(one._replace(values=values))
+                matches.append(match._replace(values=values))
         name = _CONDITION[pattern.timed]
         if not part.found:
             return Part(f"{name} {self._show(pattern.goal)}: not tested", [], [part], None, False)
@@ -346,16 +360,20 @@ class WhyNot:
         rejected = f"false for {rejected}" if " = " in rejected else f"false {rejected}"
         if problems:
             rejected = f"{rejected}, with the error: {next(reversed(list(problems)))}"
-        text = f"{name} {self._show(pattern.goal)}: {self._seen(found, rejected, pattern.goal)}"
-        return Part(text, found, [part])
+        text = f"{name} {self._show(pattern.goal)}: {self._result_text(matches, rejected, pattern.goal)}"
+        return Part(text, matches, [part])
 
     def _within(self, pattern: Within) -> Part:
         part = self.of(pattern.pattern)
-        found = [one for one in part.found if one.end - one.start <= pattern.span]
+        matches = [match for match in part.found if match.end - match.start <= pattern.span]
         seconds = timestamps.to_seconds(pattern.span + 1)
         reason = "all took longer" if part.found else "not tested"
         return Part(
-            f"{_WITHIN} {seconds:g}: {self._seen(found, reason)}", found, [part], None, bool(part.found)
+            f"{_WITHIN} {seconds:g}: {self._result_text(matches, reason)}",
+            matches,
+            [part],
+            None,
+            bool(part.found),
         )
 
     def _action(self, pattern: Action) -> Part:
@@ -373,44 +391,45 @@ class WhyNot:
         node = self._rule.stream_node(pattern)
         if not part.found or node is None:
             return Part(f"{text}: nothing was measured", [], [part], None, bool(part.found))
-        run = _WindowRun(node, len(pattern.window.steps), self._under)
-        for one in part.found:
-            run.take(one)
-        outputs = run.finish(self._now)
-        found = []
+        # The state of the rule's own window depends on consumption, so a new window is run over the matches.
+        window = _WindowEvaluation(node, len(pattern.window.steps), self._instantiate)
+        for match in part.found:
+            window.take(match)
+        outputs = window.finish(self._now)
+        matches = []
         results = []
         for output in outputs:
             values = None
             if node.making.result is not None:
                 values = node.making.result(output.items[-1].by, output.found)
-            bound = None if values is None else self._with(self._vars, list(zip(node.vars, values)))
-            if bound is not None:
-                found.append(Candidate(bound, output.start, output.end))
-            shown = ", ".join(self._short(result) for result in output.found)
-            results.append(f"{shown} {self._times.interval(output.start, output.end)}")
+            extended = None if values is None else self._extend(self._vars, list(zip(node.vars, values)))
+            if extended is not None:
+                matches.append(Candidate(extended, output.start, output.end))
+            shown_results = ", ".join(self._short(result) for result in output.found)
+            results.append(f"{shown_results} {self._times.interval(output.start, output.end)}")
         parts = [part]
         reason = self._other_results(results) or "no window has ended"
         if pattern.window.kind == "steps" and not results:
             reason = "no events took all steps"
-            parts += self._steps(pattern.window.steps, run.progress)
-        found = found[-MAX_CANDIDATES:]
-        shown = self._seen(found, f"{reason}{run.problem}", (_VALUES, *pattern.results))
-        return Part(f"{text}: {shown}", found, parts)
+            parts += self._steps(pattern.window.steps, window.progress)
+        matches = matches[-MAX_CANDIDATES:]
+        shown_results = self._result_text(matches, f"{reason}{window.problem}", (_VALUES, *pattern.results))
+        return Part(f"{text}: {shown_results}", matches, parts)
 
     def _steps(self, steps: Sequence[StepForm], progress: Sequence[int]) -> List[Part]:
-        """Return a part for each step of a window, for the sequence of events that got farthest."""
+        """Return the results for the steps of a row pattern, for the sequence of events that got farthest."""
         parts = []
         reached = True
         for step, count in zip(steps, progress or [0] * len(steps)):
-            enough = count >= step.least
+            is_complete = count >= step.least
             text = f"step {self._show(step_term(step))}"
             if not reached:
                 parts.append(Part(f"{text}: not reached", [], [], None, False))
             else:
                 events = "1 event" if count == 1 else f"{count} events"
-                needed = "" if enough else f" of {step.least}"
-                parts.append(Part(f"{text}: took {events}{needed}", [_NOWHERE] if enough else [], []))
-            reached = reached and enough
+                missing = "" if is_complete else f" of {step.least}"
+                parts.append(Part(f"{text}: took {events}{missing}", [_ANY_MATCH] if is_complete else [], []))
+            reached = reached and is_complete
         return parts
 
     def _shaped(self, pattern: Shaped) -> Part:
@@ -420,70 +439,70 @@ class WhyNot:
         if node is not None:
             stream.set_bounds(node.stream.bounds)
         outputs = []
-        for one in part.found:
-            by = tuple([self._under(one.values, term) for term in pattern.by])
-            value = () if pattern.value is None else (self._under(one.values, pattern.value),)
-            outputs += stream.ring(one.end)
-            outputs += stream.take(StreamElement(one, one.start, one.end, by, value), one.end, 0)
+        for match in part.found:
+            keys = tuple([self._instantiate(match.values, term) for term in pattern.by])
+            value = () if pattern.value is None else (self._instantiate(match.values, pattern.value),)
+            outputs += stream.ring(match.end)
+            outputs += stream.take(StreamElement(match, match.start, match.end, keys, value), match.end, 0)
         outputs += stream.ring(self._now)
-        found = [output.items[-1].match._replace(end=output.end, event=None) for output in outputs]
+        matches = [output.items[-1].match._replace(end=output.end, event=None) for output in outputs]
         reason = _NOT_LET_THROUGH[pattern.shape].format(timestamps.to_seconds(pattern.span))
         reason = reason if part.found else "not tested"
-        text = f"{_SHAPE} {self._show(shape_term(pattern))}: {self._seen(found, reason)}"
-        return Part(text, found, [part], None, bool(part.found))
+        text = f"{_SHAPE} {self._show(shape_term(pattern))}: {self._result_text(matches, reason)}"
+        return Part(text, matches, [part], None, bool(part.found))
 
     def _awaited(self, pattern: Awaited) -> Part:
         part, negated = self.of(pattern.pattern), self.of(pattern.negated)
-        over = [one for one in part.found if one.end + pattern.span <= self._now]
-        found = [
-            one._replace(end=one.end + pattern.span, event=None)
-            for one in over
-            if not any(self._follows(no, one, pattern.span) for no in negated.found)
+        elapsed = [match for match in part.found if match.end + pattern.span <= self._now]
+        matches = [
+            match._replace(end=match.end + pattern.span, event=None)
+            for match in elapsed
+            if not any(self._follows(negative, match, pattern.span) for negative in negated.found)
         ]
-        reason = "ruled out by what must not happen" if over else "the time after it is not over"
+        reason = "ruled out by what must not happen" if elapsed else "the time after it is not over"
         reason = reason if part.found else "not tested"
         seconds = timestamps.to_seconds(pattern.span)
-        text = f"{_DEADLINE} {seconds:g}: {self._seen(found, reason)}"
-        return Part(text, found, [part, _unwanted(negated)], None, bool(part.found))
+        text = f"{_DEADLINE} {seconds:g}: {self._result_text(matches, reason)}"
+        return Part(text, matches, [part, _negated_part(negated)], None, bool(part.found))
 
-    def _follows(self, negated: Candidate, one: Candidate, span: int) -> bool:
-        """Test whether a match of the negated part lies wholly within the time after a match."""
-        between = one.end < negated.start and negated.end < one.end + span
-        return between and self._joined(one, negated) is not None
+    def _follows(self, negated: Candidate, match: Candidate, span: int) -> bool:
+        """Return whether a match of the negated part lies entirely within the time span after a match."""
+        lies_within = match.end < negated.start and negated.end < match.end + span
+        return lies_within and self._join(match, negated) is not None
 
     # ---- values ----------------------------------------------------------------------------------------
 
-    def _joined(self, one: Candidate, two: Candidate) -> Optional[Term]:
+    def _join(self, first: Candidate, second: Candidate) -> Optional[Term]:
         look(1)
         trail: Trail = []
-        values = copy(one.values)
-        result = copy(values) if unify(values, copy(two.values), trail) else None
+        values = copy(first.values)
+        result = copy(values) if unify(values, copy(second.values), trail) else None
         undo(trail, 0)
         return result
 
-    def _under(self, values: Term, term: Term) -> Term:
-        """Return a term with the values of a candidate."""
+    def _instantiate(self, values: Term, term: Term) -> Term:
+        """Return a copy of a term with the values of a match."""
         trail: Trail = []
         unify(self._vars, copy(values), trail)
-        found = copy(term)
+        result = copy(term)
         undo(trail, 0)
-        return found
+        return result
 
-    def _with(self, values: Term, bindings: Sequence[Tuple[Term, Term]]) -> Optional[Term]:
-        """Return values together with further ones, or None if these do not unify."""
+    def _extend(self, values: Term, bindings: Sequence[Tuple[Term, Term]]) -> Optional[Term]:
+        """Return the values extended by further bindings, or None if these do not unify."""
         trail: Trail = []
-        unifies = unify(self._vars, copy(values), trail) and all(
+        is_consistent = unify(self._vars, copy(values), trail) and all(
             unify(term, copy(value), trail) for term, value in bindings
         )
-        found = copy(self._vars) if unifies else None
+        result = copy(self._vars) if is_consistent else None
         undo(trail, 0)
-        return found
+        return result
 
-    def _solved(self, goal: Term, one: Candidate) -> Optional[Term]:
-        """Return the values with those of the first solution of a goal, or None."""
+    def _solve(self, goal: Term, match: Candidate) -> Optional[Term]:
+        """Return the values extended by those of the first solution of a goal, or None."""
         trail: Trail = []
         try:
-            if unify(self._vars, copy(one.values), trail):
+            if unify(self._vars, copy(match.values), trail):
                 with closing(self._logic.solutions(goal)) as solutions:
                     for _ in solutions:
                         return copy(self._vars)
@@ -493,25 +512,25 @@ class WhyNot:
 
     # ---- text ------------------------------------------------------------------------------------------
 
-    def _seen(self, found: List[Candidate], reason: str, term: Term = _NO_TERM) -> str:
-        """Return the matches of a part, with the values of a term's variables, or the reason why there are none."""
-        return self._candidates(found, term) if found else reason
+    def _result_text(self, matches: List[Candidate], reason: str, term: Term = _NO_TERM) -> str:
+        """Return a text of the matches with the values of a term's variables, or the reason if there are none."""
+        return self._candidates(matches, term) if matches else reason
 
-    def _candidates(self, found: List[Candidate], term: Term) -> str:
+    def _candidates(self, matches: List[Candidate], term: Term) -> str:
         names = [var for var in dict.fromkeys(variables(term)) if var in self._names]
         shown = []
-        for one in found[-MAX_SHOWN_CANDIDATES:]:
-            values = [(self._names[var], self._under(one.values, var)) for var in names]
-            known = ", ".join(
+        for match in matches[-MAX_SHOWN_CANDIDATES:]:
+            values = [(self._names[var], self._instantiate(match.values, var)) for var in names]
+            bindings = ", ".join(
                 f"{name} = {self._short(value)}" for name, value in values if value.__class__ is not Var
             )
-            time = self._times.interval(one.start, one.end)
-            shown.append(f"{known} {time}" if known else time)
+            time = self._times.interval(match.start, match.end)
+            shown.append(f"{bindings} {time}" if bindings else time)
         text = ("; " if names else ", ").join(shown)
-        return text if len(found) <= MAX_SHOWN_CANDIDATES else f"{len(found)} times, the last ones {text}"
+        return text if len(matches) <= MAX_SHOWN_CANDIDATES else f"{len(matches)} times, the last ones {text}"
 
     def _other_results(self, results: List[str]) -> str:
-        """Return what an aggregate measured where that differs from the event that is explained."""
+        """Return a text of the results of an aggregate that differ from those of the event that is explained."""
         if not results:
             return ""
         shown = "; ".join(results[-MAX_SHOWN_CANDIDATES:])
@@ -530,121 +549,122 @@ def show_term(term: Term, operators: Operators, names: Mapping[Var, str], named:
 
     Args:
         term: the term.
-        operators: how its operators are written.
-        names: names of variables. Another variable is written as ``_`` if it occurs once, else as A, B, and so on.
-        named: variables of a rule that was read with named message slots.
+        operators: operators of the term's syntax.
+        names: names of variables. Other variables are written as ``_`` if they occur once, otherwise as A, B, and so
+            on.
+        named: variables of a rule that was written with named message slots.
     """
     counts = occurrences([term], None)
-    taken = set(names.values())
-    letters = (name for name in map(chr, range(ord("A"), ord("Z") + 1)) if name not in taken)
-    shown = {}
+    used_names = set(names.values())
+    letters = (name for name in map(chr, range(ord("A"), ord("Z") + 1)) if name not in used_names)
+    shown_names = {}
     for var in variables(term):
-        shown[var] = names.get(var) or ("_" if counts[var] == 1 else next(letters, "_"))
-    portray = by_name(term, operators, named, quoted=True, variable_names=shown)
-    return write_term(term, operators, quoted=True, wide=True, variable_names=shown, portray=portray)
+        shown_names[var] = names.get(var) or ("_" if counts[var] == 1 else next(letters, "_"))
+    portray = by_name(term, operators, named, quoted=True, variable_names=shown_names)
+    return write_term(term, operators, quoted=True, wide=True, variable_names=shown_names, portray=portray)
 
 
 def own_names(names: Mapping[Var, str]) -> Dict[Var, str]:
-    """Return the names of a rule's variables for the variables that they stand for now.
+    """Return the names of a rule's variables, by the variables that they are bound to now.
 
-    A variable of the head stands for a variable of the event that is explained, if that is not known.
+    A variable of the head may be bound to an unbound variable of the event that is explained.
     """
-    found: Dict[Var, str] = {}
+    own: Dict[Var, str] = {}
     for var, name in names.items():
         target = deref(var)
         if isinstance(target, Var):
-            found.setdefault(target, name)
-    return found
+            own.setdefault(target, name)
+    return own
 
 
-def _unwanted(negated: Part) -> Part:
-    """Return the part of a pattern that must not match."""
+def _negated_part(negated: Part) -> Part:
+    """Return the result for a negated part."""
     reason = negated
-    # A condition that was not tested explains nothing: the event below it is missing.
+    # A condition that was not tested explains nothing: the missing event is below it.
     while not reason.tested and reason.parts:
         reason = reason.parts[0]
-    return Part(f"must not happen: {reason.text}", negated.found or [_NOWHERE], [])
+    return Part(f"must not happen: {reason.text}", negated.found or [_ANY_MATCH], [])
 
 
-class _WindowRun:
-    """A new run of a window over the matches of its pattern.
+class _WindowEvaluation:
+    """Evaluation of a window by a new operator over the matches of its pattern.
 
     Args:
         node: the rule's node of the window.
         steps: number of steps of the window; 0 for windows without steps.
-        under: returns a term with the values of a candidate.
+        under: returns a term with the values of a match.
 
     Attributes:
-        progress: number of events that each step has taken, for the sequence of events that got farthest.
-        problem: text about an error of a measure or a condition, if there was one.
+        progress: number of events in each step, for the sequence of events that got farthest.
+        problem: text of an error in a measure or condition, or "".
     """
 
     def __init__(self, node: StreamNode, steps: int, under: Callable[[Term, Term], Term]):
         self._node = node
         self._stream = node.making.stream(NetworkOptions())
         self._stream.set_bounds(node.stream.bounds)
-        self._under = under
+        self._instantiate = under
         self._outputs: List[StreamOutput] = []
         self.progress = [0] * steps
         self.problem = ""
 
-    def take(self, one: Candidate) -> None:
-        """Pass a match to the window, after the results that are due before it."""
+    def take(self, match: Candidate) -> None:
+        """Pass a match to the window, after emitting the results that are due before it."""
         look(1)
-        self._outputs += self._stream.ring(one.end)
-        values = tuple([self._under(one.values, var) for var in self._node.children[0].vars])
+        self._outputs += self._stream.ring(match.end)
+        values = tuple([self._instantiate(match.values, var) for var in self._node.children[0].vars])
         try:
-            item = StreamElement(one, one.start, one.end, *self._node.making.item(values))
-            self._outputs += self._stream.take(item, one.end, 0)
+            element = StreamElement(match, match.start, match.end, *self._node.making.item(values))
+            self._outputs += self._stream.take(element, match.end, 0)
         except RuleError as error:
             self.problem = f", {error.message}"
         if self.progress:
-            self._note_progress()
+            self._update_progress()
 
     def finish(self, now: int) -> List[StreamOutput]:
-        """Return the results until now."""
+        """Return all results until the given time in nanoseconds."""
         self._outputs += self._stream.ring(now)
         for output in self._outputs:
             if output.error is not None:
                 self.problem = f", {output.error.message}"
         return [output for output in self._outputs if output.error is None]
 
-    def _note_progress(self) -> None:
+    def _update_progress(self) -> None:
         groups = self._stream.kept()[-1]
-        for _, _, ways, _ in groups:
-            for _, _, _, _, taken, *_ in ways:
+        for _, _, states, _ in groups:
+            for _, _, _, _, steps_taken, *_ in states:
                 counts = [0] * len(self.progress)
-                for _, step in taken:
+                for _, step in steps_taken:
                     counts[step] += 1
-                self.progress = max(self.progress, counts, key=_distance)
+                self.progress = max(self.progress, counts, key=_progress_key)
 
 
-def _distance(counts: Sequence[int]) -> Tuple[int, int]:
-    """Return a key by which sequences of events are compared: the last step reached, then the number of events."""
+def _progress_key(counts: Sequence[int]) -> Tuple[int, int]:
+    """Return a key that orders sequences of events by the last step reached, then by the number of events."""
     return max((step for step, count in enumerate(counts) if count), default=-1), sum(counts)
 
 
 @lru_cache(maxsize=len(OPERATORS))
 def _spans(operator: EventOperator) -> Callable[[int, int, int, int], Optional[Tuple[int, int]]]:
-    """Return the function from the intervals of a pair to that of the result, None where they do not fit."""
+    """Return the function from the intervals of a pair to that of the result, or None if they do not satisfy it."""
     lines = [
         "def made(s1, e1, s2, e2):",
         f"    if not ({operator.fits}):",
         "        return None",
         f"    return ({operator.start}), ({operator.end})",
     ]
-    made: Callable[[int, int, int, int], Optional[Tuple[int, int]]] = codegen.function(
+    span: Callable[[int, int, int, int], Optional[Tuple[int, int]]] = codegen.function(
         lines, {}, f"pairs of {operator.name}"
     )
-    return made
+    return span
 
 
-def _timed(goal: Term, one: Candidate) -> Term:
-    """Return a goal with ``t1(S)`` and ``t2(E)`` replaced by what they are."""
+def _with_times(goal: Term, match: Candidate) -> Term:
+    """Return a goal with ``t1(S)`` and ``t2(E)`` replaced by the times of a match."""
     if goal.__class__ is not tuple:
         return goal
     if goal[0] is _T1:
-        return (_EQUAL, goal[1], timestamps.to_term(one.start))
+        return (_EQUAL, goal[1], timestamps.to_term(match.start))
     if goal[0] is _T2:
-        return (_EQUAL, goal[1], timestamps.to_term(one.end))
-    return (goal[0], *[_timed(argument, one) for argument in goal[1:]])
+        return (_EQUAL, goal[1], timestamps.to_term(match.end))
+    return (goal[0], *[_with_times(argument, match) for argument in goal[1:]])

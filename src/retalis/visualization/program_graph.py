@@ -1,6 +1,8 @@
-"""A program as a graph: which topics become which events, which rules take them, and where they go.
+"""Graph of a program: topics, events, rules, queries, memories, outputs, and the flow of events between them.
 
-The graph of a program as text for Graphviz, and drawn by its command ``dot``.
+`program_graph` derives the graph from the engine's rules, memories and subscriptions. Goals of rules are searched for
+events that they create and memories that they read, also in the clauses that they call, up to a limit. `dot_text`
+writes the graph in the DOT language of Graphviz, and `draw` renders it with the command ``dot``.
 """
 
 import re
@@ -20,18 +22,18 @@ from ..prolog.terms.term_traversal import variables
 from ..prolog.terms.types import Atom, Functor, Term, Var, atom, deref, functor
 
 MAX_NODES = 150
-"""Nodes of a graph: nobody can read a larger one."""
+"""Maximum number of nodes of a graph; larger graphs are not readable."""
 
 MAX_TERMS_VISITED = 100_000
-"""Terms that are looked at for what goals make and read, in all rules together."""
+"""Maximum number of terms that are searched for created events and read memories, in all rules together."""
 
 MAX_LABEL_CHARACTERS = 200
-"""Characters of a text in a graph."""
+"""Maximum length of a text in a graph."""
 
-_MAKES = frozenset(
+_CREATING_GOALS = frozenset(
     (*(functor("new_event", arity) for arity in (2, 3, 5)), functor("event", 1), functor("event", 2))
 )
-_READS = frozenset(
+_READING_GOALS = frozenset(
     functor(name, arity)
     for name, arity in (
         *(("prev", 5), ("prev_binary", 5), ("next", 6), ("next_binary", 6), ("next_inf", 5)),
@@ -39,22 +41,22 @@ _READS = frozenset(
         *(("access_mem", 3), ("memory_size", 2), ("memory_counter", 2)),
     )
 )
-_CHAIN = functor("pose_chain", 3)
+_POSE_CHAIN = functor("pose_chain", 3)
 
 ANY = "any event"
 
-_NO_EVENT = atom("null_event")
-"""The head of rules that are there for what they do."""
+_NULL_EVENT = atom("null_event")
+"""Head of rules without an event, which exist for their actions."""
 
 
 class GraphNode(NamedTuple):
-    """Something that events come from, pass or go to.
+    """A source, processing step, or destination of events.
 
     Attributes:
-        id: its own.
+        id: unique identifier.
         kind: ``topic``, ``event``, ``rule``, ``query``, ``memory`` or ``output``.
-        label: what to call it in short.
-        text: the same at length.
+        label: short name.
+        text: full description.
     """
 
     id: str
@@ -64,13 +66,13 @@ class GraphNode(NamedTuple):
 
 
 class GraphEdge(NamedTuple):
-    """A way that events take, or what is read on it.
+    """A flow of events between two nodes, or a read access.
 
     Attributes:
-        source: the id of a node.
-        target: the same.
-        rate: the name of the counter that says how often it is taken; empty where none does.
-        kind: ``flow``, ``absent`` for an event that must not happen, or ``reads`` for a memory that is asked.
+        source: id of a node.
+        target: id of a node.
+        rate: name of the counter of its events; empty if there is none.
+        kind: ``flow``, ``absent`` for an event that must not happen, or ``reads`` for a query of a memory.
     """
 
     source: str
@@ -80,7 +82,7 @@ class GraphEdge(NamedTuple):
 
 
 class Graph(NamedTuple):
-    """A program as a graph; ``left_out`` counts the nodes of the program that have no place in it."""
+    """A program as a graph; ``left_out`` is the number of nodes beyond `MAX_NODES`."""
 
     nodes: List[GraphNode]
     edges: List[GraphEdge]
@@ -88,20 +90,19 @@ class Graph(NamedTuple):
 
 
 class GraphTopic(NamedTuple):
-    """A topic that becomes events: its name, and the functor's name of these."""
+    """An input topic: its name, and the functor name of its events."""
 
     name: str
     event: str
 
 
 def graph_key(engine: Engine, topics: Iterable[GraphTopic]) -> Hashable:
-    """Return a key that is another one when the graph of a program has changed."""
-    parts = engine
+    """Return a key that changes when the graph of the program changes."""
     return (
-        tuple([rule.serial for rule in parts.rules.rules]),
-        tuple([id(one) for one in list(parts.knowledge.memories)]),
-        tuple([id(one) for _, one in parts.knowledge.subscriptions.items()]),
-        tuple([id(one) for one in parts.knowledge.states]),
+        tuple([rule.serial for rule in engine.rules.rules]),
+        tuple([id(item) for item in list(engine.knowledge.memories)]),
+        tuple([id(item) for _, item in engine.knowledge.subscriptions.items()]),
+        tuple([id(item) for item in engine.knowledge.states]),
         tuple(topics),
     )
 
@@ -109,7 +110,7 @@ def graph_key(engine: Engine, topics: Iterable[GraphTopic]) -> Hashable:
 def program_graph(engine: Engine, topics: Iterable[GraphTopic] = ()) -> Graph:
     """Return the graph of the program that an engine runs.
 
-    Like `Engine.status` it looks without the engine's lock.
+    Like `Engine.status`, this reads without the engine's lock.
     """
     return _GraphBuilder(engine).build(list(topics))
 
@@ -123,13 +124,13 @@ class _GraphBuilder:
         self._terms = MAX_TERMS_VISITED
 
     def build(self, topics: List[GraphTopic]) -> Graph:
-        for at, rule in enumerate(self._parts.rules.rules):
-            self._rule(at, rule)
+        for index, rule in enumerate(self._parts.rules.rules):
+            self._rule(index, rule)
         for instance in list(self._parts.knowledge.memories):
             self._memory(instance)
-        for (topic, _), one in self._parts.knowledge.subscriptions.items():
+        for (topic, _), subscription in self._parts.knowledge.subscriptions.items():
             output = self._node("output", topic, topic)
-            self._edge(self._event(one.listener.pattern), output, f"output:{beginning(topic)}")
+            self._edge(self._event(subscription.listener.pattern), output, f"output:{beginning(topic)}")
         for state in self._parts.knowledge.states:
             event = self._event(state.form.state)
             self._edge(self._event(state.form.begins), event, "")
@@ -138,89 +139,95 @@ class _GraphBuilder:
         return Graph(list(self._nodes.values()), list(self._edges.values()), len(self._left_out))
 
     def _topics(self, topics: List[GraphTopic]) -> None:
-        """Add the topics, and the way to their events for each arity that the program takes."""
+        """Add the topics, with an edge to their events of each arity that the program uses."""
         for topic in topics:
-            there = [
+            events = [
                 node
                 for node in self._nodes.values()
                 if node.kind == "event" and node.label.rpartition("/")[0] == topic.event
             ]
             source = self._node("topic", topic.name, f"{topic.name} ({topic.event})")
-            for node in there:
+            for node in events:
                 self._edge(source, node.id, f"topic:{topic.name}")
 
-    def _rule(self, at: int, rule: Any) -> None:
+    def _rule(self, index: int, rule: Any) -> None:
         definition = rule.definition
         text = self._text(definition.term, definition.names)
         label = "" if definition.label is None else self._text(definition.label)
-        place = definition.place
-        short = label or (f"{_file(place.source)}:{place.line}" if place is not None else f"rule {at + 1}")
-        node = self._node("rule", f"{at}", text, short)
-        wanted = {id(part) for part in walk(definition.pattern)}
+        source_place = definition.place
+        short_label = label or (
+            f"{_file(source_place.source)}:{source_place.line}"
+            if source_place is not None
+            else f"rule {index + 1}"
+        )
+        node = self._node("rule", f"{index}", text, short_label)
+        # An event within a negated part of the pattern is drawn as absent.
+        positive_parts = {id(part) for part in walk(definition.pattern)}
         goals: List[Term] = []
         for part in walk(definition.pattern, negated=True):
             if isinstance(part, Occurs):
-                kind = "flow" if id(part) in wanted else "absent"
+                kind = "flow" if id(part) in positive_parts else "absent"
                 event = self._event(part.term)
                 self._edge(event, node, event if kind == "flow" else "", kind)
             else:
                 goals += own_terms(part)
         self._goals(node, goals)
         if definition.head is not None:
-            self._head(node, at, deref(definition.head))
+            self._head(node, index, deref(definition.head))
 
     def _text(self, term: Term, names: Mapping[Var, str] = MappingProxyType({})) -> str:
-        """Return the beginning of a term's text, the same for each drawing: a variable without a name is ``_``."""
+        """Return the shortened text of a term. Unnamed variables become ``_``, so that drawings are stable."""
         return self._parts.logic.brief(term, {**dict.fromkeys(variables(term), "_"), **names})
 
-    def _head(self, node: str, at: int, head: Term) -> None:
-        """Add the way from a rule to what it fires."""
-        if head is _NO_EVENT:
+    def _head(self, node: str, index: int, head: Term) -> None:
+        """Add the edges from a rule to the events that it fires."""
+        if head is _NULL_EVENT:
             return
         if head.__class__ is tuple and head[0] in ALARMS:
             head = deref(head[1])
         if head.__class__ is not tuple or head[0] not in SYNCHRONIZED:
-            self._edge(node, self._event(head), f"rule:{at}")
+            self._edge(node, self._event(head), f"rule:{index}")
             return
-        asked = self._text(deref(head[2]))
+        goal_text = self._text(deref(head[2]))
         query = self._node(
-            "query", f"{at}", f"waits for its memories, then asks {asked}", _name(deref(head[2]))
+            "query", f"{index}", f"waits for its memories, then asks {goal_text}", _name(deref(head[2]))
         )
-        self._edge(node, query, f"rule:{at}")
+        self._edge(node, query, f"rule:{index}")
         self._edge(query, self._event(deref(head[1])), "")
         for pair in list_items(head[3]) or ():
-            of_memory = list_items(pair)
-            name = deref(of_memory[0]) if of_memory else None
+            memory_items = list_items(pair)
+            name = deref(memory_items[0]) if memory_items else None
             if isinstance(name, Atom):
                 self._edge(_id("memory", name.name), query, "", "reads")
         self._goals(query, [head[2]])
 
     def _memory(self, instance: Any) -> None:
         name = self._text(instance.id)
-        plain = getattr(instance.id, "name", name)
-        memory = self._node("memory", plain, f"memory {name}", name)
+        plain_name = getattr(instance.id, "name", name)
+        memory = self._node("memory", plain_name, f"memory {name}", name)
         self._edge(self._event(instance.recorder.pattern), memory, f"memory:{name}")
 
     def _goals(self, node: str, goals: List[Term]) -> None:
-        """Add the events that goals make and the memories that they read, and so those of the clauses they call."""
+        """Add the events that goals create, and the memories that they read, including the clauses that they call."""
         for term in self._called(goals):
-            if term[0] in _MAKES or sets_timer(term):
+            if term[0] in _CREATING_GOALS or sets_timer(term):
                 event = self._event(deref(term[1]))
                 self._edge(node, event, event)
-            elif term[0] in _READS or term[0] is _CHAIN:
-                names = list_parts(term[1])[0] if term[0] is _CHAIN else [term[1]]
+            elif term[0] in _READING_GOALS or term[0] is _POSE_CHAIN:
+                names = list_parts(term[1])[0] if term[0] is _POSE_CHAIN else [term[1]]
                 for name in map(deref, names):
                     if isinstance(name, Atom):
                         self._edge(_id("memory", name.name), node, "", "reads")
 
     def _called(self, goals: List[Term]) -> Iterator[Any]:
-        """Yield all compound terms in goals and in the program's clauses that they name."""
+        """Yield all compound terms in goals, and in the bodies of the program's clauses that they call."""
         predicates = self._parts.logic.database.predicates
         seen: Set[Functor] = set()
-        left = list(goals)
-        while left and self._terms > 0:
+        # Each predicate is expanded once, because clauses may be recursive.
+        pending = list(goals)
+        while pending and self._terms > 0:
             self._terms -= 1
-            term = deref(left.pop())
+            term = deref(pending.pop())
             key = _functor(term)
             if key is None:
                 continue
@@ -228,29 +235,29 @@ class _GraphBuilder:
                 seen.add(key)
                 predicate = predicates.get(key)
                 if predicate is not None and not predicate.library:
-                    left += [clause.body for clause in predicate.live() if not clause.fact]
+                    pending += [clause.body for clause in predicate.live() if not clause.fact]
             if term.__class__ is tuple:
                 yield term
-                left += term[1:]
+                pending += term[1:]
 
     def _event(self, pattern: Term) -> str:
-        """Return the node of the events of a pattern."""
+        """Return the id of the node for the events of a pattern."""
         key = _functor(deref(pattern))
         if key is None:
             return self._node("event", ANY, "events of all kinds")
         return self._node("event", str(key), str(key))
 
     def _node(self, kind: str, name: str, text: str, label: str = "") -> str:
-        """Return the id of a node, which is made where it is not there; the id of none where there are too many."""
-        found = _id(kind, name)
-        if found not in self._nodes:
+        """Return the id of a node, which is added unless it exists or the graph is full."""
+        node_id = _id(kind, name)
+        if node_id not in self._nodes:
             if len(self._nodes) >= MAX_NODES:
-                self._left_out.add(found)
+                self._left_out.add(node_id)
             else:
-                self._nodes[found] = GraphNode(
-                    found, kind, beginning(label or name), beginning(text, MAX_LABEL_CHARACTERS)
+                self._nodes[node_id] = GraphNode(
+                    node_id, kind, beginning(label or name), beginning(text, MAX_LABEL_CHARACTERS)
                 )
-        return found
+        return node_id
 
     def _edge(self, source: str, target: str, rate: str, kind: str = "flow") -> None:
         self._edges.setdefault((source, target, kind), GraphEdge(source, target, rate, kind))
@@ -261,13 +268,13 @@ def _id(kind: str, name: str) -> str:
 
 
 def _functor(term: Term) -> Optional[Functor]:
-    """Return the functor of an atom or a compound term."""
-    found: Optional[Functor] = term[0] if term.__class__ is tuple else getattr(term, "functor", None)
-    return found
+    """Return the functor of an atom or compound term, or None for other terms."""
+    functor_found: Optional[Functor] = term[0] if term.__class__ is tuple else getattr(term, "functor", None)
+    return functor_found
 
 
 def _name(goal: Term) -> str:
-    """Return what a goal calls."""
+    """Return the name of the predicate that a goal calls."""
     key = _functor(goal)
     return "query" if key is None else key.name
 
@@ -277,22 +284,22 @@ def _file(source: Optional[str]) -> str:
 
 
 FORMATS = ("svg", "png", "pdf")
-"""What ``dot`` is asked to draw."""
+"""Formats that ``dot`` can render."""
 
 SECONDS = 60
-"""After these it is ended."""
+"""Timeout for rendering in seconds."""
 
 ACROSS, LINES = 38, 3
-"""Characters of a line of text in a node, and lines."""
+"""Maximum length and number of the lines of text in a node."""
 
 
 class _NodeStyle(NamedTuple):
-    """How nodes of a kind look.
+    """Appearance of a kind of nodes.
 
     Attributes:
-        shape: one of Graphviz.
-        colour: that they are filled with.
-        legend: what they are.
+        shape: name of a Graphviz shape.
+        colour: fill colour.
+        legend: description in the legend.
     """
 
     shape: str
@@ -310,41 +317,45 @@ KINDS = {
 }
 
 _ENTITY = re.compile(r"&(?=#?\w+;)")
-_PACKAGE, _UNNAMED, _TIGHT = re.compile(r"\b\w+?__0__"), re.compile(r"\b_G\d+\b"), re.compile(r"(,|\)(?=\w))")
+_PACKAGE, _UNNAMED, _MISSING_SPACE = (
+    re.compile(r"\b\w+?__0__"),
+    re.compile(r"\b_G\d+\b"),
+    re.compile(r"(,|\)(?=\w))"),
+)
 
 WAYS = {
     "flow": "",
     "absent": 'style=dashed color="#b3261e" arrowhead=tee',
     "reads": 'style=dotted color="#3c7d50"',
 }
-"""How the ways look: of events, of events that must not happen, of memories that are read."""
+"""Attributes of edges by kind: flow of events, events that must not happen, and memories that are read."""
 
 
 def dot_text(graph: Graph, title: str) -> str:
-    """Return a graph in the language of Graphviz, from left to right, with a legend."""
-    there = {node.id: f"n{at}" for at, node in enumerate(graph.nodes)}
-    shown = [edge for edge in graph.edges if edge.source in there and edge.target in there]
-    more = f"; {counted(graph.left_out, 'more node')} left out" if graph.left_out else ""
+    """Return a graph in the DOT language, drawn from left to right, with a legend."""
+    node_names = {node.id: f"n{index}" for index, node in enumerate(graph.nodes)}
+    edges = [edge for edge in graph.edges if edge.source in node_names and edge.target in node_names]
+    omitted = f"; {counted(graph.left_out, 'more node')} left out" if graph.left_out else ""
     lines = [
         "digraph program {",
-        f"  label={_quoted(title + more)} labelloc=t fontsize=16",
+        f"  label={_quoted(title + omitted)} labelloc=t fontsize=16",
         '  rankdir=LR nodesep=0.12 ranksep=0.45 fontname="Helvetica"',
         '  node [fontname="Helvetica" fontsize=11 style="filled" color="#8592a3" height=0.3 margin="0.12,0.05"]',
         '  edge [color="#6b7887" arrowsize=0.7]',
-        *(f"  {there[node.id]} [{_node(node)}]" for node in graph.nodes),
-        *(f"  {there[edge.source]} -> {there[edge.target]} [{WAYS[edge.kind]}]" for edge in shown),
-        *_ranks(graph, there),
-        *_legend({node.kind for node in graph.nodes}, {edge.kind for edge in shown}),
+        *(f"  {node_names[node.id]} [{_node(node)}]" for node in graph.nodes),
+        *(f"  {node_names[edge.source]} -> {node_names[edge.target]} [{WAYS[edge.kind]}]" for edge in edges),
+        *_ranks(graph, node_names),
+        *_legend({node.kind for node in graph.nodes}, {edge.kind for edge in edges}),
         "}",
     ]
     return "\n".join(lines) + "\n"
 
 
 def draw(text: str, path: Path) -> None:
-    """Draw a text in the language of Graphviz into a file, in the format of its ending.
+    """Render a text in the DOT language to a file, in the format of the file's suffix.
 
     Raises:
-        UsageError: where Graphviz is not there or cannot draw it, or the file cannot be written.
+        UsageError: if Graphviz is not installed or reports an error, or the file cannot be written.
     """
     dot = which("dot")
     if dot is None:
@@ -354,64 +365,64 @@ def draw(text: str, path: Path) -> None:
         )
     command = [dot, f"-T{path.suffix[1:]}", "-o", str(path)]
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             command, input=text, capture_output=True, encoding="utf-8", errors="replace", timeout=SECONDS
         )
     except subprocess.TimeoutExpired:
         raise UsageError(f"dot has not drawn {path.name} in {SECONDS} s") from None
-    if done.returncode:
-        raise UsageError(f"dot cannot draw {path}: {done.stderr.strip()}")
+    if process.returncode:
+        raise UsageError(f"dot cannot draw {path}: {process.stderr.strip()}")
 
 
 def _node(node: GraphNode) -> str:
-    look = KINDS[node.kind]
-    label = "\n".join([_short(node), *_below(node)])
+    style = KINDS[node.kind]
+    label = "\n".join([_first_line(node), *_further_lines(node)])
     rounded = ' style="filled,rounded"' if node.kind == "event" else ""
-    told = _quoted(_UNNAMED.sub("_", node.text))
-    return f'label={_quoted(label)} tooltip={told} shape={look.shape} fillcolor="{look.colour}"{rounded}'
+    tooltip = _quoted(_UNNAMED.sub("_", node.text))
+    return f'label={_quoted(label)} tooltip={tooltip} shape={style.shape} fillcolor="{style.colour}"{rounded}'
 
 
-def _short(node: GraphNode) -> str:
-    """Return the first line of a node: a message's event without its package."""
+def _first_line(node: GraphNode) -> str:
+    """Return the first line of a node, without the package of a message."""
     return node.label.rpartition("__0__")[2] if node.kind == "event" else node.label
 
 
-def _below(node: GraphNode) -> List[str]:
-    """Return the lines below that."""
+def _further_lines(node: GraphNode) -> List[str]:
+    """Return the further lines of a node."""
     if node.kind == "event" and "__0__" in node.label:
         return [node.label.rpartition("__0__")[0]]
     if node.kind != "rule":
         return []
-    lines = wrap(_loose(node.text), ACROSS, break_long_words=False)
+    lines = wrap(_breakable(node.text), ACROSS, break_long_words=False)
     return lines if len(lines) <= LINES else [*lines[: LINES - 1], lines[LINES - 1] + " ..."]
 
 
-def _loose(rule: str) -> str:
-    """Return the text of a rule with blanks to break it at, without packages and names of what has none."""
-    plain = _UNNAMED.sub("_", _PACKAGE.sub("", rule))
-    return " ".join(_TIGHT.sub(r"\1 ", plain).replace("<-", " <- ").split())
+def _breakable(rule: str) -> str:
+    """Return the text of a rule with spaces to break it at, without packages and internal variable names."""
+    shortened = _UNNAMED.sub("_", _PACKAGE.sub("", rule))
+    return " ".join(_MISSING_SPACE.sub(r"\1 ", shortened).replace("<-", " <- ").split())
 
 
-def _ranks(graph: Graph, there: Dict[str, str]) -> Iterator[str]:
-    """Yield what has topics stand at the left and published ones at the right."""
+def _ranks(graph: Graph, node_names: Dict[str, str]) -> Iterator[str]:
+    """Yield constraints that place topics at the left and outputs at the right."""
     for kind, rank in (("topic", "source"), ("output", "sink")):
-        nodes = [there[node.id] for node in graph.nodes if node.kind == kind]
+        nodes = [node_names[node.id] for node in graph.nodes if node.kind == kind]
         if nodes:
             yield f"  {{ rank={rank}; {'; '.join(nodes)} }}"
 
 
-def _legend(kinds: Iterable[str], ways: Iterable[str]) -> Iterator[str]:
-    """Yield a table of what the colours of the nodes and the forms of the ways mean, as a node of its own."""
+def _legend(kinds: Iterable[str], edge_kinds: Iterable[str]) -> Iterator[str]:
+    """Yield a node with a table that explains the colours of nodes and the styles of edges."""
     rows = [
-        f'<tr><td bgcolor="{look.colour}" width="24"> </td><td align="left">{look.legend}</td></tr>'
-        for kind, look in KINDS.items()
+        f'<tr><td bgcolor="{style.colour}" width="24"> </td><td align="left">{style.legend}</td></tr>'
+        for kind, style in KINDS.items()
         if kind in kinds
     ]
-    named = {"absent": ("- - -|", "must not happen"), "reads": (". . .&gt;", "is read")}
+    edge_legend = {"absent": ("- - -|", "must not happen"), "reads": (". . .&gt;", "is read")}
     rows += [
-        f'<tr><td>{named[way][0]}</td><td align="left">{named[way][1]}</td></tr>'
-        for way in named
-        if way in ways
+        f'<tr><td>{edge_legend[edge_kind][0]}</td><td align="left">{edge_legend[edge_kind][1]}</td></tr>'
+        for edge_kind in edge_legend
+        if edge_kind in edge_kinds
     ]
     if rows:
         table = f'<table border="0" cellspacing="2">{"".join(rows)}</table>'
@@ -419,10 +430,10 @@ def _legend(kinds: Iterable[str], ways: Iterable[str]) -> Iterator[str]:
 
 
 def _quoted(text: str) -> str:
-    """Return a text as a string of Graphviz, in which a line break is centered.
+    """Return a text as a Graphviz string, in which line breaks are centered.
 
-    Graphviz would put the character in place of an entity (``&#27;``), and any character as it is into an SVG file.
+    Entities are escaped: Graphviz would replace ``&#27;`` by the control character, and copy it into an SVG file.
     """
-    plain = _ENTITY.sub(r"\\x26", printable(text))
-    plain = plain.replace("\\", "\\\\").replace('"', '\\"')
-    return '"' + plain.replace("\n", "\\n") + '"'
+    escaped = _ENTITY.sub(r"\\x26", printable(text))
+    escaped = escaped.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + escaped.replace("\n", "\\n") + '"'

@@ -1,6 +1,10 @@
-"""A run as lanes over time: events, waits of queries, memories, outputs; as much of it as somebody can look at.
+"""Timeline of a playback: events, waits of queries, memories and outputs in lanes over time, and its rendering.
 
-Pictures of a timeline: a page that zooms and needs nothing but a browser, and a picture by matplotlib.
+`TimelineBuilder` collects the records of `RunRecorder`, or of a file that ``bag --events --json`` has written. The
+number of lanes and of marks per lane is limited: when a lane is full, every second mark is dropped, and from then on
+only every second new one is added, so that the remaining marks are spread evenly over the playback.
+
+`page` returns an HTML page that can be zoomed in any browser; `draw_timeline` draws a picture with matplotlib.
 """
 
 import json
@@ -13,37 +17,37 @@ from ..prolog.terms import timestamps
 from ..prolog.terms.timestamps import SECOND
 
 MAX_LANES = 60
-"""Lanes of one kind; what belongs to further ones is counted."""
+"""Maximum number of lanes of a kind; further lanes are counted."""
 
 MAX_MARKS = 20_000
-"""Marks of a lane; where more come, every second one is left out, then three of four, and so on."""
+"""Maximum number of marks in a lane; beyond it, every second one is omitted, then three of four, and so on."""
 
 MAX_MARK_CHARACTERS = 200
-"""Characters of the text of a mark."""
+"""Maximum length of the text of a mark."""
 
 KINDS = ("event", "wait", "memory", "output")
-"""The kinds of lanes, from the top of a picture to its bottom."""
+"""Kinds of lanes, from top to bottom of the picture."""
 
 TRACKS = 3
-"""Rows of a lane: marks that last and overlap stand one below the other."""
+"""Maximum number of rows in a lane; marks that overlap in time are drawn in different rows."""
 
-_NOTHING = "null_event"
-"""The head of rules that are there for what they do."""
+_NULL_EVENT = "null_event"
+"""Head of rules without an event, which exist for their actions."""
 
 _NAME = re.compile(r"'(?:[^'\\]|\\.|'')*'|[^(]*")
 
 Mark = Tuple[float, float, str]
-"""Something in a lane: start and end in seconds after the run's beginning, and what it is."""
+"""An item in a lane: start and end in seconds since the beginning of the playback, and its text."""
 
 
 class TimelineLane(NamedTuple):
-    """All of one name.
+    """All marks of one name.
 
     Attributes:
         kind: one of `KINDS`.
-        name: the name of an event or topic, or the id of a memory.
-        marks: in the order of their coming.
-        number: how many there were, with those that are left out.
+        name: name of an event or topic, or id of a memory.
+        marks: the marks in order of arrival.
+        number: number of marks including omitted ones.
     """
 
     kind: str
@@ -53,13 +57,13 @@ class TimelineLane(NamedTuple):
 
 
 class Timeline(NamedTuple):
-    """A run.
+    """Timeline of a playback.
 
     Attributes:
-        begin: the instant that its seconds are counted from, in nanoseconds since the epoch.
-        length: its seconds.
-        lanes: in the order of their kinds, and of their first marks; outputs by name.
-        left_out: how many lanes there were besides.
+        begin: time of second 0, in nanoseconds since the epoch.
+        length: duration in seconds.
+        lanes: lanes in the order of their kinds and first marks; outputs by name.
+        left_out: number of further lanes.
     """
 
     begin: int
@@ -68,8 +72,8 @@ class Timeline(NamedTuple):
     left_out: int
 
 
-class _Filling:
-    """A lane that is being filled: its instants are nanoseconds still."""
+class _LaneBuilder:
+    """A lane under construction, with times in nanoseconds."""
 
     def __init__(self) -> None:
         self.marks: List[Tuple[int, int, str]] = []
@@ -86,47 +90,48 @@ class _Filling:
 
 
 class TimelineBuilder:
-    """Makes a timeline of the records of a run, as `RunLook` gives them and ``bag --events --json`` prints them."""
+    """Builder of a timeline from the records of `RunRecorder`, or of ``bag --events --json``."""
 
     def __init__(self) -> None:
-        self._lanes: Dict[Tuple[str, str], _Filling] = {}
+        self._lanes: Dict[Tuple[str, str], _LaneBuilder] = {}
         self._left_out: Dict[Tuple[str, str], None] = {}
-        self._of_kind = dict.fromkeys(KINDS, 0)
+        self._lane_counts = dict.fromkeys(KINDS, 0)
 
     def take(self, line: Dict[str, Any]) -> None:
-        """Take a record; one of another kind is let pass.
+        """Add a record; records of unknown kinds are ignored.
 
         Raises:
-            UsageError: where a field is missing or has no such value.
+            UsageError: if a field is missing or has an invalid value.
         """
         kind = next(iter(line), "")
-        told = _TELL.get(kind)
-        if told is None:
+        read_mark = _MARK_READERS.get(kind)
+        if read_mark is None:
             return
-        name, start, end, text = told(line)
-        if start is None or end is None or name == _NOTHING:
+        name, start, end, text = read_mark(line)
+        if start is None or end is None or name == _NULL_EVENT:
             return
         lane = self._lane(kind, name)
         if lane is not None:
             lane.add(start, end, text)
-            if kind == "memory":  # one mark for all that it took
-                taken = line.get("taken")
-                lane.number = taken if isinstance(taken, int) else lane.number
+            # A memory has one mark for all its records.
+            if kind == "memory":
+                total = line.get("taken")
+                lane.number = total if isinstance(total, int) else lane.number
 
-    def _lane(self, kind: str, name: str) -> Optional[_Filling]:
+    def _lane(self, kind: str, name: str) -> Optional[_LaneBuilder]:
         key = (kind, beginning(name))
-        found = self._lanes.get(key)
-        if found is None:
-            if self._of_kind[kind] >= MAX_LANES:
+        lane = self._lanes.get(key)
+        if lane is None:
+            if self._lane_counts[kind] >= MAX_LANES:
                 if len(self._left_out) < MAX_MARKS:
                     self._left_out[key] = None
                 return None
-            self._of_kind[kind] += 1
-            found = self._lanes[key] = _Filling()
-        return found
+            self._lane_counts[kind] += 1
+            lane = self._lanes[key] = _LaneBuilder()
+        return lane
 
     def timeline(self) -> Timeline:
-        """Return what there is so far."""
+        """Return the timeline of the records so far."""
         begin = min((mark[0] for lane in self._lanes.values() for mark in lane.marks), default=0)
         end = max((mark[1] for lane in self._lanes.values() for mark in lane.marks), default=0)
         lanes = [
@@ -146,36 +151,39 @@ class TimelineBuilder:
 
 
 def tracks(marks: Iterable[Mark]) -> List[Optional[int]]:
-    """Return for each mark the row in which it stands, the first one being 0; None for what takes no time.
+    """Return the row of each mark, counted from 0; None for marks without duration.
 
     >>> tracks([(0, 2, "a"), (1, 1, "b"), (1, 3, "c"), (2, 3, "d")])
     [0, None, 1, 0]
     """
     free = [float("-inf")] * TRACKS
-    found: List[Optional[int]] = []
+    rows: List[Optional[int]] = []
     for start, end, _ in marks:
         if start == end:
-            found.append(None)
+            rows.append(None)
             continue
-        row = next((at for at, until in enumerate(free) if until <= start), free.index(min(free)))
+        # The first free row, or the one that becomes free next if more marks overlap than there are rows.
+        row = next(
+            (index for index, end_of_row in enumerate(free) if end_of_row <= start), free.index(min(free))
+        )
         free[row] = max(free[row], end)
-        found.append(row)
-    return found
+        rows.append(row)
+    return rows
 
 
 def read_run(lines: Iterable[str], source: str) -> Timeline:
-    """Return the timeline of a run that was written as JSON, one record a line.
+    """Return the timeline of a playback that was written as JSON, one record per line.
 
     Raises:
-        UsageError: for a line that is no such record, with its number.
+        UsageError: if a line is not a valid record, with its line number.
     """
     builder = TimelineBuilder()
     for number, line in enumerate(lines, 1):
         try:
-            found = json.loads(line)
-            if not isinstance(found, dict):
+            record = json.loads(line)
+            if not isinstance(record, dict):
                 raise UsageError("this is no JSON object")
-            builder.take(found)
+            builder.take(record)
         except (ValueError, RecursionError) as error:
             raise UsageError(f"{source}:{number}: this is no JSON: {error}") from None
         except UsageError as error:
@@ -183,35 +191,35 @@ def read_run(lines: Iterable[str], source: str) -> Timeline:
     return builder.timeline()
 
 
-_Told = Tuple[str, Optional[int], Optional[int], str]
+_MarkData = Tuple[str, Optional[int], Optional[int], str]
 
 
-def _interval(kind: str) -> Callable[[Dict[str, Any]], _Told]:
-    def told(line: Dict[str, Any]) -> _Told:
+def _interval(kind: str) -> Callable[[Dict[str, Any]], _MarkData]:
+    def read_mark(line: Dict[str, Any]) -> _MarkData:
         text = _text(line, kind)
         start, end = _instant(line, "start"), _instant(line, "end")
         if kind == "wait":
-            waited = line.get("memories")
-            names = ", ".join(map(str, waited)) if isinstance(waited, list) else ""
+            memories = line.get("memories")
+            names = ", ".join(map(str, memories)) if isinstance(memories, list) else ""
             return f"{_name(text)} waits", start, end, f"for {names}: {text}"
         return _name(text), start, end, text
 
-    return told
+    return read_mark
 
 
-def _memory(line: Dict[str, Any]) -> _Told:
-    """Tell what a memory holds; nothing where it is empty."""
-    ends = [None if line.get(name) is None else _instant(line, name) for name in ("start", "end")]
-    told = f"{line.get('records')} of {line.get('size')} records, {line.get('taken')} taken: {line.get('pattern')}"
-    return _text(line, "memory"), ends[0], ends[1], told
+def _memory(line: Dict[str, Any]) -> _MarkData:
+    """Return the mark of a memory; its times are None if the memory is empty."""
+    times = [None if line.get(name) is None else _instant(line, name) for name in ("start", "end")]
+    text = f"{line.get('records')} of {line.get('size')} records, {line.get('taken')} taken: {line.get('pattern')}"
+    return _text(line, "memory"), times[0], times[1], text
 
 
-def _output(line: Dict[str, Any]) -> _Told:
+def _output(line: Dict[str, Any]) -> _MarkData:
     instant = _instant(line, "time")
     return _text(line, "topic"), instant, instant, _text(line, "output")
 
 
-_TELL: Dict[str, Callable[[Dict[str, Any]], _Told]] = {
+_MARK_READERS: Dict[str, Callable[[Dict[str, Any]], _MarkData]] = {
     "event": _interval("event"),
     "wait": _interval("wait"),
     "memory": _memory,
@@ -220,54 +228,55 @@ _TELL: Dict[str, Callable[[Dict[str, Any]], _Told]] = {
 
 
 def _text(line: Dict[str, Any], name: str) -> str:
-    found = line.get(name)
-    if not isinstance(found, str):
+    value = line.get(name)
+    if not isinstance(value, str):
         raise UsageError(f'expected a text as "{name}"')
-    return found
+    return value
 
 
 def _instant(line: Dict[str, Any], name: str) -> int:
-    found = line.get(name)
-    if not isinstance(found, int) or isinstance(found, bool):
+    value = line.get(name)
+    if not isinstance(value, int) or isinstance(value, bool):
         raise UsageError(f'expected whole nanoseconds as "{name}"')
-    if not timestamps.in_range(found):
+    if not timestamps.in_range(value):
         raise UsageError(f'expected nanoseconds since the epoch, in the years 1 to 9999, as "{name}"')
-    return found
+    return value
 
 
 def _name(term: str) -> str:
-    """Return the name of a term that is a text, without the package of a message."""
-    found = _NAME.match(term)
-    return "" if found is None else found.group().rpartition("__0__")[2].strip("'")
+    """Return the functor name in the text of a term, without the package of a message."""
+    match = _NAME.match(term)
+    return "" if match is None else match.group().rpartition("__0__")[2].strip("'")
 
 
 PICTURES = ("png", "svg", "pdf")
-"""What matplotlib draws."""
+"""Formats that matplotlib can render."""
 
 _PAGE = Path(__file__).resolve().parent / "page" / "timeline.html"
-_PLACE = ">RUN<"
+_DATA_PLACEHOLDER = ">RUN<"
 
 _COLOURS = {"event": "#1f6f94", "wait": "#b06a00", "memory": "#2d8047", "output": "#7b4fb5"}
 _NAMES = {"event": "events", "wait": "waits of queries", "memory": "memories", "output": "outputs"}
 
-_LANE, _WIDE = 0.24, 12.0
-"""Inches: the height of a lane, and the width of all."""
+_LANE_HEIGHT, _WIDTH = 0.24, 12.0
+"""Height of a lane and width of the picture in inches."""
 
 
 def page(timeline: Timeline, title: str) -> str:
-    """Return a run as an HTML page, with all of it inside."""
-    told: Dict[str, Any] = {
+    """Return a timeline as a self-contained HTML page."""
+    data: Dict[str, Any] = {
         "title": title,
         "about": _about(timeline),
         "length": timeline.length,
         "lanes": [{**lane._asdict(), "marks": _marks(lane), "rows": _rows(lane)} for lane in timeline.lanes],
     }
-    held = printable_json(told).replace("<", "\\u003c")  # no text ends the element that it is in
-    return _PAGE.read_text(encoding="utf-8").replace(_PLACE, f">{held}<", 1)
+    # "<" is escaped, so that no text of the program can close the script element.
+    json_text = printable_json(data).replace("<", "\\u003c")
+    return _PAGE.read_text(encoding="utf-8").replace(_DATA_PLACEHOLDER, f">{json_text}<", 1)
 
 
 def _marks(lane: TimelineLane) -> List[Any]:
-    """Return the marks of a lane with their rows, to the microsecond."""
+    """Return the marks of a lane with their rows, in microsecond precision."""
     rows = tracks(lane.marks)
     return [
         [round(start, 6), round(end, 6), text, row or 0] for (start, end, text), row in zip(lane.marks, rows)
@@ -275,15 +284,15 @@ def _marks(lane: TimelineLane) -> List[Any]:
 
 
 def _rows(lane: TimelineLane) -> int:
-    """Return how many rows the marks of a lane take."""
+    """Return the number of rows that the marks of a lane need."""
     return 1 + max((row for row in tracks(lane.marks) if row is not None), default=0)
 
 
 def draw_timeline(timeline: Timeline, title: str, path: Path) -> None:
-    """Draw a run into a file, in the format of its ending.
+    """Draw a timeline to a file, in the format of the file's suffix.
 
     Raises:
-        UsageError: where matplotlib is not there, or the file cannot be written.
+        UsageError: if matplotlib is not installed, or the file cannot be written.
     """
     try:
         from matplotlib.figure import Figure  # noqa: PLC0415 - an optional package
@@ -294,8 +303,8 @@ def draw_timeline(timeline: Timeline, title: str, path: Path) -> None:
             f"{path.with_suffix('.html').name}, a page to zoom in, needs nothing"
         ) from None
     lanes = timeline.lanes
-    high = _LANE * max(4, len(lanes))
-    figure = Figure(figsize=(_WIDE, high + 1.0))
+    height = _LANE_HEIGHT * max(4, len(lanes))
+    figure = Figure(figsize=(_WIDTH, height + 1.0))
     axes = figure.subplots()
     for row, lane in enumerate(lanes):
         _draw_lane(axes, row, lane)
@@ -308,9 +317,14 @@ def draw_timeline(timeline: Timeline, title: str, path: Path) -> None:
     _name_rows(axes.twinx(), [f"{lane.number:,}" for lane in lanes], fontsize=8, color="#5b6675")
     kinds = [kind for kind in KINDS if any(lane.kind == kind for lane in lanes)]
     patches = [Patch(color=_COLOURS[kind], label=_NAMES[kind]) for kind in kinds]
-    below = (1.0, -0.3 / high)
+    legend_position = (1.0, -0.3 / height)
     axes.legend(
-        handles=patches, loc="upper right", bbox_to_anchor=below, ncol=len(KINDS), fontsize=8, frameon=False
+        handles=patches,
+        loc="upper right",
+        bbox_to_anchor=legend_position,
+        ncol=len(KINDS),
+        fontsize=8,
+        frameon=False,
     )
     try:
         figure.savefig(path, dpi=110, bbox_inches="tight")
@@ -319,43 +333,43 @@ def draw_timeline(timeline: Timeline, title: str, path: Path) -> None:
 
 
 def _literal(text: str) -> str:
-    """Return a text from outside as matplotlib shows it as it is: between two ``$`` it would read a formula."""
+    """Return a text that matplotlib displays literally: text between two ``$`` would be parsed as a formula."""
     return printable(text).replace("$", "\\$")
 
 
-def _name_rows(axes: Any, names: List[str], **look: Any) -> None:
-    """Write a name beside each row."""
+def _name_rows(axes: Any, names: List[str], **style: Any) -> None:
+    """Label each row with a name."""
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.set_yticks(range(len(names)))
-    axes.set_yticklabels(names, **look)
+    axes.set_yticklabels(names, **style)
     axes.tick_params(axis="y", length=0)
     for side in ("top", "left", "right"):
         axes.spines[side].set_visible(False)
 
 
 def _draw_lane(axes: Any, row: int, lane: TimelineLane) -> None:
-    """Draw a lane: bars for what lasts, lines for what does not."""
+    """Draw a lane: bars for marks with duration, lines for others."""
     colour = _COLOURS[lane.kind]
-    rows, wide = tracks(lane.marks), 0.64 / _rows(lane)
+    rows, row_height = tracks(lane.marks), 0.64 / _rows(lane)
     points = [start for start, end, _ in lane.marks if start == end]
-    for at in range(_rows(lane)):
-        top = row - 0.32 + at * wide
-        bars = [(start, end - start) for (start, end, _), track in zip(lane.marks, rows) if track == at]
+    for index in range(_rows(lane)):
+        top = row - 0.32 + index * row_height
+        bars = [(start, end - start) for (start, end, _), track in zip(lane.marks, rows) if track == index]
         if bars:
-            axes.broken_barh(bars, (top, 0.9 * wide), facecolor=colour, alpha=0.45, linewidth=0)
+            axes.broken_barh(bars, (top, 0.9 * row_height), facecolor=colour, alpha=0.45, linewidth=0)
             edges = [edge for start, size in bars for edge in (start, start + size)]
-            axes.vlines(edges, top, top + 0.9 * wide, color=colour, linewidth=0.6)
+            axes.vlines(edges, top, top + 0.9 * row_height, color=colour, linewidth=0.6)
     if points:
         axes.vlines(points, row - 0.32, row + 0.32, color=colour, linewidth=0.8)
 
 
 def _about(timeline: Timeline) -> str:
-    """Return what a run is, in a line."""
+    """Return a summary of the timeline in one line."""
     year, month, day, hour, minute, second, _ = timestamps.fields(timeline.begin)
     lanes = f"; {timeline.left_out} further lanes are left out" if timeline.left_out else ""
-    thinned = sum(lane.kind != "memory" and lane.number > len(lane.marks) for lane in timeline.lanes)
-    thin = f"; of {thinned} lanes not all marks are shown" if thinned else ""
+    incomplete_lanes = sum(lane.kind != "memory" and lane.number > len(lane.marks) for lane in timeline.lanes)
+    omitted = f"; of {incomplete_lanes} lanes not all marks are shown" if incomplete_lanes else ""
     return (
         f"{timeline.length:.3f} s from {year}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02} UTC; "
-        f"numbers are how many of each there were{lanes}{thin}"
+        f"numbers are how many of each there were{lanes}{omitted}"
     )
