@@ -313,7 +313,7 @@ def test_what_is_damaged_is_refused_and_nothing_else_happens():
     for end in range(0, len(data), 97):
         with pytest.raises(UsageError):
             Engine.restore(data[:end])
-    with pytest.raises(UsageError, match="more of it"):
+    with pytest.raises(UsageError, match="longer than its header states"):
         Engine.restore(data + b"x")
     assert isinstance(Engine.restore(data), Whole)
 

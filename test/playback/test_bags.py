@@ -160,9 +160,9 @@ HOSTILE = [
     ({"entries": [1 << 31]}, "."),
     ({"entries": [0] * 12}, "the index names a message in the chunk at byte 4109 more than once"),
     ({"index_count": 1 << 30}, "."),
-    ({"connections": 2}, "connection 0 is there twice"),
+    ({"connections": 2}, "connection 0 is defined twice"),
     ({"infos": [0, 0]}, "the chunk at byte 4109 is inside another one"),
-    ({"infos": [0] * 3000}, "its index names the same bytes again and again"),
+    ({"infos": [0] * 3000}, "its index refers to the same bytes repeatedly"),
 ]
 
 

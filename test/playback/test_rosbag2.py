@@ -263,8 +263,11 @@ def test_a_large_database_is_read_with_a_large_limit(tmp_path):
     [
         ("relative_file_paths: [a.db3, a.db3]", "a file is named twice"),
         ("relative_file_paths: [b.db3]", "its file b.db3 is missing"),
-        ("relative_file_paths: [/etc/passwd]", "the name 'passwd' does not end as one of storage 'sqlite3'"),
-        ("relative_file_paths: 3", "the name '3' does not end as one of storage 'sqlite3'"),
+        (
+            "relative_file_paths: [/etc/passwd]",
+            "the name 'passwd' does not have the suffix of storage 'sqlite3'",
+        ),
+        ("relative_file_paths: 3", "the name '3' does not have the suffix of storage 'sqlite3'"),
         ("version: 5", "names no files, or no storage_identifier: expected sqlite3 or mcap"),
         (
             "compression_mode: file\n  relative_file_paths: [a.db3]",

@@ -105,9 +105,9 @@ def test_a_term_that_contains_itself_is_refused():
 
 
 def test_what_has_no_place_in_a_state_is_an_error():
-    with pytest.raises(TypeError, match="object cannot be kept"):
+    with pytest.raises(TypeError, match="object cannot be stored"):
         to_bytes([object()])
-    with pytest.raises(TypeError, match="cannot be kept"):
+    with pytest.raises(TypeError, match="cannot be stored"):
         to_bytes([print])
 
 

@@ -57,9 +57,9 @@ def test_unchanged_it_is_taken(state):
         ("run", ["sent"], [], "not as many subscriptions"),
         ("run", [], [], "expected the fields clock"),
         ("values", [0], [["double_quotes", atom("x")]], "the flag double_quotes"),
-        ("values", [3], [["other", 1]], "what built-ins keep"),
+        ("values", [3], [["other", 1]], "a kind of state of built-in predicates"),
         ("program", ["network", "rules", 0, 0], atom("x"), "expected an event rule"),
-        ("program", ["network", "rules", 0, 4], 7, "expected rules in their order"),
+        ("program", ["network", "rules", 0, 4], 7, "expected rules with increasing serials"),
         ("program", ["network", "flags"], [["no_flag", 1]], "no flag"),
         ("program", ["memories", 0, 0], atom("x"), "a term of memorize/5"),
         ("program", ["standings"], [["\0", []]], "expected a path"),
@@ -68,15 +68,15 @@ def test_unchanged_it_is_taken(state):
         ("matches", ["states"], [], "the states of 3 rules"),
         ("matches", ["states", 0, 3, 0, 0], Ref(10_000), "expected a reference"),
         ("matches", ["states", 0, 3, 0, 1], 99, "expected an integer from -1"),
-        ("matches", ["states", 0, 3, 0, 2], 99, "something waits that has not come"),
-        ("matches", ["states", 0, 3], lambda old: old + old, "something waits twice"),
-        ("matches", ["states", 0, 2, 0, 0], "Leaves", "made of other parts"),
+        ("matches", ["states", 0, 3, 0, 2], 99, "has a sequence number that was not assigned"),
+        ("matches", ["states", 0, 3], lambda old: old + old, "a partial match is stored twice"),
+        ("matches", ["states", 0, 2, 0, 0], "Leaves", "its nodes differ from those in the state"),
         ("matches", ["rows", 0], ["match"], "expected the row of an object"),
-        ("matches", ["rows", 0], lambda old: [*old[:6], [Ref(0)], old[7]], "was made of itself"),
+        ("matches", ["rows", 0], lambda old: [*old[:6], [Ref(0)], old[7]], "contains itself"),
         ("matches", ["rows", 0, 1], [], "a match with 1 values"),
         ("matches", ["rows", 0, 2], "x", "expected an instant"),
         ("matches", ["rows", 0, 7], Ref(5000), "expected a reference"),
-        ("matches", ["timers", 0], lambda old: old + old, "alarms with orders of their own"),
+        ("matches", ["timers", 0], lambda old: old + old, "alarms with distinct sequence numbers"),
         ("matches", ["timers", 0, 0, 1], functor("no", 1)(1), "expected every"),
         ("matches", ["waiting"], [[0, atom("x"), atom("y"), 1, 2, [], None]], "waits for a memory"),
         ("memory 0", [3, 1], [None, None], "expected a term"),
@@ -92,7 +92,7 @@ def test_unchanged_it_is_taken(state):
         ("memory 0", [3], ["parts", [["parts", [["terms", [1, 2]]]]]], "expected 2 terms"),
         ("memory 0", [4, 0], b"", "expected 2 instants"),
         ("memory 0", [4, 1], b"\x07\0", "the forms of instants"),
-        ("memory 0", [4, 0], [9, 3], "not in the order of their ends"),
+        ("memory 0", [4, 0], [9, 3], "not ordered by their ends"),
     ],
 )
 def test_what_is_wrong_is_refused_and_said(state, section, path, value, message):
@@ -108,7 +108,7 @@ def test_a_section_that_is_missing_is_said(state, left_out):
 
 
 def test_a_section_that_no_state_has_is_refused(state):
-    with pytest.raises(UsageError, match="section 'more', which no state has"):
+    with pytest.raises(UsageError, match="section 'more' is unknown"):
         Engine.restore(pack({**state, "more": to_bytes(1)}))
 
 

@@ -76,8 +76,8 @@ def test_a_long_run_is_thinned_over_its_whole_length():
 @pytest.mark.parametrize(
     "line, says",
     [
-        ("{", "run.jsonl:2: this is no JSON"),
-        ("[1]", "run.jsonl:2: this is no JSON object"),
+        ("{", "run.jsonl:2: this is not JSON"),
+        ("[1]", "run.jsonl:2: this is not a JSON object"),
         ('{"event": 1, "start": 1, "end": 1}', 'run.jsonl:2: expected a text as "event"'),
         ('{"event": "a", "start": "1", "end": 1}', 'run.jsonl:2: expected whole nanoseconds as "start"'),
         ('{"event": "a", "start": 1.5, "end": 2}', 'run.jsonl:2: expected whole nanoseconds as "start"'),

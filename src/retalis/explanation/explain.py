@@ -261,19 +261,19 @@ def _until(end: float, seconds: float) -> Callable[[int, int], None]:
 
     def ask(work: int, size: int) -> None:
         if monotonic() > end:
-            raise UsageError(f"there is too much to look through: no explanation within {seconds:g} s")
+            raise UsageError(f"no explanation within {seconds:g} s: there are too many recorded events")
 
     return ask
 
 
 class _Explainer:
     def __init__(self, engine: Engine, origin: Optional[int]):
-        self._parts = engine
+        self._engine = engine
         self._origin = origin
         self._times = TimeFormat(self._show, origin)
-        self._occurrences = self._parts.rules.tracker.all()
+        self._occurrences = self._engine.rules.tracker.all()
         self._why_not_sent = WhyNotSent(
-            self._parts.logic, self._parts.knowledge.subscriptions.items(), self._show
+            self._engine.logic, self._engine.knowledge.subscriptions.items(), self._show
         )
         self._expanded: Set[int] = set()
         self._causes: Dict[int, List[Occurrence]] = {}
@@ -321,21 +321,21 @@ class _Explainer:
         return ExplanationLine(f"{text} by {self._rule(occurrence.rule)}", sources)
 
     def _is_state(self, occurrence: Occurrence) -> bool:
-        return bool(self._parts.knowledge.states.like(occurrence.term))
+        return bool(self._engine.knowledge.states.like(occurrence.term))
 
     def _missing(
         self, term: Term, interval: Optional[Tuple[int, int]], above: Tuple[EventRule, ...]
     ) -> List[ExplanationLine]:
         """Return the missing parts for each rule that could have fired the event."""
         lines = []
-        for rule in self._parts.rules.rules:
+        for rule in self._engine.rules.rules:
             head = rule.definition.head
             # Rules above are skipped: a recursive rule would explain its event by itself forever.
             if head is None or rule in above:
                 continue
             trail: Trail = []
             if unify(_event_of_head(head), copy(term), trail):
-                why_not = WhyNot(self._parts.logic, self._occurrences, rule, self._origin)
+                why_not = WhyNot(self._engine.logic, self._occurrences, rule, self._origin)
                 part = why_not.of(rule.definition.pattern)
                 lines.append(ExplanationLine(self._rule(rule), [self._part(part, (*above, rule))]))
                 if part.found:
@@ -402,14 +402,14 @@ class _Explainer:
         place = "" if rule.place is None else f" ({rule.place.source}:{rule.place.line})"
         label = "" if rule.label is None else f"{self._show(rule.label)}: "
         names = rule.definition.names
-        text = show_term(rule.definition.term, self._parts.logic.operators, own_names(names), names)
+        text = show_term(rule.definition.term, self._engine.logic.operators, own_names(names), names)
         return f"rule {label}{text}{place}"
 
     def _event(self, occurrence: Occurrence) -> str:
         return f"{self._show(occurrence.term)} {self._times.interval(occurrence.start, occurrence.end)}"
 
     def _show(self, term: Term) -> str:
-        return show_term(term, self._parts.logic.operators, {})
+        return show_term(term, self._engine.logic.operators, {})
 
 
 def _parse_request(asked: Term) -> Tuple[Term, Optional[Tuple[int, int]]]:

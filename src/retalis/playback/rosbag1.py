@@ -501,7 +501,7 @@ class _BagFile(io.BufferedReader):
             size = remaining if size is None or size < 0 else min(size, remaining)
         self._unread -= size
         if self._unread < 0:
-            raise ValueError("its index names the same bytes again and again")
+            raise ValueError("its index refers to the same bytes repeatedly")
         return super().read(size)
 
     def readline(self, size: Optional[int] = -1) -> bytes:
@@ -535,7 +535,7 @@ def _index_reader(rosbag1: Any) -> Any:
         def read_connection(self) -> Any:
             connection = super().read_connection()
             if connection.id in self._ids:
-                raise ValueError(f"connection {connection.id} is there twice")
+                raise ValueError(f"connection {connection.id} is defined twice")
             self._ids.add(connection.id)
             return connection
 

@@ -478,7 +478,7 @@ def _text(body: bytes, offset: int) -> Tuple[str, int]:
     (size,) = _LENGTH.unpack_from(body, offset)
     start = offset + _LENGTH.size
     if start + size > len(body):
-        raise ValueError(f"a text states {size} bytes: there are fewer")
+        raise ValueError(f"a string states {size} bytes: there are fewer")
     return body[start : start + size].decode(), start + size
 
 
@@ -776,7 +776,7 @@ def _read_metadata(path: Path) -> Tuple[List[Path], bool]:
     files = [path.parent / name for name in names]
     for file in files:
         if file.suffix != (COMPRESSED if mode == "file" else suffix):
-            raise ValueError(f"the name '{file.name}' does not end as one of storage '{storage}'")
+            raise ValueError(f"the name '{file.name}' does not have the suffix of storage '{storage}'")
         if not file.is_file():
             raise ValueError(f"its file {file.name} is missing")
     return files, mode == "message"

@@ -1,13 +1,15 @@
-"""Bytes of plain data and terms, and back: nothing in the bytes is ever called, and no attribute is ever set by them.
+"""Binary encoding of plain data and terms, which is safe to decode from untrusted files.
 
-The bytes are a stream of MessagePack objects: a table (names of atoms, names and arities of functors, how many nodes
-follow), the nodes, and the data. Atoms, functors, variables and the like are extension types with an index into the
-table or with their own bytes. A node is a sequence that is used more than once, or that lies too deep in others to be
-written in its place: an extension type refers to it by its number. References point backwards only, so nothing read
-contains itself, and the size of what is read is bounded by the number of bytes.
+In contrast to `pickle`, decoding never calls a function and never sets an attribute that the bytes name.
 
-What is read consists of numbers, texts, bytes, lists, and terms. A tuple is always a well-formed compound term, so
-that a `schema` need not look into it. All other sequences are lists, but for keys of terms (`FlatKey`).
+The encoding is a stream of MessagePack objects: a symbol table (names of atoms, names and arities of functors, number
+of nodes), the nodes, and the data. Atoms, functors, variables and the like are extension types with an index into the
+table, or with their own bytes. A node is a sequence that is used more than once, or that is nested too deeply to be
+written inline: an extension type refers to it by its number. References only point backwards, so decoded data is
+never cyclic, and its size is bounded by the number of bytes.
+
+Decoded data consists of numbers, strings, bytes, lists, and terms. A tuple is always a well-formed compound term, so
+that a `schema` need not inspect its arguments. All other sequences are lists, except keys of terms (`FlatKey`).
 """
 
 from itertools import chain
@@ -22,25 +24,25 @@ from ..prolog.terms.types import Atom, Functor, Lazy, String, Var, atom, deref, 
 from .schema import FlatKey
 
 _ATOM, _FUNCTOR, _VARIABLE, _STRING, _REF, _NODE, _BIG, _KIND, _INSTANT, _STAMP = range(10)
-"""The extension types."""
+"""Codes of the extension types."""
 
 _MARKS = (float, Var)
-"""Classes that keys of terms contain, as `term_key` makes them."""
+"""Classes that occur as markers in keys of terms, see `term_key`."""
 
 _MAX_NESTING = 40
-"""Nesting of sequences in the bytes: MessagePack's reader has a limit of 512."""
+"""Maximum nesting of encoded sequences: the MessagePack reader has a limit of 512."""
 
-_SAMPLE = 4000
-"""Sequences of a level among which those are counted that are used twice."""
+_SHARING_SAMPLE = 4000
+"""Number of sequences per level that are examined for repeated use."""
 
 _SHORT_SEQUENCE = 50
-"""Sequences of a level that are written again if they are used twice; items of a short sequence."""
+"""Levels with at most this many sequences are not examined for repeated use; also the length of a short sequence."""
 
-_OUTER = 4
-"""Levels of sequences that the engine makes around terms."""
+_ENGINE_LEVELS = 4
+"""Number of levels of sequences that the engine creates around terms."""
 
 _MAX_UNSHARED_ITEMS = 2_000_000
-"""Items of a level that may always be written as they are."""
+"""Levels with at most this many items are always encoded inline."""
 
 _MAX_ARITY = 10_000_000
 
@@ -54,7 +56,7 @@ _SIGNED: Dict[int, Callable[[int], int]] = {_BIG: int, _INSTANT: WholeSeconds}
 
 
 class Ref:
-    """Stands for an object of a `Graph`, by its number."""
+    """Reference to an object of a match graph by its number."""
 
     __slots__ = ("number",)
 
@@ -66,7 +68,7 @@ class Ref:
 
 
 _PLAIN = frozenset((type(None), bool, int, float, str, bytes, tuple, list, Atom, Functor, String, type, Ref))
-"""Classes that MessagePack writes as they are, or that the table knows."""
+"""Classes that MessagePack or the symbol table encode directly."""
 
 _LEAVES = _PLAIN - {tuple, list}
 _IN_TERMS = _LEAVES | {tuple}
@@ -81,11 +83,11 @@ def _signed(number: int) -> bytes:
     return number.to_bytes(number.bit_length() // 8 + 1, "little", signed=True)
 
 
-# ---- to bytes ----------------------------------------------------------------------------------------
+# ---- encoding ----------------------------------------------------------------------------------------
 
 
 class _SymbolTable(Dict[Any, Any]):
-    """Extension types of atoms, functors and the like, made where they are first looked up."""
+    """Extension types of atoms, functors and the like, created on first lookup."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -95,34 +97,36 @@ class _SymbolTable(Dict[Any, Any]):
         self._variables = 0
 
     def __missing__(self, value: Any) -> Any:
-        kind = value.__class__
-        if kind is Atom:
-            made = msgpack.ExtType(_ATOM, _index(len(self.atoms)))
+        # MessagePack looks up each value that it cannot encode; this is called on the first lookup only.
+        value_class = value.__class__
+        if value_class is Atom:
+            extension = msgpack.ExtType(_ATOM, _index(len(self.atoms)))
             self.atoms.append(value.name)
-        elif kind is Functor:
-            made = msgpack.ExtType(_FUNCTOR, _index(len(self.names)))
+        elif value_class is Functor:
+            extension = msgpack.ExtType(_FUNCTOR, _index(len(self.names)))
             self.names.append(value.name)
             self.arities.append(value.arity)
-        elif kind is Ref:
-            made = msgpack.ExtType(_REF, _index(value.number))
-        elif kind is Var and value.ref is None:
-            made = msgpack.ExtType(_VARIABLE, _index(self._variables))
+        elif value_class is Ref:
+            extension = msgpack.ExtType(_REF, _index(value.number))
+        elif value_class is Var and value.ref is None:
+            extension = msgpack.ExtType(_VARIABLE, _index(self._variables))
             self._variables += 1
-        elif kind is String:
+        elif value_class is String:
             return msgpack.ExtType(_STRING, value.text.encode("utf-8", "surrogatepass"))
-        elif kind is int:
+        elif value_class is int:
             return msgpack.ExtType(_BIG, _signed(value))
-        elif kind is Var or kind is Lazy:
+            # Not stored: the same variable may be bound to another value in the next term.
+        elif value_class is Var or value_class is Lazy:
             return self.of(deref(value))
         elif value in _MARKS:
-            made = msgpack.ExtType(_KIND, _index(_MARKS.index(value)))
+            extension = msgpack.ExtType(_KIND, _index(_MARKS.index(value)))
         else:
-            raise TypeError(f"{kind.__name__} cannot be kept")
-        self[value] = made
-        return made
+            raise TypeError(f"{value_class.__name__} cannot be stored in a state")
+        self[value] = extension
+        return extension
 
     def of(self, value: Any) -> Any:
-        """Return what MessagePack writes for a value that no variable stands for."""
+        """Return the value that MessagePack encodes for a dereferenced value."""
         if value.__class__ in (Atom, Functor, String, Var) or (
             value.__class__ is int and value.bit_length() > 63
         ):
@@ -131,23 +135,23 @@ class _SymbolTable(Dict[Any, Any]):
 
 
 def to_bytes(data: Any) -> bytes:
-    """Return data as bytes.
+    """Return the encoding of data.
 
     Raises:
-        UsageError: for a term that contains itself.
+        UsageError: if the data contains a cyclic term.
     """
     nodes: List[Any] = []
-    data = _pairs(data, _OUTER)
+    data = _pairs(data, _ENGINE_LEVELS)
     if not _is_simple(data):
         data = _split(data, nodes)
     table = _SymbolTable()
     packer = msgpack.Packer(default=table.__getitem__, use_bin_type=True, unicode_errors="surrogatepass")
-    body = [packer.pack(one) for one in (*nodes, data)]
+    body = [packer.pack(item) for item in (*nodes, data)]
     return b"".join((packer.pack((table.atoms, table.names, table.arities, len(nodes))), *body))
 
 
 def _pairs(data: Any, depth: int) -> Any:
-    """Return data with pairs for mappings, as far as these lie in short sequences that the engine makes."""
+    """Return data with mappings as lists of pairs, where they occur in short sequences that the engine creates."""
     if data.__class__ is dict:
         return [[key, _pairs(value, depth - 1)] for key, value in data.items()]
     if (
@@ -161,104 +165,115 @@ def _pairs(data: Any, depth: int) -> Any:
 
 
 def _is_simple(data: Any) -> bool:
-    """Tell whether data can be written as it is: shallow, hardly anything used twice, no instants with a form.
+    """Return whether data can be encoded inline: shallow, with little repeated use, and without formatted instants.
 
-    Looks at many items at once, by functions that are written in C: records of memories come by the thousand. Whether
-    sequences are used twice is seen by the first thousands of each level.
+    Memories have thousands of records, so items are examined level by level with functions that are implemented in C.
+    Repeated use is estimated from the first `_SAMPLE` sequences of each level.
     """
     level: List[Any] = [[data]]
-    most = _MAX_UNSHARED_ITEMS
+    max_items = _MAX_UNSHARED_ITEMS
     for depth in range(_MAX_NESTING):
         size = sum(map(len, level))
-        if depth <= _OUTER:
-            most = max(most, 40 * size)
-        elif size > most:  # most of it is perhaps the same again and again
+        if depth <= _ENGINE_LEVELS:
+            max_items = max(max_items, 40 * size)
+        # A level that is much larger than those above it probably consists of the same sequences repeatedly.
+        elif size > max_items:
             return False
-        kinds = set(map(type, chain.from_iterable(level)))
-        if kinds <= _LEAVES:
+        classes = set(map(type, chain.from_iterable(level)))
+        if classes <= _LEAVES:
             return True
-        if kinds <= _IN_TERMS:
-            level = [one for one in chain.from_iterable(level) if one.__class__ is tuple and one]
+        if classes <= _IN_TERMS:
+            level = [item for item in chain.from_iterable(level) if item.__class__ is tuple and item]
         else:
-            every: Any = chain.from_iterable(level)
-            if Var in kinds or Lazy in kinds:
-                every = [deref(one) if one.__class__ in (Var, Lazy) else one for one in every]
-                kinds = set(map(type, every)) - {Var}
-            if not all(issubclass(kind, tuple) for kind in kinds - _PLAIN):
+            items: Any = chain.from_iterable(level)
+            if Var in classes or Lazy in classes:
+                items = [deref(item) if item.__class__ in (Var, Lazy) else item for item in items]
+                classes = set(map(type, items)) - {Var}
+            if not all(issubclass(item_class, tuple) for item_class in classes - _PLAIN):
                 return False
-            sequences = {kind for kind in kinds if issubclass(kind, (tuple, list))}
-            level = [one for one in every if one.__class__ in sequences and one]
-        first = level if depth < _OUTER else level[:_SAMPLE]
-        if len(first) > _SHORT_SEQUENCE and 10 * len(set(map(id, first))) < 9 * len(first):
+            sequences = {item_class for item_class in classes if issubclass(item_class, (tuple, list))}
+            level = [item for item in items if item.__class__ in sequences and item]
+        sample = level if depth < _ENGINE_LEVELS else level[:_SHARING_SAMPLE]
+        if len(sample) > _SHORT_SEQUENCE and 10 * len(set(map(id, sample))) < 9 * len(sample):
             return False
     return False
 
 
-def _children(one: Any) -> List[Any]:
-    """Return what lies in a sequence, a mapping, or a stamp."""
-    if isinstance(one, dict):
-        found: List[Any] = [[key, value] for key, value in one.items()]
-    elif one.__class__ is Stamp:
-        found = [one.term]
+def _children(container: Any) -> List[Any]:
+    """Return the items of a sequence, the pairs of a mapping, or the term of a stamp."""
+    if isinstance(container, dict):
+        children: List[Any] = [[key, value] for key, value in container.items()]
+    elif container.__class__ is Stamp:
+        children = [container.term]
     else:
-        found = one
-    return [deref(item) if item.__class__ in (Var, Lazy) else item for item in found]
+        children = container
+    return [deref(item) if item.__class__ in (Var, Lazy) else item for item in children]
 
 
-def _holds(one: Any) -> bool:
-    return (isinstance(one, (tuple, list)) and bool(one)) or isinstance(one, dict) or one.__class__ is Stamp
+def _is_container(value: Any) -> bool:
+    return (
+        (isinstance(value, (tuple, list)) and bool(value))
+        or isinstance(value, dict)
+        or value.__class__ is Stamp
+    )
 
 
 def _split(data: Any, nodes: List[Any]) -> Any:
-    """Return data in which sequences that are used more than once, or too deep, are references to nodes.
+    """Return data in which sequences that are used repeatedly or nested too deeply are references to nodes.
 
     Args:
         data: the data.
-        nodes: takes the nodes, each after those that it refers to.
+        nodes: receives the nodes, each one after those that it refers to.
 
     Raises:
-        UsageError: for a term that contains itself.
+        UsageError: if the data contains a cyclic term.
     """
-    if not _holds(data):
+    if not _is_container(data):
         return data
-    made: Dict[int, Any] = {}  # what each sequence has become; None while its parts are being done
+    # The replacement of each sequence by its id; None while its items are being processed, which detects cycles.
+    replacements: Dict[int, Any] = {}
     depths: Dict[int, int] = {}
-    uses, parts_of = _uses(data)
+    uses, children_of = _uses(data)
+    # An explicit stack: lists in Prolog are nested as deeply as they are long.
     stack: List[Tuple[Any, bool]] = [(data, False)]
     while stack:
-        one, done = stack.pop()
-        parts = parts_of[id(one)]
-        if not done:
-            if id(one) in made:
-                if made[id(one)] is None:
-                    raise UsageError("the state has a term that contains itself: such a term cannot be kept")
+        sequence, items_are_done = stack.pop()
+        children = children_of[id(sequence)]
+        if not items_are_done:
+            if id(sequence) in replacements:
+                if replacements[id(sequence)] is None:
+                    raise UsageError(
+                        "the state contains a term that contains itself: cyclic terms cannot be stored"
+                    )
                 continue
-            made[id(one)] = None
-            stack.append((one, True))
-            stack += [(part, False) for part in parts if _holds(part)]
+            replacements[id(sequence)] = None
+            stack.append((sequence, True))
+            stack += [(child, False) for child in children if _is_container(child)]
             continue
-        found = _replaced(one, parts, made)
-        depth = max((depths[id(part)] for part in parts if _holds(part)), default=0)
-        depths[id(one)] = 0
-        if one.__class__ is Stamp:
-            nodes.append(found[0])
+        items = _replaced(sequence, children, replacements)
+        depth = max((depths[id(child)] for child in children if _is_container(child)), default=0)
+        depths[id(sequence)] = 0
+        if sequence.__class__ is Stamp:
+            nodes.append(items[0])
             number = len(nodes) - 1
-            made[id(one)] = msgpack.ExtType(_STAMP, number.to_bytes(4, "little") + _signed(int(one)))
-        elif uses[id(one)] > 1 or depth >= _MAX_NESTING:
-            nodes.append(found)
-            made[id(one)] = msgpack.ExtType(_NODE, _index(len(nodes) - 1))
+            replacements[id(sequence)] = msgpack.ExtType(
+                _STAMP, number.to_bytes(4, "little") + _signed(int(sequence))
+            )
+        elif uses[id(sequence)] > 1 or depth >= _MAX_NESTING:
+            nodes.append(items)
+            replacements[id(sequence)] = msgpack.ExtType(_NODE, _index(len(nodes) - 1))
         else:
-            made[id(one)], depths[id(one)] = found, depth + 1
-    return made[id(data)]
+            replacements[id(sequence)], depths[id(sequence)] = items, depth + 1
+    return replacements[id(data)]
 
 
-def _replaced(one: Any, parts: List[Any], made: Dict[int, Any]) -> List[Any]:
-    """Return the parts of a sequence with what they have become in their place; in terms instants are integers."""
-    if one.__class__ is tuple and parts[0].__class__ is Functor and parts[0].name != ITEM:
+def _replaced(sequence: Any, parts: List[Any], replacements: Dict[int, Any]) -> List[Any]:
+    """Return the items of a sequence with nested sequences replaced; instants in terms become integers."""
+    if sequence.__class__ is tuple and parts[0].__class__ is Functor and parts[0].name != ITEM:
         parts = [int(part) if part.__class__ in (WholeSeconds, Stamp) else part for part in parts]
     return [
-        made[id(part)]
-        if _holds(part)
+        replacements[id(part)]
+        if _is_container(part)
         else msgpack.ExtType(_INSTANT, _signed(int(part)))
         if part.__class__ is WholeSeconds
         else part
@@ -267,26 +282,26 @@ def _replaced(one: Any, parts: List[Any], made: Dict[int, Any]) -> List[Any]:
 
 
 def _uses(data: Any) -> Tuple[Dict[int, int], Dict[int, List[Any]]]:
-    """Return how often each sequence is used, and what lies in it, by its id."""
+    """Return the number of uses and the items of each sequence, by its id."""
     uses: Dict[int, int] = {}
     parts: Dict[int, List[Any]] = {}
     stack = [data]
     while stack:
-        one = stack.pop()
-        if id(one) in uses:
-            uses[id(one)] += 1
+        sequence = stack.pop()
+        if id(sequence) in uses:
+            uses[id(sequence)] += 1
             continue
-        uses[id(one)] = 1
-        parts[id(one)] = found = _children(one)
-        stack += [part for part in found if _holds(part)]
+        uses[id(sequence)] = 1
+        parts[id(sequence)] = children = _children(sequence)
+        stack += [part for part in children if _is_container(part)]
     return uses, parts
 
 
-# ---- from bytes --------------------------------------------------------------------------------------
+# ---- decoding ----------------------------------------------------------------------------------------
 
 
 class _StateReader:
-    """Reads one text of bytes."""
+    """Decoder of one encoded state."""
 
     def __init__(self) -> None:
         self._atoms: Dict[bytes, Atom] = {}
@@ -296,29 +311,30 @@ class _StateReader:
         self._nodes: List[Any] = []
 
     def read(self, data: bytes) -> Any:
-        """Return the data of bytes."""
-        number = _number_of_objects(data)
+        """Return the decoded data."""
+        object_count = _count_objects(data)
         unpacker = _unpacker(data, self._sequence, self._extension)
         unpacker.feed(data)
         head = unpacker.unpack()
         atoms, names, arities, nodes = head
+        # Everything that later code relies on is checked here, because the bytes may come from anywhere.
         if not (
-            all(one.__class__ is list for one in (atoms, names, arities))
-            and all(one.__class__ is str for one in (*atoms, *names))
-            and all(one.__class__ is int and 0 <= one <= _MAX_ARITY for one in arities)
+            all(entry.__class__ is list for entry in (atoms, names, arities))
+            and all(entry.__class__ is str for entry in (*atoms, *names))
+            and all(entry.__class__ is int and 0 <= entry <= _MAX_ARITY for entry in arities)
             and len(names) == len(arities)
             and nodes.__class__ is int
-            and number == nodes + 2
+            and object_count == nodes + 2
         ):
-            raise UsageError("its table is malformed")
-        self._atoms = {_index(at): atom(name) for at, name in enumerate(atoms)}
-        self._functors = {_index(at): functor(*one) for at, one in enumerate(zip(names, arities))}
+            raise UsageError("its symbol table is malformed")
+        self._atoms = {_index(index): atom(name) for index, name in enumerate(atoms)}
+        self._functors = {_index(index): functor(*entry) for index, entry in enumerate(zip(names, arities))}
         for _ in range(nodes):
             self._nodes.append(unpacker.unpack())
         return unpacker.unpack()
 
     def _sequence(self, items: Any) -> Any:
-        """Return a compound term as a tuple, and any other sequence as a list."""
+        """Return a compound term as a tuple, a key of a term as a `FlatKey`, and any other sequence as a list."""
         if not items:
             return items
         first = items[0].__class__
@@ -337,7 +353,7 @@ class _StateReader:
         return items
 
     def _extension(self, code: int, data: bytes) -> Any:
-        """Return what an extension type stands for."""
+        """Return the value of an extension type."""
         if code == _ATOM:
             return self._atoms[data]
         if code == _FUNCTOR:
@@ -347,15 +363,15 @@ class _StateReader:
         if code in _SIGNED:
             return _SIGNED[code](int.from_bytes(data, "little", signed=True))
         if code == _STAMP:
-            shown: Any = self._nodes[int.from_bytes(data[:4], "little")]
-            kind = shown.__class__
-            if kind not in _TERMS:
-                raise UsageError("an instant is shown as what is no term")
-            return Stamp.of(int.from_bytes(data[4:], "little", signed=True), shown)
-        return self._numbered(code, int.from_bytes(data, "little"))
+            term: Any = self._nodes[int.from_bytes(data[:4], "little")]
+            term_class = term.__class__
+            if term_class not in _TERMS:
+                raise UsageError("the text of an instant is not a term")
+            return Stamp.of(int.from_bytes(data[4:], "little", signed=True), term)
+        return self._by_number(code, int.from_bytes(data, "little"))
 
-    def _numbered(self, code: int, number: int) -> Any:
-        """Return what an extension type stands for that has a number."""
+    def _by_number(self, code: int, number: int) -> Any:
+        """Return the value of an extension type with a number."""
         if code == _NODE:
             return self._nodes[number]
         if code == _KIND:
@@ -364,52 +380,53 @@ class _StateReader:
             return self._variables.get(number) or self._variables.setdefault(number, Var())
         if code == _REF:
             return self._refs.get(number) or self._refs.setdefault(number, Ref(number))
-        raise UsageError(f"it has something of the unknown type {code}")
+        raise UsageError(f"extension type {code} is unknown")
 
 
-def _unpacker(data: bytes, sequence: Any = None, extension: Any = None) -> Any:
-    most = max(len(data), 1)
+def _unpacker(data: bytes, sequence_hook: Any = None, extension_hook: Any = None) -> Any:
+    # No object can be larger than the data. Without these limits, a false length would allocate memory.
+    max_size = max(len(data), 1)
     return msgpack.Unpacker(
         use_list=True,
         raw=False,
         strict_map_key=False,
         unicode_errors="surrogatepass",
-        list_hook=sequence,
-        ext_hook=extension or msgpack.ExtType,
-        read_size=min(most, 1 << 16),
-        max_buffer_size=most,
-        max_str_len=most,
-        max_bin_len=most,
-        max_ext_len=most,
-        max_array_len=most,
+        list_hook=sequence_hook,
+        ext_hook=extension_hook or msgpack.ExtType,
+        read_size=min(max_size, 1 << 16),
+        max_buffer_size=max_size,
+        max_str_len=max_size,
+        max_bin_len=max_size,
+        max_ext_len=max_size,
+        max_array_len=max_size,
         max_map_len=0,
     )
 
 
-def _number_of_objects(data: bytes) -> int:
-    """Return how many objects bytes are, without making any.
+def _count_objects(data: bytes) -> int:
+    """Return the number of encoded objects, without decoding them.
 
-    A sequence says how many items it has before these come. Read at once, a few bytes could have memory set aside for
-    many; skipped first, it is known that all of them are there.
+    A sequence states its length before its items. Decoding it directly would allocate memory for that many items;
+    skipping over all objects first verifies that they exist.
     """
     unpacker = _unpacker(data)
     unpacker.feed(data)
-    number = 0
+    count = 0
     while unpacker.tell() < len(data):
         unpacker.skip()
-        number += 1
-    return number
+        count += 1
+    return count
 
 
 def from_bytes(data: bytes) -> Any:
-    """Return the data of bytes: see the text of this module for what it consists of.
+    """Return decoded data; the module docstring describes its types.
 
     Raises:
-        UsageError: where they are damaged, or were never made by `to_bytes`.
+        UsageError: if the bytes are damaged, or were not created by `to_bytes`.
     """
     try:
         return _StateReader().read(data)
     except UsageError:
         raise
-    except Exception as error:  # of whatever kind: MessagePack has several
-        raise UsageError(f"it does not read ({type(error).__name__}: {error})") from error
+    except Exception as error:  # MessagePack raises several types of exceptions
+        raise UsageError(f"it cannot be decoded ({type(error).__name__}: {error})") from error

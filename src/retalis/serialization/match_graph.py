@@ -1,6 +1,13 @@
-"""Partial matches and events with all that they are made of, as rows of numbers and terms.
+"""Serialization of partial matches and events as an object graph.
 
-These objects know one another in circles, so each is a row, in which others stand by their numbers (`Ref`).
+Matches, events, shared buffers and nodes refer to each other in cycles. Each object therefore becomes a row of its
+attributes, in which other objects are represented by their numbers (`Ref`). `GraphWriter` assigns the numbers in the
+order in which objects are reached. `GraphReader` first creates all objects without attributes, so that references can
+be resolved in any order, then checks and assigns the attributes, and finally checks relations between attributes and
+derives those that are not stored.
+
+A state file is not trusted: every attribute has a check, references are only accepted to objects of the right kind,
+and the graph of what objects were made of must be acyclic, because the engine traverses it recursively.
 """
 
 from typing import Any, Callable, Dict, List, Sequence, Tuple
@@ -56,20 +63,20 @@ FIELDS: Dict[str, Tuple[Any, Tuple[str, ...]]] = {
     "item": (StreamElement, ("match", "start", "end", "by", "values", "order")),
     "suppressed": (Suppressed, ("node", "what", "number", "freed")),
 }
-"""The kinds of objects: their class, and which attributes are kept. The others are made anew."""
+"""Kinds of objects: their class, and the attributes that are stored. Other attributes are derived when read."""
 
-_KINDS = {EventMatch: "match", **{kind: name for name, (kind, _) in FIELDS.items()}}
+_KIND_BY_CLASS = {EventMatch: "match", **{kind: name for name, (kind, _) in FIELDS.items()}}
 
-_AS_IT_IS = frozenset((int, bool, type(None)))
+_SCALARS = frozenset((int, bool, type(None)))
 
 ObjectRow = List[Any]
 
 
 class GraphWriter:
-    """Gives objects numbers, and their rows.
+    """Assigns numbers to objects and creates their rows.
 
     Args:
-        rules: those whose places are known; others that are met, of which something is left, come after them.
+        rules: rules with known numbers. Deleted rules that are still referred to are added after them.
     """
 
     def __init__(self, rules: Sequence[EventRule]):
@@ -80,58 +87,59 @@ class GraphWriter:
         self._places: Dict[int, int] = {}
         self._nodes: Dict[int, Tuple[int, int]] = {}
         for number, rule in enumerate(self.rules):
-            self._note_rule(rule, number)
+            self._add_rule(rule, number)
 
-    def _note_rule(self, rule: EventRule, number: int) -> None:
+    def _add_rule(self, rule: EventRule, number: int) -> None:
         self._places[id(rule)] = number
-        for at, (node, _, _) in enumerate(rule.nodes):
-            self._nodes[id(node)] = (number, at)
+        for node_number, (node, _, _) in enumerate(rule.nodes):
+            self._nodes[id(node)] = (number, node_number)
 
     def write(self, data: Any) -> Any:
-        """Return data with `Ref` in the place of objects, which get rows."""
-        made = _changed(data, self._plain)
+        """Return data in which objects are replaced by `Ref`; rows are added for new objects."""
+        result = _map_objects(data, self._to_ref)
+        # Rows are created in a loop instead of recursively: chains of objects can be very long.
         while len(self.rows) < len(self._objects):
             self.rows.append(self._row(self._objects[len(self.rows)]))
-        return made
+        return result
 
-    def _plain(self, data: Any) -> Any:
-        kind = data.__class__
-        if kind in _KINDS or kind is EventRule or id(data) in self._nodes:
+    def _to_ref(self, data: Any) -> Any:
+        data_class = data.__class__
+        if data_class in _KIND_BY_CLASS or data_class is EventRule or id(data) in self._nodes:
             return self._ref(data)
-        if isinstance(data, NetworkNode):  # of a rule that is not there any more
-            self._rule(data.rule)  # type: ignore[attr-defined]  # those of which something is left have one
+        if isinstance(data, NetworkNode):  # a node of a deleted rule
+            self._rule(data.rule)  # type: ignore[attr-defined]  # nodes that hold state have a rule
             return self._ref(data)
         return data
 
     def _ref(self, data: Any) -> Ref:
-        found = self._refs.get(id(data))
-        if found is None:
-            found = self._refs[id(data)] = Ref(len(self._objects))
+        ref = self._refs.get(id(data))
+        if ref is None:
+            ref = self._refs[id(data)] = Ref(len(self._objects))
             self._objects.append(data)
-        return found
+        return ref
 
     def _rule(self, rule: EventRule) -> int:
         number = self._places.get(id(rule))
         if number is None:
             number = len(self.rules)
             self.rules.append(rule)
-            self._note_rule(rule, number)
+            self._add_rule(rule, number)
         return number
 
-    def _row(self, one: Any) -> ObjectRow:
-        if one is NOTHING_HELD:
+    def _row(self, item: Any) -> ObjectRow:
+        if item is NOTHING_HELD:
             return ["nothing"]
-        kind = one.__class__
-        if kind is EventRule:
-            return ["rule", self._rule(one)]
-        if id(one) in self._nodes:
-            return ["node", *self._nodes[id(one)]]
-        name = _KINDS[kind]
+        item_class = item.__class__
+        if item_class is EventRule:
+            return ["rule", self._rule(item)]
+        if id(item) in self._nodes:
+            return ["node", *self._nodes[id(item)]]
+        name = _KIND_BY_CLASS[item_class]
         row: ObjectRow = [name]
         for field in FIELDS[name][1]:
-            value = getattr(one, field)
-            if value.__class__ not in _AS_IT_IS:
-                value = _changed(list(value) if field == "tokens" else value, self._plain)
+            value = getattr(item, field)
+            if value.__class__ not in _SCALARS:
+                value = _map_objects(list(value) if field == "tokens" else value, self._to_ref)
             row.append(value)
         return row
 
@@ -142,17 +150,17 @@ _NUMBER = optional(count)
 
 
 class GraphReader:
-    """Makes objects of rows, each attribute checked.
+    """Creates objects from rows, with a check of each attribute.
 
-    An attribute names other objects by their numbers; what it may name is checked by the kinds of these. No object is
-    made of itself (`_sources`): else what walks over it would not end.
+    Attributes refer to other objects by their numbers; checks restrict the kinds of these objects. No object may
+    directly or indirectly consist of itself (`_sources`), otherwise traversals would not terminate.
 
     Args:
-        rows: theirs.
-        rules: in the order in which the rows name them.
+        rows: the rows of all objects.
+        rules: the rules in the order of their numbers.
 
     Raises:
-        UsageError: for a row that no `GraphWriter` writes.
+        UsageError: if a row cannot have been created by `GraphWriter`.
     """
 
     def __init__(self, rows: Any, rules: Sequence[EventRule]):
@@ -169,17 +177,17 @@ class GraphReader:
         for row in rows:
             self._kinds.append(row[0] if row and row[0].__class__ is str else "")
             self._objects.append(self._empty(row))
-        for number, (one, row) in enumerate(zip(self._objects, rows)):
+        for number, (item, row) in enumerate(zip(self._objects, rows)):
             self._current = []
             self._sources.append(self._current)
             if row[0] in FIELDS:
                 try:
-                    self._fill(one, row, checks[row[0]])
+                    self._fill(item, row, checks[row[0]])
                 except UsageError as error:
                     raise UsageError(f"object {number}, a {row[0]}: {error.message}") from None
         self._check_order()
-        for one in self._objects:
-            self._finish(one)
+        for item in self._objects:
+            self._finish(item)
 
     def _empty(self, row: Sequence[Any]) -> Any:
         name = row[0] if row else None
@@ -192,44 +200,49 @@ class GraphReader:
             return nodes[integer(0, len(nodes) - 1)(row[2])][0]
         if name.__class__ is not str or name not in FIELDS or len(row) != len(FIELDS[name][1]) + 1:
             raise wrong(row, "the row of an object")
-        kind = FIELDS[name][0]
-        return kind.__new__(kind)
+        object_class = FIELDS[name][0]
+        return object_class.__new__(object_class)
 
-    def _fill(self, one: Any, row: Sequence[Any], checks: Sequence[ValueCheck]) -> None:
-        if isinstance(one, PartialMatch):
-            one.buffer = None
+    def _fill(self, item: Any, row: Sequence[Any], checks: Sequence[ValueCheck]) -> None:
+        if isinstance(item, PartialMatch):
+            item.buffer = None
         for field, check, value in zip(FIELDS[row[0]][1], checks, row[1:]):
-            setattr(one, field, check(value))
+            setattr(item, field, check(value))
 
     def ref(self, *kinds: str) -> ValueCheck:
-        """Return a check of a reference to an object of some kinds; the result is the object."""
-        wanted = frozenset(kinds)
-        every, objects = self._kinds, self._objects
+        """Return a check of a reference to an object of one of the given kinds; the result is the object."""
+        # The lists are filled later, so kinds are compared when the check is called.
+        allowed = frozenset(kinds)
+        object_kinds, objects = self._kinds, self._objects
 
         def check(value: Decoded) -> Decoded:
-            if value.__class__ is not Ref or value.number >= len(every) or every[value.number] not in wanted:
+            if (
+                value.__class__ is not Ref
+                or value.number >= len(object_kinds)
+                or object_kinds[value.number] not in allowed
+            ):
                 raise wrong(value, f"a reference to {' or '.join(kinds)}")
             return objects[value.number]
 
         return check
 
     def _source(self, *kinds: str) -> ValueCheck:
-        """Return the same of what an object was made of."""
+        """Return a check of a reference to an object that the current object consists of."""
         refer = self.ref(*kinds)
 
         def check(value: Decoded) -> Decoded:
-            found = refer(value)
+            item = refer(value)
             self._current.append(value.number)
-            return found
+            return item
 
         return check
 
     def token(self, value: Decoded) -> Decoded:
-        """Check what tells an event from others: a number, or where events are tracked the event."""
+        """Check the identity of an event: a number, or the event itself if lineage is recorded."""
         return self._event(value) if value.__class__ is Ref else _NUMBER(value)
 
     def token_key(self, value: Decoded) -> Decoded:
-        """Check a key that is made of terms, or of what tells events from others."""
+        """Check a key that consists of terms, or of identities of events."""
         if value.__class__ is Ref:
             return self._event(value)
         if value.__class__ is list and any(item.__class__ is Ref for item in value):
@@ -237,29 +250,29 @@ class GraphReader:
         return key(value)
 
     def _event(self, value: Decoded) -> Decoded:
-        found = self._refer_to_event(value)
+        event = self._refer_to_event(value)
         self._current.append(value.number)
-        return found
+        return event
 
-    def _of_item(self, value: Decoded) -> Decoded:
-        """Check what an item of a stream was made of: a match, the event that a subscription sends, or nothing."""
+    def _origin(self, value: Decoded) -> Decoded:
+        """Check the origin of a stream element: a match, the event of a subscription, or None."""
         return self.match(value) if value.__class__ is Ref else optional(term)(value)
 
     def _checks(self) -> Dict[str, List[ValueCheck]]:
-        """Return the checks of the attributes of each kind, in the order of `FIELDS`."""
-        below = self._source(*_MATCHES)
-        held = self._source("held", "nothing")
-        of_parts = self._source(*_MATCHES, "held", "nothing", "chain")
+        """Return the checks of the attributes of each kind of object, in the order of `FIELDS`."""
+        source_match = self._source(*_MATCHES)
+        source_tracked = self._source("held", "nothing")
+        source_part = self._source(*_MATCHES, "held", "nothing", "chain")
         values = each(value_of_match, tuple)
-        found = fixed(values)
+        found_values = fixed(values)
 
         def part(value: Decoded) -> Decoded:
             if value.__class__ is Ref:
-                return of_parts(value)
-            return count(value) if value.__class__ is int else Found(*found(value))
+                return source_part(value)
+            return count(value) if value.__class__ is int else Found(*found_values(value))
 
         match_ref = self.match
-        of_node = fixed(
+        node_entry = fixed(
             self.ref("node"),
             self.ref("run", "node", "train"),
             lambda value: match_ref(value) if value.__class__ is Ref else count(value),
@@ -268,14 +281,16 @@ class GraphReader:
         def holder(value: Decoded) -> Decoded:
             if value.__class__ is Ref:
                 return match_ref(value)
-            node, of, what = of_node(value)
-            by_number = isinstance(node, RepeatNode) and of.__class__ is RunGroup and what.__class__ is int
-            by_match = (of is node and isinstance(node, StreamNode)) or (
-                isinstance(node, KleeneNode) and of.__class__ is Run
+            node, owner, entry = node_entry(value)
+            by_number = (
+                isinstance(node, RepeatNode) and owner.__class__ is RunGroup and entry.__class__ is int
             )
-            if not by_number and not (by_match and isinstance(what, PartialMatch)):
-                raise wrong(value, "what a node is to forget")
-            return node, of, what
+            by_match = (owner is node and isinstance(node, StreamNode)) or (
+                isinstance(node, KleeneNode) and owner.__class__ is Run
+            )
+            if not by_number and not (by_match and isinstance(entry, PartialMatch)):
+                raise wrong(value, "a buffer entry of a node")
+            return node, owner, entry
 
         tried = fixed(match_ref, match_ref)
         match = [
@@ -286,31 +301,31 @@ class GraphReader:
             *(each(self.ref("event", "held")), each(holder), boolean, boolean),
             each(self.ref("suppressed")),
         ]
-        piece = fixed(self._source("log"), count, count)
+        slice_piece = fixed(self._source("log"), count, count)
         return {
             "match": match,
             "run": [
                 *match,
-                *(below, instant, optional(values), _state, term, each(match_ref), held),
+                *(source_match, instant, optional(values), _state, term, each(match_ref), source_tracked),
                 *(each(fixed(values, values)), count, each(variable, tuple)),
             ],
             "token": [
                 *match,
-                *(below, count, self.ref("log"), count, count, optional(self.ref("train"))),
+                *(source_match, count, self.ref("log"), count, count, optional(self.ref("train"))),
             ],
             "train": [
                 *(self.ref("node"), key, each(optional(self.ref("token")))),
                 *(instant, count, self.ref("log"), count, count),
             ],
-            "log": [each(below)],
-            "chain": [each(piece, tuple), count],
-            "held": [optional(below), optional(held), count, boolean, *tracked],
+            "log": [each(source_match)],
+            "chain": [each(slice_piece, tuple), count],
+            "held": [optional(source_match), optional(source_tracked), count, boolean, *tracked],
             "event": [
-                *(count, term, instant, instant, optional(self.ref("rule")), optional(below), boolean),
+                *(count, term, instant, instant, optional(self.ref("rule")), optional(source_match), boolean),
                 *(optional(each(self.ref("event"))), *tracked),
             ],
             "item": [
-                *(self._of_item, instant, instant, values),
+                *(self._origin, instant, instant, values),
                 *(each(optional(term), tuple), count),
             ],
             "suppressed": [
@@ -322,70 +337,71 @@ class GraphReader:
         }
 
     def _check_order(self) -> None:
-        """Check that nothing was made of itself."""
-        done = bytearray(len(self._objects))  # 1 while what it was made of is looked at, then 2
-        for number in range(len(done)):
+        """Check that no object consists of itself, by a depth-first search with an explicit stack."""
+        # 1 while the objects that an object consists of are being visited, then 2.
+        progress = bytearray(len(self._objects))
+        for number in range(len(progress)):
             stack = [number]
             while stack:
-                one = stack[-1]
-                if done[one]:
-                    done[one] = 2
+                current = stack[-1]
+                if progress[current]:
+                    progress[current] = 2
                     stack.pop()
                     continue
-                done[one] = 1
-                for other in self._sources[one]:
-                    if done[other] == 1:
-                        raise UsageError(f"object {other}, a {self._kinds[other]}, was made of itself")
-                    if not done[other]:
-                        stack.append(other)
+                progress[current] = 1
+                for source in self._sources[current]:
+                    if progress[source] == 1:
+                        raise UsageError(f"object {source}, a {self._kinds[source]}, contains itself")
+                    if not progress[source]:
+                        stack.append(source)
 
-    def _finish(self, one: Any) -> None:
-        """Check what attributes of several objects have to do with one another, and make those that are not kept."""
-        kind = one.__class__
-        if isinstance(one, PartialMatch) and one.parts is None and one.term is None:
-            raise UsageError("a match is neither of an event nor of others")
-        if kind is RunGroup:
-            if not isinstance(one.node, RepeatNode):
-                raise UsageError("sequences go on in a node of other kind")
-            one.alive = sum(token is not None and token.buffer is one for token in one.tokens)
-        elif kind is BufferSlice:
-            if not all(begin <= end <= len(log.items) for log, begin, end in one.pieces):
-                raise UsageError("a piece of repetitions is longer than they are")
-            one.length = sum(end - begin for _, begin, end in one.pieces)
-        elif kind is RunCursor and one.at > len(one.log.items):
-            raise UsageError("a sequence has more repetitions than there are")
-        elif kind is TrackedMatch and (one.earlier is None) != (one.match is None):
-            raise UsageError("what is held of repetitions has no beginning")
-        elif kind is Suppressed and not hasattr(one.node, "retry"):
-            raise UsageError("a node of other kind cannot try a match again")
-        if kind in (RunGroup, SharedLog, Run):
-            one.begin_again()
+    def _finish(self, item: Any) -> None:
+        """Check relations between the attributes of an object, and derive those that are not stored."""
+        item_class = item.__class__
+        if isinstance(item, PartialMatch) and item.parts is None and item.term is None:
+            raise UsageError("a match has neither an event nor parts")
+        if item_class is RunGroup:
+            if not isinstance(item.node, RepeatNode):
+                raise UsageError("a group of runs belongs to a node of another type")
+            item.alive = sum(token is not None and token.buffer is item for token in item.tokens)
+        elif item_class is BufferSlice:
+            if not all(start <= end <= len(log.items) for log, start, end in item.pieces):
+                raise UsageError("a slice of repetitions exceeds their buffer")
+            item.length = sum(end - start for _, start, end in item.pieces)
+        elif item_class is RunCursor and item.at > len(item.log.items):
+            raise UsageError("a run has more repetitions than its buffer")
+        elif item_class is TrackedMatch and (item.earlier is None) != (item.match is None):
+            raise UsageError("a tracked match of repetitions has no beginning")
+        elif item_class is Suppressed and not hasattr(item.node, "retry"):
+            raise UsageError("a node of another type cannot retry a match")
+        if item_class in (RunGroup, SharedLog, Run):
+            item.begin_again()
 
 
 def _state(value: Decoded) -> Decoded:
-    """Check what an aggregate has collected: a number, nothing, or pairs of what was collected before and a term."""
+    """Check the state of an aggregate: a number, None, or nested pairs of an earlier state and a term."""
     pairs = []
     while value.__class__ is list and len(value) == 2:
         pairs.append(term(value[1]))
         value = value[0]
     if value.__class__ is list:
         if value:
-            raise wrong(value, "what an aggregate has collected")
+            raise wrong(value, "the state of an aggregate")
         value = ()
     elif value is not None:
         term(value)
-    for one in reversed(pairs):
-        value = (value, one)
+    for collected in reversed(pairs):
+        value = (value, collected)
     return value
 
 
-def _changed(data: Any, change: Callable[[Any], Any]) -> Any:
-    """Return data in which all that is neither a list nor a tuple is changed; terms stay as they are."""
-    kind = data.__class__
-    if kind is tuple:
+def _map_objects(data: Any, change: Callable[[Any], Any]) -> Any:
+    """Return data with a function applied to everything but lists, tuples and terms."""
+    data_class = data.__class__
+    if data_class is tuple:
         if data and data[0].__class__ is Functor:
             return data
-        return tuple([_changed(item, change) for item in data])
-    if kind is list:
-        return [_changed(item, change) for item in data]
+        return tuple([_map_objects(item, change) for item in data])
+    if data_class is list:
+        return [_map_objects(item, change) for item in data]
     return change(data)

@@ -1,4 +1,10 @@
-"""Memories with their records, and subscriptions."""
+"""Serialization of memories with their records, and of subscriptions.
+
+Records are encoded in columns, because a memory can have hundreds of thousands of them: terms with the same functor
+become one column per argument, recursively. A column of floats is packed as 64-bit numbers, and a column in which the
+same objects recur as positions in the list of distinct ones. All columns are created and read with functions that are
+implemented in C. The representation resembles the dictionary encoding of Apache Parquet.
+"""
 
 from array import array
 from itertools import chain, repeat
@@ -17,24 +23,24 @@ from .schema import each, functor, items, term, wrong
 _FORMS: Dict[Any, int] = {int: 0, WholeSeconds: 1, Stamp: 2}
 
 KeptRecords = Tuple[int, int, bool, Any, Any, Any]
-"""How many records there were before these, how many were refused, whether there may be variables; their terms; ends,
-and starts where these are others, see `_instants`."""
+"""Number of earlier records, number of refused records, whether terms may contain variables; then the terms, the
+ends, and the starts unless they equal the ends, see `_instants`."""
 
 
 def keep_memories(knowledge: KnowledgeBase) -> List[Tuple[Any, ...]]:
-    """Return what memories are made of, in their order: definition, and whether events tell of them."""
-    return [(one.definition, one.active) for one in knowledge.memories]
+    """Return the definition of each memory, and whether it is active, in their order."""
+    return [(instance.definition, instance.active) for instance in knowledge.memories]
 
 
 class NewRecords(NamedTuple):
-    """Records of a memory that came one after the other.
+    """Consecutive records of a memory.
 
     Attributes:
-        first: how many there were before.
-        oldest: how many there were before the first that the memory still has.
-        late: how many were refused.
-        open: whether there may be variables.
-        records: they.
+        first: number of earlier records.
+        oldest: number of records before the oldest one that the memory still has.
+        late: number of records that were refused.
+        open: if terms may contain variables.
+        records: the records: term, start and end.
     """
 
     first: int
@@ -44,68 +50,72 @@ class NewRecords(NamedTuple):
     records: List[Tuple[Term, int, int]]
 
     def part(self, begin: int, end: int) -> "NewRecords":
-        """Return some of them, by their places."""
+        """Return the records between two positions."""
         return self._replace(first=self.first + begin, records=self.records[begin:end])
 
     def end(self) -> "NewRecords":
-        """Return none of them, as what comes after the last."""
+        """Return an empty part, positioned after the last record."""
         return self.part(len(self.records), len(self.records))
 
 
 def new_records(instance: MemoryInstance, since: int = 0) -> NewRecords:
-    """Return the records of a memory, or those that came after so many."""
+    """Return the records of a memory, or only those after the first ``since`` records."""
     memory = instance.memory
     first, records = memory.since(since)
     return NewRecords(first, memory.oldest, memory.late, instance.open, records)
 
 
 def keep_records(new: NewRecords) -> KeptRecords:
-    """Return records as data."""
+    """Return the encoding of records."""
     parts = list(chain.from_iterable(new.records))
     terms, starts, ends = parts[0::3], parts[1::3], parts[2::3]
-    same = all(map(is_, starts, ends))
+    # Identity is enough: records of events without duration share one object for start and end.
+    starts_equal_ends = all(map(is_, starts, ends))
     return (
         new.first,
         new.late,
         new.open,
         _keep_parts(terms),
         _instants(ends),
-        None if same else _instants(starts),
+        None if starts_equal_ends else _instants(starts),
     )
 
 
-_FEW, _DEEP, _WIDE = 50, 4, 64
-"""Terms are kept by columns from so many on; those of their arguments to that depth, and so many at most."""
+_MIN_COLUMN_TERMS, _MAX_COLUMN_DEPTH, _MAX_COLUMNS = 50, 4, 64
+"""Minimum number of terms that are encoded in columns; maximum nesting and total number of columns."""
 
 
-_SAMPLE = 200
-"""Terms among which those are counted that are the same."""
+_SAMPLE_SIZE = 200
+"""Number of terms that are examined for repeated objects."""
 
-_PART = 1000
-"""Terms that are kept together: their arguments fit into a processor's cache, which takes half of the time.
+_PART_SIZE = 1000
+"""Number of terms that are encoded together: their arguments fit into the processor's cache, which halves the time.
 
-Lengths have 16 bits, and positions at most as many.
+Lengths and positions have 16 bits.
 """
 
-_ONE_BYTE = 256
-"""Distinct terms of a column whose positions have 8 bits."""
+_MAX_BYTE_POSITIONS = 256
+"""Maximum number of distinct terms in a column for positions of 8 bits."""
 
 
 def _keep_parts(terms: List[Term]) -> List[Any]:
-    """Return terms as data, see `_keep_terms`, in parts if there are many."""
-    if len(terms) <= _PART:
+    """Return the encoding of terms (see `_keep_terms`), in parts of `_PART` terms."""
+    if len(terms) <= _PART_SIZE:
         return _keep_terms(terms)
-    return ["parts", [_keep_terms(terms[at : at + _PART]) for at in range(0, len(terms), _PART)]]
+    return [
+        "parts",
+        [_keep_terms(terms[start : start + _PART_SIZE]) for start in range(0, len(terms), _PART_SIZE)],
+    ]
 
 
-def _keep_terms(terms: List[Term], depth: int = 0, left: Optional[List[None]] = None) -> List[Any]:
-    """Return terms as data: by the columns of their arguments where all have the same functor.
+def _keep_terms(terms: List[Term], depth: int = 0, columns_left: Optional[List[None]] = None) -> List[Any]:
+    """Return the encoding of terms: as columns of their arguments if all have the same functor.
 
-    Columns are made and read by functions that are written in C. Columns of floats are packed, and a column in which
-    the same objects recur, such as atoms, is packed as their positions in a list of the distinct ones.
+    Columns of floats are packed. A column in which the same objects recur, such as atoms, is encoded as positions in
+    the list of distinct objects.
     """
-    left = [None] * _WIDE if left is None else left
-    if len(terms) < _FEW:
+    columns_left = [None] * _MAX_COLUMNS if columns_left is None else columns_left
+    if len(terms) < _MIN_COLUMN_TERMS:
         return _listed(terms)
     columns: Any = terms
     if columns[0].__class__ is float:
@@ -113,14 +123,17 @@ def _keep_terms(terms: List[Term], depth: int = 0, left: Optional[List[None]] = 
         return _listed(terms) if packed is None else ["floats", packed]
     if columns[0].__class__ is Atom and set(map(type, columns)) == {Atom}:
         return _indexed(columns, dict.fromkeys(columns))
-    mostly_distinct = 10 * len(set(map(id, columns[:_SAMPLE]))) >= 9 * min(len(columns), _SAMPLE)
+    # A sample decides between columns and positions: comparing all objects would cost as much as encoding them.
+    mostly_distinct = 10 * len(set(map(id, columns[:_SAMPLE_SIZE]))) >= 9 * min(len(columns), _SAMPLE_SIZE)
     if columns[0].__class__ is tuple and mostly_distinct:
-        rows = _rows(columns) if depth < _DEEP else None
+        rows = _rows(columns) if depth < _MAX_COLUMN_DEPTH else None
         width = len(columns[0])
-        if rows is not None and width <= len(left) + 1:
-            del left[: width - 1]
-            made = [_keep_terms(rows[at::width], depth + 1, left) for at in range(1, width)]
-            return ["columns", columns[0][0], made]
+        if rows is not None and width <= len(columns_left) + 1:
+            del columns_left[: width - 1]
+            encoded = [
+                _keep_terms(rows[column::width], depth + 1, columns_left) for column in range(1, width)
+            ]
+            return ["columns", columns[0][0], encoded]
     elif columns[0].__class__ is not int and not mostly_distinct:
         keys = list(map(id, columns))
         return _indexed(columns, dict(zip(keys, columns)), keys)
@@ -128,31 +141,32 @@ def _keep_terms(terms: List[Term], depth: int = 0, left: Optional[List[None]] = 
 
 
 def _listed(terms: List[Term]) -> List[Any]:
-    """Return terms as a list, in which instants are integers."""
-    kinds = set(map(type, terms))
-    if WholeSeconds in kinds or Stamp in kinds:
-        terms = [int(one) if isinstance(one, int) else one for one in terms]
+    """Return terms as a list, with instants as integers."""
+    classes = set(map(type, terms))
+    if WholeSeconds in classes or Stamp in classes:
+        terms = [int(term) if isinstance(term, int) else term for term in terms]
     return ["terms", terms]
 
 
 def _indexed(terms: List[Term], distinct: Dict[Any, Any], keys: Optional[List[int]] = None) -> List[Any]:
-    """Return terms as positions in the list of the distinct ones.
+    """Return terms as positions in the list of distinct terms.
 
     Args:
         terms: the terms.
-        distinct: the distinct ones; atoms as keys, other terms as values of their identities.
-        keys: the identities of terms that are no atoms: a hash of a compound term would visit its arguments.
+        distinct: the distinct terms; atoms as keys, other terms as values of their ids.
+        keys: ids of terms other than atoms, because hashing a compound term would visit its arguments.
     """
     positions = dict(zip(distinct, range(len(distinct))))
     places = itemgetter(*(keys or terms))(positions)
-    packed = bytes(places) if len(distinct) <= _ONE_BYTE else array("H", places).tobytes()
+    packed = bytes(places) if len(distinct) <= _MAX_BYTE_POSITIONS else array("H", places).tobytes()
     return ["indexed", _listed(list(distinct.values() if keys else distinct))[1], packed]
 
 
 def _rows(terms: Sequence[Any]) -> Optional[List[Any]]:
-    """Return functors and arguments of compound terms one after the other, or None if the functors differ.
+    """Return functors and arguments of compound terms in one list, or None if the functors differ.
 
-    A functor only occurs as the first item of a term. Thus all terms have the same one if it is at each place.
+    Functors only occur as the first item of a term. Therefore all terms have the functor that is found at each
+    multiple of the width.
     """
     try:
         rows = list(chain.from_iterable(terms))
@@ -167,8 +181,8 @@ def _rows(terms: Sequence[Any]) -> Optional[List[Any]]:
 def _pack_floats(column: List[float]) -> Optional[bytes]:
     """Return the 64-bit floats of a column, or None if it contains other terms.
 
-    MessagePack writes a float as the byte 0xcb and eight more, and no other value begins with that byte. Checking
-    these bytes takes half as long as checking the classes first.
+    MessagePack encodes a float as the byte 0xcb and eight further bytes, and no other value begins with that byte.
+    Checking these bytes takes half the time of checking the classes first.
     """
     try:
         data = bytearray(msgpack.packb(column))
@@ -178,46 +192,48 @@ def _pack_floats(column: List[float]) -> Optional[bytes]:
     if len(data) != 9 * len(column) or data[::9].count(0xCB) != len(column):
         return None
     del data[::9]
+    # MessagePack is big-endian, the packed column is little-endian.
     floats = array("d", bytes(data))
     floats.byteswap()
     return floats.tobytes()
 
 
-def read_terms(value: Any, number: int, depth: int = 0) -> List[Term]:
-    """Return so many terms from data, checked.
+def read_terms(value: Any, count: int, depth: int = 0) -> List[Term]:
+    """Return the given number of terms from their encoding, checked.
 
     Raises:
-        UsageError: where it is not what `keep_records` returns.
+        UsageError: if the encoding is invalid.
     """
     form, *rest = items(value) or [None]
     if form == "parts" and len(rest) == 1 and not depth:
-        sizes = [min(_PART, number - at) for at in range(0, number, _PART)]
+        sizes = [min(_PART_SIZE, count - start) for start in range(0, count, _PART_SIZE)]
         if len(items(rest[0])) == len(sizes):
             parts = [read_terms(part, size, 1) for part, size in zip(rest[0], sizes)]
             return list(chain.from_iterable(parts))
-    if form == "floats" and len(rest) == 1 and rest[0].__class__ is bytes and len(rest[0]) == 8 * number:
+    if form == "floats" and len(rest) == 1 and rest[0].__class__ is bytes and len(rest[0]) == 8 * count:
         floats = array("d")
         floats.frombytes(rest[0])
         return floats.tolist()  # type: ignore[return-value]
     if form == "indexed" and len(rest) == 2 and rest[1].__class__ is bytes:
-        found: List[Term] = _read_indexed(each(term)(rest[0]), rest[1])
-        if len(found) == number:
-            return found
-    if form == "columns" and len(rest) == 2 and depth <= _DEEP + 1:
-        of = functor(rest[0])
-        columns = [read_terms(one, number, depth + 1) for one in items(rest[1])]
-        if len(columns) == of.arity > 0:
-            return list(zip(repeat(of, number), *columns))
+        terms: List[Term] = _read_indexed(each(term)(rest[0]), rest[1])
+        if len(terms) == count:
+            return terms
+    if form == "columns" and len(rest) == 2 and depth <= _MAX_COLUMN_DEPTH + 1:
+        term_functor = functor(rest[0])
+        columns = [read_terms(column, count, depth + 1) for column in items(rest[1])]
+        if len(columns) == term_functor.arity > 0:
+            return list(zip(repeat(term_functor, count), *columns))
     if form == "terms" and len(rest) == 1:
-        found = each(term)(rest[0])
-        if len(found) == number:
-            return found
-    raise wrong(form, f"{number} terms")
+        terms = each(term)(rest[0])
+        if len(terms) == count:
+            return terms
+    raise wrong(form, f"{count} terms")
 
 
 def _read_indexed(distinct: List[Term], packed: bytes) -> List[Term]:
-    """Return terms from their positions among the distinct ones."""
-    places = array("B" if len(distinct) <= _ONE_BYTE else "H")
+    """Return terms from their positions in the list of distinct terms."""
+    # The file is not trusted: a position out of range must be refused with a clear error.
+    places = array("B" if len(distinct) <= _MAX_BYTE_POSITIONS else "H")
     if len(packed) % places.itemsize:
         raise wrong(len(packed), f"positions of {places.itemsize} bytes")
     places.frombytes(packed)
@@ -226,77 +242,78 @@ def _read_indexed(distinct: List[Term], packed: bytes) -> List[Term]:
     return list(map(distinct.__getitem__, places))
 
 
-def _instants(found: Sequence[Any]) -> Any:
-    """Return instants by their columns: nanoseconds as 64-bit integers where they fit, forms, terms of stamps."""
-    plain = set(map(type, found)) == {int}
-    forms = bytes(len(found)) if plain else bytes([_FORMS[one.__class__] for one in found])
-    stamps = [] if plain else [one.term for one in found if one.__class__ is Stamp]
+def _instants(instants: Sequence[Any]) -> Any:
+    """Return columns of instants: nanoseconds as 64-bit integers if they fit, forms, and the terms of stamps."""
+    are_plain = set(map(type, instants)) == {int}
+    forms = bytes(len(instants)) if are_plain else bytes([_FORMS[instant.__class__] for instant in instants])
+    stamps = [] if are_plain else [instant.term for instant in instants if instant.__class__ is Stamp]
     try:
-        return array("q", found).tobytes(), forms, stamps
+        return array("q", instants).tobytes(), forms, stamps
     except OverflowError:
-        return [int(one) for one in found], forms, stamps
+        return [int(instant) for instant in instants], forms, stamps
 
 
 def _read_instants(column: Any) -> List[int]:
     numbers, forms, stamps = column
     if isinstance(numbers, bytes):
-        read = array("q")
-        read.frombytes(numbers)
-        numbers = read.tolist()
+        integers = array("q")
+        integers.frombytes(numbers)
+        numbers = integers.tolist()
     if not any(forms):
         return list(numbers)
     if forms.count(1) == len(forms):
         return list(map(WholeSeconds, numbers))
     terms = iter(stamps)
-    made: List[int] = []
+    instants: List[int] = []
     for number, form in zip(numbers, forms):
-        made.append(
+        instants.append(
             number if form == 0 else WholeSeconds(number) if form == 1 else Stamp.of(number, next(terms))
         )
-    return made
+    return instants
 
 
 def restore_memories(knowledge: KnowledgeBase, kept: Sequence[Tuple[Any, ...]]) -> List[MemoryInstance]:
-    """Make memories as others were, without records; nobody is told of them."""
+    """Create memories from their definitions, without records and without emitting events."""
     return [knowledge.memories.begin(definition, active) for definition, active in kept]
 
 
 def restore_records(instance: MemoryInstance, parts: Sequence[KeptRecords]) -> None:
-    """Have a memory have the records that another one had, from parts in the order in which they came."""
+    """Restore the records of a memory from consecutive parts."""
     records: List[Tuple[Term, int, int]] = []
-    gone = late = 0
+    dropped = late = 0
     for before, refused, is_open, terms, ends, starts in parts:
         late = refused
         instance.open = instance.open or is_open
-        last = _read_instants(ends)
-        first = last if starts is None else _read_instants(starts)
+        record_ends = _read_instants(ends)
+        record_starts = record_ends if starts is None else _read_instants(starts)
         if not records:
-            gone = before
-        elif before > gone + len(records):
+            dropped = before
+        elif before > dropped + len(records):
             raise UsageError("records of a memory are missing")
-        del records[max(0, before - gone) :]  # those that come now stand in their places
-        records += zip(terms, first, last)
-    over = max(0, len(records) - max(instance.memory.size, 1))
-    records = records[over:]
+        # Parts may overlap: the records of a later part replace those of earlier ones.
+        del records[max(0, before - dropped) :]
+        records += zip(terms, record_starts, record_ends)
+    surplus = max(0, len(records) - max(instance.memory.size, 1))
+    records = records[surplus:]
     kept_ends = [int(end) for _, _, end in records]
     if kept_ends != sorted(kept_ends) or any(start > end for _, start, end in records):
-        raise UsageError("the records of a memory are not in the order of their ends")
-    instance.memory.restore(gone + over, late, kept_ends, records)
+        raise UsageError("the records of a memory are not ordered by their ends")
+    instance.memory.restore(dropped + surplus, late, kept_ends, records)
 
 
 def keep_subscriptions(knowledge: KnowledgeBase) -> List[Term]:
-    """Return what subscriptions are made of, in their order."""
-    return [one.definition for _, one in knowledge.subscriptions.items()]
+    """Return the definitions of subscriptions in their order."""
+    return [subscription.definition for _, subscription in knowledge.subscriptions.items()]
 
 
 def keep_sent(knowledge: KnowledgeBase) -> List[int]:
-    """Return how many events each subscription has sent."""
-    return [one.tally.sent for _, one in knowledge.subscriptions.items()]
+    """Return the number of events that each subscription has sent."""
+    return [subscription.tally.sent for _, subscription in knowledge.subscriptions.items()]
 
 
 def restore_subscriptions(knowledge: KnowledgeBase, kept: Sequence[Term], sent: Sequence[int]) -> None:
-    """Make subscriptions as others were."""
+    """Create subscriptions from their definitions, with the numbers of events that they have sent."""
     for definition in kept:
         knowledge.subscriptions.create(definition)
-    for (_, one), number in zip(knowledge.subscriptions.items(), sent):
-        one.tally.sent = number
+    for (_, subscription), number in zip(knowledge.subscriptions.items(), sent):
+        subscription.tally.sent = number

@@ -1,6 +1,10 @@
-"""Checks of what nodes of rules and shapes of subscriptions know, against the program that they belong to.
+"""Serialization of rules and their state: partial matches, tracked events, alarms, pending queries, and timers.
 
-Event rules with what waits in them, what is kept of past events, and the alarms that are set.
+Writing is simple: each rule and node returns its state as data, and `GraphWriter` turns objects into rows. Reading
+checks the data against the loaded program before anything is restored. `rule_state` checks that the nodes of a rule
+have the same types as when the state was written, and that each partial match fits the buffer that it is put into
+(class, number of values, order of arrival). `StreamCheck` checks the state of stream operators: windows, rate
+operators, absence timeouts and row patterns.
 """
 
 from types import MappingProxyType
@@ -56,14 +60,14 @@ _NEVER = -(1 << 63)
 
 
 class StreamCheck:
-    """Checks what an operator on a stream knows.
+    """Check of the state of a stream operator.
 
     Args:
-        graph: has the items.
-        stream: an operator that was made for the same part of a program.
-        widths: how many values an item has by which it is grouped, and how many that are looked at.
-        of_terms: whether items are made of terms (those of a subscription), not of matches.
-        needs: whether each item has a match.
+        graph: contains the elements.
+        stream: an operator of the same part of the program.
+        widths: number of values of an element that form the key, and number of values that are measured.
+        of_terms: if elements consist of terms (those of a subscription) instead of matches.
+        needs: if each element has a match.
     """
 
     def __init__(
@@ -79,77 +83,87 @@ class StreamCheck:
         self._widths = widths
         self._of_terms = of_terms
         self._needs = needs
-        make: Callable[[], Sequence[Any]] = getattr(stream, "make", lambda: ())
+        make_scopes: Callable[[], Sequence[Any]] = getattr(stream, "make", lambda: ())
         scopes = getattr(stream, "scopes", None)
-        self._checks = [one.check for one in make() if one.picky] if scopes is None else []
+        self._checks = [scope.check for scope in make_scopes() if scope.picky] if scopes is None else []
 
     def item(self, value: Decoded) -> StreamElement:
-        """Check an item."""
-        item: StreamElement = self._refer(value)
-        by, values = self._widths
-        if len(item.by) != by or len(item.values) != values:
-            raise wrong((item.by, item.values), f"an item with {by} and {values} values")
-        of_match = isinstance(item.match, PartialMatch)
-        if item.match is None:
-            right = not self._needs
+        """Check an element."""
+        element: StreamElement = self._refer(value)
+        key_width, value_width = self._widths
+        if len(element.by) != key_width or len(element.values) != value_width:
+            expected = f"an element with {key_width} key values and {value_width} measured values"
+            raise wrong((element.by, element.values), expected)
+        of_match = isinstance(element.match, PartialMatch)
+        if element.match is None:
+            is_valid = not self._needs
         else:
-            right = not of_match if self._of_terms else of_match
-        if not right or item.start > item.end:
-            raise wrong(item.match, "an item of another kind")
-        if not self._of_terms and any(one is None for one in item.values):
-            raise wrong(item.values, "values")
+            is_valid = not of_match if self._of_terms else of_match
+        if not is_valid or element.start > element.end:
+            raise wrong(element.match, "an element of the right type")
+        if not self._of_terms and any(item_value is None for item_value in element.values):
+            raise wrong(element.values, "values")
         for check in self._checks:
-            check(item)
-        item.file()
-        return item
+            check(element)
+        element.file()
+        return element
 
-    def _once(self, found: Sequence[StreamElement], order: int) -> None:
-        """Check that items are there once each, with orders of their own."""
-        orders = {item.order for item in found}
-        if len(orders) != len(found) or not all(1 <= one <= order for one in orders):
-            raise wrong(sorted(item.order for item in found), "items with orders of their own")
+    def _once(self, elements: Sequence[StreamElement], order: int) -> None:
+        """Check that elements are distinct and have distinct sequence numbers."""
+        orders = {item.order for item in elements}
+        if len(orders) != len(elements) or not all(1 <= number <= order for number in orders):
+            raise wrong(sorted(item.order for item in elements), "elements with distinct sequence numbers")
 
     def known(self, value: Decoded) -> Decoded:
-        """Check all that the operator knows; see `StreamOperator.kept`."""
+        """Check the complete state of the operator; see `StreamOperator.kept`."""
         stream = self._stream
-        one = each(self.item)
+        elements = each(self.item)
         if isinstance(stream, RowPatternWindow):
             return self._stepped(stream, value)
         if isinstance(stream, Throttle):
-            return fixed(instant, one)(value)
+            return fixed(instant, elements)(value)
         if isinstance(stream, DistinctUntilChanged):
-            found = fixed(each(instant), one)(value)
-            if len(found[0]) != len(found[1]):
-                raise wrong(len(found[0]), f"{len(found[1])} instants")
-            return found
+            state = fixed(each(instant), elements)(value)
+            if len(state[0]) != len(state[1]):
+                raise wrong(len(state[0]), f"{len(state[1])} instants")
+            return state
         if isinstance(stream, Debounce):
-            found = fixed(count, instant, one)(value)
-            self._once(found[2], found[0])
-            return found
+            state = fixed(count, instant, elements)(value)
+            self._once(state[2], state[0])
+            return state
         if isinstance(stream, AbsenceTimeout):
-            found = fixed(count, instant, one, one)(value)
-            self._once([*found[2], *found[3]], found[0])
-            return found
-        further: List[ValueCheck] = (
+            state = fixed(count, instant, elements, elements)(value)
+            self._once([*state[2], *state[3]], state[0])
+            return state
+        # The remaining operators are windows, which have the same state except for the items appended here.
+        window_time: List[ValueCheck] = (
             [instant] if isinstance(stream, (AnchoredTumblingWindow, HoppingWindow)) else []
         )
-        ahead: List[ValueCheck] = [one] if isinstance(stream, HoppingWindow) else []
-        group = fixed(instant, one)
-        found = fixed(instant, optional(instant), count, count, each(group), *further, *ahead)(value)
-        self._groups([members for _, members in found[4]], sum((list(f) for f in found[6:]), []), found[3])
-        return found
+        future_elements: List[ValueCheck] = [elements] if isinstance(stream, HoppingWindow) else []
+        group = fixed(instant, elements)
+        state = fixed(instant, optional(instant), count, count, each(group), *window_time, *future_elements)(
+            value
+        )
+        self._groups(
+            [members for _, members in state[4]],
+            sum((list(elements_of_window) for elements_of_window in state[6:]), []),
+            state[3],
+        )
+        return state
 
-    def _groups(self, groups: List[List[StreamElement]], ahead: List[StreamElement], order: int) -> None:
-        self._once([item for members in groups for item in members] + ahead, order)
+    def _groups(
+        self, groups: List[List[StreamElement]], future_elements: List[StreamElement], order: int
+    ) -> None:
+        self._once([item for members in groups for item in members] + future_elements, order)
         keys = [{item.key for item in members} for members in groups]
-        if any(len(one) != 1 for one in keys) or len(set().union(*keys)) != len(keys):
-            raise wrong(len(keys), "groups of items with the same values, and one of them each")
+        if any(len(group_keys) != 1 for group_keys in keys) or len(set().union(*keys)) != len(keys):
+            raise wrong(len(keys), "distinct partitions, each with one key")
 
     def _stepped(self, stream: RowPatternWindow, value: Decoded) -> Decoded:
         step = integer(0, len(stream.plan.steps) - 1)
         steps = each(step, tuple)
         pairs = each(fixed(count, step), tuple)
-        way = fixed(
+        computation_state = fixed(
             integer(-1, len(stream.plan.steps) - 1),
             count,
             optional(steps),
@@ -157,49 +171,59 @@ class StreamCheck:
             pairs,
             count,
         )
-        group = fixed(instant, each(self.item), each(way, tuple), each(pairs, tuple))
-        found = fixed(count, count, instant, each(group))(value)
-        self._groups([one[1] for one in found[3]], [], found[1])
-        for _, members, ways, whole in found[3]:
-            known = [item.order for item in members]
-            named_ones = [order for one in ways for order in one[3] if order is not None]
-            taken = [order for one in ways for order, _ in one[4]] + [
-                order for one in whole for order, _ in one
+        group = fixed(instant, each(self.item), each(computation_state, tuple), each(pairs, tuple))
+        state = fixed(count, count, instant, each(group))(value)
+        # The operator relies on these invariants: computation states and completed matches refer to elements of
+        # their partition, in order, and each state has a value for each mark.
+        self._groups([entry[1] for entry in state[3]], [], state[1])
+        for _, members, states, complete in state[3]:
+            orders = [item.order for item in members]
+            marked = [order for entry in states for order in entry[3] if order is not None]
+            assigned = [order for entry in states for order, _ in entry[4]] + [
+                order for entry in complete for order, _ in entry
             ]
-            after = [one[5] for one in ways]
+            positions = [entry[5] for entry in states]
             if (
-                not ways
-                or not all(whole)
-                or known != sorted(known)
-                or not {*named_ones, *taken} <= set(known)
-                or any(len(one[3]) != len(stream.plan.marks) for one in ways)
-                or any(bool(one[4]) != (one[0] >= 0) for one in ways)
-                or any(one[2] is not None and not one[2] for one in ways)
-                or any(list(one[4]) != sorted(one[4], key=lambda pair: pair[0]) for one in ways)
-                or after != sorted(after)
-                or len(whole) != after[-1] - after[0]
+                not states
+                or not all(complete)
+                or orders != sorted(orders)
+                or not {*marked, *assigned} <= set(orders)
+                or any(len(entry[3]) != len(stream.plan.marks) for entry in states)
+                or any(bool(entry[4]) != (entry[0] >= 0) for entry in states)
+                or any(entry[2] is not None and not entry[2] for entry in states)
+                or any(list(entry[4]) != sorted(entry[4], key=lambda pair: pair[0]) for entry in states)
+                or positions != sorted(positions)
+                or len(complete) != positions[-1] - positions[0]
             ):
-                raise wrong(ways, "ways through the steps")
-        return found
+                raise wrong(states, "valid computation states of a row pattern")
+        return state
 
 
 def rule_state(graph: GraphReader, rule: EventRule, value: Decoded) -> RuleState:
-    """Check what a rule knows; see `EventRule.state`."""
+    """Check the state of a rule; see `EventRule.state`."""
     nodes = [node for node, _, _ in rule.nodes]
-    kinds = each(fixed(text, anything))(items(value)[2]) if len(items(value)) == 7 else []
-    if [kind for kind, _ in kinds] != [type(node).__name__ for node in nodes]:
-        raise UsageError(f"{rule.name}: it is made of other parts than it was")
-    known = [(kind, named(kind, _node_check(graph, node))(kept)) for node, (kind, kept) in zip(nodes, kinds)]
-    found = [(node, width) for node, (_, kept) in zip(nodes, known) for width in _widths(node, kept)]
-    owners, widths = [node for node, _ in found], [width for _, width in found]
-    place = integer(0, len(widths) - 1)
+    named_states = each(fixed(text, anything))(items(value)[2]) if len(items(value)) == 7 else []
+    if [type_name for type_name, _ in named_states] != [type(node).__name__ for node in nodes]:
+        raise UsageError(f"{rule.name}: its nodes differ from those in the state")
+    checked_states = [
+        (type_name, named(type_name, _node_check(graph, node))(node_state))
+        for node, (type_name, node_state) in zip(nodes, named_states)
+    ]
+    # Buffers are numbered across all nodes of the rule, and a match names its buffer by that number.
+    buffers = [
+        (node, width)
+        for node, (_, node_state) in zip(nodes, checked_states)
+        for width in _widths(node, node_state)
+    ]
+    owners, widths = [node for node, _ in buffers], [width for _, width in buffers]
+    buffer_number = integer(0, len(widths) - 1)
     state: RuleState = record(
         RuleState,
         counts=fixed(count, optional(instant), count, count, count, count, count),
         times=fixed(instant, count, optional(instant)),
-        nodes=lambda _: known,
+        nodes=lambda _: checked_states,
         arrivals=each(fixed(graph.match, integer(-1, len(widths) - 1), count)),
-        later=each(fixed(place, graph.match)),
+        later=each(fixed(buffer_number, graph.match)),
         later_event=graph.token,
         skipped=optional(fixed(instant, each(instant, tuple))),
     )(value)
@@ -210,30 +234,30 @@ def rule_state(graph: GraphReader, rule: EventRule, value: Decoded) -> RuleState
 def _check_waiting(
     rule: EventRule, state: RuleState, owners: List[Any], widths: List[Tuple[type, Optional[int]]]
 ) -> None:
-    """Check that what waits fits the buffers where it waits."""
+    """Check that partial matches fit the buffers that they are put into."""
     orders = [order for _, _, order in state.arrivals]
     if len({id(match) for match, _, _ in state.arrivals}) != len(orders) or len(set(orders)) != len(orders):
-        raise UsageError(f"{rule.name}: something waits twice")
+        raise UsageError(f"{rule.name}: a partial match is stored twice")
     if any(order > state.times[1] for order in orders):
-        raise UsageError(f"{rule.name}: something waits that has not come")
-    waiting = [(match, place) for match, place, _ in state.arrivals]
-    for match, place in (*waiting, *((match, place) for place, match in state.later)):
-        if place < 0:
+        raise UsageError(f"{rule.name}: a partial match has a sequence number that was not assigned")
+    waiting = [(match, buffer_number) for match, buffer_number, _ in state.arrivals]
+    for match, buffer_number in (*waiting, *((match, buffer_number) for buffer_number, match in state.later)):
+        if buffer_number < 0:
             if match.buffer is None:
-                raise UsageError(f"{rule.name}: a sequence waits that goes on nowhere")
+                raise UsageError(f"{rule.name}: a run does not belong to a group")
             continue
-        kind, width = widths[place]
+        match_class, width = widths[buffer_number]
         if (
-            match.__class__ is not kind
+            match.__class__ is not match_class
             or (width is not None and min(len(match.filed_by), len(match.values)) < width)
             or match.start > match.end
-            or (kind is Run and not _is_run_of(owners[place], match))
+            or (match_class is Run and not _is_run_of(owners[buffer_number], match))
         ):
             raise wrong(match.values, f"{rule.name}: a match with {width} values at least")
 
 
 def _is_run_of(node: KleeneNode, run: Any) -> bool:
-    """Tell whether a run has what a node of repetitions or of an aggregate gives one."""
+    """Return whether a run has the values that its Kleene or aggregate node requires."""
     return (
         (run.fixed is None or len(run.fixed) == len(node.fixed))
         and len(run.open) == len(node.open_vars)
@@ -244,26 +268,26 @@ def _is_run_of(node: KleeneNode, run: Any) -> bool:
 
 
 def _widths(node: Any, kept: Any) -> List[Tuple[type, Optional[int]]]:
-    """Return of each buffer of a node of which class what waits there is, and how many values it has."""
-    number = node.number_of_buffers(kept) if isinstance(node, RepeatNode) else len(node.buffers())
-    found: List[Tuple[type, Optional[int]]] = [(PartialMatch, None)] * number
+    """Return for each buffer of a node the class of its matches, and their minimum number of values or None."""
+    buffer_count = node.number_of_buffers(kept) if isinstance(node, RepeatNode) else len(node.buffers())
+    widths: List[Tuple[type, Optional[int]]] = [(PartialMatch, None)] * buffer_count
     if isinstance(node, JoinNode):
-        known = [node.left, node.right, *node.negated]
+        operands = [node.left, node.right, *node.negated]
     elif isinstance(node, KleeneNode):
-        known = [node.first, node.repeated]
+        operands = [node.first, node.repeated]
     elif isinstance(node, NotNode):
-        known = [node.negated]
+        operands = [node.negated]
     else:
-        known = []
+        operands = []
     carried = any(absence.carried for absence in getattr(node, "absences", ()))
-    for at, below in enumerate(known[: 2 if carried else None]):
-        kind = Run if isinstance(node, KleeneNode) and not at else PartialMatch
-        found[at] = (kind, len(below.vars))
-    return found
+    for position, operand in enumerate(operands[: 2 if carried else None]):
+        match_class = Run if isinstance(node, KleeneNode) and not position else PartialMatch
+        widths[position] = (match_class, len(operand.vars))
+    return widths
 
 
 def _node_check(graph: GraphReader, node: Any) -> ValueCheck:
-    """Return a check of what a node itself knows; see `NetworkNode.kept`."""
+    """Return a check of the state of a node; see `NetworkNode.kept`."""
     if isinstance(node, JoinNode):
         return fixed(each(graph.token_key), each(graph.match))
     if isinstance(node, KleeneNode):
@@ -279,44 +303,44 @@ def _repeating(graph: GraphReader, node: RepeatNode) -> ValueCheck:
     number = integer(1, node.times)
     train = graph.ref("train")
 
-    def own(value: Decoded) -> Decoded:
-        found = train(value)
-        tokens = [token for token in found.tokens if token is not None and token.buffer is found]
-        if found.node is not node or len(found.tokens) >= node.times:
-            raise wrong(value, "sequences of this node")
+    def own_group(value: Decoded) -> Decoded:
+        group = train(value)
+        tokens = [token for token in group.tokens if token is not None and token.buffer is group]
+        if group.node is not node or len(group.tokens) >= node.times:
+            raise wrong(value, "runs of this node")
         if not tokens or any(len(token.values) != len(node.child.vars) for token in tokens):
-            raise wrong(value, "sequences with values")
-        return found
+            raise wrong(value, "runs with the values of this node")
+        return group
 
-    return fixed(boolean, each(number), each(own), each(fixed(key, each(number))))
+    return fixed(boolean, each(number), each(own_group), each(fixed(key, each(number))))
 
 
 def _streaming(graph: GraphReader, node: StreamNode) -> ValueCheck:
     child = node.children[0]
-    by, values = node.making.item((1,) * len(child.vars))
-    needs = node.making.result is None and not isinstance(node.stream, (Throttle, DistinctUntilChanged))
-    stream = StreamCheck(graph, node.stream, (len(by), len(values)), False, needs)
+    keys, values = node.making.item((1,) * len(child.vars))
+    needs_match = node.making.result is None and not isinstance(node.stream, (Throttle, DistinctUntilChanged))
+    stream = StreamCheck(graph, node.stream, (len(keys), len(values)), False, needs_match)
     channel = integer(0, len(node.children) - 1)
-    taken = fixed(channel, stream.item, instant)
+    received = fixed(channel, stream.item, instant)
     output = fixed(each(stream.item), instant, instant, each(term, tuple), nothing)
-    given = fixed(lambda value: output(value) if items(value) else None, graph.ref("held"))
+    emitted = fixed(lambda value: output(value) if items(value) else None, graph.ref("held"))
 
     def base(value: Decoded) -> Decoded:
         return stream.known(value) if items(value) else ()
 
-    replay = fixed(base, each(taken), each(given))
+    replay = fixed(base, each(received), each(emitted))
     return fixed(stream.known, count, optional(replay))
 
 
 def keep_rules(rules: RuleBase, graph_rules: Sequence[EventRule]) -> Dict[str, Any]:
-    """Return what rules say, the properties of labels, and the flags.
+    """Return the definitions of rules, the properties of labels, and the flags.
 
     Args:
-        rules: the program's.
-        graph_rules: those that are named, which may be more than take events: what was deleted may have an alarm set.
+        rules: the rule base of the program.
+        graph_rules: rules that other data refers to. They include deleted rules with pending alarms.
     """
     active = set(rules.rules)
-    said = [
+    definitions = [
         (
             *(rule.definition.term, rule.definition.label, rule.definition.place),
             *(dict(rule.definition.names), rule.serial, rule.name, rule in active),
@@ -324,8 +348,10 @@ def keep_rules(rules: RuleBase, graph_rules: Sequence[EventRule]) -> Dict[str, A
         for rule in graph_rules
     ]
     return {
-        "rules": said,
-        "properties": [one for found in rules.all_properties().values() for one in found],
+        "rules": definitions,
+        "properties": [
+            label_property for properties in rules.all_properties().values() for label_property in properties
+        ],
         "flags": rules.flags.changed(),
         "loaded": sorted(str(path) for path in rules.files.loaded),
         "own": list(rules.files.door.own),
@@ -333,34 +359,35 @@ def keep_rules(rules: RuleBase, graph_rules: Sequence[EventRule]) -> Dict[str, A
 
 
 def restore_rules(rules: RuleBase, kept: Dict[str, Any]) -> List[EventRule]:
-    """Have the rules of another program take events; return all that are named, in order.
+    """Create and activate rules in another program; return all rules in order, including deleted ones.
 
     Raises:
-        RetalisError: for a rule that cannot fire, or a flag that does not exist.
+        RetalisError: if a rule is invalid, or a flag does not exist.
     """
     serials = [serial for _, _, _, _, serial, _, active in kept["rules"] if active]
     if serials != sorted(set(serials)):
-        raise wrong(serials, "rules in their order")
+        raise wrong(serials, "rules with increasing serials")
+    # Flags first: they determine how rules are compiled.
     for name, value in kept["flags"].items():
         rules.flags.set(name, value)
-    made = []
+    restored = []
     for rule_term, label, place, names, serial, name, active in kept["rules"]:
         definition = reread_rule(rule_term, label, place, names)
         rule = EventRule(rules, definition._replace(names=MappingProxyType(names)), serial, name)
-        made.append(rule)
+        restored.append(rule)
         if active:
             rules.activate(rule)
-    for one in kept["properties"]:
-        rules.set_property(one)
+    for label_property in kept["properties"]:
+        rules.set_property(label_property)
     for folder in kept["own"]:
         rules.files.door.add_own(folder)
-    return made
+    return restored
 
 
 def keep_matches(
     rules: RuleBase, knowledge: KnowledgeBase, clock: Clock, active: Sequence[EventRule]
 ) -> Tuple[Any, List[EventRule]]:
-    """Return what waits and is remembered as rows, and the rules that it names: those that take events come first."""
+    """Return partial matches and recorded events as rows, and the rules that they refer to, active ones first."""
     graph = GraphWriter(active)
     states = [graph.write(tuple(rule.state())) for rule in active]
     queries = knowledge.waiting
@@ -368,11 +395,11 @@ def keep_matches(
     data = {
         "states": states,
         "tracked": graph.write(rules.tracker.kept()),
-        "alarms": [graph.write(one) for one in _alarms(clock, knowledge)],
+        "alarms": [graph.write(entry) for entry in _alarms(clock, knowledge)],
         "order": order,
-        "waiting": [graph.write(one) for one in waiting],
-        "held": [graph.write(one) for one in knowledge.states.kept()],
-        "rates": [graph.write(one) for one in knowledge.subscriptions.kept()],
+        "waiting": [graph.write(entry) for entry in waiting],
+        "held": [graph.write(entry) for entry in knowledge.states.kept()],
+        "rates": [graph.write(entry) for entry in knowledge.subscriptions.kept()],
         "timeouts": queries.timeouts.kept(),
         "timers": (rules.timers.kept(), rules.timers.left_out),
         "stored": rules.store.stored(),
@@ -383,28 +410,29 @@ def keep_matches(
 
 
 def _alarms(clock: Clock, knowledge: KnowledgeBase) -> List[Tuple[Any, ...]]:
-    """Return the alarms of rules and queries; timers and states have their own set, and so do programs in Python."""
-    found: List[Tuple[Any, ...]] = []
-    for due, order, alarm in sorted(clock.alarms, key=lambda one: one[:2]):
+    """Return the alarms of rules and queries; timers, states and Python programs restore their own."""
+    alarms: List[Tuple[Any, ...]] = []
+    for due, order, alarm in sorted(clock.alarms, key=lambda entry: entry[:2]):
         if isinstance(alarm, RuleAlarm):
-            found.append((due, order, alarm.rule, alarm.term, alarm.start, alarm.instant, alarm.token))
+            alarms.append((due, order, alarm.rule, alarm.term, alarm.start, alarm.instant, alarm.token))
         elif isinstance(alarm, TimeoutAlarm) and alarm.timeouts is knowledge.waiting.timeouts:
-            found.append((due, order, alarm.set_for))
-    return found
+            alarms.append((due, order, alarm.set_for))
+    return alarms
 
 
 def restore_matches(
     rules: RuleBase, knowledge: KnowledgeBase, clock: Clock, data: Any, named: Sequence[EventRule]
 ) -> None:
-    """Have matches, events, alarms and queries wait as they did.
+    """Restore matches, events, alarms and queries.
 
     Args:
-        rules: the program's, which have been put there.
-        knowledge: the program's, with its memories.
-        clock: of the engine.
-        data: from `keep_matches`.
-        named: from `restore_rules`.
+        rules: the rule base, with restored rules.
+        knowledge: the knowledge base, with restored memories.
+        clock: the clock of the engine.
+        data: data from `keep_matches`.
+        named: rules from `restore_rules`.
     """
+    # All checks come first: invalid data must not leave rules and alarms half restored.
     checked = _Checked(rules, knowledge, data, named)
     for rule, state in zip(named, checked.states):
         rule.restore(state)
@@ -423,16 +451,16 @@ def restore_matches(
 
 
 class _Checked:
-    """Partial matches and other state of rules, checked against the program that they belong to.
+    """State of rules, checked against the program that it belongs to.
 
     Args:
-        rules: the program's.
-        knowledge: the program's, with its memories.
-        data: from `keep_matches`.
-        named: from `restore_rules`.
+        rules: the rule base of the program.
+        knowledge: the knowledge base of the program, with restored memories.
+        data: data from `keep_matches`.
+        named: rules from `restore_rules`.
 
     Raises:
-        UsageError: for what does not fit the program, or is none of what `keep_matches` returns.
+        UsageError: if the data does not fit the program, or cannot have been created by `keep_matches`.
     """
 
     def __init__(self, rules: RuleBase, knowledge: KnowledgeBase, data: Any, named: Sequence[EventRule]):
@@ -465,21 +493,21 @@ class _Checked:
     def _query(self, knowledge: KnowledgeBase) -> ValueCheck:
         pair = fixed(term, instant)
 
-        def behind(value: Decoded) -> Decoded:
-            name, until = found = pair(value)
+        def lagging_memory(value: Decoded) -> Decoded:
+            name, until = entry = pair(value)
             memory = knowledge.memories.find(name)
             if memory is None or memory.has(until):
                 raise wrong(value, "a memory that has not reached an instant")
-            return found
+            return entry
 
-        awaited = each(behind)
+        awaited = each(lagging_memory)
         check = fixed(count, callable_term, term, instant, instant, awaited, self._graph.token)
 
         def query(value: Decoded) -> Decoded:
-            found = check(value)
-            if not found[5]:
+            entry = check(value)
+            if not entry[5]:
                 raise wrong(value, "a query that waits for a memory")
-            return found
+            return entry
 
         return query
 
@@ -491,36 +519,38 @@ class _Checked:
             each(fixed(key, callable_term, instant, instant, token)),
             count,
         )
-        found = each(check)(value)
-        if len(found) != len(list(knowledge.states)):
-            raise wrong(len(found), "what holds of each state that is declared")
-        for declared, states in zip(knowledge.states, found):
-            for own, state, _, opened in states[0]:
-                if not opened or own != term_key(state) or not may_unify(declared.form.state, state):
-                    raise wrong(state, "a state that is declared and has begun")
+        holding = each(check)(value)
+        if len(holding) != len(list(knowledge.states)):
+            raise wrong(len(holding), "the intervals of each declared state")
+        for declared, states in zip(knowledge.states, holding):
+            for own_key, state, _, opened in states[0]:
+                if not opened or own_key != term_key(state) or not may_unify(declared.form.state, state):
+                    raise wrong(state, "a declared state that has begun")
             if len({one[0] for one in states[0]}) != len(states[0]):
-                raise wrong(len(states[0]), "states that hold once each")
-        return found  # type: ignore[no-any-return]
+                raise wrong(len(states[0]), "distinct states")
+        return holding  # type: ignore[no-any-return]
 
     def _rates(self, knowledge: KnowledgeBase, value: Decoded) -> List[Any]:
-        subscriptions = [one for _, one in knowledge.subscriptions.items()]
+        subscriptions = [subscription for _, subscription in knowledge.subscriptions.items()]
         if len(items(value)) != len(subscriptions):
-            raise wrong(len(value), f"the shapes of {len(subscriptions)} subscriptions")
-        made: List[Any] = []
-        for one, known in zip(subscriptions, value):
-            if one.rate is None:
-                nothing(known)
-                made.append(None)
+            raise wrong(len(value), f"the output rates of {len(subscriptions)} subscriptions")
+        states: List[Any] = []
+        for subscription, rate_state in zip(subscriptions, value):
+            if subscription.rate is None:
+                nothing(rate_state)
+                states.append(None)
                 continue
-            stream = StreamCheck(self._graph, one.rate.stream, one.rate.widths, of_terms=True)
-            made.append(optional(fixed(stream.known, count, count))(known))
-        return made
+            stream = StreamCheck(
+                self._graph, subscription.rate.stream, subscription.rate.widths, of_terms=True
+            )
+            states.append(optional(fixed(stream.known, count, count))(rate_state))
+        return states
 
     def _check_orders(self) -> None:
-        """Check that alarms, timers and queries have orders of their own."""
-        orders = [one[1] for one in self.alarms] + [one[4] for one in self.timers[0]]
-        queries = [one[0] for one in self.waiting]
+        """Check that alarms, timers and queries have distinct sequence numbers."""
+        orders = [entry[1] for entry in self.alarms] + [entry[4] for entry in self.timers[0]]
+        queries = [entry[0] for entry in self.waiting]
         if len(set(orders)) != len(orders):
-            raise wrong(orders, "alarms with orders of their own")
-        if queries != sorted(set(queries)) or any(one >= self.order for one in queries):
-            raise wrong(queries, "queries in their order")
+            raise wrong(orders, "alarms with distinct sequence numbers")
+        if queries != sorted(set(queries)) or any(entry >= self.order for entry in queries):
+            raise wrong(queries, "queries with increasing sequence numbers")

@@ -1,7 +1,8 @@
-"""Checks of decoded data: each takes a value, and returns it in the form that the engine uses.
+"""Validators for decoded data, which return values in the form that the engine uses.
 
-A check raises a `UsageError` that quotes the value. `fields`, `fixed`, and `each` make checks of sequences from
-checks of their items, and put the name or the position in front of the message.
+State files are not trusted, so each value is checked before it reaches the engine. A check is a function that returns
+the value, or raises a `UsageError` that quotes it. `fields`, `fixed`, and `each` combine checks of items into checks
+of sequences, and prefix error messages with the name or the position of the item.
 """
 
 from math import isfinite
@@ -12,23 +13,23 @@ from ..prolog.terms.timestamps import Stamp, WholeSeconds
 from ..prolog.terms.types import Atom, Functor, String, Term, Var
 
 Decoded = Any
-"""A value whose type only its check establishes."""
+"""A value whose type is only established by its check."""
 
 ValueCheck = Callable[[Decoded], Decoded]
-"""Returns a value as the engine uses it, or raises a `UsageError`."""
+"""Function that returns a value in the form that the engine uses, or raises a `UsageError`."""
 
 MAX_INSTANT = 1 << 80
-"""Bound of instants, in ns: larger than any that the engine sets itself, as a mark for "never"."""
+"""Limit of instants in ns: larger than any instant that the engine itself uses as a mark for "never"."""
 
 MAX_COUNT = (1 << 63) - 1
-"""The largest number of a count."""
+"""Maximum of counts."""
 
 MAX_KEY_DEPTH = 8
-"""Nesting of keys: hashing a deep tuple would overflow the stack of the process."""
+"""Maximum nesting of keys: hashing a deeply nested tuple would overflow the stack of the process."""
 
 
 class FlatKey(tuple):  # type: ignore[type-arg]
-    """A dictionary key of a term, see `term_key`, that is no term itself."""
+    """A dictionary key of a term, see `term_key`, which is not a term itself."""
 
     __slots__ = ()
 
@@ -41,27 +42,27 @@ _KEYS = frozenset((int, Atom, String, Functor))
 
 
 def wrong(value: object, expected: str) -> UsageError:
-    """Return the error of a value."""
+    """Return the error for an invalid value."""
     try:
-        said = value if isinstance(value, str) else repr(value)
-    except (ValueError, RecursionError):  # an integer of too many digits, or a deep sequence
-        said = type(value).__name__
-    return UsageError(f"'{said[:80]}': expected {expected}")
+        text_of_value = value if isinstance(value, str) else repr(value)
+    except (ValueError, RecursionError):  # an integer with too many digits, or a deeply nested sequence
+        text_of_value = type(value).__name__
+    return UsageError(f"'{text_of_value[:80]}': expected {expected}")
 
 
 def anything(value: Decoded) -> Decoded:
-    """Return a value that is checked later, when it is known what it belongs to."""
+    """Return the value unchecked; it is checked later against the program."""
     return value
 
 
 def nothing(value: Decoded) -> None:
-    """Check None."""
+    """Check that a value is None."""
     if value is not None:
         raise wrong(value, "nothing")
 
 
 def instance_of(kind: type, expected: str) -> ValueCheck:
-    """Return a check of an object of exactly one class; its error expects what a text says."""
+    """Return a check for instances of exactly one class; ``expected`` describes it in the error."""
 
     def check(value: Decoded) -> Decoded:
         if value.__class__ is not kind:
@@ -79,7 +80,7 @@ variable = instance_of(Var, "a variable")
 
 
 def integer(least: int = -MAX_COUNT, most: int = MAX_COUNT) -> ValueCheck:
-    """Return a check of an integer in a range."""
+    """Return a check for integers in a range."""
 
     def check(value: Decoded) -> int:
         if value.__class__ is not int or not least <= value <= most:
@@ -90,11 +91,11 @@ def integer(least: int = -MAX_COUNT, most: int = MAX_COUNT) -> ValueCheck:
 
 
 count = integer(0)
-"""Check of a number of things."""
+"""Check of a count."""
 
 
 def instant(value: Decoded) -> int:
-    """Check an instant in ns, in any of its forms."""
+    """Check an instant in nanoseconds, in any of its forms."""
     if value.__class__ not in _INSTANTS or not -MAX_INSTANT <= value <= MAX_INSTANT:
         raise wrong(value, "an instant")
     return value
@@ -108,21 +109,21 @@ def seconds(value: Decoded) -> float:
 
 
 def path(value: Decoded) -> str:
-    """Check the path of a file."""
+    """Check a file path."""
     if value.__class__ is not str or "\0" in value:
         raise wrong(value, "a path")
     return value
 
 
 def term(value: Decoded) -> Term:
-    """Check a term; its arguments were checked when it was read."""
+    """Check a term. Its arguments were checked when it was decoded."""
     if value.__class__ not in _TERMS:
         raise wrong(value, "a term")
     return cast(Term, value)
 
 
 def value_of_match(value: Decoded) -> Term:
-    """Check the value of a variable of a match: a term, or an instant at which a part of the match began or ended."""
+    """Check the value of a variable of a match: a term, or the start or end of a part of the match."""
     return instant(value) if value.__class__ in _FORMS else term(value)
 
 
@@ -134,30 +135,31 @@ def callable_term(value: Decoded) -> Term:
 
 
 def key(value: Decoded, depth: int = MAX_KEY_DEPTH) -> Decoded:
-    """Check a dictionary key that was made of terms: constants, terms of constants, and tuples of such keys."""
-    kind = value.__class__
-    if kind in _KEYS or value is None or kind is str or kind is FlatKey:
-        return tuple(value) if kind is FlatKey else value
-    if kind is tuple:
+    """Check a dictionary key that consists of constants, terms of constants, and tuples of such keys."""
+    value_class = value.__class__
+    if value_class in _KEYS or value is None or value_class is str or value_class is FlatKey:
+        return tuple(value) if value_class is FlatKey else value
+    if value_class is tuple:
         if all(item.__class__ in _KEYS for item in value):
             return value
-    elif kind is list and depth:
+    elif value_class is list and depth:
         return tuple([key(item, depth - 1) for item in value])
     raise wrong(value, "a key")
 
 
 def optional(check: ValueCheck) -> ValueCheck:
-    """Return a check that lets None through."""
+    """Return a check that also accepts None."""
     return lambda value: None if value is None else check(value)
 
 
 def one_of(*values: Decoded) -> ValueCheck:
-    """Return a check of one of some texts, or other constants."""
+    """Return a check for one of the given constants."""
 
     def check(value: Decoded) -> Decoded:
-        for known in values:
-            if value.__class__ is known.__class__ and value == known:
-                return known
+        # Classes are compared as well, because True equals 1.
+        for allowed in values:
+            if value.__class__ is allowed.__class__ and value == allowed:
+                return allowed
         raise wrong(value, f"one of {', '.join(map(str, values))}")
 
     return check
@@ -173,12 +175,12 @@ def items(value: Decoded) -> Sequence[Decoded]:
 def each(
     check: ValueCheck, make: Callable[[List[Decoded]], Decoded] = list, most: Optional[int] = None
 ) -> ValueCheck:
-    """Return a check of a sequence whose items are all alike.
+    """Return a check for a sequence of items with the same check.
 
     Args:
-        check: that of an item.
-        make: makes the result of the list of items.
-        most: the largest number of items.
+        check: check of an item.
+        make: creates the result from the list of checked items.
+        most: maximum number of items.
     """
 
     def check_each(value: Decoded) -> Decoded:
@@ -186,7 +188,8 @@ def each(
             raise wrong(value, f"at most {most} items")
         found: List[Decoded] = []
         try:
-            found += map(check, items(value))  # if an item is refused, those before it stay in the list
+            # `map` in C, for speed. If an item is refused, those before it remain in the list, which gives its index.
+            found += map(check, items(value))
         except UsageError as error:
             raise UsageError(f"item {len(found)}: {error.message}") from None
         return found if make is list else make(found)
@@ -195,19 +198,19 @@ def each(
 
 
 def fixed(*checks: ValueCheck) -> ValueCheck:
-    """Return a check of a sequence of so many items, each with a check of its own; the result is a tuple."""
-    number = len(checks)
+    """Return a check for a sequence with one check per item; the result is a tuple."""
+    length = len(checks)
 
     def check(value: Decoded) -> Tuple[Decoded, ...]:
-        if len(items(value)) != number:
-            raise wrong(value, f"{number} items")
+        if len(items(value)) != length:
+            raise wrong(value, f"{length} items")
         return tuple([check(item) for check, item in zip(checks, value)])
 
     return check
 
 
 def fields(**checks: ValueCheck) -> ValueCheck:
-    """Return a check of a mapping of exactly these names; the result is a dictionary."""
+    """Return a check for a mapping with exactly these names; the result is a dictionary."""
     mapping = dict_of(text, anything)
     named_checks = {name: named(name, check) for name, check in checks.items()}
 
@@ -221,13 +224,13 @@ def fields(**checks: ValueCheck) -> ValueCheck:
 
 
 def record(make: Callable[..., Any], /, **checks: ValueCheck) -> ValueCheck:
-    """Return a check of the items of a named tuple, in their order; the result is one."""
+    """Return a check for the items of a named tuple; the result is the named tuple."""
     parts = fixed(*[named(name, check) for name, check in checks.items()])
     return lambda value: make(*parts(value))
 
 
 def named(name: str, check: ValueCheck) -> ValueCheck:
-    """Return a check that puts a name in front of its message."""
+    """Return a check that prefixes error messages with a name."""
 
     def check_named(value: Decoded) -> Decoded:
         try:
@@ -239,14 +242,14 @@ def named(name: str, check: ValueCheck) -> ValueCheck:
 
 
 def dict_of(key_check: ValueCheck, value_check: ValueCheck) -> ValueCheck:
-    """Return a check of a mapping, which is read as a sequence of pairs; no key stands there twice."""
+    """Return a check for a mapping, encoded as a sequence of pairs, without duplicate keys."""
     pairs = each(fixed(key_check, value_check))
 
     def check(value: Decoded) -> Dict[Decoded, Decoded]:
-        found = pairs(value)
-        made = dict(found)
-        if len(made) != len(found):
+        items_found = pairs(value)
+        result = dict(items_found)
+        if len(result) != len(items_found):
             raise wrong(value, "each key once")
-        return made
+        return result
 
     return check

@@ -1,6 +1,11 @@
-"""Sections of bytes by name, one after the other, with what tells whether they are whole.
+"""Sections of a state file: container format with checksums, and the schema of each section.
 
-The sections of a state with the checks of what each contains, apart from what rules and streams know (`nodes`).
+A state consists of a magic line, the length of a JSON header, the header, and the sections. The header has the format
+number, a checksum of the names of stored attributes (`LAYOUT`), and the name, length and CRC-32 of each section.
+Files of other versions are refused with a clear error instead of being misinterpreted.
+
+`read_section` decodes a section and checks it with its schema in `SECTIONS`. State that only makes sense together
+with a program (partial matches, streams) is checked in `network_state`.
 """
 
 import json
@@ -47,151 +52,158 @@ from .schema import (
 MAGIC = b"retalis state\n"
 
 _MAX_HEADER_BYTES = 16_000_000
-"""Bytes of the first lines, at most: there is a name for each memory."""
+"""Maximum size of the header, which has an entry for each memory."""
 
 FORMAT = 6
-"""Raised where what is kept is arranged in another way."""
+"""Format number of state files, incremented when their structure changes."""
 
 
 def _layout() -> int:
-    """Return a number of what is kept of objects: it is another one where that has changed."""
-    kinds = [(name, *fields) for name, (_, fields) in FIELDS.items()]
-    kinds += [(kind.__name__, *kind._fields) for kind in (RuleState, KeptLogic, KeptValues)]
-    return crc32(repr(kinds).encode())
+    """Return a checksum of the names of stored attributes, so that renamed or added attributes are detected."""
+    names = [(name, *fields) for name, (_, fields) in FIELDS.items()]
+    names += [
+        (named_tuple.__name__, *named_tuple._fields) for named_tuple in (RuleState, KeptLogic, KeptValues)
+    ]
+    return crc32(repr(names).encode())
 
 
 LAYOUT = _layout()
 
 
 def pack(sections: Dict[str, bytes]) -> bytes:
-    """Return sections as one text of bytes."""
-    listed = [[name, len(data), crc32(data)] for name, data in sections.items()]
-    head = json.dumps({"format": FORMAT, "layout": LAYOUT, "sections": listed}).encode()
-    return b"".join([MAGIC, b"%d\n" % len(head), head, *sections.values()])
+    """Return sections as the content of a state file."""
+    entries = [[name, len(data), crc32(data)] for name, data in sections.items()]
+    header = json.dumps({"format": FORMAT, "layout": LAYOUT, "sections": entries}).encode()
+    return b"".join([MAGIC, b"%d\n" % len(header), header, *sections.values()])
 
 
 def unpack(data: bytes) -> Dict[str, bytes]:
-    """Return the sections of a text of bytes.
+    """Return the sections of a state file.
 
     Raises:
-        UsageError: where it is none, of another version, or damaged.
+        UsageError: if the data is not a state file, is of another version, or is damaged.
     """
-    head, at = _head(data)
-    check_version(head.get("format"), head.get("layout"))
+    header, offset = _read_header(data)
+    check_version(header.get("format"), header.get("layout"))
     sections = {}
-    for name, length, check in head["sections"]:
-        found = sections[name] = data[at : at + length]
-        at += length
-        if len(found) != length or crc32(found) != check:
-            raise UsageError(f"the state is damaged: section {name} is not what it was")
-    if at != len(data):
-        raise UsageError("the state is damaged: there is more of it than it says")
+    for name, length, checksum in header["sections"]:
+        section = sections[name] = data[offset : offset + length]
+        offset += length
+        if len(section) != length or crc32(section) != checksum:
+            raise UsageError(f"the state is damaged: the checksum of section {name} is wrong")
+    if offset != len(data):
+        raise UsageError("the state is damaged: it is longer than its header states")
     return sections
 
 
-def _head(data: bytes) -> Tuple[Dict[str, Any], int]:
+def _read_header(data: bytes) -> Tuple[Dict[str, Any], int]:
     if not data.startswith(MAGIC):
-        raise UsageError("this is no state of an engine")
+        raise UsageError("this is not a state of an engine")
     end = data.find(b"\n", len(MAGIC), len(MAGIC) + 20)
     try:
         length = int(data[len(MAGIC) : end])
         if not 0 <= length <= _MAX_HEADER_BYTES:
             raise ValueError
-        head = json.loads(data[end + 1 : end + 1 + length])
-        names = [name for name, length, check in head["sections"] if length >= 0 and check >= 0]
+        header = json.loads(data[end + 1 : end + 1 + length])
+        # Negative lengths would pass the checksum of an empty section, and shift those that follow.
+        names = [name for name, length, checksum in header["sections"] if length >= 0 and checksum >= 0]
         memories = [name for name in names if name.startswith("memory ")]
         if (
-            not all(one.__class__ is int for _, *numbers in head["sections"] for one in numbers)
-            or len(set(names)) != len(head["sections"])
-            or memories != [f"memory {at}" for at in range(len(memories))]
+            not all(number.__class__ is int for _, *numbers in header["sections"] for number in numbers)
+            or len(set(names)) != len(header["sections"])
+            or memories != [f"memory {index}" for index in range(len(memories))]
         ):
             raise ValueError
-    except Exception as error:  # of whatever kind: JSON that is deep, or has other types
-        raise UsageError("the state is damaged: its first lines do not read") from error
-    return head, end + 1 + length
+    except Exception as error:  # any error of malformed JSON, including excessive nesting
+        raise UsageError("the state is damaged: its header is malformed") from error
+    return header, end + 1 + length
 
 
-def check_version(form: object, layout: object) -> None:
-    """Check that what is kept is arranged as here.
+def check_version(format_number: object, layout: object) -> None:
+    """Check the format and the stored attributes of a state.
 
     Raises:
-        UsageError: where it is not.
+        UsageError: if the state was written by another version of the package.
     """
-    if form != FORMAT:
-        older = form.__class__ is int and form < FORMAT
-        why = ", a pickle of an older version of the package, which is never read" if older else ""
-        raise UsageError(f"the state is of format {form}{why}: this version reads format {FORMAT}")
+    if format_number != FORMAT:
+        is_older = format_number.__class__ is int and format_number < FORMAT
+        explanation = ", a pickle of an older version of the package, which is never read" if is_older else ""
+        raise UsageError(
+            f"the state is of format {format_number}{explanation}: this version reads format {FORMAT}"
+        )
     if layout != LAYOUT:
-        raise UsageError("the state was kept by another version of the package")
+        raise UsageError("the state was written by another version of the package")
 
 
 place = record(Place, source=text, line=count, column=count, text=text, before=count)
-"""Check of where something stands in a file."""
+"""Check of a position in a source file."""
 
 clause = fixed(callable_term, term, optional(place))
-"""Check of the head, the body and the place of a clause."""
+"""Check of a clause: head, body, and place."""
 
 rule = fixed(callable_term, optional(term), optional(place), dict_of(variable, text), count, text, boolean)
-"""Check of a rule: its term, label, place and names of variables; its serial, its name, and whether it is active."""
+"""Check of a rule: term, label, place, names of variables, serial, name, and whether it is active."""
 
 _property = record(Property, label=term, name=text, value=term)
-_places = each(count)
+_positions = each(count)
 
 
-def _definition(of: Functor) -> ValueCheck:
-    """Return a check of the term that a memory or subscription was made of."""
+def _definition(expected: Functor) -> ValueCheck:
+    """Return a check of the defining term of a memory or subscription."""
 
     def check(value: Decoded) -> Decoded:
-        if value.__class__ is not tuple or value[0] is not of:
-            raise wrong(value, f"a term of {of}")
+        if value.__class__ is not tuple or value[0] is not expected:
+            raise wrong(value, f"a term of {expected}")
         return value
 
     return check
 
 
-def _property_that_is_known(value: Decoded) -> Property:
-    found: Property = _property(value)
-    if found.label.__class__ is not Atom or found.problem is not None:
-        raise wrong(value, found.problem or "a property of a label")
-    return found
+def _known_property(value: Decoded) -> Property:
+    label_property: Property = _property(value)
+    if label_property.label.__class__ is not Atom or label_property.problem is not None:
+        raise wrong(value, label_property.problem or "a property of a label")
+    return label_property
 
 
 def _clauses(value: Decoded) -> Decoded:
-    """Check a predicate with its clauses."""
-    kind, marks, clauses = fixed(functor, fixed(boolean, boolean, boolean, boolean), each(clause))(value)
+    """Check a predicate and its clauses."""
+    predicate, properties, clauses = fixed(functor, fixed(boolean, boolean, boolean, boolean), each(clause))(
+        value
+    )
     for head, body, _ in clauses:
         arity = len(head) - 1 if head.__class__ is tuple else 0
-        if arity != kind.arity:
-            raise wrong(head, f"a clause of {kind}")
+        if arity != predicate.arity:
+            raise wrong(head, f"a clause of {predicate}")
         if body.__class__ in (int, float):
             raise wrong(body, "the body of a clause")
-    return kind, marks, clauses
+    return predicate, properties, clauses
 
 
 _network = fields(
     rules=each(rule),
-    properties=each(_property_that_is_known),
+    properties=each(_known_property),
     flags=dict_of(text, term),
     loaded=each(path),
     own=each(path),
 )
-_standing = fields(
-    rules=_places,
-    clauses=each(fixed(functor, _places)),
+_deployment = fields(
+    rules=_positions,
+    clauses=each(fixed(functor, _positions)),
     retracted=each(fixed(functor, each(clause))),
-    memories=_places,
-    subscriptions=_places,
-    properties=each(_property_that_is_known),
+    memories=_positions,
+    subscriptions=_positions,
+    properties=each(_known_property),
     flags=dict_of(text, optional(term)),
     dynamic=each(functor),
     replaced=each(functor),
     files=each(path),
-    declared=_places,
+    declared=_positions,
     timers=each(fixed(term, term)),
 )
 _module = fixed(each(functor), each(functor), each(text), each(text))
 _kinds = each(lambda value: text(value) if value.__class__ is str else integer(0, 100)(value), tuple)
-_COUNTED: Dict[str, ValueCheck] = {
+_BUILTIN_STATE: Dict[str, ValueCheck] = {
     "counters": dict_of(text, integer()),
     "flags": dict_of(text, term),
     "flag": dict_of(text, term),
@@ -203,12 +215,12 @@ _COUNTED: Dict[str, ValueCheck] = {
 }
 
 
-def _counted(value: Decoded) -> Dict[str, Decoded]:
-    found = dict_of(text, anything)(value)
-    for name in found:
-        if name not in _COUNTED:
-            raise wrong(name, "what built-ins keep")
-    return {name: named(name, _COUNTED[name])(one) for name, one in found.items()}
+def _builtin_state(value: Decoded) -> Dict[str, Decoded]:
+    values = dict_of(text, anything)(value)
+    for name in values:
+        if name not in _BUILTIN_STATE:
+            raise wrong(name, "a kind of state of built-in predicates")
+    return {name: named(name, _BUILTIN_STATE[name])(state) for name, state in values.items()}
 
 
 _operator_columns = fixed(
@@ -217,7 +229,7 @@ _operator_columns = fixed(
 
 
 def _operators(value: Decoded) -> Decoded:
-    """Check the priorities, types and names of operators."""
+    """Check the priorities, types, and names of operators."""
     priorities, types, names = columns = _operator_columns(value)
     if not len(priorities) == len(types) == len(names):
         raise wrong(len(names), f"{len(priorities)} names and types of operators")
@@ -231,7 +243,7 @@ def _clock(value: Decoded) -> Decoded:
 
 
 def _unchecked(names: str) -> ValueCheck:
-    """Return a check of a mapping of exactly these names; what they have is checked against the program."""
+    """Return a check for a mapping with exactly these names; the values are checked against the program later."""
     return fields(**dict.fromkeys(names.split(), anything))
 
 
@@ -241,7 +253,7 @@ SECTIONS: Dict[str, ValueCheck] = {
         flags=dict_of(text, term),
         values=dict_of(text, term),
         column=count,
-        counted=_counted,
+        counted=_builtin_state,
         records=fixed(count, each(fixed(key, each(fixed(count, term))))),
         answers=each(fixed(key, each(each(term, tuple)), boolean)),
     ),
@@ -254,7 +266,7 @@ SECTIONS: Dict[str, ValueCheck] = {
         memories=each(fixed(_definition(MEMORIZE), boolean)),
         subscriptions=each(_definition(SUBSCRIBE)),
         declared=each(callable_term),
-        standings=dict_of(path, _standing),
+        standings=dict_of(path, _deployment),
         topics=each(fixed(text, text, text)),
         events=dict_of(text, text),
         foreign=each(path),
@@ -268,23 +280,23 @@ SECTIONS: Dict[str, ValueCheck] = {
         incremental=each(functor),
     ),
 }
-"""The checks of all sections but those of memories, by name."""
+"""Checks of all sections by name, except those of memories."""
 
 
 def read_section(name: str, data: bytes) -> Decoded:
-    """Return what a section contains, checked.
+    """Return the checked content of a section.
 
     Raises:
-        UsageError: where it is damaged, or is no section of a state.
+        UsageError: if the section is damaged or unknown.
     """
     check = SECTIONS.get(name)
     if check is None:
-        raise UsageError(f"it has a section '{name[:40]}', which no state has")
+        raise UsageError(f"section '{name[:40]}' is unknown")
     return named(f"section {name}", check)(from_bytes(data))
 
 
-def _column(value: Decoded) -> Decoded:
-    """Check the instants of records; see `_instants`."""
+def _instant_column(value: Decoded) -> Decoded:
+    """Check a column of instants; see `memory_state._instants`."""
     numbers, forms, stamps = fixed(anything, anything, each(term))(value)
     if forms.__class__ is not bytes or forms.translate(None, b"\0\1\2") or forms.count(2) != len(stamps):
         raise wrong(forms, "the forms of instants")
@@ -296,23 +308,30 @@ def _column(value: Decoded) -> Decoded:
     return numbers, forms, stamps
 
 
-_records = fixed(count, count, boolean, anything, _column, optional(_column))
+_records = fixed(count, count, boolean, anything, _instant_column, optional(_instant_column))
 
 
 def records(value: Decoded) -> Decoded:
-    """Check some records of a memory, one after the other."""
+    """Check consecutive records of a memory."""
     before, late, is_open, terms, ends, starts = _records(value)
     number = len(ends[1])
     if starts is not None and len(starts[1]) != number:
         raise wrong(len(starts[1]), f"{number} instants")
-    return before, late, is_open, named("terms", lambda one: read_terms(one, number))(terms), ends, starts
+    return (
+        before,
+        late,
+        is_open,
+        named("terms", lambda encoded: read_terms(encoded, number))(terms),
+        ends,
+        starts,
+    )
 
 
 def read_records(data: bytes) -> Decoded:
-    """Return some records of a memory, checked.
+    """Return consecutive records of a memory, checked.
 
     Raises:
-        UsageError: where they are damaged.
+        UsageError: if they are damaged.
     """
     return records(from_bytes(data))
 
@@ -324,4 +343,4 @@ about = fields(
     memories=each(fixed(count, count, records)),
     made=seconds,
 )
-"""Check of what a checkpoint says of itself."""
+"""Check of the header of a checkpoint."""

@@ -117,21 +117,21 @@ def program_graph(engine: Engine, topics: Iterable[GraphTopic] = ()) -> Graph:
 
 class _GraphBuilder:
     def __init__(self, engine: Engine):
-        self._parts = engine
+        self._engine = engine
         self._nodes: Dict[str, GraphNode] = {}
         self._edges: Dict[Tuple[str, str, str], GraphEdge] = {}
         self._left_out: Set[str] = set()
         self._terms = MAX_TERMS_VISITED
 
     def build(self, topics: List[GraphTopic]) -> Graph:
-        for index, rule in enumerate(self._parts.rules.rules):
+        for index, rule in enumerate(self._engine.rules.rules):
             self._rule(index, rule)
-        for instance in list(self._parts.knowledge.memories):
+        for instance in list(self._engine.knowledge.memories):
             self._memory(instance)
-        for (topic, _), subscription in self._parts.knowledge.subscriptions.items():
+        for (topic, _), subscription in self._engine.knowledge.subscriptions.items():
             output = self._node("output", topic, topic)
             self._edge(self._event(subscription.listener.pattern), output, f"output:{beginning(topic)}")
-        for state in self._parts.knowledge.states:
+        for state in self._engine.knowledge.states:
             event = self._event(state.form.state)
             self._edge(self._event(state.form.begins), event, "")
             self._edge(self._event(state.form.ends), event, "")
@@ -177,7 +177,7 @@ class _GraphBuilder:
 
     def _text(self, term: Term, names: Mapping[Var, str] = MappingProxyType({})) -> str:
         """Return the shortened text of a term. Unnamed variables become ``_``, so that drawings are stable."""
-        return self._parts.logic.brief(term, {**dict.fromkeys(variables(term), "_"), **names})
+        return self._engine.logic.brief(term, {**dict.fromkeys(variables(term), "_"), **names})
 
     def _head(self, node: str, index: int, head: Term) -> None:
         """Add the edges from a rule to the events that it fires."""
@@ -221,7 +221,7 @@ class _GraphBuilder:
 
     def _called(self, goals: List[Term]) -> Iterator[Any]:
         """Yield all compound terms in goals, and in the bodies of the program's clauses that they call."""
-        predicates = self._parts.logic.database.predicates
+        predicates = self._engine.logic.database.predicates
         seen: Set[Functor] = set()
         # Each predicate is expanded once, because clauses may be recursive.
         pending = list(goals)

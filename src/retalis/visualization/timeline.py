@@ -182,10 +182,10 @@ def read_run(lines: Iterable[str], source: str) -> Timeline:
         try:
             record = json.loads(line)
             if not isinstance(record, dict):
-                raise UsageError("this is no JSON object")
+                raise UsageError("this is not a JSON object")
             builder.take(record)
         except (ValueError, RecursionError) as error:
-            raise UsageError(f"{source}:{number}: this is no JSON: {error}") from None
+            raise UsageError(f"{source}:{number}: this is not JSON: {error}") from None
         except UsageError as error:
             raise UsageError(f"{source}:{number}: {error.message}") from None
     return builder.timeline()
