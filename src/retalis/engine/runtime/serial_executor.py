@@ -1,21 +1,15 @@
-"""A piece of work whose caller waits, to be done by whoever is at work.
+"""Serial executor: one thread at a time works on the engine, without a worker thread.
 
-One runner at a time, without handing work to another thread.
+Callers append work to a bounded queue. The caller that acquires the lock without waiting works the queue off; the
+others return at once, or wait for the result of a call. Passing each event to a worker thread would double its cost
+(the technique is called flat combining).
 
-Callers append to a queue; whoever gets the lock without waiting works the queue off, the others return at
-once. Handing each event to a worker thread instead would double its cost.
+An interrupt, usually a signal, can end this code between any two steps. The steps are therefore not required to leave
+a consistent state. Instead, the state is repaired: the interrupted thread, or the next one that enters, returns to the
+idle state (`Recovery`). Every component that outlives an event can rebuild its derived data from its primary data.
 
-An interrupt (a signal, usually) may end any of this between any two of its steps. So it is not made of steps that
-each leave all in order: who comes in first and is interrupted goes back to the idle state (`Recovery`), and where
-that is interrupted as well, the next one to come in does so.
-
-A process that is forked has the thread that forked and no other. If another thread was at work, its work stays half
-done there, so that the runner refuses all work in the child. A runner that was idle goes on in both processes.
-
-What an engine does when an interrupt or an error of its own has ended the work on an event or a goal.
-
-An interrupt may come between any two steps, also between two that only together leave all in order. So each part
-that outlives an event can be mended: from what it is made of first it makes anew what follows from that.
+A forked process contains only the thread that forked. If another thread was working at that moment, its work stays
+unfinished in the child, so the executor of the child refuses all work. An idle executor continues in both processes.
 """
 
 import os
@@ -34,38 +28,38 @@ from ...prolog.system.prolog_system import PrologSystem, go_back, mend, state_of
 
 
 class Request:
-    """A piece of work whose caller waits for the result.
+    """A unit of work whose caller waits for the result.
 
     Args:
-        work: does it.
-        entry: what tells it from others, see `Runner`; by default what nothing else is.
+        work: function that does the work.
+        entry: identity of the work for the limits, see `SerialExecutor.entry`; by default a new one.
     """
 
     def __init__(self, work: Callable[[], object], entry: object = None):
         self._work = work
         self.entry = (work,) if entry is None else entry
-        self._ticket = [None]  # whoever takes it decides what becomes of the call: it is done, or given up
+        self._ticket = [None]  # popped once: by the thread that runs the call, or by the one that abandons it
         self._woken = threading.Event()
         self._result: object = None
         self.error: Optional[BaseException] = None
         self.over = self.follows = False
 
     def __call__(self) -> None:
-        """Do the work, unless it has been taken already."""
+        """Do the work, unless another thread has claimed it."""
         if not self.take():
             return
         try:
             self._result = self._work()
-        except Exception as error:  # handed over to the caller that waits, in `result`
+        except Exception as error:  # raised again in the waiting caller, by `result`
             self.error = error
-        except BaseException as error:  # an interrupt, which the one who waits must not take for a result
+        except BaseException as error:  # an interrupt is an error for the waiting caller, too
             self.error = error
             raise
         finally:
             self.end()
 
     def take(self) -> bool:
-        """Take the call over; False where somebody has done so already."""
+        """Claim the call. Return False if another thread has claimed it."""
         try:
             self._ticket.pop()
         except IndexError:
@@ -73,33 +67,33 @@ class Request:
         return True
 
     def end(self) -> None:
-        """Note that it has been done."""
+        """Mark the call as done."""
         self.over = True
         self._woken.set()
 
     @property
     def begun(self) -> bool:
-        """Whether it is being done."""
+        """Whether the work has begun and has not ended."""
         return not self._ticket and not self.over
 
     def abandon(self) -> None:
-        """End it where an interrupt has ended the work on it, wherever that was."""
+        """Mark a call as done whose work was ended by an interrupt."""
         if self.begun:
             self.error = self.error or KeyboardInterrupt()
             self.end()
 
     def wake(self) -> None:
-        """Have who waits look again."""
+        """Wake the waiting caller, so that it checks the state again."""
         self._woken.set()
 
     def wait(self, seconds: float) -> bool:
-        """Wait until it is over or somebody wakes the caller; False where the time is up."""
+        """Wait until the call is done or `wake` is called. Return False after the timeout."""
         woken = self._woken.wait(seconds)
         self._woken.clear()
         return woken or self.over
 
     def result(self) -> Any:
-        """Return the result of work that is over, or raise what it raised."""
+        """Return the result of the work, or raise its error."""
         if self.error is not None:
             raise self.error
         return self._result
@@ -113,33 +107,39 @@ _this_thread = threading.get_ident
 
 
 FULL_QUEUE_WAIT_SECONDS = 1.0
-"""Seconds that one who posts to a full queue waits for a piece of work to be done."""
+"""Time for which a caller of `post` waits for progress if the queue is full."""
 
 
 class Recovery:
-    """How to go back to a state that was before an error or an interrupt; here, for work that has no state."""
+    """Return to an earlier state after an error or an interrupt. This base class is for work without state."""
 
     def state(self) -> object:
-        """Return the state now, for `restore`."""
+        """Return the current state, for `restore`."""
 
     def restore(self, state: object, mend_all: bool) -> None:
-        """Go back to a state, to the idle one with None; ``mend_all`` that may have been left half done."""
+        """Return to a state, or to the idle state if it is None.
+
+        Args:
+            state: from `state`, or None.
+            mend_all: whether derived data may be inconsistent and must be rebuilt.
+        """
 
 
 class SerialExecutor:
-    """A bounded queue of work and the lock that lets one thread at a time do it.
+    """A bounded queue of work, and the lock with which one thread at a time does it.
 
     Args:
-        size: how many pieces of work may wait. Past that those who post wait for a moment; where that does
-            not help the oldest goes, is counted in ``dropped``, and ``on_drop`` is called.
-        on_error: called with an exception that a piece of work let out.
-        recovery: what goes back to how things were where work is interrupted.
-        patience: seconds that a call from another thread waits for one callback.
+        size: capacity of the queue. If it is full, callers of `post` wait for progress; without progress the oldest
+            entry is dropped, counted in ``dropped``, and ``on_drop`` is called.
+        on_drop: called with the number of dropped entries.
+        on_error: called with an exception that a unit of work raised.
+        recovery: returns to a consistent state after an interrupt.
+        patience: seconds for which a call from another thread waits for one callback.
 
     Attributes:
-        callback: what stands for the callback that runs now, with its name; another one each time. None for none.
-        entry: what tells the piece of work at hand from all others: the arguments of what was posted, or what `call`
-            was given.
+        callback: the running callback, as a new tuple with its name each time; None if none runs.
+        entry: identity of the current work: the arguments of a posted event, or the ``entry`` of a call.
+        dropped: number of entries that were dropped because the queue was full.
     """
 
     def __init__(
@@ -155,9 +155,9 @@ class SerialExecutor:
         self._calls: Deque[Request] = deque()
         self._lock = threading.RLock()
         self._running: Optional[int] = None
-        """The thread that is at work. Where somebody comes in and it is set, the last one has not ended well."""
+        """The working thread. If it is set although the lock is free, the last work was interrupted."""
         self._patient = True
-        """Whether it is worth while to wait for room; not after a wait in vain, until the queue was empty again."""
+        """Whether to wait for room in the queue; False after a timeout until the queue has been empty."""
         self._on_drop = on_drop
         self._on_error = on_error
         self._recovery = Recovery() if recovery is None else recovery
@@ -165,23 +165,23 @@ class SerialExecutor:
         self.callback: Optional[Tuple[str]] = None
         self.entry: object = None
         self.dropped = 0
-        _RUNNERS.add(self)
+        _EXECUTORS.add(self)
 
     def __len__(self) -> int:
         return len(self._queue)
 
     @property
     def callers(self) -> int:
-        """How many calls are under way or wait for their turn, made while another was at work."""
+        """Number of pending calls of other threads, including the running one."""
         return len(self._calls)
 
     @property
     def thread(self) -> Optional[int]:
-        """The thread in which there is work at hand; None while there is none."""
+        """The working thread; None if the executor is idle."""
         return self._running
 
     def post(self, work: Callable[..., object], *arguments: object) -> None:
-        """Do a piece of work now if nobody is at work, else queue it."""
+        """Do work now if the executor is idle, otherwise queue it."""
         me = _this_thread()
         if self._running == me and self._is_inside():
             self._append(work, arguments)
@@ -199,17 +199,17 @@ class SerialExecutor:
                 self._append(work, arguments)
             if self._queue or self._calls:
                 self._drain()
-        except Exception as error:  # one bad event must not take the others with it
+        except Exception as error:  # a failing event must not affect the others
             self._end(error, self._on_error)
         except BaseException:
             self._give_up()
             raise
 
     def post_each(self, work: Callable[[_One, _Two], object], entries: Iterable[Tuple[_One, _Two]]) -> None:
-        """Do as `post` with each pair of arguments, with one turn for all while nobody else comes.
+        """Post each pair of arguments, under one acquisition of the lock while no other thread posts or calls.
 
-        What others call or post meanwhile comes between two of them. ``entries`` is asked for the next one when the
-        one before is done or queued, in the midst of this turn: it must not call the runner, and its errors end this.
+        Work of other threads is done between two entries. ``entries`` is advanced while the lock is held: it must not
+        use the executor, and an error that it raises ends this method.
         """
         me = _this_thread()
         left = iter(entries)
@@ -220,7 +220,7 @@ class SerialExecutor:
         try:
             while self._post_some(work, left):
                 pass
-        except Exception as error:  # of the entries: all that was before them is done
+        except Exception as error:  # raised by the iterator: all entries before it are done
             self._end(error, lambda error: None)
             raise
         except BaseException:
@@ -228,7 +228,11 @@ class SerialExecutor:
             raise
 
     def _post_some(self, work: Callable[[_One, _Two], object], left: Iterator[Tuple[_One, _Two]]) -> bool:
-        """Do what is left until somebody else comes, or queue one where somebody is at work; tell if more is left."""
+        """Do entries until another thread posts or calls, or queue one if another thread works.
+
+        Returns:
+            Whether entries may remain.
+        """
         queue, calls = self._queue, self._calls
         if queue or calls or not self._lock.acquire(False):
             entry = next(left, None)
@@ -242,29 +246,30 @@ class SerialExecutor:
         self._running = _this_thread()
         more = False
         for first, second in left:
-            self.entry = first, second  # a tuple of its own: what is one entry for the limits is one here
+            self.entry = first, second  # a new tuple for each entry: the limits compare by identity
             try:
                 work(first, second)
-            except Exception as error:  # one bad event must not take the others with it
+            except Exception as error:  # a failing event must not affect the others
                 self._failed(error)
             if queue or calls:
                 more = True
                 break
-            self.entry = None  # while the next one is made
+            self.entry = None  # the iterator runs outside of any entry
         self._leave()
         return more
 
     def call(self, work: Callable[[], _Result], entry: object = None) -> _Result:
-        """Do a piece of work, after the one that runs and before those that wait; return its result.
+        """Do work after the current entry and before queued ones, and return its result.
 
-        From inside a piece of work (a subscriber that calls back) it is done at once, as a part of that.
+        A call from inside of work (a callback that uses the engine) runs at once, as a part of that work.
 
         Args:
-            work: does it.
-            entry: what tells it from others; by default what nothing else is.
+            work: function that does the work.
+            entry: its identity for the limits; by default a new one.
 
         Raises:
-            UsageError: where another thread is in one callback for too long: it may be waiting for this one.
+            UsageError: if another thread stays in one callback for longer than ``patience``, because that callback
+                may wait for this thread.
         """
         me = _this_thread()
         if self._running == me and self._is_inside():
@@ -287,8 +292,8 @@ class SerialExecutor:
             raise
 
     def _end(self, error: Exception, report: Callable[[Exception], None]) -> None:
-        """Be idle again after an error of the work that was being done, if any was, and do what waits."""
-        # Not in a second `try` of the methods that work: where one begins an interrupt would be in neither of them.
+        """Return to the idle state after an error of this thread's work, and work off the queue."""
+        # A second `try` inside the calling methods would have a gap between both, in which an interrupt is lost.
         try:
             if self._running == _this_thread():
                 self._restore(is_unexpected(error))
@@ -307,14 +312,14 @@ class SerialExecutor:
             raise
 
     def follow(self, work: Callable[[], object]) -> None:
-        """Have something done, from inside a piece of work, right after that."""
+        """Schedule work directly after the current one; called from inside of work."""
         calls = self._calls
         call = Request(work)
         call.follows = True
         calls.insert(1 if calls and calls[0].begun else 0, call)
 
     def _call_later(self, work: Callable[[], _Result], entry: object) -> _Result:
-        """Have whoever is at work do a piece of work, and wait for that."""
+        """Pass a call to the working thread and wait for its result."""
         call = Request(work, entry)
         self._calls.append(call)
         try:
@@ -323,7 +328,7 @@ class SerialExecutor:
                 callback = self.callback
                 if not call.wait(self._patience) and callback is not None and self.callback is callback:
                     self._refuse(call, callback)
-                self._drain()  # whoever was at work may have been interrupted
+                self._drain()  # the working thread may have been interrupted
         except BaseException:
             call.take()
             raise
@@ -338,7 +343,7 @@ class SerialExecutor:
             )
 
     def _is_inside(self) -> bool:
-        """Tell whether this thread is at work below, or an interrupt has left only the mark of it."""
+        """Tell whether this thread works further down its stack. If only the mark of interrupted work is left, clear it."""
         frame: Optional[FrameType] = sys._getframe(2)
         while frame is not None:
             if frame.f_code in _AT_WORK and frame.f_locals.get("self") is self:
@@ -353,10 +358,10 @@ class SerialExecutor:
         self._queue.append((work, arguments))
 
     def _make_room(self) -> None:
-        """Wait until the queue is worked off, or help with it; drop the oldest where nothing is done for too long.
+        """Wait for room in the queue, or work it off; drop the oldest entry if there is no progress.
 
-        Whoever posts faster than events are worked off is held up, and so are those who send to it: a
-        connection that is not read fills up and holds its publisher up in turn. So a burst loses nothing.
+        The wait is the backpressure of the engine: a connection that is not read fills up and blocks its publisher, so
+        a burst of messages loses nothing.
         """
         if self._patient and self._running != _this_thread():
             while len(self._queue) >= self._size:
@@ -364,7 +369,7 @@ class SerialExecutor:
                 if self._lock.acquire(timeout=FULL_QUEUE_WAIT_SECONDS):
                     self._work_off()
                     return
-                # On a busy machine all of a queue may take longer; not so one piece of work.
+                # A whole queue can take longer on a busy machine, a single entry cannot: progress means a new oldest entry.
                 self._patient = self._oldest() is not oldest
                 if not self._patient:
                     break
@@ -373,7 +378,7 @@ class SerialExecutor:
         self._drop()
 
     def _oldest(self) -> object:
-        """Return the piece of work that comes next; None where nothing waits."""
+        """Return the next entry of the queue, or None."""
         try:
             return self._queue[0]
         except IndexError:
@@ -382,27 +387,27 @@ class SerialExecutor:
     def _drop(self) -> None:
         try:
             self._queue.popleft()
-        except IndexError:  # the runner took it meanwhile
+        except IndexError:  # the working thread took it in the meantime
             return
         self.dropped += 1
         self._on_drop(self.dropped)
 
     def _drain(self) -> None:
-        # Again after the release: something may have been appended by one who found the lock taken.
+        # Repeated after each release: a thread that found the lock taken may have appended work just before.
         while self._queue or self._calls:
             if not self._lock.acquire(False):
                 return
             self._work_off()
 
     def _leave(self) -> None:
-        """Give back the lock, and do what has come meanwhile."""
+        """Release the lock, and do the work that arrived in the meantime."""
         self._running = None
         self._lock.release()
         if self._queue or self._calls:
             self._drain()
 
     def _work_off(self) -> None:
-        """Do all that waits, and give back the lock, which the caller has taken."""
+        """Do all queued work and release the lock, which the caller has acquired."""
         if self._running is not None:
             self._restore(True)
         self._running = _this_thread()
@@ -422,7 +427,7 @@ class SerialExecutor:
             self.entry = arguments
             try:
                 work(*arguments)
-            except Exception as error:  # one bad event must not take the others with it
+            except Exception as error:  # a failing event must not affect the others
                 self._failed(error)
         self._patient = True
         self._running = None
@@ -433,14 +438,14 @@ class SerialExecutor:
         self._on_error(error)
 
     def begin_in_child(self) -> None:
-        """Go on in a process that has just been forked, or refuse all work if another thread was at work."""
+        """Continue in a forked process, or refuse all work if another thread was working."""
         for call in tuple(self._calls):
-            if not (call.begun or call.follows):  # its caller is a thread of the other process
+            if not (call.begun or call.follows):  # its caller is a thread of the parent process
                 self._calls.remove(call)
         if not self._lock.acquire(False):
             self.__class__ = _Unusable
         elif self._running == _this_thread():
-            self._lock.release()  # the piece of work that has forked goes on
+            self._lock.release()  # the work that called fork continues
         else:
             self._lock = threading.RLock()
 
@@ -449,38 +454,38 @@ class SerialExecutor:
         self._recovery.restore(None, mend)
 
     def _give_up(self) -> None:
-        """Be idle again after an interrupt, wherever it was, and leave the lock to others; twice is no harm."""
+        """Return to the idle state after an interrupt and release the lock; may be called again."""
         if not self._lock.acquire(False):
-            return  # it is another's
+            return  # another thread holds the lock
         if self._running is not None or self._calls:
             self._restore(self._running is not None)
             for call in tuple(self._calls):
                 call.abandon()
-                if call.over or call.follows:  # going back has done what was to follow
+                if call.over or call.follows:  # the recovery has done the scheduled work
                     self._calls.remove(call)
             self._running = None
         try:
             while True:
                 self._lock.release()
-        except RuntimeError:  # the lock is not this thread's any more
+        except RuntimeError:  # released as often as it was acquired
             pass
         for call in tuple(self._calls):
             call.wake()
 
 
 class _Unusable(SerialExecutor):
-    """A runner in a forked process, whose work another thread of the first process has under way."""
+    """The executor of a forked process in whose parent another thread was working."""
 
     def post(self, work: Callable[..., object], *arguments: object) -> None:
-        """Refuse a piece of work."""
+        """Refuse the work."""
         raise _refusal()
 
     def post_each(self, work: Callable[[_One, _Two], object], entries: Iterable[Tuple[_One, _Two]]) -> None:
-        """Refuse pieces of work."""
+        """Refuse the work."""
         raise _refusal()
 
     def call(self, work: Callable[[], _Result], entry: object = None) -> _Result:
-        """Refuse a piece of work."""
+        """Refuse the work."""
         raise _refusal()
 
 
@@ -491,12 +496,12 @@ def _refusal() -> UsageError:
     )
 
 
-_RUNNERS: "WeakSet[SerialExecutor]" = WeakSet()
+_EXECUTORS: "WeakSet[SerialExecutor]" = WeakSet()
 
 
 def _begin_in_child() -> None:
-    for runner in tuple(_RUNNERS):
-        runner.begin_in_child()
+    for executor in tuple(_EXECUTORS):
+        executor.begin_in_child()
 
 
 if hasattr(os, "register_at_fork"):  # not on Windows
@@ -515,12 +520,12 @@ _AT_WORK = frozenset(
 
 
 def is_unexpected(error: BaseException) -> bool:
-    """Tell whether an error may have come between any two steps, or is none that a program makes."""
+    """Tell whether an error may have left an inconsistent state: an interrupt or an internal error."""
     return not isinstance(error, RetalisError)
 
 
 class EngineRecovery(Recovery):
-    """Goes back to a state of an engine, or to that in which nothing is worked on."""
+    """Recovery of an engine: to the state at the start of a nested call, or to the idle state."""
 
     def __init__(
         self, logic: PrologSystem, dispatcher: Dispatcher, rules: RuleBase, knowledge: KnowledgeBase
@@ -531,7 +536,7 @@ class EngineRecovery(Recovery):
         self._knowledge = knowledge
 
     def state(self) -> Any:
-        """Return what is being worked on."""
+        """Return the positions of machine, files, dispatcher and compiler."""
         return (
             state_of(self._logic.machine),
             self._rules.files.state(),
@@ -540,9 +545,9 @@ class EngineRecovery(Recovery):
         )
 
     def restore(self, state: Any, mend_all: bool) -> None:
-        """Go back to a state, to the idle one with None; that one is made sound where ``mend_all`` says so."""
+        """Return to a state, or to the idle state if it is None; rebuild derived data if ``mend_all`` is true."""
         if state is not None and not mend_all:
-            return  # an error of a program has left all in order
+            return  # errors of a program leave a consistent state
         dispatcher = self._dispatcher
         machine, files, served, goals = (None, None, (None, None), None) if state is None else state
         go_back(self._logic.machine, machine)
