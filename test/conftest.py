@@ -71,5 +71,11 @@ def what_modules_leave():
 
 def pytest_runtest_teardown():
     if not PYPY:
-        gc.callbacks.clear()  # a command that was run here has changed it for its process
+        # A command that was run here has changed the collector for its process. Callbacks of other packages stay:
+        # a Dask cluster that finds its callback removed when it ends keeps the next one from starting.
+        gc.callbacks[:] = [
+            each
+            for each in gc.callbacks
+            if not (getattr(each, "__module__", None) or "").startswith("retalis")
+        ]
         gc.set_threshold(*LOOKS)
