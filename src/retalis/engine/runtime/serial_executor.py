@@ -5,8 +5,9 @@ others return at once, or wait for the result of a call. Passing each event to a
 (the technique is called flat combining).
 
 An interrupt, usually a signal, can end this code between any two steps. The steps are therefore not required to leave
-a consistent state. Instead, the state is repaired: the interrupted thread, or the next one that enters, returns to the
-idle state (`Recovery`). Every component that outlives an event can rebuild its derived data from its primary data.
+a consistent state. Instead, the state is repaired: the interrupted thread, or the next one that enters, returns to
+the idle state (`Recovery`). Every component that outlives an event can rebuild its derived data from its primary
+data.
 
 A forked process contains only the thread that forked. If another thread was working at that moment, its work stays
 unfinished in the child, so the executor of the child refuses all work. An idle executor continues in both processes.
@@ -343,7 +344,7 @@ class SerialExecutor:
             )
 
     def _is_inside(self) -> bool:
-        """Tell whether this thread works further down its stack. If only the mark of interrupted work is left, clear it."""
+        """Tell whether this thread works further down its stack; clear the mark of interrupted work."""
         frame: Optional[FrameType] = sys._getframe(2)
         while frame is not None:
             if frame.f_code in _AT_WORK and frame.f_locals.get("self") is self:
@@ -360,8 +361,8 @@ class SerialExecutor:
     def _make_room(self) -> None:
         """Wait for room in the queue, or work it off; drop the oldest entry if there is no progress.
 
-        The wait is the backpressure of the engine: a connection that is not read fills up and blocks its publisher, so
-        a burst of messages loses nothing.
+        The wait is the backpressure of the engine: a connection that is not read fills up and blocks its publisher,
+        so a burst of messages loses nothing.
         """
         if self._patient and self._running != _this_thread():
             while len(self._queue) >= self._size:
@@ -369,8 +370,8 @@ class SerialExecutor:
                 if self._lock.acquire(timeout=FULL_QUEUE_WAIT_SECONDS):
                     self._work_off()
                     return
-                # A whole queue can take longer on a busy machine, a single entry cannot: progress means a new oldest entry.
-                self._patient = self._oldest() is not oldest
+                # A whole queue can take longer on a busy machine, a single entry cannot: progress means a new
+                oldest entry. self._patient = self._oldest() is not oldest
                 if not self._patient:
                     break
             else:
