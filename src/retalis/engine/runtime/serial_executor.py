@@ -370,8 +370,8 @@ class SerialExecutor:
                 if self._lock.acquire(timeout=FULL_QUEUE_WAIT_SECONDS):
                     self._work_off()
                     return
-                # A whole queue can take longer on a busy machine, a single entry cannot: progress means a new
-                oldest entry. self._patient = self._oldest() is not oldest
+                # A whole queue can take longer on a busy machine; progress means a new oldest entry.
+                self._patient = self._oldest() is not oldest
                 if not self._patient:
                     break
             else:
