@@ -289,7 +289,7 @@ def test_what_is_allocated_in_one_piece_is_announced(logic, goal):
 @pytest.mark.parametrize("make", [int, str])
 @pytest.mark.parametrize("distinct", [1, 7, 10**9])
 def test_a_long_list_is_sorted_in_chunks(monkeypatch, make, distinct):
-    monkeypatch.setattr(list_predicates, "_CHUNK", 64)
+    monkeypatch.setattr(list_predicates, "_CHUNK_ITEMS", 64)
     chance = random.Random(distinct)
     for size in (0, 1, 63, 64, 65, 640, 3000):
         keys = [make(chance.randrange(distinct)) for _ in range(size)]
@@ -298,7 +298,7 @@ def test_a_long_list_is_sorted_in_chunks(monkeypatch, make, distinct):
 
 
 def test_sorting_is_looked_at_while_it_lasts(monkeypatch):
-    monkeypatch.setattr(list_predicates, "_CHUNK", 64)
+    monkeypatch.setattr(list_predicates, "_CHUNK_ITEMS", 64)
     looks = []
     before = watched_by(lambda work, size: looks.append(work))
     try:

@@ -79,7 +79,7 @@ class AtSession(AtBytecode):
     """Raises an interrupt before the n-th bytecode of what has goals open in SWI-Prolog."""
 
     def _call(self, frame, event, argument):
-        if not frame.f_code.co_filename.endswith(("swi/session.py", "swi/handles.py")):
+        if not frame.f_code.co_filename.endswith(("swi/swi_session.py", "swi/swi_terms.py")):
             return None
         return super()._call(frame, event, argument)
 

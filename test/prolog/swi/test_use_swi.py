@@ -38,8 +38,8 @@ def test_it_is_said_where_swi_prolog_is_not_installed(monkeypatch, tmp_path):
     libswipl.find_library.cache_clear()
     starting = pytest.importorskip("retalis.prolog.swi.swi_startup")
     monkeypatch.setattr(starting, "_started", starting._started.__wrapped__)  # noqa: SLF001
-    monkeypatch.setattr(libswipl, "NAMES", ("libswipl_that_is_not_there.so",))
-    monkeypatch.setattr(libswipl, "PLACES", ())
+    monkeypatch.setattr(libswipl, "LIBRARY_NAMES", ("libswipl_that_is_not_there.so",))
+    monkeypatch.setattr(libswipl, "LIBRARY_PATTERNS", ())
     with pytest.raises(ProgramErrors, match="SWI-Prolog, which is not installed here: .* swi-prolog-nox"):
         Engine(settings=ALLOWED).load(rules=":- use_swi('any.pl').", folder=tmp_path)
 
@@ -56,8 +56,8 @@ def test_it_is_said_which_function_an_older_one_lacks(monkeypatch):
             return super().__getitem__("abs" if name != "PL_is_acyclic" else name)
 
     find = libswipl.find_library.__wrapped__
-    monkeypatch.setattr(libswipl, "PLACES", ())
-    monkeypatch.setattr(libswipl, "NAMES", ("libswipl_that_is_not_there.so", "libc.so.6"))
+    monkeypatch.setattr(libswipl, "LIBRARY_PATTERNS", ())
+    monkeypatch.setattr(libswipl, "LIBRARY_NAMES", ("libswipl_that_is_not_there.so", "libc.so.6"))
     with pytest.raises(UsageError, match=r"SWI-Prolog 7\.6\.4 or later: libc\.so\.6 is older.*PL_initialise"):
         find()
     monkeypatch.setattr(libswipl.ctypes, "PyDLL", OldLibrary)
@@ -89,8 +89,9 @@ def test_who_does_not_use_it_loads_none_of_it():
 @pytest.mark.slow
 def test_these_tests_fail_where_they_are_asked_for_and_it_is_missing():
     script = (
-        "import sys, pytest; from retalis.prolog.swi import libswipl; libswipl.NAMES = libswipl.PLACES = (); "
-        f"sys.exit(pytest.main([{os.path.dirname(__file__)!r} + '/test_values.py']))"
+        "import sys, pytest; from retalis.prolog.swi import libswipl; "
+        "libswipl.LIBRARY_NAMES = libswipl.LIBRARY_PATTERNS = (); "
+        f"sys.exit(pytest.main([{os.path.dirname(__file__)!r} + '/test_swi_terms.py']))"
     )
     path = os.pathsep.join(
         [str(ROOT / "src"), *sys.path]

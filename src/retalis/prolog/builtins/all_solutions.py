@@ -1,4 +1,9 @@
-"""All solutions of a goal: bagof, setof, aggregate_all (findall and forall are control)."""
+"""Predicates that collect all solutions of a goal: ``bagof/3``, ``setof/3``, ``findnsols``, ``aggregate_all``.
+
+``findall/3`` and ``forall/2`` are control constructs of the compiler. ``bagof/3`` collects ``Witness-Template``
+pairs, where the witness holds the free variables of the goal, sorts them by the witness, and returns one solution
+for each group of witnesses that are variants of each other (ISO 13211-1, 8.10.2).
+"""
 
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
@@ -33,8 +38,8 @@ _HAT = functor("^", 2)
 _MAX, _MIN = EVALUABLE[functor("max", 2)], EVALUABLE[functor("min", 2)]
 
 
-def _strip(machine: Machine, goal: Term) -> Tuple[Term, List[Term]]:
-    """Return the goal inside ``Var^Goal`` and the terms before the hats."""
+def _strip_quantifiers(machine: Machine, goal: Term) -> Tuple[Term, List[Term]]:
+    """Return the goal inside ``Var^Goal``, and the terms on the left of each ``^``."""
     bound = []
     goal = deref(goal)
     while goal.__class__ is tuple and (goal[0] is _HAT or goal[0] is COLON):
@@ -46,12 +51,15 @@ def _strip(machine: Machine, goal: Term) -> Tuple[Term, List[Term]]:
     return goal, bound
 
 
-def _grouped(sort: bool) -> Callable[[Machine, Values, Frame], Optional[Frame]]:
+def _grouped_solutions(sort: bool) -> Callable[[Machine, Values, Frame], Optional[Frame]]:
+    """Return the implementation of ``setof/3`` if ``sort``, otherwise of ``bagof/3``."""
+
     def run(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
         template, goal, result = args
         if is_iso(machine):
             partial_items(result)
-        inner, bound = _strip(machine, goal)
+        inner, bound = _strip_quantifiers(machine, goal)
+        # Checked before the free variables are collected: an unbound goal would be its own free variable.
         if inner.__class__ is Var:
             raise instantiation_error()
         local = set(variables((COMMA, template, *bound)))
@@ -62,15 +70,16 @@ def _grouped(sort: bool) -> Callable[[Machine, Values, Frame], Optional[Frame]]:
             return make_list(sort_unique(items) if sort else items)
 
         if not free:
+            # Without free variables there is one group, so the sort by witnesses is not needed.
 
-            def done(found: List[Term]) -> Optional[Frame]:
-                return after if found and unify(result, finish(found), machine.trail) else None
+            def done(solutions: List[Term]) -> Optional[Frame]:
+                return after if solutions and unify(result, finish(solutions), machine.trail) else None
 
             return machine.logic.control.collect(inner, template, done)
 
-        def done_grouped(found: List[Term]) -> Optional[Frame]:
-            groups = _groups(found)
-            return _enumerate(
+        def done_grouped(solutions: List[Term]) -> Optional[Frame]:
+            groups = _group_by_witness(solutions)
+            return _enumerate_groups(
                 machine, witness, result, [(key, finish(items)) for key, items in groups], 0, after
             )
 
@@ -79,13 +88,16 @@ def _grouped(sort: bool) -> Callable[[Machine, Values, Frame], Optional[Frame]]:
     return run
 
 
-def _groups(found: List[Any]) -> List[Tuple[Term, List[Term]]]:
+def _group_by_witness(pairs: List[Any]) -> List[Tuple[Term, List[Term]]]:
     """Group ``Witness-Template`` pairs by variants of the witness, in the standard order of witnesses."""
-    for pair in found:  # so that variants keep the order in which they were found
+    # Numbers variables by age before sorting, so that variant witnesses keep the order in which they were found.
+    for pair in pairs:
         for var in variables(pair[1]):
             serial(var)
     groups: List[Tuple[Term, List[Term]]] = []
-    for _, pair in sort_by(found, [pair[1] for pair in found]):
+    # Sorting does not make all variants adjacent, since variables sort by age. The search ends at the nearest ground
+    # witness, because no ground term lies between two variants with variables in the standard order.
+    for _, pair in sort_by(pairs, [pair[1] for pair in pairs]):
         for key, items in reversed(groups):
             if is_variant(key, pair[1]):
                 unify(key, pair[1], [])
@@ -99,24 +111,29 @@ def _groups(found: List[Any]) -> List[Tuple[Term, List[Term]]]:
     return groups
 
 
-def _enumerate(
-    machine: Machine, witness: Term, result: Term, groups: List[Tuple[Term, Term]], at: int, after: Frame
+def _enumerate_groups(
+    machine: Machine,
+    witness: Term,
+    result: Term,
+    groups: List[Tuple[Term, Term]],
+    position: int,
+    after: Frame,
 ) -> Optional[Frame]:
-    while at < len(groups):
+    while position < len(groups):
         mark = len(machine.trail)
-        key, items = groups[at]
-        at += 1
+        key, items = groups[position]
+        position += 1
         if machine.unify_all((witness, key), (result, items)):
-            if at < len(groups):
-                machine.choices.append((_NEXT, machine, witness, result, groups, at, after, mark))
+            if position < len(groups):
+                machine.choices.append((_NEXT_GROUP, machine, witness, result, groups, position, after, mark))
             return after
     return None
 
 
-_NEXT = Code("bagof", lambda entry: _enumerate(*entry[1:7]))
+_NEXT_GROUP = Code("bagof", lambda entry: _enumerate_groups(*entry[1:7]))
 
-control("bagof/3")(_grouped(False))
-control("setof/3")(_grouped(True))
+control("bagof/3")(_grouped_solutions(False))
+control("setof/3")(_grouped_solutions(True))
 
 
 # Solutions in portions
@@ -124,56 +141,59 @@ control("setof/3")(_grouped(True))
 
 @control("findnsols/4", "findnsols/5")
 def findnsols(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Collect solutions in lists of a length; the next ones on backtracking."""
+    """Collect solutions in lists of ``N`` items; backtracking returns the next list."""
     count = natural(args[0])
     result = args[3]
     tail = args[4] if len(args) == 5 else NIL
     partial_items(result)
-    pair = copy((MINUS, args[1], args[2]))  # the goal goes on later: what it binds meanwhile is its own
-    found: List[Term] = []
-    height = len(machine.choices)
-    machine.choices.append((_REST, machine, found, result, tail, after, len(machine.trail)))
-    collect = (_PORTION, machine, height, found, pair[1], count, result, tail, after)
+    # The goal is resumed after the first list has been returned. The copy keeps the bindings that it makes separate
+    # from those of the continuation.
+    pair = copy((MINUS, args[1], args[2]))
+    solutions: List[Term] = []
+    base = len(machine.choices)
+    machine.choices.append((_REMAINING, machine, solutions, result, tail, after, len(machine.trail)))
+    collect = (_COLLECT, machine, base, solutions, pair[1], count, result, tail, after)
     return machine.logic.control.call(pair[2], collect)
 
 
-def _portion(frame: Frame) -> Optional[Frame]:
+def _collect_solution(frame: Frame) -> Optional[Frame]:
     machine: Machine
-    found: List[Term]
+    solutions: List[Term]
     after: Frame
-    _, machine, height, found, template, count, result, tail, after = frame
-    found.append(copy(template))
-    if len(found) < count:
+    _, machine, base, solutions, template, count, result, tail, after = frame
+    solutions.append(copy(template))
+    if len(solutions) < count:
         return None
-    items = make_list(found, tail)
-    found.clear()
-    if len(machine.choices) == height + 1:  # there are no more
+    items = make_list(solutions, tail)
+    solutions.clear()
+    # Only the choice point of this predicate is left, so the goal has no more solutions.
+    if len(machine.choices) == base + 1:
         machine.choices.pop()
     return after if unify(result, items, machine.trail) else None
 
 
-def _rest(entry: Frame) -> Optional[Frame]:
+def _remaining_solutions(entry: Frame) -> Optional[Frame]:
     machine: Machine
     after: Frame
-    _, machine, found, result, tail, after, _ = entry
-    return after if unify(result, make_list(found, tail), machine.trail) else None
+    _, machine, solutions, result, tail, after, _ = entry
+    return after if unify(result, make_list(solutions, tail), machine.trail) else None
 
 
-_PORTION = Code("findnsols", _portion)
-_REST = Code("findnsols", _rest, True)
+_COLLECT = Code("findnsols", _collect_solution)
+_REMAINING = Code("findnsols", _remaining_solutions, True)
 
 
 # Aggregates
 
 Finish = Callable[[List[Term]], Optional[Term]]
-"""What makes the result of an aggregate from the collected terms; None where there is none."""
+"""Function that computes an aggregate from the collected terms; it returns None if the aggregate has no value."""
 
 _COUNT = atom("count")
 _WITH_WITNESS = {functor("max", 2): 1, functor("min", 2): -1}
-_R = functor("r", 2)
+_WITNESS_PAIR = functor("r", 2)
 
 
-def _total(values: List[Term]) -> Term:
+def _sum(values: List[Term]) -> Term:
     total: Term = 0
     for value in values:
         total = add(total, value)
@@ -182,16 +202,16 @@ def _total(values: List[Term]) -> Term:
 
 @control("aggregate_all/4", locked=False)
 def aggregate_all_distinct(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Aggregate over the solutions that differ in a discriminator (or in what is aggregated)."""
+    """Aggregate over the solutions with distinct pairs of discriminator and template."""
     spec, discriminator, goal, result = deref(args[0]), args[1], args[2], args[3]
     finish, template = _aggregate(spec)
 
-    def done(found: List[Term]) -> Optional[Frame]:
-        pairs: List[Any] = sort_unique(found)
-        value = finish([pair[2] for pair in pairs])
+    def done(solutions: List[Term]) -> Optional[Frame]:
+        distinct: List[Any] = sort_unique(solutions)
+        value = finish([pair[2] for pair in distinct])
         return after if value is not None and unify(result, value, machine.trail) else None
 
-    inner, _ = _strip(machine, goal)
+    inner, _ = _strip_quantifiers(machine, goal)
     return machine.logic.control.collect(inner, (MINUS, discriminator, template), done)
 
 
@@ -201,17 +221,17 @@ def aggregate_all(machine: Machine, args: Values, after: Frame) -> Optional[Fram
     spec, goal, result = deref(args[0]), args[1], args[2]
     finish, template = _aggregate(spec)
 
-    def done(found: List[Term]) -> Optional[Frame]:
-        value = finish(found)
+    def done(solutions: List[Term]) -> Optional[Frame]:
+        value = finish(solutions)
         return after if value is not None and unify(result, value, machine.trail) else None
 
-    inner, _ = _strip(machine, goal)
+    inner, _ = _strip_quantifiers(machine, goal)
     return machine.logic.control.collect(inner, template, done)
 
 
-def _aggregate(given: Term) -> Tuple[Finish, Term]:
-    """Return what makes the result of an aggregate from the collected terms, and what to collect."""
-    spec = deref(given)
+def _aggregate(term: Term) -> Tuple[Finish, Term]:
+    """Return the function that computes an aggregate, and the template to collect."""
+    spec = deref(term)
     if spec is _COUNT:
         return len, spec
     if spec.__class__ is Var:
@@ -225,28 +245,28 @@ def _aggregate(given: Term) -> Tuple[Finish, Term]:
     if finish is not None:
         return finish, spec[1]
     if key in _WITH_WITNESS:
-        return _witness(key, _WITH_WITNESS[key]), (_R, spec[1], spec[2])
-    return _several(key, [_aggregate(part) for part in spec[1:]])
+        return _extremum_with_witness(key, _WITH_WITNESS[key]), (_WITNESS_PAIR, spec[1], spec[2])
+    return _compound_aggregate(key, [_aggregate(part) for part in spec[1:]])
 
 
-def _several(key: Functor, parts: List[Tuple[Finish, Term]]) -> Tuple[Finish, Term]:
-    """Return the aggregate of a term whose arguments are aggregates."""
+def _compound_aggregate(key: Functor, parts: List[Tuple[Finish, Term]]) -> Tuple[Finish, Term]:
+    """Return the aggregate of a compound specification such as ``r(count, max(X))``."""
 
-    def finish(found: List[Term]) -> Optional[Term]:
-        values = [part(column) for (part, _), column in zip(parts, _columns(found, len(parts)))]
+    def finish(solutions: List[Term]) -> Optional[Term]:
+        values = [part(column) for (part, _), column in zip(parts, _columns(solutions, len(parts)))]
         return None if any(value is None for value in values) else (key, *values)
 
     return finish, (key, *[template for _, template in parts])
 
 
-def _columns(found: List[Any], count: int) -> List[List[Term]]:
-    return [[item[at] for item in found] for at in range(1, count + 1)]
+def _columns(solutions: List[Any], count: int) -> List[List[Term]]:
+    return [[item[column] for item in solutions] for column in range(1, count + 1)]
 
 
-def _extreme(better: Callable[..., Number]) -> Finish:
-    def finish(found: List[Term]) -> Optional[Term]:
+def _extremum(better: Callable[..., Number]) -> Finish:
+    def finish(terms: List[Term]) -> Optional[Term]:
         value: Optional[Number] = None
-        for item in found:
+        for item in terms:
             number = evaluate(item)
             value = number if value is None else better(value, number)
         return value
@@ -254,10 +274,10 @@ def _extreme(better: Callable[..., Number]) -> Finish:
     return finish
 
 
-def _witness(key: Functor, sign: int) -> Finish:
-    def finish(found: List[Any]) -> Optional[Term]:
+def _extremum_with_witness(key: Functor, sign: int) -> Finish:
+    def finish(terms: List[Any]) -> Optional[Term]:
         best: Optional[Tuple[Number, Term]] = None
-        for _, item, witness in found:
+        for _, item, witness in terms:
             item = deref(item)
             if item.__class__ is not int and item.__class__ is not float:
                 raise type_error("number", item)
@@ -270,9 +290,9 @@ def _witness(key: Functor, sign: int) -> Finish:
 
 _FINISHES: Dict[Functor, Finish] = {
     functor("count", 1): len,
-    functor("sum", 1): _total,
+    functor("sum", 1): _sum,
     functor("bag", 1): make_list,
     functor("set", 1): lambda found: make_list(sort_unique(found)),
-    functor("max", 1): _extreme(_MAX),
-    functor("min", 1): _extreme(_MIN),
+    functor("max", 1): _extremum(_MAX),
+    functor("min", 1): _extremum(_MIN),
 }

@@ -1,4 +1,8 @@
-"""Checks of arguments: each returns the value in Python's form or raises the ISO error."""
+"""Type checks of arguments of built-in predicates.
+
+Each function dereferences an argument and returns its value as a Python object. Otherwise it raises the error that
+ISO 13211-1 prescribes: an instantiation error for an unbound argument, a type or domain error for a wrong one.
+"""
 
 from typing import List, Optional
 
@@ -11,12 +15,12 @@ from .builtin_registry import Machine
 
 
 def is_iso(machine: Machine) -> bool:
-    """Tell whether the flag ``iso`` asks for the standard's checks."""
+    """Return whether the flag ``iso`` is set, which enables the checks that SWI-Prolog omits by default."""
     return machine.logic.flags["iso"] is TRUE
 
 
 def integer(term: Term) -> int:
-    """Return an integer argument."""
+    """Return the value of an integer argument."""
     term = deref(term)
     if term.__class__ is int:
         return term
@@ -26,7 +30,7 @@ def integer(term: Term) -> int:
 
 
 def number(term: Term) -> Number:
-    """Return an argument that has to be a number; no expression is evaluated."""
+    """Return the value of a numeric argument; expressions are not evaluated."""
     term = deref(term)
     if term.__class__ is int or term.__class__ is float:
         return term
@@ -36,7 +40,7 @@ def number(term: Term) -> Number:
 
 
 def natural(term: Term) -> int:
-    """Return an integer argument that is not negative."""
+    """Return the value of a non-negative integer argument."""
     value = integer(term)
     if value < 0:
         raise domain_error("not_less_than_zero", value)
@@ -44,13 +48,13 @@ def natural(term: Term) -> int:
 
 
 def integer_or_var(term: Term) -> Optional[int]:
-    """Return an integer argument, or None where it is unbound."""
+    """Return the value of an integer argument, or None if it is unbound."""
     term = deref(term)
     return None if term.__class__ is Var else integer(term)
 
 
 def atom_of(term: Term) -> Atom:
-    """Return an argument that has to be an atom."""
+    """Return an atom argument."""
     term = deref(term)
     if term.__class__ is Atom:
         return term
@@ -60,7 +64,7 @@ def atom_of(term: Term) -> Atom:
 
 
 def is_true(term: Term) -> bool:
-    """Return an argument that has to be ``true`` or ``false``."""
+    """Return the value of a boolean argument, ``true`` or ``false``."""
     value = atom_of(term)
     if value is not TRUE and value is not FALSE:
         raise type_error("boolean", value)
@@ -68,7 +72,7 @@ def is_true(term: Term) -> bool:
 
 
 def callable_of(term: Term) -> Term:
-    """Return an argument that has to be an atom or a compound term."""
+    """Return a callable argument: an atom or a compound term."""
     term = deref(term)
     if term.__class__ is tuple or term.__class__ is Atom:
         return term
@@ -78,40 +82,40 @@ def callable_of(term: Term) -> Term:
 
 
 def items(term: Term) -> List[Term]:
-    """Return the items of an argument that has to be a proper list.
+    """Return the items of a proper list.
 
     Raises:
-        PrologError: an instantiation error for a partial list, a type error for what is none.
+        PrologError: an instantiation error for a partial list, a type error for any other term.
     """
-    found, tail = list_parts(term)
+    values, tail = list_parts(term)
     if tail is NIL:
-        return found
+        return values
     if tail.__class__ is Var:
         raise instantiation_error()
     raise type_error("list", term)
 
 
 def partial_items(term: Term) -> List[Term]:
-    """Return the items of a list, proper or partial, up to its tail.
+    """Return the items of a proper or partial list, without its tail.
 
     Raises:
         PrologError: a type error for what is not a list.
     """
-    found, tail = list_parts(term)
+    values, tail = list_parts(term)
     if tail is NIL or tail.__class__ is Var:
-        return found
+        return values
     raise type_error("list", term)
 
 
 def check_tail(term: Term) -> None:
-    """Raise a type error for the end of what is neither a list nor a partial one."""
+    """Raise a type error for the tail of a term that is neither a proper nor a partial list."""
     tail = list_parts(term)[1]
     if tail is not NIL and tail.__class__ is not Var:
         raise type_error("list", tail)
 
 
 def indicator_of(term: Term) -> Functor:
-    """Return the functor that ``Name/Arity`` names."""
+    """Return the functor of a predicate indicator ``Name/Arity``, without its module."""
     term = deref(term)
     if term.__class__ is Var:
         raise instantiation_error()
@@ -128,9 +132,13 @@ def indicator_of(term: Term) -> Functor:
 
 
 def option_values(term: Term) -> List[Term]:
-    """Return the options of an option list, dereferenced."""
-    found = [deref(item) for item in watched(items(term))]
-    for item in watched(found):
-        if item.__class__ is Var:
+    """Return the dereferenced items of an option list.
+
+    Raises:
+        PrologError: an instantiation error for a partial list or an unbound option, a type error for another term.
+    """
+    options = [deref(option) for option in watched(items(term))]
+    for option in watched(options):
+        if option.__class__ is Var:
             raise instantiation_error()
-    return found
+    return options

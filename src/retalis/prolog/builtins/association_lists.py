@@ -1,8 +1,11 @@
 """Association lists: AVL trees of terms ``t(Key, Value, Balance, Left, Right)``, empty: ``t``.
 
-``Balance`` names the deeper side: ``<`` the left one, ``>`` the right one, ``-`` none. Look-up, insertion and
-deletion descend the tree by the standard order of the keys; insertion and deletion rebuild the nodes of that path.
-The other predicates are in the library (library/assoc.pl).
+``Balance`` names the deeper subtree: ``<`` for the left one, ``>`` for the right one, ``-`` for neither. Lookup,
+insertion and deletion descend the tree by the standard order of keys. Terms are immutable, so insertion and deletion
+record the path from the root and rebuild its nodes from the bottom up, with the single and double rotations of
+Adelson-Velsky and Landis (1962). The format of the nodes is that of SWI-Prolog's ``library(assoc)``, and a tree may
+come from a program, so each node and each balance is checked before it is used. The remaining predicates of the
+library are in library/assoc.pl.
 """
 
 from typing import Any, Callable, List, Optional, Tuple
@@ -20,36 +23,39 @@ from .list_predicates import bounded
 _NODE, _EMPTY = functor("t", 5), atom("t")
 _LEFT, _EVEN, _RIGHT = atom("<"), atom("-"), atom(">")
 _INSERT, _DELETE = functor("insert", 5), functor("delete", 5)
-_AFTER_DOUBLE_ROTATION = {_EVEN: (_EVEN, _EVEN), _LEFT: (_EVEN, _RIGHT), _RIGHT: (_LEFT, _EVEN)}
+_BALANCES_AFTER_DOUBLE_ROTATION = {_EVEN: (_EVEN, _EVEN), _LEFT: (_EVEN, _RIGHT), _RIGHT: (_LEFT, _EVEN)}
 """Balances of the left and the right node after a double rotation, by the balance of the node that goes up."""
 
 
 _Path = List[Tuple[CompoundTerm, int]]
-"""Nodes from the top of a tree, each with -1 or 1 for the side in which the path goes on."""
+"""Nodes from the root down, each with -1 or 1 if the path continues in its left or right subtree."""
 
 _Balance = Callable[[CompoundTerm, Any, int], Optional[Tuple[CompoundTerm, bool]]]
 
 
-def _order(key: Any, other: Any) -> int:
-    """Compare two keys; integers, which most keys are, without a call of `compare`."""
-    if key.__class__ is int and other.__class__ is int:
-        return (key > other) - (key < other)
-    return compare(key, other)
+def _compare_keys(first: Any, second: Any) -> int:
+    """Compare two keys; integers, the most common keys, are compared without a call of `compare`."""
+    if first.__class__ is int and second.__class__ is int:
+        return (first > second) - (first < second)
+    return compare(first, second)
 
 
 def _is_node(term: Term) -> bool:
-    """Tell whether a dereferenced term is a tree with a key."""
+    """Return whether a dereferenced term is a node, which an empty tree is not."""
     return term.__class__ is tuple and term[0] is _NODE
 
 
 def _is_balance(term: Term) -> bool:
-    """Tell whether a dereferenced term is a balance: no term is hashed, whose depth can be any."""
+    """Return whether a dereferenced term is a balance.
+
+    The term is compared by identity: a look-up in a set would hash it, which recurses into terms of any depth.
+    """
     return term is _EVEN or term is _LEFT or term is _RIGHT
 
 
 @deterministic("get_assoc/3", locked=False)
 def get_assoc(machine: Machine, key: Term, tree: Term, value: Term) -> bool:
-    """Look a key up."""
+    """Look up a key."""
     key = deref(key)
     node: Any = deref(tree)
     if node.__class__ is Var:
@@ -59,12 +65,12 @@ def get_assoc(machine: Machine, key: Term, tree: Term, value: Term) -> bool:
     for _ in bounded():
         if node.__class__ is not tuple or node[0] is not _NODE:
             return False
-        other = node[1]
-        # As `_order`, without its call: most keys are integers or atoms.
-        if key.__class__ is int and other.__class__ is int:
-            order = -1 if key < other else key > other
+        node_key = node[1]
+        # Inlined `_compare_keys`, because most keys are integers or atoms and a call costs more than the comparison.
+        if key.__class__ is int and node_key.__class__ is int:
+            order = -1 if key < node_key else key > node_key
         else:
-            order = 0 if key is other else compare(key, other)
+            order = 0 if key is node_key else compare(key, node_key)
         if not order:
             return unify(value, node[2], machine.trail)
         node = node[4] if order < 0 else node[5]
@@ -78,23 +84,23 @@ def put_assoc(machine: Machine, key: Term, tree: Term, value: Term, result: Term
     """Insert a key or replace its value."""
     key = deref(key)
     path, node = _path_to(key, tree, _INSERT, value)
-    grown = node is _EMPTY
-    node = (_NODE, key, value, _EVEN, _EMPTY, _EMPTY) if grown else (_NODE, key, value, *node[3:])
-    made = _put_back(path, node, grown, _deepened)
-    return made is not None and unify(result, made, machine.trail)
+    is_new = node is _EMPTY
+    node = (_NODE, key, value, _EVEN, _EMPTY, _EMPTY) if is_new else (_NODE, key, value, *node[3:])
+    rebuilt = _rebuild_path(path, node, is_new, _deepened)
+    return rebuilt is not None and unify(result, rebuilt, machine.trail)
 
 
 def _path_to(key: Term, tree: Term, goal: Functor, value: Term) -> Tuple[_Path, Any]:
-    """Return the nodes above the place of a key, and the node there; the empty tree if the key is not in the tree.
+    """Return the path to a key, and its node, or the empty tree if the key is not in the tree.
 
     Args:
         key: the key, dereferenced.
         tree: the tree.
-        goal: the functor of the library's predicate that the error names.
-        value: the value that the error names.
+        goal: the functor of the library predicate, for the error term.
+        value: the value of the key, for the error term.
 
     Raises:
-        PrologError: where a side on the way is no tree.
+        PrologError: if a subtree on the path is not a tree.
     """
     path: _Path = []
     node: Any = deref(tree)
@@ -103,7 +109,7 @@ def _path_to(key: Term, tree: Term, goal: Functor, value: Term) -> Tuple[_Path, 
             break
         if not _is_node(node):
             raise no_matching_rule("assoc", (goal, node, key, value, Var(), Var()))
-        order = _order(key, node[1])
+        order = _compare_keys(key, node[1])
         if not order:
             break
         path.append((node, order))
@@ -111,22 +117,23 @@ def _path_to(key: Term, tree: Term, goal: Functor, value: Term) -> Tuple[_Path, 
     return path, node
 
 
-def _put_back(path: _Path, node: Term, changed: bool, balanced: _Balance) -> Optional[Term]:
-    """Return the tree whose path leads to a node that takes the place of another; None where a balance is none.
+def _rebuild_path(path: _Path, node: Term, changed: bool, balanced: _Balance) -> Optional[Term]:
+    """Return the tree with a new node at the end of a path, or None if a balance is invalid.
 
     Args:
-        path: the nodes above the place, from the top.
-        node: the node that belongs there.
-        changed: whether its depth is another one than before.
-        balanced: returns a node with a side whose depth has changed, and whether its own has changed: `_deepened` or
-            `_flattened`.
+        path: the nodes above the new node, from the root down.
+        node: the new node.
+        changed: whether its depth differs from that of the node that it replaces.
+        balanced: returns a node with one subtree of a different depth, and whether the node's own depth differs:
+            `_deepened` or `_flattened`.
     """
+    # As soon as one node has kept its depth, the balances above it are valid, and nodes are only copied.
     for parent, order in reversed(path):
         if changed:
-            made = balanced(parent, node, order)
-            if made is None:
+            balanced_node = balanced(parent, node, order)
+            if balanced_node is None:
                 return None
-            node, changed = made
+            node, changed = balanced_node
         else:
             sides = (node, parent[5]) if order < 0 else (parent[4], node)
             node = (*parent[:4], *sides)
@@ -134,27 +141,29 @@ def _put_back(path: _Path, node: Term, changed: bool, balanced: _Balance) -> Opt
 
 
 def _deepened(parent: CompoundTerm, side: CompoundTerm, order: int) -> Optional[Tuple[CompoundTerm, bool]]:
-    """Return a node one of whose sides has become deeper by one, and whether the node has.
+    """Return a node one of whose subtrees has become deeper by one, and whether the node has become deeper.
 
-    The side is the left one where ``order`` is negative. None where the balance is none.
+    ``order`` is negative for the left subtree. Returns None if a balance is invalid.
     """
     _, key, value, balance, left, right = parent
     left, right = (side, right) if order < 0 else (left, side)
-    deeper, other = (_LEFT, _RIGHT) if order < 0 else (_RIGHT, _LEFT)
+    deeper, flatter = (_LEFT, _RIGHT) if order < 0 else (_RIGHT, _LEFT)
     balance = deref(balance)
     if balance is _EVEN:
         return (_NODE, key, value, deeper, left, right), True
-    if balance is other:
+    if balance is flatter:
         return (_NODE, key, value, _EVEN, left, right), False
-    if balance is not deeper or side[3] is _EVEN:  # a new leaf makes no side too deep
+    # A subtree that has become too deep has a deeper side itself, unless the tree was not a valid AVL tree.
+    if balance is not deeper or side[3] is _EVEN:
         return None
     return _rotated(key, value, left, right, order), False
 
 
 def _rotated(key: Term, value: Term, left: Any, right: Any, order: int) -> CompoundTerm:
-    """Return a node one of whose sides has become too deep, balanced: the left side where ``order`` is negative."""
+    """Return a rebalanced node whose left subtree, or right one if ``order`` is positive, is too deep by one."""
     _, child_key, child_value, balance, inner_left, inner_right = left if order < 0 else right
-    if deref(balance) is (_LEFT if order < 0 else _RIGHT):  # a single rotation: the child goes up
+    if deref(balance) is (_LEFT if order < 0 else _RIGHT):
+        # Single rotation: the child becomes the root of this subtree.
         if order < 0:
             return (
                 *(_NODE, child_key, child_value, _EVEN, inner_left),
@@ -164,11 +173,11 @@ def _rotated(key: Term, value: Term, left: Any, right: Any, order: int) -> Compo
             *(_NODE, child_key, child_value, _EVEN),
             *((_NODE, key, value, _EVEN, left, inner_left), inner_right),
         )
-    # A double rotation: the child's inner side goes up.
+    # Double rotation: the child's inner subtree becomes the root of this subtree.
     top: Any = deref(inner_right if order < 0 else inner_left)
     _, top_key, top_value, balance, top_left, top_right = top
-    of_top: Any = deref(balance)
-    left_balance, right_balance = _AFTER_DOUBLE_ROTATION[of_top]
+    top_balance: Any = deref(balance)
+    left_balance, right_balance = _BALANCES_AFTER_DOUBLE_ROTATION[top_balance]
     if order < 0:
         lower = (_NODE, child_key, child_value, left_balance, inner_left, top_left)
         upper = (_NODE, key, value, right_balance, top_right, right)
@@ -185,17 +194,18 @@ def del_assoc(machine: Machine, key: Term, tree: Term, value: Term, result: Term
     path, node = _path_to(key, tree, _DELETE, value)
     if node is _EMPTY or not unify(value, node[2], machine.trail):
         return False
-    rest = _without_key(node, path)
-    if rest is None:
+    replacement = _without_key(node, path)
+    if replacement is None:
         return False
-    made = _put_back(path, rest, True, _flattened)
-    return made is not None and unify(result, made, machine.trail)
+    rebuilt = _rebuild_path(path, replacement, True, _flattened)
+    return rebuilt is not None and unify(result, rebuilt, machine.trail)
 
 
 def _without_key(node: CompoundTerm, path: _Path) -> Optional[Term]:
-    """Return what replaces the last node of a path when the key of a node is removed; None if a side is no tree.
+    """Return the subtree that replaces a removed node; None if a subtree of it is not a tree.
 
-    If the node has both sides, the next key of its deeper side takes its place, and the path is extended to that key.
+    If the node has two subtrees, the adjacent key of the deeper one replaces its key, and the path is extended to the
+    node of that key.
 
     Args:
         node: the node whose key is removed.
@@ -206,6 +216,7 @@ def _without_key(node: CompoundTerm, path: _Path) -> Optional[Term]:
         return right if left is _EMPTY else left
     if not (_is_node(left) and _is_node(right)):
         return None
+    # Taking the key from the deeper subtree never makes the node unbalanced, so it needs fewer rotations.
     side = 1 if deref(node[3]) is _RIGHT else -1
     place = len(path)
     path.append((node, side))
@@ -222,33 +233,33 @@ def _without_key(node: CompoundTerm, path: _Path) -> Optional[Term]:
 
 
 def _flattened(parent: CompoundTerm, side: Any, order: int) -> Optional[Tuple[CompoundTerm, bool]]:
-    """Return a node one of whose sides has lost a level, and whether the node has.
+    """Return a node one of whose subtrees has become flatter by one, and whether the node has become flatter.
 
-    The side is the left one where ``order`` is negative. None where the balance is none.
+    ``order`` is negative for the left subtree. Returns None if a balance is invalid.
     """
     _, key, value, balance, left, right = parent
     left, right = (side, right) if order < 0 else (left, side)
-    flatter, other = (_LEFT, _RIGHT) if order < 0 else (_RIGHT, _LEFT)
+    flatter, deeper = (_LEFT, _RIGHT) if order < 0 else (_RIGHT, _LEFT)
     balance = deref(balance)
     if balance is flatter:
         return (_NODE, key, value, _EVEN, left, right), True
     if balance is _EVEN:
-        return (_NODE, key, value, other, left, right), False
-    if balance is not other:
+        return (_NODE, key, value, deeper, left, right), False
+    if balance is not deeper:
         return None
     sibling: Any = deref(right if order < 0 else left)
     if not _is_node(sibling):
         return None
-    lean = deref(sibling[3])
-    if lean is flatter:
+    sibling_balance = deref(sibling[3])
+    if sibling_balance is flatter:
         inner: Any = deref(sibling[4] if order < 0 else sibling[5])
         if not _is_node(inner) or not _is_balance(deref(inner[3])):
             return None
-    elif not _is_balance(lean):
+    elif not _is_balance(sibling_balance):
         return None
-    if lean is not _EVEN:
+    if sibling_balance is not _EVEN:
         return _rotated(key, value, left, right, -order), True
-    # A single rotation; the node keeps its depth, and both levels lean.
+    # Single rotation around an even sibling: the subtree keeps its depth, and both of its upper nodes become uneven.
     _, top_key, top_value, _, inner_left, inner_right = sibling
     if order < 0:
         lower = (_NODE, key, value, _RIGHT, left, inner_left)
@@ -257,16 +268,17 @@ def _flattened(parent: CompoundTerm, side: Any, order: int) -> Optional[Tuple[Co
     return (_NODE, top_key, top_value, _RIGHT, inner_left, lower), False
 
 
-def _listing(position: Optional[int]) -> Callable[[Machine, Term, Term], bool]:
-    """Return a predicate that lists an argument of the nodes of a tree, or without a position their pairs."""
+def _tree_listing(position: Optional[int]) -> Callable[[Machine, Term, Term], bool]:
+    """Return a predicate that lists an argument of all nodes, or ``Key-Value`` pairs if ``position`` is None."""
 
     def run(machine: Machine, tree: Term, result: Term) -> bool:
-        """Unify the result with the items of a tree in the order of keys; fail for a term that is no tree."""
+        """Unify the result with the items of a tree in the order of keys; fail if the term is not a tree."""
         path: List[CompoundTerm] = []
         node: Any = tree
-        wrong: Optional[Term] = None
-        # From the last node to the first, so that the list is made without another one of its items.
-        found: Term = NIL
+        invalid: Optional[Term] = None
+        # Visits the nodes from the last to the first, so that the list is built from its end without an intermediate
+        # list.
+        listed: Term = NIL
         for _ in ROUNDS:
             for _ in BULK:
                 if node.__class__ is tuple and node[0] is _NODE:
@@ -276,17 +288,19 @@ def _listing(position: Optional[int]) -> Callable[[Machine, Term, Term], bool]:
                         continue
                 elif node is _EMPTY:
                     if not path:
-                        if wrong.__class__ is Var:
+                        if invalid.__class__ is Var:
                             raise instantiation_error()
-                        return wrong is None and unify(result, found, machine.trail)
+                        return invalid is None and unify(result, listed, machine.trail)
                     node = path.pop()
                 else:
-                    same, node = node, deref(node)
-                    if node is same:  # the last one of these is the first in the order of keys
-                        wrong, node = node, _EMPTY
+                    unbound, node = node, deref(node)
+                    # Not a tree. The traversal continues, because the error depends on the invalid subtree that is
+                    # first in the order of keys, which is visited last.
+                    if node is unbound:
+                        invalid, node = node, _EMPTY
                     continue
                 item = (MINUS, node[1], node[2]) if position is None else node[position]
-                found = (CONS, item, found)
+                listed = (CONS, item, listed)
                 node = node[4]
             look()
         raise TermTooLarge
@@ -294,35 +308,38 @@ def _listing(position: Optional[int]) -> Callable[[Machine, Term, Term], bool]:
     return run
 
 
-deterministic("assoc_to_list/2", locked=False)(_listing(None))
-deterministic("assoc_to_keys/2", locked=False)(_listing(1))
-deterministic("assoc_to_values/2", locked=False)(_listing(2))
+deterministic("assoc_to_list/2", locked=False)(_tree_listing(None))
+deterministic("assoc_to_keys/2", locked=False)(_tree_listing(1))
+deterministic("assoc_to_values/2", locked=False)(_tree_listing(2))
 
 
 @deterministic("$pairs_to_assoc/2")
 def pairs_to_assoc(machine: Machine, pairs: Term, result: Term) -> bool:
-    """Make a balanced tree of pairs; fail unless their keys increase."""
-    found: List[Any] = [deref(pair) for pair in watched(items(pairs))]
+    """Build a balanced tree from pairs; fail unless their keys strictly increase."""
+    entries: List[Any] = [deref(pair) for pair in watched(items(pairs))]
     keys: List[Any] = []
-    for pair in watched(found):
+    for pair in watched(entries):
         if pair.__class__ is not tuple or pair[0] is not MINUS:
             return False
         key = deref(pair[1])
-        if keys and _order(keys[-1], key) >= 0:
+        if keys and _compare_keys(keys[-1], key) >= 0:
             return False
         keys.append(key)
-    values = [pair[2] for pair in found]
-    return unify(result, _balanced(keys, values, 0, len(keys))[0], machine.trail)
+    values = [pair[2] for pair in entries]
+    return unify(result, _balanced_tree(keys, values, 0, len(keys))[0], machine.trail)
 
 
-def _balanced(keys: List[Term], values: List[Term], start: int, end: int) -> Tuple[Term, int]:
-    """Return a tree of some of the pairs and its depth; its left side is as large as the right one, or one larger."""
+def _balanced_tree(keys: List[Term], values: List[Term], start: int, end: int) -> Tuple[Term, int]:
+    """Return a tree of the pairs from ``start`` to ``end``, and its depth.
+
+    The left subtree has as many nodes as the right one, or one more.
+    """
     if start == end:
         return _EMPTY, 0
     if not start & 1023:
         look()
     middle = start + (end - start) // 2
-    left, depth = _balanced(keys, values, start, middle)
-    right, right_depth = _balanced(keys, values, middle + 1, end)
+    left, depth = _balanced_tree(keys, values, start, middle)
+    right, right_depth = _balanced_tree(keys, values, middle + 1, end)
     balance = _EVEN if depth == right_depth else _LEFT
     return (_NODE, keys[middle], values[middle], balance, left, right), depth + 1

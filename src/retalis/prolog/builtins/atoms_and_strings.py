@@ -1,6 +1,7 @@
-"""Atoms and their text: conversions, concatenation, parts.
+"""Predicates on atoms, strings and characters: conversion, concatenation, substrings and character types.
 
-Strings: conversions and parts.
+Predicates of atoms and of strings share an implementation, which is passed the constructor of the result (`atom` or
+`String`). Errors are those of SWI-Prolog, or of ISO 13211-1 if the flag ``iso`` is set.
 """
 
 from typing import Callable, Dict, Iterator, List, Optional, Tuple
@@ -46,7 +47,7 @@ from .text_arguments import (
 
 @deterministic("atom_length/2")
 def atom_length(machine: Machine, text: Term, length: Term) -> bool:
-    """Give the number of characters of an atom."""
+    """Unify with the number of characters of an atom."""
     size = deref(length)
     value = len(atom_of(text).name if is_iso(machine) else text_of(text))
     if size.__class__ is not Var:
@@ -57,27 +58,29 @@ def atom_length(machine: Machine, text: Term, length: Term) -> bool:
     return unify(size, value, machine.trail)
 
 
-_LONG = 1 << 16
-"""Characters that are changed in one piece."""
+_MAX_CASE_CHARACTERS = 1 << 16
+"""Limit for the characters whose case is changed in one step."""
 
-_PART = 64
-"""Bytes of a short text."""
+_ATOM_BYTES = 64
+"""Approximate size of a short atom, for the memory limit."""
 
 Make = Callable[[str], Term]
-"""What makes a term of a text."""
+"""Constructor of a term from a text."""
 
 
-def _converter(
+def _text_converter(
     to_list: Make, from_text: Callable[[Machine, str], Term], kind: str
 ) -> Callable[[Machine, Term, Term], bool]:
+    """Return a predicate that converts between a constant and the list of its codes or characters."""
+
     def run(machine: Machine, constant: Term, parts: Term) -> bool:
-        found = constant_text(deref(constant))
-        if found is not None:
+        text = constant_text(deref(constant))
+        if text is not None:
             check_parts(parts)
             given = deref(parts)
             if given.__class__ is String:
-                return given.text == found
-            return unify(parts, to_list(found), machine.trail)
+                return given.text == text
+            return unify(parts, to_list(text), machine.trail)
         if deref(constant).__class__ is not Var:
             raise type_error(kind, deref(constant))
         text = parts_text(machine, parts, to_list is codes)
@@ -95,13 +98,13 @@ def _number(machine: Machine, text: str) -> Term:
 
 
 def _any_constant(machine: Machine, text: str) -> Term:
-    found = parse_number(text, machine.logic.operators)
-    return atom(text) if found is None else found
+    number = parse_number(text, machine.logic.operators)
+    return atom(text) if number is None else number
 
 
-deterministic("atom_codes/2")(_converter(codes, _atom, "atom"))
-deterministic("atom_chars/2")(_converter(chars, _atom, "atom"))
-deterministic("name/2")(_converter(codes, _any_constant, "atomic"))
+deterministic("atom_codes/2")(_text_converter(codes, _atom, "atom"))
+deterministic("atom_chars/2")(_text_converter(chars, _atom, "atom"))
+deterministic("name/2")(_text_converter(codes, _any_constant, "atomic"))
 
 
 def _number_converter(to_list: Make) -> Callable[[Machine, Term, Term], bool]:
@@ -109,7 +112,7 @@ def _number_converter(to_list: Make) -> Callable[[Machine, Term, Term], bool]:
         number = deref(number)
         if number.__class__ not in (Var, int, float):
             raise type_error("number", number)
-        # The text decides where it is there: "0x10" is 16, whatever number the other side is.
+        # If the text is known it is parsed, even if the number is known too: "0x10" is equal to 16.
         if not is_iso(machine):
             check_parts(parts)
         if isinstance(number, (int, float)) and not is_ground(parts):
@@ -130,7 +133,7 @@ def _no_code(machine: Machine, code: int) -> Exception:
 
 @deterministic("char_code/2")
 def char_code(machine: Machine, char: Term, code: Term) -> bool:
-    """Relate a character with its code."""
+    """Convert between a character and its code."""
     char, code = deref(char), deref(code)
     if char.__class__ is Atom:
         if len(char.name) != 1:
@@ -153,7 +156,7 @@ def char_code(machine: Machine, char: Term, code: Term) -> bool:
 
 @deterministic("atom_number/2")
 def atom_number(machine: Machine, text: Term, number: Term) -> bool:
-    """Relate an atom with the number that it reads as."""
+    """Convert between an atom and the number that it denotes."""
     text, number = deref(text), deref(number)
     if text.__class__ is Var:
         if number.__class__ is Var:
@@ -167,13 +170,13 @@ def atom_number(machine: Machine, text: Term, number: Term) -> bool:
         if number.__class__ not in (int, float):
             raise type_error("number", number)
         return False
-    found = parse_number(atomic_text(text), machine.logic.operators)
-    return found is not None and unify(number, found, machine.trail)
+    value = parse_number(atomic_text(text), machine.logic.operators)
+    return value is not None and unify(number, value, machine.trail)
 
 
 @deterministic("term_to_atom/2")
 def term_to_atom(machine: Machine, term: Term, text: Term) -> bool:
-    """Relate a term with its text."""
+    """Convert between a term and its text as an atom."""
     given = deref(text)
     if deref(term).__class__ is Var and given.__class__ is not Var:
         return unify(term, parse(machine, text_of(given)), machine.trail)
@@ -187,13 +190,13 @@ def term_to_atom(machine: Machine, term: Term, text: Term) -> bool:
 
 @nondeterministic("atom_concat/3")
 def atom_concat(machine: Machine, left: Term, right: Term, whole: Term) -> Outcome:
-    """Relate two texts with the atom that they make together."""
+    """Relate two texts with their concatenation as an atom."""
     return _concat(machine, left, right, whole, atom)
 
 
 @nondeterministic("string_concat/3")
 def string_concat(machine: Machine, left: Term, right: Term, whole: Term) -> Outcome:
-    """Relate two texts with the string that they make together."""
+    """Relate two texts with their concatenation as a string."""
     return _concat(machine, left, right, whole, String)
 
 
@@ -202,10 +205,10 @@ def _concat(machine: Machine, left: Term, right: Term, whole: Term, make: Make) 
     start = None if left.__class__ is Var else atomic_text(left)
     end = None if right.__class__ is Var else atomic_text(right)
     if start is not None and end is not None:
-        found = deref(whole)
-        text = constant_text(found)
-        if text is None and found.__class__ is not Var:
-            raise type_error("atomic", found)
+        result = deref(whole)
+        text = constant_text(result)
+        if text is None and result.__class__ is not Var:
+            raise type_error("atomic", result)
         long_text(len(start) + len(end), start, end)
         return text == start + end if text is not None else unify(whole, make(start + end), machine.trail)
     if deref(whole).__class__ is Var:
@@ -220,29 +223,30 @@ def _concat(machine: Machine, left: Term, right: Term, whole: Term, make: Make) 
 
 
 def halves(machine: Machine, left: Term, right: Term, text: str, make: Make) -> Solutions:
-    """Yield for each way to cut a text in two parts, made by ``make``, that unify with left and right."""
-    for at in range(len(text) + 1):
+    """Enumerate the divisions of a text into two parts."""
+    for position in range(len(text) + 1):
+        # Each solution copies the whole text, so each is charged to the limits.
         long_text(len(text))
-        if machine.unify_all((left, make(text[:at])), (right, make(text[at:]))):
-            yield LAST if at == len(text) else None
+        if machine.unify_all((left, make(text[:position])), (right, make(text[position:]))):
+            yield LAST if position == len(text) else None
 
 
 @nondeterministic("sub_atom/5")
 def sub_atom(machine: Machine, text: Term, before: Term, length: Term, after: Term, part: Term) -> Outcome:
-    """Enumerate the parts of an atom."""
+    """Enumerate the substrings of an atom."""
     return sub_text(machine, text, before, length, after, part, atom)
 
 
 @nondeterministic("sub_string/5")
 def sub_string(machine: Machine, text: Term, before: Term, length: Term, after: Term, part: Term) -> Outcome:
-    """Enumerate the parts of a string."""
+    """Enumerate the substrings of a string."""
     return sub_text(machine, text, before, length, after, part, String)
 
 
 def sub_text(
     machine: Machine, text: Term, before: Term, length: Term, after: Term, part: Term, make: Make
 ) -> Outcome:
-    """Enumerate the parts of a text in order of their start, then of their length."""
+    """Enumerate the substrings of a text in the order of their start, then of their length."""
     if deref(text).__class__ is Var:
         raise instantiation_error()
     kind = "atom" if make is atom else "string"
@@ -253,10 +257,13 @@ def sub_text(
         if value is not None and value < 0:
             raise domain_error("not_less_than_zero", value)
     given = deref(part)
+    # A known substring is searched for, which takes linear time; enumerating all substrings would take quadratic
+    # time.
     if given.__class__ is not Var:
         if is_iso(machine):
             atom_of(given)
         return _occurrences(machine, whole, atomic_text(given, kind), before, length, after, b, a)
+    # Two known numbers determine the third and the substring.
     if b is not None and count is not None:
         start, end = b, b + count
     elif b is not None and a is not None:
@@ -264,7 +271,9 @@ def sub_text(
     elif count is not None and a is not None:
         start, end = size - a - count, size - a
     else:
-        return _parts(machine, whole, _spans(size, b, count, a), before, length, after, part, make)
+        return _enumerate_substrings(
+            machine, whole, _spans(size, b, count, a), before, length, after, part, make
+        )
     return bool(
         0 <= start <= end <= size
         and machine.unify_all(
@@ -273,7 +282,7 @@ def sub_text(
     )
 
 
-def _parts(
+def _enumerate_substrings(
     machine: Machine,
     whole: str,
     spans: Iterator[Tuple[int, int]],
@@ -284,8 +293,8 @@ def _parts(
     make: Make,
 ) -> Solutions:
     size = len(whole)
-    for at, (start, end) in enumerate(spans):
-        if not at & 255:
+    for index, (start, end) in enumerate(spans):
+        if not index & 255:
             look()
         long_text(end - start)
         if machine.unify_all(
@@ -307,41 +316,47 @@ def _spans(size: int, b: Optional[int], count: Optional[int], a: Optional[int]) 
 def _occurrences(
     machine: Machine,
     whole: str,
-    wanted: str,
+    substring: str,
     before: Term,
     length: Term,
     after: Term,
     b: Optional[int],
     a: Optional[int],
 ) -> Outcome:
-    size, count = len(whole), len(wanted)
+    size, count = len(whole), len(substring)
     if b is not None:
         start = b
-        found = whole.startswith(wanted, start)
+        matches = whole.startswith(substring, start)
     elif a is not None:
         start = size - a - count
-        found = start >= 0 and whole.startswith(wanted, start)
+        matches = start >= 0 and whole.startswith(substring, start)
     else:
-        start = whole.find(wanted)
-        found = start >= 0
-        if found and whole.find(wanted, start + 1) >= 0:
-            return _many(machine, whole, wanted, before, length, after)
-    return bool(found and machine.unify_all((before, start), (length, count), (after, size - start - count)))
+        start = whole.find(substring)
+        matches = start >= 0
+        if matches and whole.find(substring, start + 1) >= 0:
+            return _all_occurrences(machine, whole, substring, before, length, after)
+    return bool(
+        matches and machine.unify_all((before, start), (length, count), (after, size - start - count))
+    )
 
 
-def _many(machine: Machine, whole: str, wanted: str, before: Term, length: Term, after: Term) -> Solutions:
+def _all_occurrences(
+    machine: Machine, whole: str, substring: str, before: Term, length: Term, after: Term
+) -> Solutions:
     size = len(whole)
-    start = whole.find(wanted)
+    start = whole.find(substring)
     while start >= 0:
-        following = whole.find(wanted, start + 1)
-        if machine.unify_all((before, start), (length, len(wanted)), (after, size - start - len(wanted))):
+        following = whole.find(substring, start + 1)
+        if machine.unify_all(
+            (before, start), (length, len(substring)), (after, size - start - len(substring))
+        ):
             yield LAST if following < 0 else None
         start = following
 
 
 @deterministic("atomic_list_concat/2")
 def atomic_list_concat(machine: Machine, parts: Term, whole: Term) -> bool:
-    """Join texts to an atom."""
+    """Concatenate texts to an atom."""
     return unify(
         whole, atom(joined([atomic_text(item, "text") for item in watched(items(parts))])), machine.trail
     )
@@ -349,26 +364,26 @@ def atomic_list_concat(machine: Machine, parts: Term, whole: Term) -> bool:
 
 @deterministic("atomic_list_concat/3")
 def atomic_list_concat_separated(machine: Machine, parts: Term, separator: Term, whole: Term) -> bool:
-    """Join texts with a separator to an atom, or split an atom at it."""
+    """Join texts with a separator, or split an atom at the separator."""
     between = atomic_text(separator, "text")
     text = _join(parts, between)
     if text is not None:
-        found = constant_text(deref(whole))
-        return found == text if found is not None else unify(whole, atom(text), machine.trail)
+        result = constant_text(deref(whole))
+        return result == text if result is not None else unify(whole, atom(text), machine.trail)
     if deref(whole).__class__ is Var:
         raise instantiation_error()
     if not between:
         raise domain_error("non_empty_atom", separator)
     text = atomic_text(whole)
-    look(size=_PART * text.count(between))
+    look(size=_ATOM_BYTES * text.count(between))
     return unify(parts, make_list(each(atom, text.split(between))), machine.trail)
 
 
 def _join(parts: Term, between: str) -> Optional[str]:
-    """Return the joined text, or None where the list or an item is not bound yet."""
-    found: List[str] = []
+    """Return the joined text, or None if the list is partial or an item is unbound."""
+    texts: List[str] = []
     if list_items(parts) is None:
-        partial_items(parts)  # raises for what is not a list
+        partial_items(parts)  # raises the error for a term that is not a list
         return None
     for item in watched(items(parts)):
         item = deref(item)
@@ -377,16 +392,18 @@ def _join(parts: Term, between: str) -> Optional[str]:
             if item.__class__ is Var:
                 return None
             raise type_error("text", item)
-        found.append(text)
-    return joined(found, between)
+        texts.append(text)
+    return joined(texts, between)
 
 
 def _case(change: Callable[[str], str], make: Make, kind: str) -> Callable[[Machine, Term, Term], bool]:
     def run(machine: Machine, text: Term, result: Term) -> bool:
         given = atomic_text(text)
         long_text(len(given), given)
-        if len(given) > _LONG and "Σ" not in given:  # how that changes depends on what is around it
-            changed = "".join([change(some) for some in in_bulks(given)])
+        # A long text is converted in pieces, with a check of the limits after each. The lower case of a capital sigma
+        # depends on the letters around it, which may be in another piece.
+        if len(given) > _MAX_CASE_CHARACTERS and "Σ" not in given:
+            changed = "".join([change(piece) for piece in in_bulks(given)])
         else:
             changed = change(given)
         no_compound(result, kind)
@@ -406,7 +423,7 @@ _CHECK_INTERVAL_MASK = len(BULK) - 1
 
 @deterministic("string_length/2")
 def string_length(machine: Machine, text: Term, length: Term) -> bool:
-    """Give the number of characters of a text."""
+    """Unify with the number of characters of a text."""
     size = len(text_of(text))
     integer_or_var(length)
     return unify(length, size, machine.trail)
@@ -428,39 +445,39 @@ deterministic("string_chars/2")(_string_converter(chars))
 deterministic("string_codes/2")(_string_converter(codes))
 
 
-def _is_no_text(term: Term) -> bool:
+def _is_compound_non_text(term: Term) -> bool:
     term = deref(term)
     return term.__class__ is tuple and not is_text_list(term)
 
 
 @deterministic("atom_string/2")
 def atom_string(machine: Machine, name: Term, text: Term) -> bool:
-    """Relate the text of an atom or a number with a string."""
+    """Convert between an atom or number and its text as a string."""
     if deref(name).__class__ is Var:
         return unify(name, atom(whole_text(text, "string")), machine.trail)
     if deref(text).__class__ is Var:
         return unify(text, String(whole_text(name, "atom")), machine.trail)
-    if _is_no_text(name) != _is_no_text(text):
+    if _is_compound_non_text(name) != _is_compound_non_text(text):
         return False
     return whole_text(text, "string") == whole_text(name, "atom")
 
 
 @deterministic("string_to_atom/2")
 def string_to_atom(machine: Machine, text: Term, name: Term) -> bool:
-    """Do what ``atom_string/2`` does."""
+    """Convert between a string and an atom, see ``atom_string/2``."""
     return atom_string(machine, name, text)
 
 
 @deterministic("number_string/2")
 def number_string(machine: Machine, number: Term, text: Term) -> bool:
-    """Relate a number with its string; fails where the text is not a number."""
+    """Convert between a number and its text as a string; fail if the text does not denote a number."""
     number = deref(number)
     if number.__class__ not in (Var, int, float):
         raise type_error("number", number)
     check_parts(text)
     if is_ground(text):
-        found = parse_number(parts_text(machine, text, True).strip(), machine.logic.operators)
-        return found is not None and unify(number, found, machine.trail)
+        value = parse_number(parts_text(machine, text, True).strip(), machine.logic.operators)
+        return value is not None and unify(number, value, machine.trail)
     if not isinstance(number, (int, float)):
         raise instantiation_error()
     return unify(text, String(number_text(number)), machine.trail)
@@ -468,16 +485,16 @@ def number_string(machine: Machine, number: Term, text: Term) -> bool:
 
 @deterministic("text_to_string/2")
 def text_to_string(machine: Machine, text: Term, result: Term) -> bool:
-    """Give the string of an atom, string, or list of codes or characters."""
-    found = text_of(text, numbers=False)
+    """Convert an atom, a string, or a list of codes or characters to a string."""
+    value = text_of(text, numbers=False)
     given = deref(result)
     if given.__class__ is Atom:
-        return given.name == found
-    return unify(result, String(found), machine.trail)
+        return given.name == value
+    return unify(result, String(value), machine.trail)
 
 
 def _wanted_code(term: Term) -> Term:
-    """Return the code that is looked for in a text: it may be given as a character."""
+    """Return the code argument of ``string_code/3``, which may be given as a character."""
     term = deref(term)
     if term.__class__ is Var or (term.__class__ is int and term >= 0):
         return term
@@ -490,25 +507,25 @@ def _wanted_code(term: Term) -> Term:
 
 @nondeterministic("string_code/3")
 def string_code(machine: Machine, index: Term, text: Term, code: Term) -> Outcome:
-    """Relate the characters' codes with their positions from 1."""
-    at = integer_or_var(index)
+    """Enumerate the character codes of a text with their positions from 1."""
+    position = integer_or_var(index)
     whole = text_of(text, numbers=False)
-    if at is None:
+    if position is None:
         return _codes(machine, index, whole, _wanted_code(code))
-    if at < 0:
-        raise domain_error("not_less_than_zero", at)
-    return 0 < at <= len(whole) and unify(code, ord(whole[at - 1]), machine.trail)
+    if position < 0:
+        raise domain_error("not_less_than_zero", position)
+    return 0 < position <= len(whole) and unify(code, ord(whole[position - 1]), machine.trail)
 
 
 def _codes(machine: Machine, index: Term, whole: str, wanted: Term) -> Solutions:
-    for at, char in enumerate(whole, 1):
-        if machine.unify_all((index, at), (wanted, ord(char))):
-            yield LAST if at == len(whole) else None
+    for position, char in enumerate(whole, 1):
+        if machine.unify_all((index, position), (wanted, ord(char))):
+            yield LAST if position == len(whole) else None
 
 
 @nondeterministic("text_concat/3")
 def text_concat(machine: Machine, left: Term, right: Term, whole: Term) -> Outcome:
-    """Relate two texts with the text that they make together: a string where one of them is."""
+    """Relate two texts with their concatenation, which is a string if any argument is a string, else an atom."""
     given = [deref(term) for term in (left, right, whole)]
     make: Callable[[str], Term] = String if any(term.__class__ is String for term in given) else atom
     start, end, text = (None if term.__class__ is Var else text_of(term) for term in given)
@@ -529,28 +546,32 @@ def text_concat(machine: Machine, left: Term, right: Term, whole: Term) -> Outco
 def split_string(machine: Machine, text: Term, separators: Term, pad: Term, parts: Term) -> bool:
     """Split a text at any of the separators and strip the pad characters from each part."""
     whole, between, strip = (text_of(given, numbers=False) for given in (text, separators, pad))
-    between, strip = _different(between), _different(strip)
+    between, strip = _distinct_characters(between), _distinct_characters(strip)
     long_text(len(whole), whole)
     partial_items(parts)
     return unify(parts, make_list(each(String, list(_split(whole, between, strip)))), machine.trail)
 
 
-def _different(text: str) -> str:
-    """Return each character of a text once."""
+def _distinct_characters(text: str) -> str:
+    """Return the distinct characters of a text."""
     return text if len(text) < 2 else "".join(dict.fromkeys(watched(text)))
 
 
 def _split(text: str, separators: str, pad: str) -> Iterator[str]:
-    """Yield the parts of a text; separators that are pad characters too count once, and not at the ends."""
+    """Yield the parts of a text.
+
+    A sequence of separators that are also pad characters counts as one, and is dropped at both ends of the text.
+    """
     text = _strip(text, pad)
     start = 0
-    for at, char in enumerate(text):
-        if not at & _CHECK_INTERVAL_MASK:
+    for position, char in enumerate(text):
+        if not position & _CHECK_INTERVAL_MASK:
             look()
-        if at >= start and char in separators:
-            yield _strip(text[start:at], pad)
-            start = at + 1
-            while char in pad and text[start] in pad:  # what is left does not end with one
+        if position >= start and char in separators:
+            yield _strip(text[start:position], pad)
+            start = position + 1
+            # The index stays in range: the text has been stripped, so it does not end with a pad character.
+            while char in pad and text[start] in pad:
                 start += 1
     yield _strip(text[start:], pad)
 
@@ -561,7 +582,7 @@ def _strip(text: str, pad: str) -> str:
 
 @deterministic("normalize_space/2")
 def normalize_space(machine: Machine, sink: Term, text: Term) -> bool:
-    """Unify a text with runs of white space made one blank."""
+    """Unify with a text in which each sequence of white space is one space."""
     sink = deref(sink)
     if sink.__class__ is Var:
         raise instantiation_error()
@@ -571,15 +592,16 @@ def normalize_space(machine: Machine, sink: Term, text: Term) -> bool:
 
 
 def _words(text: str) -> List[str]:
-    """Return what stands between white space."""
+    """Return the words of a text, which are separated by white space."""
     words: List[str] = []
-    whole = True  # the last word ends where a piece ends
+    is_complete = True
+    # A word may extend over the boundary between two pieces.
     for piece in in_bulks(text):
-        found = piece.split()
-        if not whole and found and not piece[0].isspace():
-            words[-1] += found.pop(0)
-        words += found
-        whole = piece[-1:].isspace()  # the only piece of an empty text is empty
+        piece_words = piece.split()
+        if not is_complete and piece_words and not piece[0].isspace():
+            words[-1] += piece_words.pop(0)
+        words += piece_words
+        is_complete = piece[-1:].isspace()  # the only piece of an empty text is empty
     return words
 
 
@@ -615,7 +637,7 @@ _CLASSES: Dict[str, Callable[[str], bool]] = {
 _PARAMETRIC = ("digit", "xdigit", "to_lower", "to_upper", "upper", "lower")
 
 
-def _of_code(term: Term) -> Optional[str]:
+def _character(term: Term) -> Optional[str]:
     term = deref(term)
     if term.__class__ is Var:
         return None
@@ -634,35 +656,36 @@ def _char_type(as_code: bool) -> Callable[[Machine, Term, Term], Outcome]:
         return ord(char) if as_code else atom(char)
 
     def run(machine: Machine, char: Term, kind: Term) -> Outcome:
+        """Test or enumerate the types of a character, or the characters of a type up to code 255."""
         kind = deref(kind)
         _check_type(kind)
-        given = _of_code(char)
+        given = _character(char)
         if given is None and kind.__class__ is Var:
             raise instantiation_error()
         if given is None or kind.__class__ is Var:
             return enumerate_(machine, char, kind, given)
-        found = next(_types(given, kind, wrap), None)
-        return found is not None and unify(kind, found, machine.trail)
+        type_term = next(_types(given, kind, wrap), None)
+        return type_term is not None and unify(kind, type_term, machine.trail)
 
     def enumerate_(machine: Machine, char: Term, kind: Term, given: Optional[str]) -> Solutions:
-        for one in [given] if given is not None else map(chr, range(256)):
-            for found in _types(one, kind, wrap):
-                pairs = [(kind, found)]
+        for character in [given] if given is not None else map(chr, range(256)):
+            for type_term in _types(character, kind, wrap):
+                pairs = [(kind, type_term)]
                 if given is None:
-                    pairs.append((char, wrap(one)))
+                    pairs.append((char, wrap(character)))
                 if machine.unify_all(*pairs):
                     yield None
 
     return run
 
 
-def _changed(char: str, changed: str) -> str:
-    """Return a character in the other case, or itself where it has no single one."""
+def _single_case(char: str, changed: str) -> str:
+    """Return a character in the other case, or unchanged if that has more than one character."""
     return changed if len(changed) == 1 else char
 
 
 def _check_type(kind: Term) -> None:
-    """Raise a type error for what is not a type of characters."""
+    """Raise a type error for a term that is not a character type."""
     if kind.__class__ is tuple and len(kind) == 2 and kind[0].name in _PARAMETRIC:
         return
     if kind.__class__ is not Var and (kind.__class__ is not Atom or kind.name not in _CLASSES):
@@ -670,7 +693,7 @@ def _check_type(kind: Term) -> None:
 
 
 def _types(char: str, kind: Term, wrap: Callable[[str], Term]) -> Iterator[Term]:
-    """Yield the types of a character that may be the one asked for."""
+    """Yield the types of a character that may unify with a requested type."""
     name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else None
     for plain, test in _CLASSES.items():
         if (name is None or (plain == name and kind.__class__ is Atom)) and test(char):
@@ -682,9 +705,9 @@ def _types(char: str, kind: Term, wrap: Callable[[str], Term]) -> Iterator[Term]
     if name in (None, "xdigit") and char in "0123456789abcdefABCDEF":
         yield (functor("xdigit", 1), int(char, 16))
     if name in (None, "to_lower"):
-        yield (functor("to_lower", 1), wrap(_changed(char, char.upper())))
+        yield (functor("to_lower", 1), wrap(_single_case(char, char.upper())))
     if name in (None, "to_upper"):
-        yield (functor("to_upper", 1), wrap(_changed(char, char.lower())))
+        yield (functor("to_upper", 1), wrap(_single_case(char, char.lower())))
     if name in (None, "upper") and char.isupper():
         yield (functor("upper", 1), wrap(char.lower()[0]))
     if name in (None, "lower") and char.islower():

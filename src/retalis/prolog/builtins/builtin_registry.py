@@ -1,8 +1,15 @@
-"""What built-ins are called with: the machine, and the program that it runs, as far as they need to know them.
+"""Registry of built-in predicates that are written in Python.
 
-Registration of predicates that are written in Python.
+Each module of this package registers its predicates with a decorator when it is imported (`all_builtins` imports them
+all); `PredicateTable` defines every entry of `ENTRIES` in each new program. The decorator states how a predicate is
+called:
 
-Modules of this package register theirs when they are imported; `Logic` defines all of them.
+* `deterministic`: a function that unifies its arguments and returns whether the predicate succeeds;
+* `function`: a function of the inputs that returns the value of the last argument, so that compiled clauses can call
+it
+  without a machine;
+* `nondeterministic`: a generator that yields at each solution;
+* `control`: a function that returns the next frame of the machine, for predicates that call goals.
 """
 
 from typing import (
@@ -30,36 +37,36 @@ from ..syntax.operators import Operators
 from ..terms.types import Frame, Functor, Term, Trail
 
 Solutions = Iterator[object]
-"""What a nondeterministic predicate yields at each solution: None, or `LAST` where there is surely no other."""
+"""Solutions of a nondeterministic predicate: it yields None at each, or `LAST` if it is known to be the last one."""
 
 Outcome = Union[bool, Solutions]
-"""The same, or whether there is a solution where the arguments leave one at most."""
+"""Solutions, or a boolean if the arguments allow at most one solution."""
 
 
 class StreamFiles(Protocol):
-    """Opens the files that goals may open."""
+    """Access to the files that goals may open."""
 
     def to_read(self, name: Term, encoding: str = "utf-8") -> Tuple[str, str]:
         """Return the path of a file and its text; with latin-1, each byte is a character."""
 
     def to_write(self, name: Term, more: bool) -> str:
-        """Return the path of a file that may be written; it is empty but where ``more`` is added to it."""
+        """Return the path of a file that may be written; it is emptied unless ``more``, which appends."""
 
     def add(self, path: str, text: str, encoding: str = "utf-8") -> None:
-        """Write a text to the end of a file."""
+        """Append a text to a file."""
 
     def absolute(self, name: str) -> str:
-        """Return a path from the root, seen from where relative names start."""
+        """Return an absolute path; relative names start at the program's folder."""
 
     def is_readable(self, path: str) -> bool:
-        """Tell whether there is such a file, which goals may read."""
+        """Return whether a file exists and goals may read it."""
 
     def is_folder(self, path: str) -> bool:
-        """Tell whether there is such a folder, whose files goals may read."""
+        """Return whether a folder exists and goals may read its files."""
 
 
 class MachineProgram(Protocol):
-    """The program that a machine runs, see `Logic`."""
+    """The program that a machine runs; implemented by `PrologSystem`."""
 
     control: Control
     database: Database
@@ -77,16 +84,16 @@ class MachineProgram(Protocol):
     environment: Optional[Mapping[str, str]]
 
     def require_flags(self, flag: Term) -> None:
-        """Require that the goal at work may change a flag."""
+        """Raise a permission error if the running goal may not change a flag."""
 
     def once(self, goal: Term) -> bool:
-        """Run a goal for its first solution, whose bindings stay."""
+        """Run a goal for its first solution, and keep its bindings."""
 
     def write(self, text: str) -> None:
         """Write to the current output."""
 
     def show(self, term: Term, quoted: bool = True) -> str:
-        """Return a term as text."""
+        """Return the text of a term."""
 
     def add_clause(
         self, term: Term, place: Optional[Place] = None, first: bool = False, asserted: bool = False
@@ -94,14 +101,14 @@ class MachineProgram(Protocol):
         """Add a clause."""
 
     def defines(self, key: Functor) -> bool:
-        """Tell whether there is such a predicate."""
+        """Return whether a predicate is defined."""
 
     def lookup(self, key: Functor) -> Optional[Predicate]:
-        """Return the predicate of a functor if it is defined."""
+        """Return the predicate of a functor, or None if it is not defined."""
 
 
 class Machine(Protocol):
-    """The machine, as predicates in Python see it."""
+    """The interface of the machine for predicates in Python."""
 
     trail: Trail
     choices: List[Frame]
@@ -109,10 +116,10 @@ class Machine(Protocol):
     logic: MachineProgram
 
     def unify(self, left: Term, right: Term) -> bool:
-        """Make two terms equal, or bind nothing."""
+        """Unify two terms; nothing is bound on failure."""
 
     def unify_all(self, *pairs: Tuple[Term, Term]) -> bool:
-        """Unify pairs of terms, all or none."""
+        """Unify pairs of terms; nothing is bound on failure."""
 
 
 Function = TypeVar("Function", bound=Callable[..., object])
@@ -122,12 +129,12 @@ Jump = TypeVar("Jump", bound=Callable[..., Optional[Frame]])
 
 
 class Entry(NamedTuple):
-    """A predicate in Python.
+    """A registered predicate.
 
     Attributes:
         kind: "deterministic", "function", "nondeterministic" or "control".
-        function: see `Logic.define` and its sisters.
-        locked: goals that look its clauses up, or assert some, get an error; see `Predicate.system`.
+        function: see `PredicateTable.define`, `define_function`, `define_nondeterministic` and `define_control`.
+        locked: whether goals that access its clauses or add some raise a permission error; see `Predicate.system`.
     """
 
     kind: str
@@ -139,6 +146,7 @@ ENTRIES: Dict[Tuple[str, int], Entry] = {}
 
 
 def _register(kind: str, names: Tuple[str, ...], locked: bool) -> Callable[[Function], Function]:
+    """Return a decorator that adds a function to `ENTRIES` under each of some predicate indicators."""
     keys: List[Tuple[str, int]] = []
     for text in names:
         name, _, arity = text.rpartition("/")
@@ -158,15 +166,15 @@ def deterministic(*names: str, locked: bool = True) -> Callable[[Test], Test]:
 
 
 def function(*names: str, locked: bool = True) -> Callable[[Function], Function]:
-    """Register ``function(*inputs)``, which returns what the last argument is, or None where it fails."""
+    """Register ``function(*inputs)``, which returns the value of the last argument, or None for failure."""
     return _register("function", names, locked)
 
 
 def nondeterministic(*names: str, locked: bool = True) -> Callable[[Search], Search]:
-    """Register a generator ``function(machine, *args)``; see `Logic.define_nondeterministic`."""
+    """Register a generator ``function(machine, *args)``; see `PredicateTable.define_nondeterministic`."""
     return _register("nondeterministic", names, locked)
 
 
 def control(*names: str, locked: bool = True) -> Callable[[Jump], Jump]:
-    """Register ``function(machine, args, next) -> frame or None``."""
+    """Register ``function(machine, args, next) -> frame or None``, where None is failure."""
     return _register("control", names, locked)

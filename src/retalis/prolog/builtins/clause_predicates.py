@@ -1,6 +1,8 @@
-"""The clause store as predicates: assert, retract, clause, declarations.
+"""Predicates on clauses and declarations: ``assertz/1``, ``retract/1``, ``clause/2``, ``dynamic/1``, ``table/1``.
 
-Tabled predicates: their declarations, and forgetting what their tables hold.
+Goals that enumerate clauses follow the logical update view (ISO 13211-1, 7.5.4): the clauses are those at the time of
+the call, whatever is added or removed meanwhile. A tabled predicate consists of two: its clauses belong to a hidden
+predicate, which the tables call, and the predicate itself returns the answers of the tables.
 """
 
 from typing import Callable, Dict, Iterator, List, Optional, Set, Tuple
@@ -39,7 +41,11 @@ _NECK = functor(":-", 2)
 
 
 def _check_rights(machine: Machine, key: Functor, action: str, kind: str) -> Predicate:
-    """Return a predicate whose clauses may be changed or looked at."""
+    """Return the predicate whose clauses a goal may change or read.
+
+    Raises:
+        PrologError: a permission error for a control construct or a built-in predicate.
+    """
     predicate: Predicate = machine.logic.database.predicate(key)
     if key in CONTROL or (
         predicate.library and (predicate.system or action == "modify") and not predicate.dynamic
@@ -53,6 +59,7 @@ def _assert(first: bool) -> Callable[[Machine, Term], bool]:
         logic = machine.logic
         clause = logic.add_clause(term, first=first, asserted=True)
         predicate = clause.predicate
+        # A predicate that is created by an assertion is dynamic, one that was loaded from a file stays static.
         if not predicate.compiled and len(predicate) == 1:
             predicate.dynamic = True
         return True
@@ -61,7 +68,7 @@ def _assert(first: bool) -> Callable[[Machine, Term], bool]:
 
 
 def _strip(term: Term) -> Term:
-    """Return a clause without a module in front."""
+    """Return a clause without its module qualification."""
     term = deref(term)
     while term.__class__ is tuple and term[0].name == ":" and len(term) == 3:
         term = deref(term[2])
@@ -92,81 +99,83 @@ def _key(head: Term) -> Functor:
 
 
 def _candidates(predicate: Predicate, head: Term) -> Iterator[Clause]:
-    """Yield the clauses whose heads may match, as they are now."""
+    """Yield the current clauses whose heads may match."""
     if predicate.incremental:
         predicate.note_read()
     frame = (None, *head[1:], None) if head.__class__ is tuple else (None, None)
     keys = [key_of(arg) for arg in frame[1:-1]]
     generation = predicate.database.generation
     clauses, _ = predicate.select(frame)
-    for at in range(len(clauses)):
-        clause = clauses[at]
+    # By position: the list grows if a clause is added meanwhile, and those beyond its present length are not visible.
+    for index in range(len(clauses)):
+        clause = clauses[index]
         if clause.died > generation and may_match(keys, clause.keys):
             yield clause
 
 
 @nondeterministic("retract/1")
 def retract(machine: Machine, term: Term) -> Outcome:
-    """Remove the clauses that unify, one at each solution."""
+    """Remove the first clause that unifies, and further ones on backtracking."""
     head, body = _split(machine, term)
     predicate = _check_rights(machine, _key(head), "modify", "static_procedure")
-    return _each_clause(machine, predicate, head, body, predicate.remove)
+    return _enumerate_clauses(machine, predicate, head, body, predicate.remove)
 
 
-Shown = Callable[[Term], Term]
-"""Gives a body as it is unified: with the names that hold in its module."""
+BodyConversion = Callable[[Term], Term]
+"""Function that converts a clause body to the form that is unified, with names local to its module."""
 
 
-def _each_clause(
+def _enumerate_clauses(
     machine: Machine,
     predicate: Predicate,
     head: Term,
     body: Term,
     action: Optional[Callable[[Clause], object]],
 ) -> Outcome:
-    """Go through the clauses that unify with a head and a body, as they were at the call; do ``action`` for each."""
-    found = list(_candidates(predicate, head))
+    """Enumerate the clauses that unify with a head and a body, and call ``action`` for each of them."""
+    clauses = list(_candidates(predicate, head))
     trail, modules = machine.trail, machine.logic.database.modules
-    of_module = action is None and modules.plain_of(predicate.functor) is not None
-    shown: Shown = modules.plain if of_module else _as_it_is
-    if len(found) > 1:
-        return _clauses(trail, found, head, body, action, shown)
-    return bool(found) and _is_clause(trail, found[0], head, body, action, shown)
+    is_qualified = action is None and modules.plain_of(predicate.functor) is not None
+    conversion: BodyConversion = modules.plain if is_qualified else _unchanged
+    if len(clauses) > 1:
+        return _matching_clauses(trail, clauses, head, body, action, conversion)
+    return bool(clauses) and _unify_clause(trail, clauses[0], head, body, action, conversion)
 
 
-def _as_it_is(body: Term) -> Term:
+def _unchanged(body: Term) -> Term:
     return body
 
 
-def _clauses(
+def _matching_clauses(
     trail: Trail,
-    found: List[Clause],
+    clauses: List[Clause],
     head: Term,
     body: Term,
     action: Optional[Callable[[Clause], object]],
-    shown: Shown,
+    conversion: BodyConversion,
 ) -> Solutions:
-    last = found[-1]
-    for clause in found:
+    last = clauses[-1]
+    for clause in clauses:
         mark = len(trail)
-        if _is_clause(trail, clause, head, body, action, shown):
+        if _unify_clause(trail, clause, head, body, action, conversion):
             yield LAST if clause is last else None
         else:
             undo(trail, mark)
 
 
-def _is_clause(
+def _unify_clause(
     trail: Trail,
     clause: Clause,
     head: Term,
     body: Term,
     action: Optional[Callable[[Clause], object]],
-    shown: Shown,
+    conversion: BodyConversion,
 ) -> bool:
     own_head, own_body = _renamed(clause)
-    if not unify(own_head, head, trail) or not unify(shown(own_body), body, trail):
+    if not unify(own_head, head, trail) or not unify(conversion(own_body), body, trail):
         return False
-    if action is not None and clause.died == NEVER:  # else it went meanwhile, and is a solution all the same
+    # A clause that another goal has removed meanwhile is a solution all the same, by the logical update view.
+    if action is not None and clause.died == NEVER:
         action(clause)
     return True
 
@@ -180,7 +189,7 @@ def _renamed(clause: Clause) -> Tuple[Term, Term]:
 
 @deterministic("retractall/1")
 def retractall(machine: Machine, head: Term) -> bool:
-    """Remove all clauses whose heads unify; the predicate is dynamic afterwards."""
+    """Remove all clauses whose heads unify; a predicate that is not defined becomes dynamic."""
     head = machine.logic.database.modules.looked_for(head)
     key = _key(head)
     predicate = _check_rights(machine, key, "modify", "static_procedure")
@@ -199,19 +208,19 @@ def retractall(machine: Machine, head: Term) -> bool:
 
 @nondeterministic("clause/2")
 def clause_of(machine: Machine, head: Term, body: Term) -> Outcome:
-    """Enumerate the clauses of a predicate."""
+    """Enumerate the clauses of a predicate that unify with a head and a body."""
     head = machine.logic.database.modules.looked_for(head)
     key = _key(head)
     body = deref(body)
     if body.__class__ not in (Var, Atom, tuple):
         raise type_error("callable", body)
     predicate = _check_rights(machine, key, "access", "private_procedure")
-    return _each_clause(machine, predicate, head, body, None)
+    return _enumerate_clauses(machine, predicate, head, body, None)
 
 
 @deterministic("abolish/1")
 def abolish(machine: Machine, term: Term) -> bool:
-    """Remove a predicate."""
+    """Remove all clauses and properties of a predicate."""
     key = indicator_of(machine.logic.database.modules.names_of(term))
     predicate = _check_rights(machine, key, "modify", "static_procedure")
     if predicate.defined and not predicate.dynamic and machine.logic.flags["iso"] is atom("true"):
@@ -222,23 +231,23 @@ def abolish(machine: Machine, term: Term) -> bool:
 
 @deterministic("abolish/2")
 def abolish_named(machine: Machine, name: Term, arity: Term) -> bool:
-    """Remove a predicate."""
+    """Remove all clauses and properties of a predicate."""
     return abolish(machine, (SLASH, name, arity))
 
 
 def declared(term: Term) -> Iterator[Term]:
-    """Yield what a declaration names: items of lists and conjunctions."""
+    """Yield the items of a declaration, which may be lists or conjunctions."""
     return (item for item, _ in declared_with_options(term))
 
 
 def declared_with_options(term: Term) -> Iterator[Tuple[Term, Values]]:
-    """Yield what a declaration names, each with the options that ``as`` gives it."""
+    """Yield the items of a declaration, each with its options after ``as``."""
     stack: List[Tuple[Term, Values]] = [(term, ())]
     while stack:
         item, options = stack.pop()
         item = deref(item)
         if item.__class__ is tuple and item[0] is COMMA:
-            stack += [(one, options) for one in reversed(list(conjuncts(item)))]
+            stack += [(conjunct, options) for conjunct in reversed(list(conjuncts(item)))]
         elif item.__class__ is tuple and item[0] is CONS:
             stack += ((item[2], options), (item[1], options))
         elif item.__class__ is tuple and item[0] is AS:
@@ -260,7 +269,7 @@ def _declaration(attribute: str) -> Callable[[Machine, Term], bool]:
 
 @deterministic("dynamic/1", "thread_local/1")
 def dynamic(machine: Machine, term: Term) -> bool:
-    """Declare predicates dynamic; ``as incremental`` has incremental tables depend on their clauses."""
+    """Declare predicates dynamic; with ``as incremental``, incremental tables depend on their clauses."""
     for item, options in declared_with_options(machine.logic.database.modules.names_of(term)):
         declare_dynamic(machine, item, set(map(_dynamic_option, options)))
     return True
@@ -268,31 +277,36 @@ def dynamic(machine: Machine, term: Term) -> bool:
 
 @deterministic("dynamic/2")
 def dynamic_with_options(machine: Machine, names: Term, options: Term) -> bool:
-    """Declare the predicates of a list dynamic, with options as in SWI-Prolog; unknown ones are ignored."""
+    """Declare the predicates of a list dynamic, with the options of SWI-Prolog; unknown ones are ignored."""
     chosen: Set[str] = set()
     for option in option_values(options):
-        if option.__class__ is tuple and len(option) == 2 and option[0].name in _MARKS and is_true(option[1]):
+        if (
+            option.__class__ is tuple
+            and len(option) == 2
+            and option[0].name in _DYNAMIC_OPTIONS
+            and is_true(option[1])
+        ):
             chosen.add(option[0].name)
     for item in items(machine.logic.database.modules.names_of(names)):
         declare_dynamic(machine, item, chosen)
     return True
 
 
-_MARKS = frozenset(("incremental", "discontiguous", "multifile"))
+_DYNAMIC_OPTIONS = frozenset(("incremental", "discontiguous", "multifile"))
 _WITHOUT_EFFECT = frozenset(("opaque", "volatile", "shared", "local", "abstract"))
-"""Options of SWI-Prolog that say what is so anyway, as there is one thread, or what concerns its saved states."""
+"""Options of SWI-Prolog without effect here: they concern threads, saved states, or restate the default."""
 
 
 def _dynamic_option(option: Term) -> str:
-    """Return the name of an option of ``dynamic ... as``."""
+    """Return the name of an option of ``dynamic ... as``, or raise a domain error."""
     key = _key(option)
-    if key.name not in _MARKS | _WITHOUT_EFFECT or key.arity != (key.name == "abstract"):
+    if key.name not in _DYNAMIC_OPTIONS | _WITHOUT_EFFECT or key.arity != (key.name == "abstract"):
         raise domain_error("predicate_option", option)
     return key.name
 
 
 def declare_dynamic(machine: Machine, item: Term, options: Set[str]) -> None:
-    """Make the predicate dynamic that ``Name/Arity`` names."""
+    """Declare the predicate of an indicator dynamic."""
     database = machine.logic.database
     predicate = database.writable(indicator_of(item), "modify")
     predicate.dynamic = True
@@ -310,7 +324,7 @@ deterministic("module_transparent/1", "volatile/1", "public/1")(lambda machine, 
 
 @nondeterministic("current_predicate/1")
 def current_predicate(machine: Machine, term: Term) -> Solutions:
-    """Enumerate the program's predicates that have clauses; one that is named whole may be built in."""
+    """Enumerate the program's predicates with clauses; a complete indicator may also denote a built-in predicate."""
     modules = machine.logic.database.modules
     term = _strip(modules.names_of(term))
     if term.__class__ is Var:
@@ -328,9 +342,9 @@ def current_predicate(machine: Machine, term: Term) -> Solutions:
             yield LAST
         return
     for key, predicate in list(database.predicates.items()):
-        there = predicate.kind == "user" and not predicate.library and len(predicate)
+        has_clauses = predicate.kind == "user" and not predicate.library and len(predicate)
         if (
-            there
+            has_clauses
             and modules.plain_of(key) is None
             and machine.unify_all((name, atom(key.name)), (arity, key.arity))
         ):
@@ -338,7 +352,7 @@ def current_predicate(machine: Machine, term: Term) -> Solutions:
 
 
 def _is_current(predicate: Predicate, iso: bool) -> bool:
-    """Tell whether a predicate that is named whole has clauses, or is built in."""
+    """Return whether a predicate has clauses, or is built in and the flag ``iso`` is not set."""
     predicate.note_read()
     if predicate.kind == "undefined":
         return False
@@ -347,11 +361,11 @@ def _is_current(predicate: Predicate, iso: bool) -> bool:
 
 @control("garbage_collect/0", "prompt/2")
 def nothing(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Do nothing: there is nothing to do."""
+    """Do nothing; the predicate exists for compatibility."""
     return after
 
 
-_IGNORED = {
+_INEFFECTIVE_OPTIONS = {
     "subsumptive": "each variant of a call has a table of its own",
     "shared": "goals run in one thread",
     "lazy": "declare it incremental",
@@ -360,14 +374,14 @@ _IGNORED = {
     "answer_abstract": "answers of any size are kept",
     "subgoal_abstract": "calls of any size have tables",
 }
-"""Options of SWI-Prolog that have no effect, and what is so instead."""
+"""Options of SWI-Prolog without effect, with the explanation for the warning."""
 
 _WITH_ARGUMENT = ("max_answers", "answer_abstract", "subgoal_abstract")
 
 
 @deterministic("table/1")
 def table_declaration(machine: Machine, which: Term) -> bool:
-    """Declare predicates tabled; ``as incremental`` has their tables depend on what they read."""
+    """Declare predicates tabled; with ``as incremental``, their tables depend on the data that they read."""
     for item, options in declared_with_options(machine.logic.database.modules.names_of(which)):
         if item.__class__ is tuple and item[0].name == ":" and len(item) == 3:
             item = deref(item[2])
@@ -376,15 +390,15 @@ def table_declaration(machine: Machine, which: Term) -> bool:
 
 
 def declare_as(machine: Machine, item: Term, options: Values = ()) -> None:
-    """Make the predicate tabled that ``Name/Arity`` names, or a term that has the modes of its arguments.
+    """Declare the predicate of an indicator, or of a head with argument modes, tabled.
 
     Args:
-        machine: of the program.
-        item: what is declared.
-        options: those of ``as``: later declarations add theirs.
+        machine: the machine of the program.
+        item: the indicator or head, possibly with options after ``as``.
+        options: options that apply to it from an enclosing declaration.
 
     Raises:
-        PrologError: where it names no predicate, or there is no such mode or option.
+        PrologError: for a term that is not an indicator or head, an unknown mode or an unknown option.
     """
     item = deref(item)
     if item.__class__ is tuple and item[0] is AS:
@@ -394,7 +408,7 @@ def declare_as(machine: Machine, item: Term, options: Values = ()) -> None:
         key, modes = modes_of(item)
     else:
         key, modes = indicator_of(item), {}
-    names = [_option(machine, key, option) for option in options]
+    names = [_table_option(machine, key, option) for option in options]
     declare(machine, key, modes)
     tables = tables_of(machine)
     tables.declared.setdefault(key, copy(item))
@@ -406,28 +420,31 @@ def declare_as(machine: Machine, item: Term, options: Values = ()) -> None:
         predicate.incremental = incremental
         machine.logic.database.changes += 1
         tables.clear()
-    if incremental:  # clauses of the predicate itself may be added and removed, too
+    # The clauses of a tabled dynamic predicate may change too.
+    if incremental:
         tables.observe(predicate.with_clauses)
 
 
-def _option(machine: Machine, key: Functor, option: Term) -> str:
-    """Return the name of an option; warn of one that has no effect."""
+def _table_option(machine: Machine, key: Functor, option: Term) -> str:
+    """Return the name of a table option, and log a warning for one without effect."""
     option = callable_of(option)
     found = functor_of(option)
     name = found.name
-    if found.arity != (name in _WITH_ARGUMENT) or name not in (*_IGNORED, *_OPTIONS):
+    if found.arity != (name in _WITH_ARGUMENT) or name not in (*_INEFFECTIVE_OPTIONS, *_TABLE_OPTIONS):
         raise domain_error("table_option", option)
-    if name in _IGNORED:
-        text = f"Warning: table {key} as {machine.logic.show(option)}: the option has no effect: {_IGNORED[name]}\n"
-        machine.logic.message("warning", text)
+    if name in _INEFFECTIVE_OPTIONS:
+        reason, text = _INEFFECTIVE_OPTIONS[name], machine.logic.show(option)
+        machine.logic.message(
+            "warning", f"Warning: table {key} as {text}: the option has no effect: {reason}\n"
+        )
     return name
 
 
-_OPTIONS = ("incremental", "opaque", "variant", "dynamic")
+_TABLE_OPTIONS = ("incremental", "opaque", "variant", "dynamic")
 
 
 def declare(machine: Machine, key: Functor, modes: Dict[int, Mode]) -> None:
-    """Make a predicate tabled: its clauses go to a hidden predicate that the tables call."""
+    """Declare a predicate tabled, and move its clauses to a hidden predicate that the tables call."""
     database = machine.logic.database
     if database.predicate(key).tabled is not None:
         return
@@ -441,7 +458,8 @@ def declare(machine: Machine, key: Functor, modes: Dict[int, Mode]) -> None:
         predicate.multifile,
     )
     tables = tables_of(machine)
-    if predicate.incremental:  # a dynamic predicate: what it was declared holds for its clauses
+    # Before, the flag was that of a dynamic predicate, so it applies to the clauses, which have moved.
+    if predicate.incremental:
         predicate.incremental = False
         tables.observe(hidden)
     predicate.table(hidden, tables.moded_caller(predicate, modes) if modes else tables.caller(predicate))
@@ -450,6 +468,6 @@ def declare(machine: Machine, key: Functor, modes: Dict[int, Mode]) -> None:
 
 @control("abolish_all_tables/0")
 def abolish_all_tables(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Forget the answers of all tabled predicates."""
+    """Remove the answers of all tabled predicates."""
     tables_of(machine).clear()
     return after

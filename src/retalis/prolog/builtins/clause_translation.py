@@ -1,9 +1,11 @@
-"""Translation of grammar rules (DCG) to clauses.
+"""Translation of grammar rules (``-->``) and single-sided unification rules (``=>``) to clauses.
 
-Single-sided rules, ``Head, Guard => Body``: the head matches a call without binding anything of it.
+A definite clause grammar rule gets two more arguments, the list before and after the part that it parses.
 
-The first rule whose head matches and whose guard succeeds is the only one; a call that none takes is an error. A
-rule becomes a clause that tests its arguments, and cuts; behind the last one stands a clause that raises the error.
+The head of a rule ``Head, Guard => Body`` is matched against a call without binding the call's variables
+(single-sided unification, SSU, as in SWI-Prolog). The first rule whose head matches and whose guard succeeds is
+committed to, and a call that matches no rule is an error. A rule becomes a clause that tests its arguments and cuts.
+A clause that raises the error follows the last rule.
 """
 
 from typing import Any, List, NamedTuple, Set, Tuple
@@ -41,7 +43,7 @@ def translate_rule(rule: CompoundTerm) -> Term:
     """Return the clause of a grammar rule ``Head --> Body``.
 
     Raises:
-        PrologError: where head or body are none of a grammar.
+        PrologError: if the head or the body is not valid in a grammar.
     """
     head, body = deref(rule[1]), rule[2]
     first, last = Var(), Var()
@@ -58,24 +60,26 @@ def translate_rule(rule: CompoundTerm) -> Term:
 
 
 def translate_body(body: Term, first: Term, last: Term) -> Term:
-    """Return the goal of a grammar body between two states of the list; without recursion, however deep it is."""
+    """Return the goal of a grammar body between two states of the list."""
     whole = Var()
+    # Nested bodies are translated later, into variables of the goal, so the depth of a body is not limited by
+    # recursion.
     pending: List[_Hole] = [_Hole(whole, body, first, last)]
     while pending:
         hole, body, first, last = pending.pop()
         parts = _sequence(body)
         goals = []
         state = first
-        for at, part in enumerate(parts):
-            following = last if at == len(parts) - 1 else Var()
-            goals.append(_part(part, state, following, pending))
+        for index, part in enumerate(parts):
+            following = last if index == len(parts) - 1 else Var()
+            goals.append(_translate_element(part, state, following, pending))
             state = following
         hole.ref = conjunction(goals)
     return resolve(whole)
 
 
 class _Hole(NamedTuple):
-    """A variable of a goal that stands for a body inside, until that is translated: between which states it is."""
+    """A variable of a goal that is bound to the translation of a nested body, with the states of the list."""
 
     goal: Var
     body: Term
@@ -83,7 +87,8 @@ class _Hole(NamedTuple):
     last: Term
 
 
-def _inside(pending: List[_Hole], body: Term, first: Term, last: Term) -> Var:
+def _nested_body(pending: List[_Hole], body: Term, first: Term, last: Term) -> Var:
+    """Return the variable of a nested body, whose translation is pending."""
     hole = _Hole(Var(), body, first, last)
     pending.append(hole)
     return hole.goal
@@ -101,9 +106,9 @@ def _sequence(body: Term) -> List[Term]:
     return parts
 
 
-def _part(part: Term, first: Term, last: Term, pending: List[_Hole]) -> Term:
+def _translate_element(part: Term, first: Term, last: Term, pending: List[_Hole]) -> Term:
     if part.__class__ is tuple:
-        return _compound_part(part, first, last, pending)
+        return _translate_compound(part, first, last, pending)
     if part.__class__ is Var:
         return (_PHRASE, part, first, last)
     if part is NIL or part.__class__ is String:
@@ -117,18 +122,22 @@ def _part(part: Term, first: Term, last: Term, pending: List[_Hole]) -> Term:
     return (functor(part.name, 2), first, last)
 
 
-def _compound_part(part: CompoundTerm, first: Term, last: Term, pending: List[_Hole]) -> Term:
+def _translate_compound(part: CompoundTerm, first: Term, last: Term, pending: List[_Hole]) -> Term:
     key = part[0]
     if key is CONS:
         return _consume(_terminals(part), first, last)
     if key in (SEMICOLON, BAR):
-        left = _inside(pending, part[1], first, last)
-        return (SEMICOLON, left, _inside(pending, part[2], first, last))
+        left = _nested_body(pending, part[1], first, last)
+        return (SEMICOLON, left, _nested_body(pending, part[2], first, last))
     if key in (ARROW, SOFT_ARROW):
         middle = Var()
-        return (key, _inside(pending, part[1], first, middle), _inside(pending, part[2], middle, last))
+        return (
+            key,
+            _nested_body(pending, part[1], first, middle),
+            _nested_body(pending, part[2], middle, last),
+        )
     if key is NOT:
-        return (COMMA, (NOT, _inside(pending, part[1], first, Var())), (EQUAL, first, last))
+        return (COMMA, (NOT, _nested_body(pending, part[1], first, Var())), (EQUAL, first, last))
     if key is _CURLY:
         return (COMMA, part[1], (EQUAL, first, last))
     if key.name == _CALL:
@@ -139,10 +148,10 @@ def _compound_part(part: CompoundTerm, first: Term, last: Term, pending: List[_H
 def _terminals(term: Term) -> List[Term]:
     if term.__class__ is String:
         return [ord(char) for char in term.text]
-    found = list_items(term)
-    if found is None:
+    items = list_items(term)
+    if items is None:
         raise type_error("list", term)
-    return found
+    return items
 
 
 def _consume(terminals: List[Term], first: Term, last: Term) -> Term:
@@ -157,10 +166,10 @@ _CUT = atom("!")
 
 
 def translate_single_sided(rule: CompoundTerm) -> Tuple[Term, Term]:
-    """Return the clause of a rule ``Head => Body``, and the one that has to stand behind all of its predicate.
+    """Return the clause of a rule ``Head => Body``, and the clause that follows the last rule of its predicate.
 
     Raises:
-        PrologError: where the head is none.
+        PrologError: if the head is not callable.
     """
     head: Any = deref(rule[1])
     guard: Term = TRUE
@@ -183,13 +192,14 @@ def translate_single_sided(rule: CompoundTerm) -> Tuple[Term, Term]:
 
 
 def _tested(head: CompoundTerm) -> Tuple[Term, List[Term]]:
-    """Return the head with a variable for each argument that has to be tested, and the tests."""
+    """Return the head with a new variable for each argument that has to be tested, and the tests."""
     seen: Set[Var] = set()
     called: List[Term] = []
-    wanted: List[Term] = []
-    given: List[Term] = []
+    patterns: List[Term] = []
+    arguments: List[Term] = []
     tests: List[Term] = []
     for argument in map(deref, head[1:]):
+        # The first occurrence of a variable matches any argument, and later ones require an identical argument.
         if isinstance(argument, Var) and argument not in seen:
             seen.add(argument)
             called.append(argument)
@@ -199,28 +209,38 @@ def _tested(head: CompoundTerm) -> Tuple[Term, List[Term]]:
         if argument.__class__ is not tuple and argument.__class__ is not Var:
             tests.append((_IDENTICAL, fresh, argument))
         else:
-            wanted.append(argument)
-            given.append(fresh)
-    if wanted:
-        tests += _subsuming(wanted, given, seen)
+            patterns.append(argument)
+            arguments.append(fresh)
+    if patterns:
+        tests += _subsuming(patterns, arguments, seen)
     return (head[0], *called), tests
 
 
-def _subsuming(wanted: List[Term], given: List[Term], seen: Set[Var]) -> List[Term]:
-    """Return goals that match terms with the arguments, of which nothing is bound; ``seen`` is bound by then."""
+def _subsuming(patterns: List[Term], arguments: List[Term], seen: Set[Var]) -> List[Term]:
+    """Return goals that match patterns against the arguments without binding variables of the arguments.
+
+    Args:
+        patterns: terms of the head.
+        arguments: the variables that replace them in the head.
+        seen: variables of the head that are bound before these goals.
+    """
+    # The bound variables are on both sides, so that `subsumes_term` does not bind them again.
     known: List[Term] = list(seen)
-    shape = functor("$arguments", len(wanted) + len(known))
-    general = (shape, *wanted, *known)
-    return [(_SUBSUMES, general, (shape, *given, *known)), *[(EQUAL, *pair) for pair in zip(wanted, given)]]
+    shape = functor("$arguments", len(patterns) + len(known))
+    general = (shape, *patterns, *known)
+    return [
+        (_SUBSUMES, general, (shape, *arguments, *known)),
+        *[(EQUAL, *pair) for pair in zip(patterns, arguments)],
+    ]
 
 
 def is_behind(body: Term) -> bool:
-    """Tell whether a clause with this body is the one behind all rules of a predicate."""
+    """Return whether a body is that of the clause after the last rule of a predicate."""
     body = deref(body)
     return body.__class__ is tuple and body[0] is _NO_RULE
 
 
 @deterministic("$no_matching_rule/1")
 def raise_no_rule(machine: Machine, call: Term) -> bool:
-    """Raise the error of a call that no rule takes."""
+    """Raise the error for a call that matches no rule."""
     raise no_matching_rule("user", call)

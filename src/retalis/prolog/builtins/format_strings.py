@@ -1,6 +1,8 @@
-"""What a goal writes, caught; and ``portray/1``, by which a program says how terms of its own are printed.
+"""Format strings of ``format/1,2,3``, with column stops, and printing of terms with ``portray/1``.
 
-Interpretation of format strings, with column stops, as SWI-Prolog's ``format/2``.
+The directives are those of SWI-Prolog. A line is divided into segments by column stops (``~|`` and ``~+``). A segment
+is buffered until its column stop, where the missing characters are inserted at its fill points (``~t``), or at its
+end if it has none.
 """
 
 from itertools import count
@@ -20,7 +22,7 @@ _PORTRAY = functor("portray", 1)
 
 
 def caught(machine: Machine, goal: Term) -> Tuple[bool, str]:
-    """Return whether a goal succeeds, and what it writes."""
+    """Run a goal once; return whether it succeeds, and its output."""
     logic = machine.logic
     capture = OutputCapture(logic)
     try:
@@ -31,12 +33,13 @@ def caught(machine: Machine, goal: Term) -> Tuple[bool, str]:
 
 
 def portray_of(machine: Machine) -> Optional[Callable[[Term], Optional[str]]]:
-    """Return what gives the text of a term by the program's ``portray/1``; None where it has none."""
+    """Return a function that prints a term with the program's ``portray/1``, or None if the program defines none."""
     if not machine.logic.defines(_PORTRAY):
         return None
 
     def portray(term: Term) -> Optional[str]:
-        succeeded, text = caught(machine, (NOT, (NOT, (_PORTRAY, term))))  # without its bindings
+        # The double negation discards the bindings of the goal, so that printing does not change the term.
+        succeeded, text = caught(machine, (NOT, (NOT, (_PORTRAY, term))))
         return text if succeeded else None
 
     return portray
@@ -49,31 +52,33 @@ def printed(machine: Machine, term: Term) -> str:
 
 _FORMAT = functor("format", 1)
 _ARGUMENT_TYPE = functor("format_argument_type", 2)
-_WIDEST = 10_000_000
-_NUMERAL = 20
-"""Digits of the longest number of a directive."""
+_MAX_COLUMN = 10_000_000
+"""Limit for the numeric argument of a directive."""
+
+_MAX_NUMBER_DIGITS = 20
+"""Limit for the digits of the numeric argument of a directive."""
 
 
 def argument_error(letter: str, argument: Term) -> Exception:
-    """Return the error of an argument that a directive cannot write."""
+    """Return the error for an argument of the wrong type for a directive."""
     return error((_ARGUMENT_TYPE, atom(letter), argument))
 
 
 def format_error(message: str) -> Exception:
-    """Return the error of a format string and arguments that do not fit."""
+    """Return the error for a format string that does not fit its arguments."""
     return error((_FORMAT, atom(message)))
 
 
 class ColumnLine:
-    """The text so far, with the column stops of its last line.
+    """The text of a formatted output, with the column stops of its last line.
 
     Args:
-        column: where the output stands before it.
+        column: column of the output before the text.
     """
 
     def __init__(self, column: int):
         self.done: List[str] = []
-        self._begin()
+        self._start_segment()
         self.start = column
         self.column = column
         self.size = 0
@@ -87,60 +92,61 @@ class ColumnLine:
         self.segment.append(text)
         self.width += len(text)
         newline = text.rfind("\n")
+        # A newline ends the segment without a column stop, so its fill points have no effect.
         if newline >= 0:
             self.done += self.segment
-            self._begin()
+            self._start_segment()
             self.column = self.start = len(text) - newline - 1
         else:
             self.column += len(text)
 
     def fill(self, char: str) -> None:
-        """Note that blanks of the column go here."""
+        """Add a fill point: characters that are missing at the next column stop are inserted here."""
         self.fills.append((self.width, char))
 
     def stop(self, target: int) -> None:
-        """End the segment at a column, putting the missing characters where the fills are."""
+        """End the segment at a column, and insert the missing characters at its fill points."""
         text = "".join(self.segment)
         missing = target - self.column
         if missing > 0:
             self.size += missing
             long_text(self.size)
-            text = _spread(text, self.fills or [(len(text), " ")], missing)
+            text = _insert_fill(text, self.fills or [(len(text), " ")], missing)
             self.column = target
         self.done.append(text)
-        self._begin()
+        self._start_segment()
         self.start = self.column
 
-    def _begin(self) -> None:
-        """Begin a segment."""
+    def _start_segment(self) -> None:
+        """Start a new segment."""
         self.segment: List[str] = []
         self.fills: List[Tuple[int, str]] = []
         self.width = 0  # of the segment
 
     def text(self) -> str:
-        """Return everything."""
+        """Return the whole text, with the incomplete segment."""
         return joined(self.done + self.segment)
 
 
-def _spread(text: str, fills: List[Tuple[int, str]], missing: int) -> str:
-    """Insert ``missing`` characters at the fills in equal shares; the last takes the rest."""
+def _insert_fill(text: str, fills: List[Tuple[int, str]], missing: int) -> str:
+    """Insert ``missing`` characters at the fill points in equal shares; the last one takes the remainder."""
     share, rest = divmod(missing, len(fills))
     out = []
     last = 0
-    for number, (at, char) in enumerate(fills):
-        out.append(text[last:at])
-        out.append(char * (share + (rest if number == len(fills) - 1 else 0)))
-        last = at
+    for index, (position, char) in enumerate(fills):
+        out.append(text[last:position])
+        out.append(char * (share + (rest if index == len(fills) - 1 else 0)))
+        last = position
     out.append(text[last:])
     return "".join(out)
 
 
 class Formatter:
-    """Formats arguments by a format string.
+    """Interpreter of a format string.
 
     Args:
-        machine: whose program writes.
-        column: where the output stands.
+        machine: the machine of the program.
+        column: current column of the output.
     """
 
     def __init__(self, machine: Machine, column: int):
@@ -152,20 +158,20 @@ class Formatter:
         """Return the formatted text.
 
         Raises:
-            PrologError: where arguments are missing, left over, or of the wrong type.
+            PrologError: if there are too few or too many arguments, or one has the wrong type.
         """
         self.arguments = arguments[::-1]
-        at = 0
+        position = 0
         line = self.line
         for directive in count(1):
             if not directive & 255:
                 look()
-            tilde = text.find("~", at)
+            tilde = text.find("~", position)
             if tilde < 0:
-                line.add(text[at:])
+                line.add(text[position:])
                 break
-            line.add(text[at:tilde])
-            at = self._directive(text, tilde + 1)
+            line.add(text[position:tilde])
+            position = self._directive(text, tilde + 1)
         if self.arguments:
             raise format_error("too many arguments")
         return line.text()
@@ -175,43 +181,43 @@ class Formatter:
             raise format_error("not enough arguments")
         return self.arguments.pop()
 
-    def _directive(self, text: str, at: int) -> int:
-        """Do the directive that starts after the tilde; return where it ends."""
-        number, at = self._number(text, at)
-        letter = text[at : at + 1]
-        if number is not None and number > _WIDEST:
+    def _directive(self, text: str, position: int) -> int:
+        """Execute the directive that starts after the tilde; return the position after it."""
+        number, position = self._number(text, position)
+        letter = text[position : position + 1]
+        if number is not None and number > _MAX_COLUMN:
             raise resource_error("memory")
         if not letter:
             raise existence_error("format_character", atom("\0"))
         if letter in "|+t":
-            self._lay_out(letter, number)
+            self._execute_column_directive(letter, number)
         elif letter == "i":
             self._next()
         elif letter == "N":
             if self.line.column:
                 self.line.add("\n")
         else:
-            self.line.add(self._written(letter, number))
-        return at + 1
+            self.line.add(self._text_of_directive(letter, number))
+        return position + 1
 
-    def _number(self, text: str, at: int) -> Tuple[Optional[int], int]:
-        """Return the number of a directive, if it has one, and where its letter stands."""
-        if text[at : at + 1] == "`":
-            return ord(text[at + 1 : at + 2] or "`"), at + 2
-        if text[at : at + 1] == "*":
+    def _number(self, text: str, position: int) -> Tuple[Optional[int], int]:
+        """Return the numeric argument of a directive, or None, and the position of its letter."""
+        if text[position : position + 1] == "`":
+            return ord(text[position + 1 : position + 2] or "`"), position + 2
+        if text[position : position + 1] == "*":
             given = deref(self._next())
             if given.__class__ is not int or given < 0:
                 raise format_error("no or negative integer for `*' argument")
-            return given, at + 1
-        start = at
-        while text[at : at + 1].isdigit():
-            at += 1
-            if at - start > _NUMERAL:
+            return given, position + 1
+        start = position
+        while text[position : position + 1].isdigit():
+            position += 1
+            if position - start > _MAX_NUMBER_DIGITS:
                 raise resource_error("memory")
-        return (int(text[start:at]) if at > start else None), at
+        return (int(text[start:position]) if position > start else None), position
 
-    def _lay_out(self, letter: str, number: Optional[int]) -> None:
-        """Set a column stop, or note that blanks go here."""
+    def _execute_column_directive(self, letter: str, number: Optional[int]) -> None:
+        """Execute a directive for a column stop or a fill point."""
         line = self.line
         if letter == "t":
             line.fill(chr(32 if number is None else number))
@@ -220,8 +226,8 @@ class Formatter:
         else:
             line.stop(line.column if number is None else number)
 
-    def _written(self, letter: str, number: Optional[int]) -> str:
-        """Return the text of a directive that writes one."""
+    def _text_of_directive(self, letter: str, number: Optional[int]) -> str:
+        """Return the text of any other directive."""
         times = 1 if number is None else number
         if letter == "~":
             return "~"
@@ -246,15 +252,15 @@ def _code(term: Term) -> str:
     return chr(code)
 
 
-def _atomic(machine: Machine, term: Term, number: Optional[int]) -> str:
+def _atomic_text(machine: Machine, term: Term, number: Optional[int]) -> str:
     text = constant_text(deref(term))
     if text is None:
         raise argument_error("a", term)
     return text
 
 
-def _called(machine: Machine, goal: Term, number: Optional[int]) -> str:
-    """Return what a goal writes, whether it succeeds or not."""
+def _goal_output(machine: Machine, goal: Term, number: Optional[int]) -> str:
+    """Return the output of a goal, whether it succeeds or fails."""
     return caught(machine, goal)[1]
 
 
@@ -288,11 +294,13 @@ def _integer(letter: str, term: Term) -> int:
 def group(digits: str, size: int, mark: str) -> str:
     """Return digits in groups of ``size`` from the right."""
     first = len(digits) % size or size
-    return mark.join([digits[:first], *[digits[at : at + size] for at in range(first, len(digits), size)]])
+    return mark.join(
+        [digits[:first], *[digits[index : index + size] for index in range(first, len(digits), size)]]
+    )
 
 
 def _grouped(machine: Machine, term: Term, number: Optional[int]) -> str:
-    """Return an integer with its digits in groups, which reads back."""
+    """Return an integer with its digits in groups separated by ``_``, which is valid Prolog syntax."""
     value = _integer("I", term)
     return ("-" if value < 0 else "") + group(number_text(abs(value)), number or 3, "_")
 
@@ -328,6 +336,7 @@ _DIGITS = "0123456789abcdefghijklmnopqrstuvwxyz"
 
 def radix_text(value: int, radix: int) -> str:
     """Return an integer in another base."""
+    # Divides by repeated squares of the radix, so that a large number takes less than quadratic time.
     bounded(value, value)
     powers = [radix]
     while powers[-1] <= abs(value):
@@ -352,8 +361,8 @@ def _radix(change: Callable[[str], str]) -> Callable[..., str]:
 
 
 _CONVERSIONS: Dict[str, Callable[..., str]] = {
-    "@": _called,
-    "a": _atomic,
+    "@": _goal_output,
+    "a": _atomic_text,
     "w": _write,
     "p": _printed,
     "q": _quoted,

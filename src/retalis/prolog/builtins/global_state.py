@@ -1,8 +1,7 @@
-"""Global variables, flags, operators, counters: what outlives a goal.
+"""Predicates on the state of a program: flags, operators, global variables, counters, modules, term expansion.
 
-Modules as predicates: their declaration, what arguments are goals, and names in front of goals.
-
-Directives of other Prologs: what they declare needs nothing done here, or is done as a goal.
+Values set by these predicates survive the goal that sets them, except for ``b_setval/2``, which backtracking undoes.
+The module also defines directives of other Prolog systems that have no effect here.
 """
 
 from typing import Dict, List, Optional, Tuple
@@ -45,7 +44,7 @@ from .clause_translation import translate_rule
 
 
 def default_flags() -> Dict[str, Term]:
-    """Return the Prolog flags with their values at start."""
+    """Return the Prolog flags with their initial values."""
     return {
         "bounded": FALSE,
         "max_integer": (1 << 63) - 1,
@@ -79,24 +78,24 @@ _CHANGEABLE: Dict[str, Tuple[str, ...]] = {
 
 
 def flags_from(kept: Dict[str, Term]) -> Dict[str, Term]:
-    """Return flags that were kept, with the values at start of those that were not.
+    """Return the initial flags, updated with stored values.
 
     Raises:
-        UsageError: for a value that the flag does not take.
+        UsageError: if a stored value is not valid for its flag.
     """
-    found = default_flags()
+    flags = default_flags()
     for name, value in kept.items():
         allowed = _CHANGEABLE.get(name, ())
-        changed = value.__class__ is not found.get(name, value).__class__ or value != found.get(name, value)
-        if name in found and changed and not (isinstance(value, Atom) and value.name in allowed):
+        changed = value.__class__ is not flags.get(name, value).__class__ or value != flags.get(name, value)
+        if name in flags and changed and not (isinstance(value, Atom) and value.name in allowed):
             raise UsageError(f"the flag {name} has a value that it does not take")
-        found[name] = value
-    return found
+        flags[name] = value
+    return flags
 
 
 @deterministic("set_prolog_flag/2")
 def set_prolog_flag(machine: Machine, flag: Term, value: Term) -> bool:
-    """Set a flag."""
+    """Set a Prolog flag."""
     name, value = atom_of(flag), deref(value)
     if value.__class__ is Var:
         raise instantiation_error()
@@ -108,7 +107,8 @@ def set_prolog_flag(machine: Machine, flag: Term, value: Term) -> bool:
             raise permission_error("modify", "flag", name)
         if name.name not in flags and is_iso(machine):
             raise domain_error("prolog_flag", name)
-        value = copy(value)  # of another Prolog: kept, and nothing here asks for it
+        # A flag of another Prolog system: it is stored for the program, but has no effect.
+        value = copy(value)
     elif value.__class__ is not Atom or value.name not in allowed:
         raise domain_error("flag_value", (functor("+", 2), name, value))
     flags[name.name] = value
@@ -117,7 +117,7 @@ def set_prolog_flag(machine: Machine, flag: Term, value: Term) -> bool:
 
 @deterministic("unknown/2")
 def unknown(machine: Machine, old: Term, new: Term) -> bool:
-    """Give and set what a call of a predicate that nobody has defined does."""
+    """Return and set the flag ``unknown``, the action for calls of undefined predicates."""
     before = machine.logic.flags["unknown"]
     if not machine.unify(old, before):
         return False
@@ -126,7 +126,7 @@ def unknown(machine: Machine, old: Term, new: Term) -> bool:
 
 @deterministic("create_prolog_flag/3")
 def create_prolog_flag(machine: Machine, flag: Term, value: Term, options: Term) -> bool:
-    """Make a flag of the program's own."""
+    """Create a flag of the program."""
     name = atom_of(flag)
     machine.logic.require_flags(name)
     machine.logic.flags[name.name] = copy(value)
@@ -135,7 +135,7 @@ def create_prolog_flag(machine: Machine, flag: Term, value: Term, options: Term)
 
 @nondeterministic("current_prolog_flag/2")
 def current_prolog_flag(machine: Machine, flag: Term, value: Term) -> Solutions:
-    """Enumerate flags."""
+    """Enumerate the Prolog flags."""
     flag = deref(flag)
     flags = machine.logic.flags
     if flag.__class__ is Atom:
@@ -159,7 +159,7 @@ _SPECIFIERS = ("xfx", "xfy", "yfx", "fy", "fx", "xf", "yf")
 
 @deterministic("op/3")
 def op(machine: Machine, priority: Term, kind: Term, names: Term) -> bool:
-    """Define operators."""
+    """Define or remove operators."""
     value = integer(priority)
     name_of_kind = atom_of(kind).name
     if not 0 <= value <= 1200:
@@ -167,9 +167,11 @@ def op(machine: Machine, priority: Term, kind: Term, names: Term) -> bool:
     if name_of_kind not in _SPECIFIERS:
         raise domain_error("operator_specifier", atom(name_of_kind))
     names = deref(names)
-    found = [] if names is NIL else items(names) if names.__class__ is tuple and names[0] is CONS else [names]
-    in_list = found != [names]
-    for item in found:
+    targets = (
+        [] if names is NIL else items(names) if names.__class__ is tuple and names[0] is CONS else [names]
+    )
+    in_list = targets != [names]
+    for item in targets:
         item = deref(item)
         if item.__class__ is tuple and item[0].name == ":":
             item = deref(item[2])
@@ -202,7 +204,7 @@ def _operator_name(term: Term, priority: int, kind: str, operators: Operators, i
 
 @nondeterministic("current_op/3")
 def current_op(machine: Machine, priority: Term, kind: Term, name: Term) -> Solutions:
-    """Enumerate operators."""
+    """Enumerate the operators."""
     priority, kind, name = deref(priority), deref(kind), deref(name)
     if priority.__class__ is not Var and (priority.__class__ is not int or not 0 <= priority <= 1200):
         raise domain_error("operator_priority", priority)
@@ -212,10 +214,12 @@ def current_op(machine: Machine, priority: Term, kind: Term, name: Term) -> Solu
         raise domain_error("operator_specifier", kind)
     if name.__class__ not in (Var, Atom):
         raise type_error("atom", name)
-    for found_priority, found_kind, found_name in list(machine.logic.operators):
-        if name.__class__ is Atom and name.name != found_name:
+    for defined_priority, defined_kind, defined_name in list(machine.logic.operators):
+        if name.__class__ is Atom and name.name != defined_name:
             continue
-        if machine.unify_all((priority, found_priority), (kind, atom(found_kind)), (name, atom(found_name))):
+        if machine.unify_all(
+            (priority, defined_priority), (kind, atom(defined_kind)), (name, atom(defined_name))
+        ):
             yield None
 
 
@@ -224,7 +228,7 @@ def current_op(machine: Machine, priority: Term, kind: Term, name: Term) -> Solu
 
 @deterministic("char_conversion/2")
 def char_conversion(machine: Machine, char: Term, other: Term) -> bool:
-    """Take two characters; nothing is converted when a program is read."""
+    """Check two characters; the predicate has no effect, as characters are never converted."""
     _character(char)
     _character(other)
     return True
@@ -232,7 +236,7 @@ def char_conversion(machine: Machine, char: Term, other: Term) -> bool:
 
 @nondeterministic("current_char_conversion/2")
 def current_char_conversion(machine: Machine, char: Term, other: Term) -> Solutions:
-    """Give each character itself."""
+    """Enumerate the character conversions: each character is converted to itself."""
     given = deref(char) if deref(char).__class__ is not Var else deref(other)
     if given.__class__ is not Var:
         _character(given)
@@ -253,7 +257,10 @@ def _character(term: Term) -> None:
 
 
 class _RestoreValue:
-    """Trail entry that gives a global variable its old value back."""
+    """Trail entry that restores the previous value of a global variable.
+
+    Undoing the trail sets ``ref`` of each entry to None, as for a variable.
+    """
 
     __slots__ = ("values", "name", "old")
 
@@ -274,7 +281,7 @@ class _RestoreValue:
             self.values[self.name] = self.old
 
 
-def _key(name: Term) -> str:
+def _counter_key(name: Term) -> str:
     name = deref(name)
     if name.__class__ is int:
         return f"\0{name}"
@@ -283,14 +290,14 @@ def _key(name: Term) -> str:
 
 @deterministic("nb_setval/2")
 def nb_setval(machine: Machine, name: Term, value: Term) -> bool:
-    """Set a global variable to a copy of a term; backtracking does not undo it."""
+    """Set a global variable to a copy of a term, without undoing it on backtracking."""
     machine.logic.globals[atom_of(name).name] = copy(value)
     return True
 
 
 @deterministic("b_setval/2")
 def b_setval(machine: Machine, name: Term, value: Term) -> bool:
-    """Set a global variable; backtracking undoes it."""
+    """Set a global variable until backtracking."""
     values = machine.logic.globals
     key = atom_of(name).name
     machine.trail.append(_RestoreValue(values, key))
@@ -300,7 +307,7 @@ def b_setval(machine: Machine, name: Term, value: Term) -> bool:
 
 @deterministic("nb_getval/2", "b_getval/2")
 def getval(machine: Machine, name: Term, value: Term) -> bool:
-    """Look a global variable up."""
+    """Unify with the value of a global variable."""
     key = atom_of(name).name
     values = machine.logic.globals
     if key not in values:
@@ -308,14 +315,14 @@ def getval(machine: Machine, name: Term, value: Term) -> bool:
     return unify(value, values[key], machine.trail)
 
 
-# Counters and flags as the original's programs use them
+# Counters and flags of the original Retalis
 
 
 @deterministic("incCounter/1", locked=False)
 def inc_counter(machine: Machine, name: Term) -> bool:
-    """Add one to a counter."""
+    """Increment a counter."""
     counters = machine.logic.state.setdefault("counters", {})
-    key = _key(name)
+    key = _counter_key(name)
     counters[key] = counters.get(key, 0) + 1
     return True
 
@@ -323,32 +330,34 @@ def inc_counter(machine: Machine, name: Term) -> bool:
 @deterministic("resetCounter/1", locked=False)
 def reset_counter(machine: Machine, name: Term) -> bool:
     """Set a counter to zero."""
-    machine.logic.state.setdefault("counters", {})[_key(name)] = 0
+    machine.logic.state.setdefault("counters", {})[_counter_key(name)] = 0
     return True
 
 
 @deterministic("counter/2", locked=False)
 def counter(machine: Machine, name: Term, value: Term) -> bool:
-    """Look a counter up."""
-    return unify(value, machine.logic.state.get("counters", {}).get(_key(name), 0), machine.trail)
+    """Unify with the value of a counter."""
+    return unify(value, machine.logic.state.get("counters", {}).get(_counter_key(name), 0), machine.trail)
 
 
 @deterministic("set_flag/2", locked=False)
 def set_flag(machine: Machine, name: Term, value: Term) -> bool:
     """Set a flag of the program."""
-    machine.logic.state.setdefault("flags", {})[_key(name)] = copy(value)
+    machine.logic.state.setdefault("flags", {})[_counter_key(name)] = copy(value)
     return True
 
 
 @deterministic("get_flag/2", locked=False)
 def get_flag(machine: Machine, name: Term, value: Term) -> bool:
-    """Look a flag of the program up; ``nil`` where it is not set."""
-    return unify(value, machine.logic.state.get("flags", {}).get(_key(name), atom("nil")), machine.trail)
+    """Unify with a flag of the program, or ``nil`` if it is not set."""
+    return unify(
+        value, machine.logic.state.get("flags", {}).get(_counter_key(name), atom("nil")), machine.trail
+    )
 
 
 @control("halt/0", "halt/1")
 def halt(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Refuse: a program may not end the process it runs in."""
+    """Raise a permission error: a program may not end the process that it runs in."""
     if args:
         integer(args[0])
     raise permission_error("halt", "process", TRUE)
@@ -360,41 +369,42 @@ _OP, _GRAMMAR_NAME = functor("op", 3), functor("//", 2)
 
 @deterministic("module/2")
 def module(machine: Machine, name: Term, exports: Term) -> bool:
-    """Begin a module: its other predicates get names of their own for the rest of the file."""
+    """Begin a module: predicates that it does not export get local names for the rest of the file."""
     keys: List[Functor] = []
-    wrong: List[Term] = []
+    invalid: List[Term] = []
     for item in items(exports):
-        one = deref(item)
-        if isinstance(one, tuple) and one[0] is _OP:
-            op(machine, one[1], one[2], one[3])
+        export = deref(item)
+        if isinstance(export, tuple) and export[0] is _OP:
+            op(machine, export[1], export[2], export[3])
             continue
-        key = indicated(one) if isinstance(one, tuple) and one[0] in (SLASH, _GRAMMAR_NAME) else None
+        key = indicated(export) if isinstance(export, tuple) and export[0] in (SLASH, _GRAMMAR_NAME) else None
         if key is None:
-            wrong.append(one)
+            invalid.append(export)
         else:
             keys.append(key)
     if not machine.logic.database.modules.begin(atom_of(name).name, keys):
         machine.logic.message(
             "warning", "Warning: a file of event rules is no module: what it defines has its plain names\n"
         )
-    if wrong:  # it is one all the same
+    # The module is declared all the same, so that the rest of the file does not cause more errors.
+    if invalid:
         raise (
             instantiation_error()
-            if wrong[0].__class__ is Var
-            else type_error("predicate_indicator", wrong[0])
+            if invalid[0].__class__ is Var
+            else type_error("predicate_indicator", invalid[0])
         )
     return True
 
 
 @deterministic("module/3")
 def module_of_dialect(machine: Machine, name: Term, exports: Term, _: Term) -> bool:
-    """Begin a module of another Prolog."""
+    """Begin a module of another Prolog system."""
     return module(machine, name, exports)
 
 
 @deterministic("meta_predicate/1")
 def meta_predicate(machine: Machine, heads: Term) -> bool:
-    """Declare which arguments are goals: those of a module mean its own predicates there."""
+    """Declare which arguments of predicates are goals: in a module they are called with its local names."""
     modules = machine.logic.database.modules
     for item in declared(modules.names_of(heads)):
         if item.__class__ is Var:
@@ -406,25 +416,25 @@ def meta_predicate(machine: Machine, heads: Term) -> bool:
 
 @deterministic("strip_module/3")
 def strip_module(machine: Machine, term: Term, name: Term, plain: Term) -> bool:
-    """Take a term apart into its module and the rest."""
-    found: Term = _USER
+    """Split a term into its module qualification and the plain term."""
+    qualifier: Term = _USER
     rest = deref(term)
     while rest.__class__ is tuple and rest[0] is COLON and deref(rest[1]).__class__ is not Var:
-        found, rest = deref(rest[1]), deref(rest[2])
-    return unify(name, found, machine.trail) and unify(plain, rest, machine.trail)
+        qualifier, rest = deref(rest[1]), deref(rest[2])
+    return unify(name, qualifier, machine.trail) and unify(plain, rest, machine.trail)
 
 
 @nondeterministic("current_module/1")
 def current_module(machine: Machine, name: Term) -> Solutions:
-    """Enumerate the modules."""
-    for one in ["user", *machine.logic.database.modules.table]:
-        if machine.unify(name, atom(one)):
+    """Enumerate the modules of the program."""
+    for module_name in ["user", *machine.logic.database.modules.table]:
+        if machine.unify(name, atom(module_name)):
             yield None
 
 
 _GRAMMAR = functor("-->", 2)
 _MAIN = atom("main")
-_TIMES = ("now", "after_load", "restore", "restore_state", "program", "main")
+_INITIALIZATION_TIMES = ("now", "after_load", "restore", "restore_state", "program", "main")
 
 
 @deterministic(
@@ -438,7 +448,7 @@ _TIMES = ("now", "after_load", "restore", "restore_state", "program", "main")
     "expects_dialect/1",
 )
 def declaration(machine: Machine, given: Term) -> bool:
-    """Take a declaration that changes nothing here."""
+    """Accept a declaration that has no effect."""
     if deref(given).__class__ is Var:
         raise instantiation_error()
     return True
@@ -446,17 +456,17 @@ def declaration(machine: Machine, given: Term) -> bool:
 
 @control("initialization/1")
 def initialization(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Call a goal; in a file it is called when that has been loaded, which who loads it sees to."""
+    """Call a goal. In a file the loader calls it after the file has been loaded."""
     return machine.logic.control.call(args[0], after)
 
 
 @control("initialization/2")
 def initialization_at(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Call a goal, but for one that would be the main goal of a program."""
+    """Call a goal, unless its time is ``main``: the process does not belong to the program."""
     when = deref(args[1])
     if when.__class__ is Var:
         raise instantiation_error()
-    if not isinstance(when, Atom) or when.name not in _TIMES:
+    if not isinstance(when, Atom) or when.name not in _INITIALIZATION_TIMES:
         raise domain_error("initialization_type", when)
     return after if when is _MAIN else machine.logic.control.call(args[0], after)
 
@@ -474,7 +484,7 @@ def dcg_translate_rule(machine: Machine, rule: Term, clause: Term) -> bool:
 
 @deterministic("expand_term/2")
 def expand_term(machine: Machine, term: Term, expanded: Term) -> bool:
-    """Expand a term as when a file is loaded: what ``term_expansion/2`` says, and grammar rules."""
+    """Expand a term by the program's ``term_expansion/2`` and the translation of grammar rules, as on loading."""
     term = deref(term)
     key = functor("term_expansion", 2)
     predicate = machine.logic.database.predicates.get(key)

@@ -1,4 +1,8 @@
-"""Input and streams as predicates: open and close, read terms and characters, see and tell."""
+"""Predicates that open and close streams, select the current ones, and read terms, characters and bytes.
+
+Streams are those of ISO 13211-1 (8.11 to 8.14), with the Edinburgh predicates ``see/1`` and ``tell/1``. The streams
+themselves are in `text_streams`.
+"""
 
 from typing import Callable, List, Optional
 
@@ -28,18 +32,18 @@ _END = atom("end_of_file")
 
 @deterministic("open/3")
 def open_stream(machine: Machine, name: Term, mode: Term, stream: Term) -> bool:
-    """Open a file to read, write or append."""
+    """Open a file for reading, writing or appending."""
     return _open(machine, name, mode, stream, [])
 
 
 @deterministic("open/4")
 def open_with(machine: Machine, name: Term, mode: Term, stream: Term, options: Term) -> bool:
-    """Open a file; the options ``alias``, ``type``, ``encoding`` and ``eof_action`` are looked at."""
+    """Open a file with the options ``alias``, ``type``, ``encoding`` and ``eof_action``; others are ignored."""
     return _open(machine, name, mode, stream, option_values(options))
 
 
 def _open(machine: Machine, name: Term, mode: Term, stream: Term, options: List[Term]) -> bool:
-    how, values = _mode_of(mode), dict(_OPEN_OPTIONS)
+    stream_mode, values = _mode_of(mode), dict(_OPEN_OPTIONS)
     if deref(name).__class__ is Var:
         raise instantiation_error()
     if deref(stream).__class__ is not Var:
@@ -53,8 +57,9 @@ def _open(machine: Machine, name: Term, mode: Term, stream: Term, options: List[
     if kind not in ("text", "binary") or eof_action not in ("", "error", "eof_code", "reset"):
         raise domain_error("stream_option", options[-1])
     streams = streams_of(machine)
-    python = "latin-1" if kind == "binary" else _ENCODINGS.get(encoding, "utf-8")
-    opened = streams.open(deref(name), how, values["alias"] or None, kind, python)
+    # Latin-1 maps each byte to the character with its code, so binary streams need no second implementation.
+    python_encoding = "latin-1" if kind == "binary" else _ENCODINGS.get(encoding, "utf-8")
+    opened = streams.open(deref(name), stream_mode, values["alias"] or None, kind, python_encoding)
     source = streams.find_open(opened)
     if eof_action and isinstance(source, InputStream):
         source.eof_action = eof_action
@@ -62,10 +67,10 @@ def _open(machine: Machine, name: Term, mode: Term, stream: Term, options: List[
 
 
 def _mode_of(term: Term) -> str:
-    """Return how a file is opened.
+    """Return the mode of a stream: ``read``, ``write`` or ``append``.
 
     Raises:
-        PrologError: where that is none.
+        PrologError: an instantiation, type or domain error.
     """
     mode = deref(term)
     if mode.__class__ is Var:
@@ -83,17 +88,17 @@ _ENCODINGS = {"octet": "latin-1", "iso_latin_1": "latin-1", "ascii": "latin-1"}
 
 @deterministic("close/1")
 def close(machine: Machine, stream: Term) -> bool:
-    """Close a stream; those that are always there stay."""
+    """Close a stream; standard streams stay open."""
     streams = streams_of(machine)
-    found = streams.find(stream)
-    if not isinstance(found, str):
-        streams.close(found)
+    opened = streams.find(stream)
+    if not isinstance(opened, str):
+        streams.close(opened)
     return True
 
 
 @deterministic("close/2")
 def close_with(machine: Machine, stream: Term, options: Term) -> bool:
-    """Close a stream."""
+    """Close a stream; the option ``force`` has no effect."""
     for option in option_values(options):
         if not isinstance(option, tuple) or option[0].name != "force":
             raise domain_error("close_option", option)
@@ -102,7 +107,7 @@ def close_with(machine: Machine, stream: Term, options: Term) -> bool:
 
 @deterministic("set_input/1")
 def set_input(machine: Machine, stream: Term) -> bool:
-    """Read from a stream from now on."""
+    """Set the current input."""
     streams = streams_of(machine)
     streams.input = streams.to_read(stream)
     return True
@@ -110,7 +115,7 @@ def set_input(machine: Machine, stream: Term) -> bool:
 
 @deterministic("set_output/1")
 def set_output(machine: Machine, stream: Term) -> bool:
-    """Write to a stream from now on."""
+    """Set the current output."""
     streams = streams_of(machine)
     streams.set_output(streams.to_write(stream))
     return True
@@ -118,31 +123,32 @@ def set_output(machine: Machine, stream: Term) -> bool:
 
 @deterministic("see/1")
 def see(machine: Machine, name: Term) -> bool:
-    """Read from a stream, or a file, from now on."""
-    return set_input(machine, _opened(machine, name, "read"))
+    """Set the current input to a stream or a file."""
+    return set_input(machine, _open_by_name(machine, name, "read"))
 
 
 @deterministic("tell/1")
 def tell(machine: Machine, name: Term) -> bool:
-    """Write to a stream, or a file, from now on."""
-    return set_output(machine, _opened(machine, name, "write"))
+    """Set the current output to a stream or a file."""
+    return set_output(machine, _open_by_name(machine, name, "write"))
 
 
 @deterministic("append/1")
 def append(machine: Machine, name: Term) -> bool:
-    """Write to the end of a file from now on."""
-    return set_output(machine, _opened(machine, name, "append"))
+    """Set the current output to a file, to which text is appended."""
+    return set_output(machine, _open_by_name(machine, name, "append"))
 
 
-def _opened(machine: Machine, name: Term, mode: str) -> Term:
-    """Return a stream by its term or alias, or that of a file by its name, which is opened where it is not open."""
+def _open_by_name(machine: Machine, name: Term, mode: str) -> Term:
+    """Return a stream term for a stream term, an alias, or the name of a file, which is opened if necessary."""
     streams, name = streams_of(machine), deref(name)
     if isinstance(name, tuple) and name[0].name == "$stream":
         return name
     known = atom_of(name).name if name.__class__ is Atom else ""
     if known in streams.aliases or known in ("user", "user_input", "user_output", "user_error"):
         return name
-    names = {one.asked: one for one in streams.opened.values() if one.mode == mode}
+    # A file that was opened by `see` or `tell` before is continued, not opened again (Edinburgh input and output).
+    names = {opened.asked: opened for opened in streams.opened.values() if opened.mode == mode}
     if known in names:
         return streams.term_of(names[known])
     opened = streams.open(name, mode)
@@ -152,7 +158,7 @@ def _opened(machine: Machine, name: Term, mode: str) -> Term:
 
 @deterministic("seen/0")
 def seen(machine: Machine) -> bool:
-    """Close what is read; read the user's input from now on."""
+    """Close the current input, and set it to the user's."""
     streams = streams_of(machine)
     if streams.input is not streams.user:
         streams.close(streams.input)
@@ -161,7 +167,7 @@ def seen(machine: Machine) -> bool:
 
 @deterministic("told/0")
 def told(machine: Machine) -> bool:
-    """Close what is written; write the user's output from now on."""
+    """Close the current output, and set it to the user's."""
     streams = streams_of(machine)
     if streams.output is not None:
         streams.close(streams.output)
@@ -169,10 +175,10 @@ def told(machine: Machine) -> bool:
 
 
 def _require_stream(machine: Machine, stream: Term) -> None:
-    """Accept a stream or a variable.
+    """Check that a term is an open stream or a variable.
 
     Raises:
-        PrologError: for anything else.
+        PrologError: for any other term.
     """
     if deref(stream).__class__ is not Var:
         streams_of(machine).find(stream)
@@ -180,7 +186,7 @@ def _require_stream(machine: Machine, stream: Term) -> None:
 
 @deterministic("current_input/1", "seeing/1")
 def current_input(machine: Machine, stream: Term) -> bool:
-    """Give the stream that is read."""
+    """Unify with the current input."""
     _require_stream(machine, stream)
     streams = streams_of(machine)
     return unify(stream, streams.term_of(streams.input), machine.trail)
@@ -188,7 +194,7 @@ def current_input(machine: Machine, stream: Term) -> bool:
 
 @deterministic("current_output/1", "telling/1")
 def current_output(machine: Machine, stream: Term) -> bool:
-    """Give the stream that is written."""
+    """Unify with the current output."""
     _require_stream(machine, stream)
     streams = streams_of(machine)
     return unify(stream, streams.current_output(), machine.trail)
@@ -196,21 +202,21 @@ def current_output(machine: Machine, stream: Term) -> bool:
 
 @deterministic("flush_output/1")
 def flush_output_of(machine: Machine, stream: Term) -> bool:
-    """Write what is held back of a line."""
-    found = streams_of(machine).to_write(stream)
-    if isinstance(found, OutputStream):
-        found.flush()
+    """Write the buffered text of a stream to its file."""
+    opened = streams_of(machine).to_write(stream)
+    if isinstance(opened, OutputStream):
+        opened.flush()
     return True
 
 
 @deterministic("set_stream/2")
 def set_stream(machine: Machine, stream: Term, setting: Term) -> bool:
-    """Take a setting of a stream; only an alias changes something."""
-    streams, wanted = streams_of(machine), deref(setting)
-    found = streams.find(stream)
-    if isinstance(wanted, tuple) and wanted[0].name == "alias" and not isinstance(found, str):
-        number = next(number for number, one in streams.opened.items() if one is found)
-        streams.aliases[atom_of(wanted[1]).name] = number
+    """Set a property of a stream; properties other than ``alias`` are ignored."""
+    streams, property_term = streams_of(machine), deref(setting)
+    opened = streams.find(stream)
+    if isinstance(property_term, tuple) and property_term[0].name == "alias" and not isinstance(opened, str):
+        number = next(number for number, candidate in streams.opened.items() if candidate is opened)
+        streams.aliases[atom_of(property_term[1]).name] = number
     return True
 
 
@@ -219,17 +225,17 @@ def set_stream(machine: Machine, stream: Term, setting: Term) -> bool:
 
 def _read(machine: Machine, stream: Optional[Term], options: List[CompoundTerm], term: Term) -> bool:
     source = streams_of(machine).to_read(stream)
-    found = source.term(machine.logic.operators, flags_of(machine, options))
-    if isinstance(found, SyntaxFault):
-        raise syntax_error_in(source, streams_of(machine).term_of(source), found)
-    if found is None:
-        found = nothing(machine)
-    return unify(term, found.term, machine.trail) and unify_options(machine, found, options)
+    result = source.term(machine.logic.operators, flags_of(machine, options))
+    if isinstance(result, SyntaxFault):
+        raise syntax_error_in(source, streams_of(machine).term_of(source), result)
+    if result is None:
+        result = nothing(machine)
+    return unify(term, result.term, machine.trail) and unify_options(machine, result, options)
 
 
 @deterministic("read/1")
 def read(machine: Machine, term: Term) -> bool:
-    """Read a term."""
+    """Read a term from the current input."""
     return _read(machine, None, [], term)
 
 
@@ -241,7 +247,7 @@ def read_from(machine: Machine, stream: Term, term: Term) -> bool:
 
 @deterministic("read_term/2")
 def read_term(machine: Machine, term: Term, options: Term) -> bool:
-    """Read a term with options."""
+    """Read a term from the current input with options."""
     return _read(machine, None, _options(options), term)
 
 
@@ -253,35 +259,43 @@ def read_term_from(machine: Machine, stream: Term, term: Term, options: Term) ->
 
 
 def _options(options: Term) -> List[CompoundTerm]:
-    found = option_values(options)
-    return [one for one in found if isinstance(one, tuple)]
+    values = option_values(options)
+    return [option for option in values if isinstance(option, tuple)]
 
 
 # Characters
 
 
 def _define(name: str, take: bool, as_term: Callable[[str], Term], check: Callable[[Term], None]) -> None:
+    """Define a predicate such as ``get_char``, with one argument and with two.
+
+    Args:
+        name: the name of the predicate.
+        take: whether it consumes the character.
+        as_term: converts a character to a term; "" is the end of the stream.
+        check: raises an error for an invalid output argument.
+    """
     kind = "binary" if name.endswith("byte") else "text"
 
-    def take_one(machine: Machine, source: InputStream, value: Term) -> bool:
+    def read_character(machine: Machine, source: InputStream, value: Term) -> bool:
         check(deref(value))
         _require_kind(source, kind)
         return unify(value, as_term(source.character(take)), machine.trail)
 
     @deterministic(f"{name}/1")
-    def one(machine: Machine, value: Term) -> bool:
-        return take_one(machine, streams_of(machine).input, value)
+    def one_argument(machine: Machine, value: Term) -> bool:
+        return read_character(machine, streams_of(machine).input, value)
 
     @deterministic(f"{name}/2")
-    def two(machine: Machine, stream: Term, value: Term) -> bool:
-        return take_one(machine, streams_of(machine).to_read(stream), value)
+    def two_arguments(machine: Machine, stream: Term, value: Term) -> bool:
+        return read_character(machine, streams_of(machine).to_read(stream), value)
 
 
 def _require_kind(source: InputStream, kind: str) -> None:
-    """Accept a stream of a kind.
+    """Check that a stream is binary if bytes are read from it. Characters may be read from any stream.
 
     Raises:
-        PrologError: a permission error for bytes of a text; the bytes of a binary file are read as characters, too.
+        PrologError: a permission error for a text stream.
     """
     if kind == "binary" and source.kind == "text":
         raise permission_error("input", "text_stream", source.itself)
@@ -295,14 +309,14 @@ def _atom(character: str) -> Term:
     return atom(character) if character else _END
 
 
-def _is_character(value: Term) -> None:
+def _check_character(value: Term) -> None:
     if value.__class__ is not Var and not (
         isinstance(value, Atom) and (len(value.name) == 1 or value is _END)
     ):
         raise type_error("character", value)
 
 
-def _is_code(value: Term) -> None:
+def _check_code(value: Term) -> None:
     if value.__class__ is Var:
         return
     if value.__class__ is not int:
@@ -311,59 +325,59 @@ def _is_code(value: Term) -> None:
         raise representation_error("character_code")
 
 
-def _is_byte(value: Term) -> None:
+def _check_byte(value: Term) -> None:
     if value.__class__ is not Var and not (isinstance(value, int) and -1 <= value <= 255):
         raise type_error("in_byte", value)
 
 
-for _name, _made, _check in (
-    ("char", _atom, _is_character),
-    ("code", _code, _is_code),
-    ("byte", _code, _is_byte),
+for _name, _as_term, _check in (
+    ("char", _atom, _check_character),
+    ("code", _code, _check_code),
+    ("byte", _code, _check_byte),
 ):
-    _define(f"get_{_name}", True, _made, _check)
-    _define(f"peek_{_name}", False, _made, _check)
+    _define(f"get_{_name}", True, _as_term, _check)
+    _define(f"peek_{_name}", False, _as_term, _check)
 
 
 @deterministic("peek_string/3")
 def peek_string(machine: Machine, stream: Term, length: Term, text: Term) -> bool:
-    """Give the next characters of a stream, which stay."""
-    source, wanted = streams_of(machine).to_read(stream), natural(length)
-    return unify(text, String(source.ahead(wanted)), machine.trail)
+    """Unify with the next characters of a stream, without consuming them."""
+    source, count = streams_of(machine).to_read(stream), natural(length)
+    return unify(text, String(source.ahead(count)), machine.trail)
 
 
 @deterministic("get0/1")
 def get_any(machine: Machine, code: Term) -> bool:
-    """Read a character as its code."""
+    """Read the code of a character."""
     return unify(code, _code(streams_of(machine).input.character(True)), machine.trail)
 
 
 @deterministic("get/1")
 def get_visible(machine: Machine, code: Term) -> bool:
-    """Read the next character that is no layout, as its code."""
+    """Read the code of the next character that is not white space."""
     source = streams_of(machine).input
-    found = source.character(True)
-    while found and found.isspace():
-        found = source.character(True)
-    return unify(code, _code(found), machine.trail)
+    char = source.character(True)
+    while char and char.isspace():
+        char = source.character(True)
+    return unify(code, _code(char), machine.trail)
 
 
 @deterministic("skip/1")
 def skip(machine: Machine, character: Term) -> bool:
-    """Read up to a character, and that."""
+    """Read up to and including a character."""
     return _skip(machine, None, character)
 
 
 @deterministic("skip/2")
 def skip_in(machine: Machine, stream: Term, character: Term) -> bool:
-    """Read up to a character of a stream, and that."""
+    """Read up to and including a character of a stream."""
     return _skip(machine, stream, character)
 
 
 def _skip(machine: Machine, stream: Optional[Term], character: Term) -> bool:
-    source, wanted = streams_of(machine).to_read(stream), character_of(machine, character)
+    source, stop = streams_of(machine).to_read(stream), character_of(machine, character)
     steps = 0
-    while source.character(True) not in (wanted, ""):
+    while source.character(True) not in (stop, ""):
         steps += 1
         if not steps & 1023:
             look()
@@ -372,11 +386,11 @@ def _skip(machine: Machine, stream: Optional[Term], character: Term) -> bool:
 
 @deterministic("at_end_of_stream/0")
 def at_end(machine: Machine) -> bool:
-    """Succeed where nothing more can be read."""
+    """Test for the end of the current input."""
     return not streams_of(machine).input.character(False)
 
 
 @deterministic("at_end_of_stream/1")
 def at_end_of(machine: Machine, stream: Term) -> bool:
-    """Succeed where nothing more can be read from a stream."""
+    """Test for the end of a stream."""
     return not streams_of(machine).to_read(stream).character(False)

@@ -1,8 +1,11 @@
-"""Sorting in the standard order of terms.
+"""Predicates on lists, ordered sets and random numbers, and sorting in the standard order of terms.
 
-A list is sorted by keys that Python compares: the terms themselves, or their names, where all are of one plain
-class; otherwise a flat tuple for each term, made once. The tuple holds, for each part of the term from left to right,
-its rank in the standard order and then the items that order it among others of this rank:
+The module contains the predicates whose speed matters; the others are in library/lists.pl. As in SWI-Prolog, whose
+library defines many of them with single-sided rules, an argument that matches no rule is an error.
+
+A list is sorted by keys that Python compares: the terms themselves or their names if all terms are of one plain
+class; otherwise one flat tuple for each term. The tuple holds, for each part of the term from left to right, its rank
+in the standard order and then the items that order it among others of this rank:
 
 =========== ======================================
 part        items
@@ -14,21 +17,13 @@ atom        4, name
 compound    5, arity, name, and the items of its arguments
 =========== ======================================
 
-Two tuples that agree up to an item describe terms of the same shape up to it, so items of one kind are compared. No
-tuple stands in another, which Python would compare by recursion. If a key would be long, as for long lists in a list,
-or a number is nan, `compare` is called for each pair of terms.
+Two tuples that agree up to an item describe terms of the same shape up to it, so only items of one type are compared.
+Tuples are not nested, because Python compares nested ones recursively. If a key would be long, as for long lists in a
+list, or a number is nan, `compare` is called for each pair of terms instead.
 
-Python sorts without a look at the limits of the goal, so a long list is sorted in chunks, which are then merged.
-Python's sort finds the sorted runs in a list and merges them. If a merge would take long, the runs are cut at a key
-first, and the parts before and behind it are merged separately.
-
-Lists: what wants speed; the rest is in the library (library/lists.pl).
-
-Lists as sets and ordered sets: deterministic, and strict about what is not a list.
-
-As for the single-sided rules of SWI-Prolog's library, arguments that fit no clause are an error.
-
-Random numbers, items and orders.
+Python's sort does not check the limits of the goal, so a long list is sorted in chunks, which are then merged. The
+merge is a sort too: Timsort finds the sorted runs and merges them. If a merge would take too long, the runs are first
+divided at a pivot, and the parts before and after it are merged separately.
 """
 
 import random
@@ -97,85 +92,91 @@ _PLAIN: Dict[type, Callable[[Any], Any]] = {
     Atom: attrgetter("name"),
     String: attrgetter("text"),
 }
-"""Classes of terms whose order Python's own comparison gives, with what is to be compared."""
+"""Classes of terms that Python's comparison orders correctly, with the function that returns the value to compare."""
 
 _MAX_KEY_ITEMS = 64
-"""Items of a key from which on terms are compared pair by pair: keys share nothing, as terms do."""
+"""Limit for the items of a key, beyond which terms are compared in pairs. Keys do not share parts as terms do."""
 
-_CHUNK = 1 << 17
-"""Items that are sorted or merged in one piece: 50 ms for those of one plain class. Smaller pieces take more time."""
+_CHUNK_ITEMS = 1 << 17
+"""Items that are sorted or merged in one step: 50 ms for those of one plain class. Smaller chunks take more time."""
 
 _BY_PAIR = type(cmp_to_key(compare)(0))
-"""The class of keys that call a function for each comparison."""
+"""Class of keys that call a function for each comparison."""
 
-_MEASURED = 32
-"""Comparisons of terms between two looks at the limits of the goal; each takes up to a thousand steps without one."""
+_COMPARISONS_PER_CHECK = 32
+"""Comparisons between two checks of the goal's limits; one takes up to a thousand steps without a check."""
 
 
-def by_age(found: List[Term]) -> List[Term]:
-    """Number the variables among terms, and in their arguments, so that they sort in the order they stand in."""
-    for item in map(deref, watched(found)):
+def by_age(terms: List[Term]) -> List[Term]:
+    """Number the variables among terms and their arguments, so that they sort in the order of occurrence."""
+    for item in map(deref, watched(terms)):
         if item.__class__ is Var:
             serial(item)
         elif item.__class__ is tuple:
             for argument in watched(item[1:]) if len(item) > _MAX_KEY_ITEMS else item[1:]:
-                last = deref(argument) if argument.__class__ is Var else argument
-                if last.__class__ is Var:
-                    serial(last)
-    return found
+                value = deref(argument) if argument.__class__ is Var else argument
+                if value.__class__ is Var:
+                    serial(value)
+    return terms
 
 
 def sort_terms(terms: Sequence[Term], reverse: bool = False) -> List[Term]:
-    """Return terms in the standard order; equal ones keep theirs."""
-    found = [deref(term) for term in watched(terms)]
-    return [found[at] for at in watched(order_of(_keys_of(found), reverse))]
+    """Return terms in the standard order; the sort is stable."""
+    values = [deref(term) for term in watched(terms)]
+    return [values[position] for position in watched(order_of(_keys_of(values), reverse))]
 
 
 def sort_by(items: Sequence[Item], keys: Sequence[Term], reverse: bool = False) -> List[Tuple[Term, Item]]:
-    """Return ``(key, item)`` pairs in the standard order of the keys; equal ones keep theirs."""
-    found = [deref(key) for key in watched(keys)]
-    return [(found[at], items[at]) for at in watched(order_of(_keys_of(found), reverse))]
+    """Return ``(key, item)`` pairs in the standard order of the keys; the sort is stable."""
+    values = [deref(key) for key in watched(keys)]
+    return [(values[position], items[position]) for position in watched(order_of(_keys_of(values), reverse))]
 
 
 def sort_unique(terms: Sequence[Term]) -> List[Term]:
     """Return terms in the standard order, without duplicates."""
-    found = [deref(term) for term in watched(terms)]
-    keys = _keys_of(found)
+    values = [deref(term) for term in watched(terms)]
+    keys = _keys_of(values)
     order = order_of(keys)
-    return [found[at] for n, at in enumerate(watched(order)) if not n or keys[order[n - 1]] != keys[at]]
+    return [
+        values[position]
+        for index, position in enumerate(watched(order))
+        if not index or keys[order[index - 1]] != keys[position]
+    ]
 
 
 def order_of(keys: Sequence[Any], reverse: bool = False) -> List[int]:
-    """Return the positions of keys in their order; those of equal keys in the order that they have."""
+    """Return the positions of keys in sorted order; the sort is stable."""
     key = keys.__getitem__
-    if len(keys) <= _CHUNK or keys[0].__class__ is _BY_PAIR:
+    if len(keys) <= _CHUNK_ITEMS or keys[0].__class__ is _BY_PAIR:
         return sorted(range(len(keys)), key=key, reverse=reverse)
     look(size=64 * len(keys))
     runs: List[List[int]] = []
-    for start in range(0, len(keys), _CHUNK):
-        runs.append(sorted(range(start, min(start + _CHUNK, len(keys))), key=key, reverse=reverse))
-        look(_CHUNK)
+    for start in range(0, len(keys), _CHUNK_ITEMS):
+        runs.append(sorted(range(start, min(start + _CHUNK_ITEMS, len(keys))), key=key, reverse=reverse))
+        look(_CHUNK_ITEMS)
     return _merged(runs, keys, reverse)
 
 
 def _merged(runs: List[List[int]], keys: Sequence[Any], reverse: bool) -> List[int]:
-    """Return the positions of several sorted runs, sorted."""
+    """Return the positions of several sorted runs in sorted order."""
     size = sum(map(len, runs))
     look(size)
-    if size > _CHUNK:
+    if size > _CHUNK_ITEMS:
         longest = max(runs, key=len)
         pivot = keys[longest[len(longest) // 2]]
-        cuts = [_first_from(run, pivot, keys, reverse) for run in runs]
+        cuts = [_count_before(run, pivot, keys, reverse) for run in runs]
+        # If the pivot does not divide the positions, as for many equal keys, the merge is done in one step, which is
+        # fast.
         if any(cuts) and cuts != [len(run) for run in runs]:
             before = _merged([run[:cut] for run, cut in zip(runs, cuts)], keys, reverse)
             return before + _merged([run[cut:] for run, cut in zip(runs, cuts)], keys, reverse)
-    whole = [at for run in runs for at in run]
+    whole = [position for run in runs for position in run]
     whole.sort(key=keys.__getitem__, reverse=reverse)
     return whole
 
 
-def _first_from(run: List[int], pivot: Any, keys: Sequence[Any], reverse: bool) -> int:
-    """Return how many positions of a sorted run have keys that come before a pivot."""
+def _count_before(run: List[int], pivot: Any, keys: Sequence[Any], reverse: bool) -> int:
+    """Return the number of positions in a sorted run whose keys precede a pivot, by binary search."""
     low, high = 0, len(run)
     while low < high:
         middle = (low + high) // 2
@@ -187,16 +188,16 @@ def _first_from(run: List[int], pivot: Any, keys: Sequence[Any], reverse: bool) 
     return low
 
 
-def _keys_of(found: List[Term]) -> Sequence[Any]:
-    """Return a key for each of some dereferenced terms: they compare as the terms do in the standard order."""
-    by_age(found)
-    kinds = {term.__class__ for term in found}
-    if len(kinds) == 1:
-        plain = _PLAIN.get(*kinds)
+def _keys_of(terms: List[Term]) -> Sequence[Any]:
+    """Return keys that compare like dereferenced terms in the standard order."""
+    by_age(terms)
+    classes = {term.__class__ for term in terms}
+    if len(classes) == 1:
+        plain = _PLAIN.get(*classes)
         if plain is not None:
-            return found if kinds == {int} else list(map(plain, watched(found)))
+            return terms if classes == {int} else list(map(plain, watched(terms)))
     keys: List[Tuple[Hashable, ...]] = []
-    for term in found:
+    for term in terms:
         key = _flat_key(term)
         if key is None:
             break
@@ -205,35 +206,35 @@ def _keys_of(found: List[Term]) -> Sequence[Any]:
             look()
     else:
         return keys
-    return list(map(cmp_to_key(_patient()), watched(found)))
+    return list(map(cmp_to_key(_checked_compare()), watched(terms)))
 
 
 def _flat_key(  # noqa: C901 -- a call for each part of a term would double its time
     term: Term,
 ) -> Optional[Tuple[Hashable, ...]]:
-    """Return the key of a term; None where it would be long, or there is none."""
+    """Return the flat key of a term, or None if it would be too long or the term contains nan."""
     key: List[Any] = []
     stack = [term]
     while stack:
         item: Any = stack.pop()
-        kind = item.__class__
-        if kind is not int and kind is not Atom and kind is not tuple:
+        class_ = item.__class__
+        if class_ is not int and class_ is not Atom and class_ is not tuple:
             item = deref(item)
-            kind = item.__class__
-        if kind is int:
+            class_ = item.__class__
+        if class_ is int:
             key += (1, item, 1)
-        elif kind is Atom:
+        elif class_ is Atom:
             key += (4, item.name)
-        elif kind is tuple:
+        elif class_ is tuple:
             key += (5, len(item), item[0].name)
             if len(key) + 2 * len(item) > _MAX_KEY_ITEMS:
                 return None
             stack += item[:0:-1]
-        elif kind is float:
-            if item != item:  # nan has no place in an order of Python's
+        elif class_ is float:
+            if item != item:  # Python's comparison does not order nan
                 return None
             key += (1, item, 0 if item or copysign(1.0, item) > 0 else -1)
-        elif kind is String:
+        elif class_ is String:
             key += (3, item.text)
         else:
             key += (0, serial(item))
@@ -242,13 +243,13 @@ def _flat_key(  # noqa: C901 -- a call for each part of a term would double its 
     return tuple(key)
 
 
-def _patient() -> Callable[[Term, Term], int]:
-    """Return `compare` with a look at the goal's limits once in a while: sorting is one step."""
+def _checked_compare() -> Callable[[Term, Term], int]:
+    """Return `compare` with regular checks of the goal's limits, since a sort is a single step of the machine."""
     turns = count(1)
 
     def ordered(left: Term, right: Term) -> int:
-        if not next(turns) % _MEASURED:
-            look(_MEASURED)
+        if not next(turns) % _COMPARISONS_PER_CHECK:
+            look(_COMPARISONS_PER_CHECK)
         return compare(left, right)
 
     return ordered
@@ -260,9 +261,9 @@ _REVERSE, _LAST_ITEM = functor("$reverse", 2), functor("$last", 2)
 
 @control("length/2")
 def length(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Relate a list with its length."""
-    found, tail = list_parts(args[0])
-    count = len(found)
+    """Relate a list with its length; a partial list is extended."""
+    values, tail = list_parts(args[0])
+    count = len(values)
     size = deref(args[1])
     if size.__class__ is not Var:
         natural(size)
@@ -274,50 +275,51 @@ def length(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
         if size - count > MAX_STEPS:
             raise resource_error("memory")
         return after if size >= count and unify(tail, _open_list(size - count), machine.trail) else None
+    # `length(L, L)` has no solution, since no list is a number, but enumeration would not end.
     if size is tail:
         return None
-    return _longer(machine, tail, size, count, count, after)
+    return _enumerate_lengths(machine, tail, size, count, count, after)
 
 
 def _open_list(size: int) -> Term:
     result: Term = NIL
-    for at in range(size):
+    for index in range(size):
         result = (CONS, Var(), result)
-        if not at & 1023:
+        if not index & 1023:
             look()
     return result
 
 
-def _longer(
+def _enumerate_lengths(
     machine: Machine, tail: Term, size: Term, count: int, total: int, after: Frame
 ) -> Optional[Frame]:
-    machine.choices.append((_LONGER, machine, tail, size, count, total + 1, after, len(machine.trail)))
+    machine.choices.append((_NEXT_LENGTH, machine, tail, size, count, total + 1, after, len(machine.trail)))
     return after if machine.unify_all((tail, _open_list(total - count)), (size, total)) else None
 
 
-_LONGER = Code("length", lambda entry: _longer(*entry[1:7]))
-_LONGER.functor = functor("length", 2)
+_NEXT_LENGTH = Code("length", lambda entry: _enumerate_lengths(*entry[1:7]))
+_NEXT_LENGTH.functor = functor("length", 2)
 
 
 @deterministic("msort/2")
 def msort(machine: Machine, unsorted: Term, result: Term) -> bool:
-    """Sort in the standard order, keeping duplicates."""
+    """Sort in the standard order with duplicates."""
     return unify(result, make_list(sort_terms(items(unsorted))), machine.trail)
 
 
 @deterministic("sort/2")
 def sort(machine: Machine, unsorted: Term, result: Term) -> bool:
     """Sort in the standard order without duplicates."""
-    found = sort_unique(items(unsorted))
+    sorted_terms = sort_unique(items(unsorted))
     if is_iso(machine):
         partial_items(result)
-    return unify(result, make_list(found), machine.trail)
+    return unify(result, make_list(sorted_terms), machine.trail)
 
 
 @deterministic("sort/4")
 def sort_by_key_argument(machine: Machine, key: Term, order: Term, unsorted: Term, result: Term) -> bool:
-    """Sort by an argument (0: the whole term) in one of the orders ``@<``, ``@=<``, ``@>``, ``@>=``."""
-    at = _sort_key(key)
+    """Sort by an argument, or by the whole term for 0, in one of the orders ``@<``, ``@=<``, ``@>``, ``@>=``."""
+    position = _sort_key(key)
     order = deref(order)
     if order.__class__ is Var:
         raise instantiation_error()
@@ -326,15 +328,19 @@ def sort_by_key_argument(machine: Machine, key: Term, order: Term, unsorted: Ter
     direction = order.name.lstrip("@")
     if direction not in ("<", "=<", ">", ">="):
         raise domain_error("order", order)
-    found = by_age(items(unsorted))
-    pairs = sort_by(found, [_argument(item, at) for item in watched(found)], direction[0] == ">")
+    values = by_age(items(unsorted))
+    pairs = sort_by(values, [_argument(item, position) for item in watched(values)], direction[0] == ">")
     if "=" not in direction:
-        pairs = [pair for n, pair in enumerate(watched(pairs)) if n == 0 or compare(pairs[n - 1][0], pair[0])]
+        pairs = [
+            pair
+            for index, pair in enumerate(watched(pairs))
+            if index == 0 or compare(pairs[index - 1][0], pair[0])
+        ]
     return unify(result, make_list([item for _, item in pairs]), machine.trail)
 
 
 def _sort_key(key: Term) -> Optional[int]:
-    """Return which argument is the key, 0 for the whole term; None for the name of a field, which no term has."""
+    """Return the position of the key argument, 0 for the whole term; None for the name of a dict's field."""
     key = deref(key)
     if key.__class__ is Atom or list_items(key):
         return None
@@ -346,35 +352,35 @@ def _sort_key(key: Term) -> Optional[int]:
     return number
 
 
-def _argument(item: Term, at: Optional[int]) -> Term:
-    if at == 0:
+def _argument(item: Term, position: Optional[int]) -> Term:
+    if position == 0:
         return item
     item = deref(item)
     if item.__class__ is Var:
         raise instantiation_error()
-    if item.__class__ is not tuple or at is None:
+    if item.__class__ is not tuple or position is None:
         raise type_error("compound", item)
-    if at >= len(item):
-        raise no_argument(at, item)
-    found: Term = item[at]
-    return found
+    if position >= len(item):
+        raise no_argument(position, item)
+    value: Term = item[position]
+    return value
 
 
 @deterministic("keysort/2")
 def keysort(machine: Machine, pairs: Term, result: Term) -> bool:
-    """Sort pairs ``Key-Value`` by key, keeping the order of equal keys."""
-    found = [_pair(item) for item in watched(items(pairs))]
-    found = [pair for _, pair in sort_by(found, [pair[1] for pair in found])]
+    """Sort pairs ``Key-Value`` by key; the sort is stable."""
+    sorted_pairs = [_checked_pair(item) for item in watched(items(pairs))]
+    sorted_pairs = [pair for _, pair in sort_by(sorted_pairs, [pair[1] for pair in sorted_pairs])]
     if is_iso(machine):
         for item in watched(partial_items(result)):
             if deref(item).__class__ is not Var:
-                _pair(item)
-    return unify(result, make_list(found), machine.trail)
+                _checked_pair(item)
+    return unify(result, make_list(sorted_pairs), machine.trail)
 
 
 @control("$predmerge/4")
 def predmerge(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Merge two sorted lists for predsort/3: a goal orders two items at a time, and of equal ones the first stays."""
+    """Merge two sorted lists for ``predsort/3``: a goal compares two items, and of equal ones the first is kept."""
     closure, first, second, result = args
     goal: Any = add_arguments(closure, (NIL, NIL, NIL), machine.logic.database.modules)
     call = (machine.logic.database.predicate(goal[0]), *goal[1:-3])
@@ -385,51 +391,69 @@ def _merge(
     machine: Machine,
     call: Frame,
     first: List[Term],
-    at: int,
+    position: int,
     second: List[Term],
-    other: int,
+    second_position: int,
     merged: List[Term],
     result: Term,
     after: Frame,
 ) -> Optional[Frame]:
-    """Return the frame that orders the next item of each list, or goes on where one of them has no more."""
-    if at == len(first) or other == len(second):
+    """Return the frame that compares the next items of both lists, or the continuation if one list has ended."""
+    if position == len(first) or second_position == len(second):
         return (
             after
-            if unify(result, make_list([*merged, *first[at:], *second[other:]]), machine.trail)
+            if unify(
+                result, make_list([*merged, *first[position:], *second[second_position:]]), machine.trail
+            )
             else None
         )
     order = Var()
     height = len(machine.choices)
-    then = (_ORDERED, machine, call, first, at, second, other, merged, result, after, order, height)
-    return (*call, order, first[at], second[other], then)
+    then = (
+        _ORDERED,
+        machine,
+        call,
+        first,
+        position,
+        second,
+        second_position,
+        merged,
+        result,
+        after,
+        order,
+        height,
+    )
+    return (*call, order, first[position], second[second_position], then)
 
 
 def _ordered(frame: Frame) -> Optional[Frame]:
-    """Take the item that comes first by the order that the goal has told, which has no other solution from now on."""
+    """Append the item that is first by the result of the comparison goal, which is cut."""
     machine: Machine
-    _, machine, call, first, at, second, other, merged, result, after, order, height = frame
+    _, machine, call, first, position, second, second_position, merged, result, after, order, height = frame
     del machine.choices[height:]
     order = deref(order)
-    if order.__class__ is Var:  # all three are solutions
-        for kept, name in enumerate((_GREATER, _SAME)):
-            again = (*frame[:7], list(merged), *frame[8:10], name, height + kept)
+    # An unbound order unifies with all three results, in this sequence on backtracking.
+    if order.__class__ is Var:
+        for skipped, name in enumerate((_GREATER, _SAME)):
+            again = (*frame[:7], list(merged), *frame[8:10], name, height + skipped)
             machine.choices.append((RESUME, again, len(machine.trail)))
         order = _LESS
     if order is _GREATER:
-        merged.append(second[other])
-        return _merge(machine, call, first, at, second, other + 1, merged, result, after)
+        merged.append(second[second_position])
+        return _merge(machine, call, first, position, second, second_position + 1, merged, result, after)
     if order is not _LESS and order is not _SAME:
         return None
-    merged.append(first[at])
-    return _merge(machine, call, first, at + 1, second, other + (order is _SAME), merged, result, after)
+    merged.append(first[position])
+    return _merge(
+        machine, call, first, position + 1, second, second_position + (order is _SAME), merged, result, after
+    )
 
 
 _LESS, _SAME, _GREATER = atom("<"), atom("="), atom(">")
 _ORDERED = Code("predsort", _ordered)
 
 
-def _pair(term: Term) -> CompoundTerm:
+def _checked_pair(term: Term) -> CompoundTerm:
     pair = deref(term)
     if pair.__class__ is Var:
         raise instantiation_error()
@@ -441,18 +465,18 @@ def _pair(term: Term) -> CompoundTerm:
 @control("reverse/2", locked=False)
 def reverse(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Reverse a list."""
-    found = list_items(args[0])
-    if found is None:
+    values = list_items(args[0])
+    if values is None:
         return (machine.logic.database.predicate(_REVERSE), *args, after)
-    return after if unify(args[1], make_list(found[::-1]), machine.trail) else None
+    return after if unify(args[1], make_list(values[::-1]), machine.trail) else None
 
 
 @deterministic("memberchk/2", locked=False)
 def memberchk(machine: Machine, item: Term, given: Term) -> bool:
-    """Find the first item of a list that unifies; a partial list is extended."""
+    """Unify with the first item of a list that unifies; a partial list is extended."""
     trail = machine.trail
     tail = deref(given)
-    seen = 0
+    rounds = 0
     while tail.__class__ is tuple and tail[0] is CONS:
         for _ in BULK:
             if tail.__class__ is not tuple or tail[0] is not CONS:
@@ -464,27 +488,28 @@ def memberchk(machine: Machine, item: Term, given: Term) -> bool:
             tail = deref(tail[2])
         else:
             look()
-            seen += 1
-            if seen == LATE_ROUND:
+            rounds += 1
+            if rounds == LATE_ROUND:
                 refuse_cycles(tail)
-            if seen > len(ROUNDS):
+            if rounds > len(ROUNDS):
                 raise TermTooLarge
     if tail.__class__ is not Var and tail is not NIL:
         raise type_error("list", tail)
     return tail.__class__ is Var and unify(tail, (CONS, item, Var()), trail)
 
 
-def _folded(
+def _fold_predicate(
     name: str, step: Callable[[Term, Term], Term], start: Optional[int]
 ) -> Callable[[Machine, Term, Term], bool]:
-    """Return a predicate that folds the numbers of a list; without a start it begins with the first of them."""
+    """Return a predicate that folds the numbers of a list, from ``start`` or, for None, from the first item."""
     outer, inner = functor(name, 2), functor(name, 3)
 
     def run(machine: Machine, given: Term, result: Term) -> bool:
-        found, tail = list_parts(given)
+        values, tail = list_parts(given)
         value: Optional[Term] = start
-        for item in watched(found):
+        for item in watched(values):
             value = item if value is None else step(value, item)
+        # The error names the predicate that the library would call at this point.
         if tail is not NIL:
             goal = (outer, tail, result) if value is None else (inner, tail, value, result)
             raise no_matching_rule("lists", goal)
@@ -493,47 +518,48 @@ def _folded(
     return run
 
 
-def _better(function: Callable[..., Number]) -> Callable[[Term, Term], Term]:
+def _extremum(function: Callable[..., Number]) -> Callable[[Term, Term], Term]:
     return lambda best, item: function(evaluate(best), evaluate(item))
 
 
-deterministic("sum_list/2", "sumlist/2", locked=False)(_folded("sum_list", add, 0))
-deterministic("max_list/2", locked=False)(_folded("max_list", _better(_MAX), None))
-deterministic("min_list/2", locked=False)(_folded("min_list", _better(_MIN), None))
+deterministic("sum_list/2", "sumlist/2", locked=False)(_fold_predicate("sum_list", add, 0))
+deterministic("max_list/2", locked=False)(_fold_predicate("max_list", _extremum(_MAX), None))
+deterministic("min_list/2", locked=False)(_fold_predicate("min_list", _extremum(_MIN), None))
 
 
 @deterministic("numlist/3", locked=False)
 def numlist(machine: Machine, low: Term, high: Term, result: Term) -> bool:
-    """Give the list of integers between two."""
+    """Unify with the list of integers between two bounds."""
     first, last = integer(low), integer(high)
     if last - first > MAX_STEPS:
         raise resource_error("memory")
     numbers: Term = NIL
-    for at in range(last, first - 1, -1):
-        numbers = (CONS, at, numbers)
-        if not at & 1023:
+    for number in range(last, first - 1, -1):
+        numbers = (CONS, number, numbers)
+        if not number & 1023:
             look()
     return first <= last and unify(result, numbers, machine.trail)
 
 
 @control("last/2", locked=False)
 def last(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Give the last item of a list."""
-    found = list_items(args[0])
-    if found is None:
+    """Unify with the last item of a list."""
+    values = list_items(args[0])
+    if values is None:
         return (machine.logic.database.predicate(_LAST_ITEM), *args, after)
-    return after if found and unify(args[1], found[-1], machine.trail) else None
+    return after if values and unify(args[1], values[-1], machine.trail) else None
 
 
 @deterministic("list_to_set/2", locked=False)
 def list_to_set(machine: Machine, given: Term, result: Term) -> bool:
-    """Drop duplicates (by ``==``), keeping the first."""
-    found = items(given)
-    pairs = sort_by(range(len(found)), found)  # stable: of equal ones the first comes first
-    kept = bytearray(len(found))
-    for n, (item, at) in enumerate(watched(pairs)):
-        kept[at] = n == 0 or compare(pairs[n - 1][0], item) != 0
-    return unify(result, make_list(compress(found, kept)), machine.trail)
+    """Remove duplicates by ``==``, and keep the first of each."""
+    values = items(given)
+    # The sort is stable, so the first of equal items is the one that was first in the list.
+    pairs = sort_by(range(len(values)), values)
+    kept = bytearray(len(values))
+    for index, (item, position) in enumerate(watched(pairs)):
+        kept[position] = index == 0 or compare(pairs[index - 1][0], item) != 0
+    return unify(result, make_list(compress(values, kept)), machine.trail)
 
 
 @deterministic("list_to_ord_set/2", locked=False)
@@ -552,54 +578,57 @@ def _nth(base: int) -> Callable[[Machine, Term, Term, Term], Outcome]:
             return False
         if number > MAX_STEPS:
             raise resource_error("term_size")
-        return _at(machine, number - base, given, item)
+        return _unify_item(machine, number - base, given, item)
 
     return run
 
 
-def _at(machine: Machine, left: int, given: Term, item: Term) -> bool:
-    """Unify the item after ``left`` others; a partial list is extended."""
+def _unify_item(machine: Machine, skipped: int, given: Term, item: Term) -> bool:
+    """Unify the item after ``skipped`` others; a partial list is extended."""
     tail = deref(given)
-    while left > 0 and tail.__class__ is tuple and tail[0] is CONS:
-        left -= 1
+    while skipped > 0 and tail.__class__ is tuple and tail[0] is CONS:
+        skipped -= 1
         tail = deref(tail[2])
-        if not left & 1023:
+        if not skipped & 1023:
             look()
     if tail.__class__ is Var:
-        return unify(tail, _behind(left, item), machine.trail)
-    return left == 0 and tail.__class__ is tuple and tail[0] is CONS and unify(item, tail[1], machine.trail)
+        return unify(tail, _extended_list(skipped, item), machine.trail)
+    return (
+        skipped == 0 and tail.__class__ is tuple and tail[0] is CONS and unify(item, tail[1], machine.trail)
+    )
 
 
 def _numbered(machine: Machine, index: Term, base: int, given: Term, item: Term) -> Solutions:
-    """Go through the items with their numbers; a partial list is extended."""
+    """Enumerate the items with their numbers; a partial list is extended."""
     tail = deref(given)
-    at = base
+    number = base
     while tail.__class__ is tuple and tail[0] is CONS:
         rest = deref(tail[2])
-        if machine.unify_all((item, tail[1]), (index, at)):
+        if machine.unify_all((item, tail[1]), (index, number)):
             yield LAST if rest is NIL else None
-        at += 1
+        number += 1
         tail = rest
-        if not at & 1023:
+        if not number & 1023:
             look()
-            if at > MAX_STEPS:
+            if number > MAX_STEPS:
                 raise TermTooLarge
-    known = at
-    while tail.__class__ is Var and tail is not index:  # no list is a number
+    known = number
+    # If the tail is also the index there is no solution, because a list is not a number.
+    while tail.__class__ is Var and tail is not index:
         look()
-        if machine.unify_all((tail, _behind(at - known, item)), (index, at)):
+        if machine.unify_all((tail, _extended_list(number - known, item)), (index, number)):
             yield None
-        at += 1
-        if at - known > MAX_STEPS:
+        number += 1
+        if number - known > MAX_STEPS:
             raise TermTooLarge
 
 
-def _behind(count: int, item: Term) -> Term:
-    """Return a partial list with an item behind some unknown ones."""
+def _extended_list(count: int, item: Term) -> Term:
+    """Return a partial list with an item after ``count`` unbound ones."""
     cells: Term = (CONS, item, Var())
-    for at in range(count):
+    for index in range(count):
         cells = (CONS, Var(), cells)
-        if not at & 1023:
+        if not index & 1023:
             look()
     return cells
 
@@ -610,7 +639,7 @@ nondeterministic("nth1/3", locked=False)(_nth(1))
 
 @nondeterministic("between/3")
 def between(machine: Machine, low: Term, high: Term, value: Term) -> Outcome:
-    """Enumerate the integers between two; the upper one may be ``inf``."""
+    """Enumerate the integers between two bounds; the upper one may be ``inf``."""
     first = integer(low)
     high = deref(high)
     if high.__class__ is Atom and high.name in ("inf", "infinite"):
@@ -625,12 +654,12 @@ def between(machine: Machine, low: Term, high: Term, value: Term) -> Outcome:
 
 
 def _integers(trail: Trail, first: int, limit: Optional[int], value: Var) -> Solutions:
-    at = first
-    while limit is None or at <= limit:
-        value.ref = at
+    number = first
+    while limit is None or number <= limit:
+        value.ref = number
         trail.append(value)
-        yield LAST if at == limit else None
-        at += 1
+        yield LAST if number == limit else None
+        number += 1
 
 
 _SUBTRACT, _INTERSECTION, _UNION = (functor(name, 3) for name in ("subtract", "intersection", "union"))
@@ -639,16 +668,16 @@ _ORD_UNION, _ORD_UNION_ALL, _UNION2 = functor("ord_union", 3), functor("ord_unio
 
 
 _ITEMS = BULK[:32]
-"""Items between two looks at the limits: for each, another list of up to a thousand items may be searched."""
+"""Items between two checks of the limits; for each item, a list of up to a thousand items may be searched."""
 
 
 def is_cons(term: Term) -> "TypeGuard[CompoundTerm]":
-    """Tell whether a dereferenced term is a list cell."""
+    """Return whether a dereferenced term is a list cell."""
     return term.__class__ is tuple and term[0] is CONS
 
 
 def bounded() -> Iterator[None]:
-    """Count the items of a list, which may contain itself, with a look at the limits of the goal now and then."""
+    """Yield for each item of a list, with regular checks of the limits; raise `TermTooLarge` for a cyclic list."""
     for _ in range(MAX_STEPS // len(_ITEMS)):
         yield from _ITEMS
         look(len(_ITEMS))
@@ -658,7 +687,7 @@ def bounded() -> Iterator[None]:
 def _filter(
     key: Functor, keeps: bool, end: Callable[[Term], Term]
 ) -> Callable[[Machine, Term, Term, Term], bool]:
-    """Return a predicate that keeps the items of a list that are in another one, or those that are not."""
+    """Return a predicate that keeps the items of a list that are, or are not, in another list."""
 
     def run(machine: Machine, given: Term, other: Term, result: Term) -> bool:
         rest = deref(given)
@@ -685,7 +714,7 @@ deterministic("union/3", locked=False)(_filter(_UNION, False, lambda other: othe
 
 @deterministic("subset/2", locked=False)
 def subset(machine: Machine, given: Term, other: Term) -> bool:
-    """Test that each item of a list unifies with one of another."""
+    """Test that each item of a list unifies with an item of another list."""
     rest = deref(given)
     for _ in bounded():
         if not is_cons(rest):
@@ -698,8 +727,8 @@ def subset(machine: Machine, given: Term, other: Term) -> bool:
     return True
 
 
-def _best(name: str, sign: int) -> Callable[[Machine, Term, Term], bool]:
-    """Return a predicate that finds the item that is last, or first, in the standard order."""
+def _extreme_member(name: str, sign: int) -> Callable[[Machine, Term, Term], bool]:
+    """Return a predicate that finds the last item in the standard order, or the first one if ``sign`` is -1."""
     outer, inner = functor(name, 2), functor(f"{name}_", 3)
 
     def run(machine: Machine, result: Term, given: Term) -> bool:
@@ -722,14 +751,14 @@ def _best(name: str, sign: int) -> Callable[[Machine, Term, Term], bool]:
     return run
 
 
-deterministic("max_member/2", locked=False)(_best("max_member", 1))
-deterministic("min_member/2", locked=False)(_best("min_member", -1))
+deterministic("max_member/2", locked=False)(_extreme_member("max_member", 1))
+deterministic("min_member/2", locked=False)(_extreme_member("min_member", -1))
 
 
 @deterministic("ord_union/3", locked=False)
 def ord_union(machine: Machine, left: Term, right: Term, result: Term) -> bool:
-    """Merge two ordered sets."""
-    first: Optional[Term] = None  # the next item of the left one, once the two are being compared
+    """Compute the union of two ordered sets."""
+    first: Optional[Term] = None  # the item taken from the left set and not yet merged
     for _ in bounded():
         if first is None:
             left = deref(left)
@@ -749,6 +778,7 @@ def ord_union(machine: Machine, left: Term, right: Term, result: Term) -> bool:
             return False
         result = tail
         if order < 0:
+            # The sets change roles, so that the left one always has the item that was taken.
             first, left, right = right[1], right[2], left
         else:
             first, right = (first if order else None), right[2]
@@ -757,57 +787,58 @@ def ord_union(machine: Machine, left: Term, right: Term, result: Term) -> bool:
 
 @deterministic("ord_union/2", locked=False)
 def ord_union_all(machine: Machine, sets: Term, result: Term) -> bool:
-    """Merge a list of ordered sets."""
+    """Compute the union of a list of ordered sets."""
     merged = list_items(sets)
     if merged is None:
         raise no_matching_rule("ordsets", (_ORD_UNION_ALL, sets, result))
+    # Sets are merged in pairs, which takes time O(n log n) for n sets of similar size.
     while len(merged) > 1:
         unions = [Var() for _ in range(len(merged) // 2)]
-        for at, union in enumerate(unions):
-            ord_union(machine, merged[2 * at], merged[2 * at + 1], union)
+        for index, union in enumerate(unions):
+            ord_union(machine, merged[2 * index], merged[2 * index + 1], union)
         merged = unions + merged[2 * len(unions) :]
     return unify(result, merged[0] if merged else NIL, machine.trail)
 
 
 @deterministic("$no_rule/2")
 def no_rule(machine: Machine, module: Term, goal: Term) -> bool:
-    """Raise the error of a library predicate of single-sided rules."""
+    """Raise the error of a library predicate for a call that matches no rule."""
     raise no_matching_rule(atom_of(module).name, goal)
 
 
 @deterministic("random/1")
 def random_float(machine: Machine, value: Term) -> bool:
-    """Give a float between 0 and 1, both excluded."""
+    """Unify with a random float between 0 and 1, excluding both."""
     return unify(value, random.random() or 0.5, machine.trail)
 
 
 @deterministic("random_between/3")
 def random_between(machine: Machine, low: Term, high: Term, value: Term) -> bool:
-    """Give an integer between two, both included."""
+    """Unify with a random integer between two bounds, including both."""
     first, last = integer(low), integer(high)
     return first <= last and unify(value, random.randint(first, last), machine.trail)
 
 
 @deterministic("random_member/2")
 def random_member(machine: Machine, value: Term, given: Term) -> bool:
-    """Give an item of a list."""
-    found = items(given)
-    if not found:
+    """Unify with a random item of a list."""
+    values = items(given)
+    if not values:
         raise domain_error("non_empty_list", given)
-    return unify(value, random.choice(found), machine.trail)
+    return unify(value, random.choice(values), machine.trail)
 
 
 @deterministic("random_permutation/2")
 def random_permutation(machine: Machine, given: Term, result: Term) -> bool:
-    """Give the items of a list in another order."""
-    found = items(given)
-    ranks = [random.random() for _ in watched(found)]
-    return unify(result, make_list([found[at] for at in order_of(ranks)]), machine.trail)
+    """Unify with a random permutation of a list."""
+    values = items(given)
+    ranks = [random.random() for _ in watched(values)]
+    return unify(result, make_list([values[position] for position in order_of(ranks)]), machine.trail)
 
 
 @deterministic("set_random/1")
 def set_random(machine: Machine, option: Term) -> bool:
-    """Set the seed: ``seed(Number)`` or ``seed(random)``."""
+    """Set the seed of the random number generator: ``seed(Number)`` or ``seed(random)``."""
     option = deref(option)
     if option.__class__ is Var:
         raise instantiation_error()

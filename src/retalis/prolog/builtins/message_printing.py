@@ -1,4 +1,8 @@
-"""Messages, assertions, and the listing of clauses."""
+"""Predicates that print messages and clauses, and enumerate properties of predicates.
+
+Clauses are laid out as by SWI-Prolog's ``portray_clause/1``: one goal per line, control constructs in columns of four
+characters, and variables named ``A``, ``B``, ... by their order. The text can be read back as the same clause.
+"""
 
 from functools import lru_cache
 from typing import Any, Callable, Dict, Iterable, Iterator, List, Optional, Tuple
@@ -20,14 +24,14 @@ from .output_predicates import formatted, letter_names, write_to
 _NECK, _DIRECTIVE = functor(":-", 2), functor(":-", 1)
 _FORMAT = functor("format", 2)
 _LINE: Dict[str, Any] = {"quoted": True, "numbervars": True, "spacing": True}
-"""How a line of a clause is written."""
+"""Options of the writer for a line of a clause."""
 
 # Messages
 
 
 @deterministic("print_message/2")
 def print_message(machine: Machine, kind: Term, message: Term) -> bool:
-    """Report a message: ``format(Form,Args)``, an error term, or any term; ``silent`` kinds say nothing."""
+    """Report a message: ``format(Format, Args)``, an error term, or any other term."""
     name = atom_of(kind).name
     if name in ("silent", "debug", "banner"):
         return True
@@ -38,7 +42,7 @@ def print_message(machine: Machine, kind: Term, message: Term) -> bool:
 
 
 def message_text(machine: Machine, message: Term) -> str:
-    """Return a message as text."""
+    """Return the text of a message."""
     if message.__class__ is tuple:
         if message[0] is _FORMAT:
             return formatted(machine, message[1], message[2], 0)
@@ -51,17 +55,17 @@ def message_text(machine: Machine, message: Term) -> str:
 
 @deterministic("print_message_lines/3")
 def print_message_lines(machine: Machine, stream: Term, prefix: Term, lines: Term) -> bool:
-    """Write the lines of a message: ``Form-Args``, ``Form`` and ``nl`` items."""
-    out = []
+    """Write the lines of a message: items ``Format-Args``, ``Format`` and ``nl``."""
+    texts = []
     for line in list_items(lines) or []:
         line = deref(line)
         if line.__class__ is Atom and line.name == "nl":
-            out.append("\n")
+            texts.append("\n")
         elif line.__class__ is tuple and line[0].name == "-":
-            out.append(formatted(machine, line[1], line[2], 0))
+            texts.append(formatted(machine, line[1], line[2], 0))
         else:
-            out.append(formatted(machine, line, atom("[]"), 0))
-    write_to(machine, stream, "".join(out))
+            texts.append(formatted(machine, line, atom("[]"), 0))
+    write_to(machine, stream, "".join(texts))
     return True
 
 
@@ -70,28 +74,28 @@ def print_message_lines(machine: Machine, stream: Term, prefix: Term, lines: Ter
 
 @deterministic("portray_clause/1")
 def portray_clause(machine: Machine, term: Term) -> bool:
-    """Write a clause, laid out, with its variables named."""
+    """Write a clause with layout and named variables."""
     machine.logic.write(clause_text(machine, term))
     return True
 
 
 @deterministic("portray_clause/2")
 def portray_clause_to(machine: Machine, stream: Term, term: Term) -> bool:
-    """Write a clause to a stream."""
+    """Write a clause to a stream with layout and named variables."""
     write_to(machine, stream, clause_text(machine, term))
     return True
 
 
 def clause_text(machine: Machine, term: Term) -> str:
-    """Return a clause laid out with a goal a line and variables named A, B, ...; ``_`` for those alone."""
+    """Return the text of a clause, with one goal per line; variables are named A, B, ..., or ``_`` if single."""
     term = copy(term)
     names = letter_names(term)
     term = deref(term)
     operators = machine.logic.operators
     portray = by_name(term, operators, **_LINE, variable_names=names)
     layout = _BodyLayout(operators, names, portray)
-    if any(operators.find(key.name) != usual for key, usual in _laid_out_operators()):
-        # The layout is that of the usual priorities; with others the text would read as another term.
+    if any(operators.find(key.name) != standard for key, standard in _layout_operators()):
+        # The layout assumes the standard priorities; with other ones the text would be read as a different term.
         layout.put(layout.text(term, 1199))
     elif term.__class__ is tuple and term[0] is _NECK and deref(term[2]) is not TRUE:
         layout.put(f"{layout.head(term[1])} :-\n    ")
@@ -107,15 +111,18 @@ def clause_text(machine: Machine, term: Term) -> str:
 
 
 @lru_cache(maxsize=1)
-def _laid_out_operators() -> List[Tuple[Functor, List[Operator]]]:
-    """Return the operators that clauses are laid out by, with their usual definitions."""
-    usual = Operators.prolog()
+def _layout_operators() -> List[Tuple[Functor, List[Operator]]]:
+    """Return the operators that the layout depends on, with their standard definitions."""
+    standard = Operators.prolog()
     keys = (_NECK, COMMA, SEMICOLON, ARROW, SOFT_ARROW, NOT)
-    return [(key, usual.find(key.name)) for key in keys]
+    return [(key, standard.find(key.name)) for key in keys]
+
+
+_MAX_LAYOUT_DEPTH = 40
 
 
 class _BodyLayout:
-    """Bodies with a goal a line and control constructs as columns."""
+    """Layout of a clause body, with one goal per line and control constructs in columns."""
 
     def __init__(
         self,
@@ -129,23 +136,26 @@ class _BodyLayout:
         self._out: List[str] = []
 
     def put(self, text: str) -> None:
-        """Add text."""
+        """Append a text."""
         self._out.append(text)
 
     def done(self) -> str:
-        """Return what was written."""
+        """Return the whole text."""
         return "".join(self._out)
 
     def head(self, head: Term) -> str:
-        """Return the head of a rule; a prefix operator is put in brackets: the neck would be read as its argument."""
+        """Return the text of a rule's head."""
         head = deref(head)
+        # A prefix operator as head needs parentheses, or the neck would be read as its argument.
         is_prefix = head.__class__ is Atom and head.name in self._operators.prefix
         return f"({self.text(head, 1200)})" if is_prefix else self.text(head, 1199)
 
     def text(self, term: Term, priority: int) -> str:
-        """Return a term on one line; an operator of a higher priority is put in brackets, as SWI-Prolog does."""
+        """Return a term on one line; an operator of a higher priority is put in parentheses, as by SWI-Prolog."""
         term = deref(term)
-        if term.__class__ is Atom and any(one.priority > priority for one in self._operators.find(term.name)):
+        if term.__class__ is Atom and any(
+            operator.priority > priority for operator in self._operators.find(term.name)
+        ):
             return f"({write_term(term, self._operators, **_LINE)})"
         return write_term(
             term,
@@ -157,17 +167,22 @@ class _BodyLayout:
         )
 
     def body(self, goal: Term, depth: int, priority: int) -> None:
-        """Write a body; conjunctions go on without recursion."""
+        """Append a body. Conjunctions are written iteratively, as they may have any length."""
         goal = deref(goal)
         while goal.__class__ is tuple and goal[0] is COMMA:
             self.body(goal[1], depth, 999)
             self.put(f",\n{'    ' * depth}")
             goal = deref(goal[2])
-        if goal.__class__ is tuple and goal[0] in (SEMICOLON, ARROW, SOFT_ARROW) and depth < 40:
+        # Deeper control constructs are written on one line, which limits the recursion.
+        if (
+            goal.__class__ is tuple
+            and goal[0] in (SEMICOLON, ARROW, SOFT_ARROW)
+            and depth < _MAX_LAYOUT_DEPTH
+        ):
             self.put("(   ")
             self._branches(goal, depth)
             self.put(f"\n{'    ' * depth})")
-        elif goal.__class__ is tuple and goal[0] is NOT and depth < 40:
+        elif goal.__class__ is tuple and goal[0] is NOT and depth < _MAX_LAYOUT_DEPTH:
             self.put("\\+ ")
             self.body(goal[1], depth, 200)
         else:
@@ -190,37 +205,37 @@ class _BodyLayout:
 
 
 @deterministic("listing/1")
-def listing(machine: Machine, which: Term) -> bool:
-    """Write the clauses of a predicate, by name or ``Name/Arity``, or of a list of them."""
-    which = deref(machine.logic.database.modules.names_of(which))
-    found = list_items(which)
-    for item in found if found is not None and which.__class__ is tuple else [which]:
-        for predicate in _named(machine, deref(item)):
+def listing(machine: Machine, target: Term) -> bool:
+    """Write the clauses of the predicates with a name or an indicator, or of a list of them."""
+    target = deref(machine.logic.database.modules.names_of(target))
+    targets = list_items(target)
+    for item in targets if targets is not None and target.__class__ is tuple else [target]:
+        for predicate in _matching_predicates(machine, deref(item)):
             _list_predicate(machine, predicate)
     return True
 
 
-def _named(machine: Machine, which: Term) -> List[Predicate]:
+def _matching_predicates(machine: Machine, target: Term) -> List[Predicate]:
     database = machine.logic.database
-    if which.__class__ is tuple and which[0] is SLASH and deref(which[2]).__class__ is not Var:
-        key = indicator_of(which)
+    if target.__class__ is tuple and target[0] is SLASH and deref(target[2]).__class__ is not Var:
+        key = indicator_of(target)
         return [database.predicate(key)] if key in database.predicates else []
-    name = atom_of(which[1] if which.__class__ is tuple and which[0] is SLASH else which).name
+    name = atom_of(target[1] if target.__class__ is tuple and target[0] is SLASH else target).name
     plain_of = database.modules.plain_of
-    found = [
+    matches = [
         predicate
         for key, predicate in database.predicates.items()
         if key.name == name or (plain_of(key) or key).name == name
     ]
-    return sorted(found, key=lambda predicate: predicate.functor.arity)
+    return sorted(matches, key=lambda predicate: predicate.functor.arity)
 
 
 @deterministic("listing/0")
 def listing_all(machine: Machine) -> bool:
-    """Write all clauses of the program."""
-    found = list(machine.logic.database.predicates.values())
-    hidden = {predicate.tabled for predicate in found}
-    for predicate in found:
+    """Write all clauses of the program, without those of libraries."""
+    predicates = list(machine.logic.database.predicates.values())
+    hidden = {predicate.tabled for predicate in predicates}
+    for predicate in predicates:
         if not predicate.library and predicate not in hidden:
             _list_predicate(machine, predicate)
     return True
@@ -233,10 +248,10 @@ def _list_predicate(machine: Machine, predicate: Predicate) -> None:
     logic = machine.logic
     modules = logic.database.modules
     key = modules.plain_of(predicate.functor) or predicate.functor
-    for declared, one in (("dynamic", own), ("table", predicate)):
-        if own.dynamic if declared == "dynamic" else own is not predicate:
-            incremental = " as incremental" if one.incremental else ""
-            logic.write(f":- {declared} {logic.show(indicator(key))}{incremental}.\n\n")
+    for declaration, source in (("dynamic", own), ("table", predicate)):
+        if own.dynamic if declaration == "dynamic" else own is not predicate:
+            incremental = " as incremental" if source.incremental else ""
+            logic.write(f":- {declaration} {logic.show(indicator(key))}{incremental}.\n\n")
     for clause in own.live():
         logic.write(clause_text(machine, modules.plain((_NECK, clause.head, clause.body))))
     logic.write("\n")
@@ -247,7 +262,7 @@ def _list_predicate(machine: Machine, predicate: Predicate) -> None:
 
 @nondeterministic("predicate_property/2")
 def predicate_property(machine: Machine, head: Term, prop: Term) -> Solutions:
-    """Enumerate what is known of a predicate."""
+    """Enumerate the properties of a predicate."""
     logic = machine.logic
     modules = logic.database.modules
     head = modules.looked_for(head)
@@ -256,17 +271,17 @@ def predicate_property(machine: Machine, head: Term, prop: Term) -> Solutions:
             if not predicate.defined or predicate.library or modules.plain_of(key) is not None:
                 continue
             general = (key, *[Var() for _ in range(key.arity)]) if key.arity else atom(key.name)
-            for found in _properties(predicate):
-                if machine.unify_all((head, general), (prop, found)):
+            for value in _properties(predicate):
+                if machine.unify_all((head, general), (prop, value)):
                     yield None
         return
     key = head[0] if head.__class__ is tuple else atom_of(head).functor
-    known = logic.lookup(key)
+    definition = logic.lookup(key)
     plain = modules.plain_of(key)
-    if known is None and plain is not None:
-        known = logic.lookup(plain)
-    for found in [] if known is None else _properties(known):
-        if machine.unify(prop, found):
+    if definition is None and plain is not None:
+        definition = logic.lookup(plain)
+    for value in [] if definition is None else _properties(definition):
+        if machine.unify(prop, value):
             yield None
 
 
@@ -298,7 +313,7 @@ def _properties(predicate: Predicate) -> Iterator[Term]:
 
 @nondeterministic("nth_clause/3")
 def nth_clause(machine: Machine, head: Term, number: Term, reference: Term) -> Solutions:
-    """Enumerate the clauses of a predicate with their numbers; the reference is the clause itself."""
+    """Enumerate the clauses of a predicate with their numbers; the clause term is used as its reference."""
     head = deref(head)
     key = head[0] if head.__class__ is tuple else atom_of(head).functor
     predicate = machine.logic.lookup(key)
@@ -307,8 +322,8 @@ def nth_clause(machine: Machine, head: Term, number: Term, reference: Term) -> S
     if predicate is not None:
         predicate.with_clauses.note_read()
         clauses = predicate.with_clauses.live()
-    for at, clause in enumerate(clauses, 1):
-        if given.__class__ is int and at != given:
+    for position, clause in enumerate(clauses, 1):
+        if given.__class__ is int and position != given:
             continue
-        if machine.unify_all((number, at), (reference, copy((_NECK, clause.head, clause.body)))):
+        if machine.unify_all((number, position), (reference, copy((_NECK, clause.head, clause.body)))):
             yield None if given.__class__ is Var else LAST

@@ -1,8 +1,9 @@
-"""Calls with conditions: grammars, limits, the n-th solution.
+"""Predicates that call goals: ``phrase/2``, limits, selection of solutions, lambda expressions and cleanup.
 
-Lambda expressions: ``Free/[X,Y]>>Goal`` called with arguments.
-
-Cleanup: what runs when a goal is over, however it ends.
+They run as frames of the machine and return the first frame of the goal. A construct that has to act at the end of
+the goal pushes a choice point below it, which is reached on failure and, if it is a `Guard`, also by an exception. It
+appends a frame after the goal, which is reached on success and compares the height of the stack of choice points: if
+the construct's choice point is the newest one, the goal has no more solutions.
 """
 
 from time import monotonic
@@ -52,13 +53,13 @@ def fail(machine: Machine) -> bool:
 
 @control("not/1")
 def not_provable(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Succeed if a goal has no solution."""
+    """Test that a goal has no solution."""
     return machine.logic.control.call((NOT, (CALL, args[0])), after)
 
 
 @control("apply/2")
 def apply(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Call a goal with the items of a list as further arguments."""
+    """Call a goal with the items of a list as additional arguments."""
     goal = callable_of(args[0])
     modules = machine.logic.database.modules
     extra = tuple(items(args[1]))
@@ -68,7 +69,7 @@ def apply(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
 
 @control("^/2")
 def existential(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Call the goal of ``Variable^Goal``: outside of bagof and setof the variable is one like all others."""
+    """Call the goal of ``Variable^Goal``: outside of ``bagof/3`` and ``setof/3`` the quantifier has no effect."""
     return machine.logic.control.call(args[1], after)
 
 
@@ -77,16 +78,16 @@ def existential(machine: Machine, args: Values, after: Frame) -> Optional[Frame]
 
 @control("phrase/2", "phrase/3")
 def phrase(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Parse a list by a grammar body."""
+    """Parse a list with a grammar body."""
     rest = args[2] if len(args) == 3 else NIL
     for term in (args[1], rest):
-        kind = deref(term)
+        value = deref(term)
         if (
-            kind.__class__ is not Var
-            and kind is not NIL
-            and (kind.__class__ is not tuple or kind[0] is not CONS)
+            value.__class__ is not Var
+            and value is not NIL
+            and (value.__class__ is not tuple or value[0] is not CONS)
         ):
-            raise type_error("list", kind)
+            raise type_error("list", value)
     body, module = deref(args[0]), None
     while body.__class__ is tuple and body[0] is COLON:
         module, body = machine.logic.database.modules.named(body[1]), deref(body[2])
@@ -104,19 +105,21 @@ def phrase(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
 
 @control("call_with_time_limit/2")
 def call_with_time_limit(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Run a goal once, for some seconds at most; then ``time_limit_exceeded`` is thrown."""
+    """Run a goal once, and throw ``time_limit_exceeded`` if it takes longer than a number of seconds."""
     seconds = number(args[0])
     if seconds <= 0:
         raise PrologError(_TIME_LIMIT)
     height = len(machine.choices)
     budget = machine.budget
+    # Long built-ins check the budget of the goal while it runs; the guard restores the previous check.
     before = watched_by(budget.look)
-    machine.choices.append((_LIMITED, budget, len(budget.alarms), before, len(machine.trail)))
+    machine.choices.append((_TIME_GUARD, budget, len(budget.alarms), before, len(machine.trail)))
     budget.warn_at(monotonic() + seconds, LimitPassed("time", _TIME_LIMIT))
-    return machine.logic.control.once(args[1], (_IN_TIME, machine, height, after))
+    return machine.logic.control.once(args[1], (_FINISHED_IN_TIME, machine, height, after))
 
 
-def _take_off(entry: Frame) -> None:
+def _remove_time_limit(entry: Frame) -> None:
+    """Remove the alarms that were set since the choice point was pushed, and restore the previous check."""
     budget: Budget
     _, budget, count, before, _ = entry
     for _, error in budget.alarms[count:]:
@@ -125,35 +128,36 @@ def _take_off(entry: Frame) -> None:
     watched_by(before)
 
 
-def _in_time(frame: Frame) -> Frame:
+def _finish_in_time(frame: Frame) -> Frame:
     machine: Machine
     after: Frame
     _, machine, height, after = frame
     entry = machine.choices[height]
     _, error = entry[1].alarms[entry[2]]
-    _take_off(entry)
+    _remove_time_limit(entry)
     del machine.choices[height:]
+    # The limit may have passed just before the end of the goal; then the error is raised here.
     error.deliver()
     return after
 
 
 _TIME_LIMIT = atom("time_limit_exceeded")
-_LIMITED = Guard("call_with_time_limit", _take_off)
-_IN_TIME = Code("call_with_time_limit", _in_time)
+_TIME_GUARD = Guard("call_with_time_limit", _remove_time_limit)
+_FINISHED_IN_TIME = Code("call_with_time_limit", _finish_in_time)
 
 
 @control("call_with_inference_limit/3")
 def call_with_inference_limit(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Run a goal for some inferences at most (counted by the thousand); say how it went."""
-    goal, most, result = args
-    ball = (_INFERENCE_LIMIT, machine.budget.cap(integer(most)))
+    """Run a goal with a limit of inferences, counted in thousands; the result is that of SWI-Prolog."""
+    goal, count, result = args
+    ball = (_INFERENCE_LIMIT, machine.budget.cap(integer(count)))
     inner = (_WITHIN, goal, ball, result)
     return machine.logic.control.catch(inner, ball, (_EQUAL, result, _EXCEEDED), after)
 
 
 @control("$within/3")
 def within(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Run a goal that `call_with_inference_limit` has set a ceiling for."""
+    """Run a goal with the ceiling of inferences that `call_with_inference_limit` has computed."""
     goal, ball, result = args
     ball = deref(ball)
     if ball.__class__ is not tuple or ball[0] is not _INFERENCE_LIMIT:
@@ -162,39 +166,40 @@ def within(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     height = len(machine.choices)
     budget = machine.budget
     budget.warn_past(ceiling, LimitPassed("inference", ball))
-    machine.choices.append((_CAPPED, budget, ceiling, len(machine.trail)))
-    return machine.logic.control.call(goal, (_STAYED, machine, height, result, after))
+    machine.choices.append((_INFERENCE_GUARD, budget, ceiling, len(machine.trail)))
+    return machine.logic.control.call(goal, (_FINISHED_WITHIN, machine, height, result, after))
 
 
-def _lift(entry: Frame) -> None:
+def _remove_ceiling(entry: Frame) -> None:
+    """Remove the ceiling of inferences of a choice point."""
     budget: Budget
     _, budget, ceiling, _ = entry
     error = budget.ceilings.pop(ceiling, None)
-    if error is not None:  # on backtracking it is gone already
+    if error is not None:  # it has been removed already if the goal has exited before
         error.close()
 
 
-def _stayed(frame: Frame) -> Optional[Frame]:
+def _finish_within(frame: Frame) -> Optional[Frame]:
     machine: Machine
     after: Frame
     _, machine, height, result, after = frame
     entry = machine.choices[height]
     error = entry[1].ceilings.get(entry[2])
-    _lift(entry)
-    alone = len(machine.choices) == height + 1
-    if alone:
+    _remove_ceiling(entry)
+    is_determinate = len(machine.choices) == height + 1
+    if is_determinate:
         machine.choices.pop()
     if error is not None:
         error.deliver()
-    return after if unify(result, _ALONE if alone else TRUE, machine.trail) else None
+    return after if unify(result, _DETERMINATE if is_determinate else TRUE, machine.trail) else None
 
 
 _EQUAL = functor("=", 2)
 _WITHIN = functor("$within", 3)
 _INFERENCE_LIMIT = functor("$inference_limit", 1)
-_EXCEEDED, _ALONE = atom("inference_limit_exceeded"), atom("!")
-_CAPPED = Guard("call_with_inference_limit", _lift)
-_STAYED = Code("call_with_inference_limit", _stayed)
+_EXCEEDED, _DETERMINATE = atom("inference_limit_exceeded"), atom("!")
+_INFERENCE_GUARD = Guard("call_with_inference_limit", _remove_ceiling)
+_FINISHED_WITHIN = Code("call_with_inference_limit", _finish_within)
 
 
 # Solutions by number
@@ -202,56 +207,56 @@ _STAYED = Code("call_with_inference_limit", _stayed)
 
 @control("limit/2")
 def limit(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Give the first solutions of a goal only."""
+    """Return only the first solutions of a goal."""
     count = evaluate(args[0])
     if count <= 0:
         return None
     height = len(machine.choices)
-    return machine.logic.control.call(args[1], (_COUNTED, machine, height, [count], after))
+    return machine.logic.control.call(args[1], (_COUNT_SOLUTION, machine, height, [count], after))
 
 
-def _counted(frame: Frame) -> Frame:
+def _count_solution(frame: Frame) -> Frame:
     machine: Machine
     after: Frame
-    _, machine, height, left, after = frame
-    left[0] -= 1
-    if left[0] <= 0:
+    _, machine, height, remaining, after = frame
+    remaining[0] -= 1
+    if remaining[0] <= 0:
         del machine.choices[height:]
     return after
 
 
-_COUNTED = Code("limit", _counted)
+_COUNT_SOLUTION = Code("limit", _count_solution)
 
 
 @control("offset/2")
 def offset(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Leave out the first solutions of a goal."""
+    """Skip the first solutions of a goal."""
     count = evaluate(args[0])
     if count < 0:
         raise domain_error("not_less_than_zero", count)
-    return machine.logic.control.call(args[1], (_SKIPPED, [count], after))
+    return machine.logic.control.call(args[1], (_SKIP_SOLUTION, [count], after))
 
 
-def _skipped(frame: Frame) -> Optional[Frame]:
+def _skip_solution(frame: Frame) -> Optional[Frame]:
     after: Frame
-    _, left, after = frame
-    if left[0] > 0:
-        left[0] -= 1
+    _, remaining, after = frame
+    if remaining[0] > 0:
+        remaining[0] -= 1
         return None
     return after
 
 
-_SKIPPED = Code("offset", _skipped)
+_SKIP_SOLUTION = Code("offset", _skip_solution)
 
 
 @control("distinct/1", "distinct/2")
 def distinct(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Give the solutions for which a term, or else the goal, has not been a variant of what it was before."""
+    """Return only solutions whose witness, by default the goal, is not a variant of an earlier one."""
     seen: Set[Hashable] = set()
-    return machine.logic.control.call(args[-1], (_DISTINCT, args[0], seen, after))
+    return machine.logic.control.call(args[-1], (_FILTER_DISTINCT, args[0], seen, after))
 
 
-def _distinct(frame: Frame) -> Optional[Frame]:
+def _filter_distinct(frame: Frame) -> Optional[Frame]:
     after: Frame
     _, witness, seen, after = frame
     key = term_key(witness)
@@ -261,20 +266,20 @@ def _distinct(frame: Frame) -> Optional[Frame]:
     return after
 
 
-_DISTINCT = Code("distinct", _distinct)
+_FILTER_DISTINCT = Code("distinct", _filter_distinct)
 
 
 @control("call_nth/2")
 def call_nth(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Give the solutions of a goal with their numbers, or the one of a number."""
+    """Enumerate the solutions of a goal with their numbers, or return the one with a given number."""
     number = deref(args[1])
     if number.__class__ is not Var and integer(number) < 1:
         raise domain_error("not_less_than_one", number)
     height = len(machine.choices)
-    return machine.logic.control.call(args[0], (_NTH, machine, height, [0], number, after))
+    return machine.logic.control.call(args[0], (_NUMBER_SOLUTION, machine, height, [0], number, after))
 
 
-def _nth(frame: Frame) -> Optional[Frame]:
+def _number_solution(frame: Frame) -> Optional[Frame]:
     machine: Machine
     after: Frame
     _, machine, height, count, number, after = frame
@@ -287,14 +292,17 @@ def _nth(frame: Frame) -> Optional[Frame]:
     return after
 
 
-_NTH = Code("call_nth", _nth)
+_NUMBER_SOLUTION = Code("call_nth", _number_solution)
 
 
 @control(*[f">>/{arity}" for arity in range(2, 10)], locked=False)
 def call_lambda(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Call a lambda expression: its variables are renamed for each call, except the free ones and those bound."""
+    """Call a lambda expression ``Free/[X1, ...]>>Body`` with arguments.
+
+    Its variables are renamed for each call, except those in ``Free``, as in SWI-Prolog's ``library(yall)``.
+    """
     parameters, body, actual = deref(args[0]), args[1], args[2:]
-    fresh: Dict[Var, Term] = {}  # what the variables stand for in this call
+    fresh: Dict[Var, Term] = {}  # values of the expression's variables in this call
     if parameters.__class__ is tuple and parameters[0] is SLASH:
         fresh = {var: var for var in variables(parameters[1])}
         parameters = deref(parameters[2])
@@ -308,6 +316,7 @@ def call_lambda(machine: Machine, args: Values, after: Frame) -> Optional[Frame]
         taken += 1
         parameters = deref(parameters[2])
     body = deref(copy(body, fresh))
+    # Without parameters left, the remaining arguments are appended to the body of `Free/Body`.
     given = actual[taken:]
     if body.__class__ is tuple and body[0] is SLASH and given:
         body = deref(body[2])
@@ -316,10 +325,10 @@ def call_lambda(machine: Machine, args: Values, after: Frame) -> Optional[Frame]
 
 
 class _Cleanup:
-    """The cleanup of a goal; held by the goal's guard among the choice points and by nothing else.
+    """The cleanup of a goal, referenced only by the goal's guard on the stack of choice points.
 
-    So it is told of a cut, too, without costing other cuts anything: a guard that is cut off is freed, and this
-    with it. Where Python does not free it at once, the guard is told, see `Code.dropped`.
+    A cut of the guard frees it and thereby this object, whose finalizer runs the cleanup. So cuts need no check for
+    guards. On PyPy, which does not free objects immediately, the cut calls `Code.dropped` instead.
     """
 
     __slots__ = ("machine", "goal", "done")
@@ -330,7 +339,7 @@ class _Cleanup:
         self.done = False
 
     def run(self) -> None:
-        """Run the cleanup at once; its failure and its bindings do not count, its error is reported."""
+        """Run the cleanup; its failure and its bindings are ignored, and its error is printed as a warning."""
         if self.done:
             return
         self.done = True
@@ -342,11 +351,12 @@ class _Cleanup:
             if keep_back(error):
                 try:
                     machine.logic.error_output(f"Warning: cleanup: {error.message}\n")
-                except PrologError as passed:  # the limit of output: nobody could catch it here
-                    keep_back(passed)
+                except PrologError as output_error:
+                    # The limit of output has been exceeded; the error is stored until the machine can raise it.
+                    keep_back(output_error)
         undo(machine.trail, mark)
 
-    if not PYPY:  # there it would come at any time
+    if not PYPY:  # PyPy calls finalizers at an arbitrary time
 
         def __del__(self) -> None:
             self.run()
@@ -354,41 +364,43 @@ class _Cleanup:
 
 @control("setup_call_cleanup/3")
 def setup_call_cleanup(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Run a goal, and a cleanup once it has failed, thrown, exited without choice points, or been cut."""
+    """Run a goal, and a cleanup after it has failed, raised an error, exited without choice points, or been cut."""
     setup, goal, cleanup = args
-    return machine.logic.control.once(setup, (_GUARDED, machine, goal, cleanup, after))
+    return machine.logic.control.once(setup, (_CALL_GUARDED, machine, goal, cleanup, after))
 
 
 @control("call_cleanup/2")
 def call_cleanup(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Run a goal, and a cleanup once it has failed, thrown, exited without choice points, or been cut."""
+    """Run a goal, and a cleanup after it has failed, raised an error, exited without choice points, or been cut."""
     return setup_call_cleanup(machine, (atom("true"), *args), after)
 
 
-def _guarded(frame: Frame) -> Optional[Frame]:
+def _call_guarded(frame: Frame) -> Optional[Frame]:
     machine: Machine
     after: Frame
     _, machine, goal, cleanup, after = frame
-    if deref(cleanup).__class__ is Var:  # not before: the setup may give it
+    # Checked after the setup goal, which may have bound it.
+    if deref(cleanup).__class__ is Var:
         raise instantiation_error()
     height = len(machine.choices)
     machine.choices.append((_CLEANUP, _Cleanup(machine, cleanup), len(machine.trail)))
-    return machine.logic.control.call(goal, (_LEFT, machine, height, after))
+    return machine.logic.control.call(goal, (_GOAL_EXITED, machine, height, after))
 
 
-def _left(frame: Frame) -> Optional[Frame]:
+def _exit_goal(frame: Frame) -> Optional[Frame]:
     machine: Machine
     after: Frame
     _, machine, height, after = frame
     if len(machine.choices) > height + 1:
         return after
     cleanup: _Cleanup = machine.choices.pop()[1]
+    # From here on the cleanup is an ordinary goal, whose errors the program may catch.
     cleanup.done = True
     goal = (SEMICOLON, (ARROW, (CALL, cleanup.goal), TRUE), TRUE)
     return machine.logic.control.once(goal, after)
 
 
-_GUARDED = Code("setup_call_cleanup", _guarded)
-_LEFT = Code("setup_call_cleanup", _left)
+_CALL_GUARDED = Code("setup_call_cleanup", _call_guarded)
+_GOAL_EXITED = Code("setup_call_cleanup", _exit_goal)
 _CLEANUP = Guard("setup_call_cleanup", lambda entry: entry[1].run())
 _CLEANUP.dropped = _CLEANUP.unwind

@@ -1,8 +1,7 @@
-"""Terms of which only the outer parts are written.
+"""Predicates that write terms, formatted text, characters and bytes, and capture output as text.
 
-Output: write and its sisters, format, and output caught as text.
-
-Output of single characters by their codes, and of bytes.
+Each predicate writes to the current output or, with one more argument, to a stream. Captures (``with_output_to/2``)
+are ended by a guard on the stack of choice points, so that an exception restores the output too.
 """
 
 from typing import Any, Callable, Dict, List, Optional, Union
@@ -30,19 +29,19 @@ from .format_strings import Formatter, portray_of, printed
 from .text_arguments import MAX_CODE, fill_sink, is_sink, joined, long_text, make_text, whole_text
 from .text_streams import OutputCapture, OutputStream, is_stream_term, streams_of
 
-_LEFT_OUT = atom("...")
+_ELLIPSIS = atom("...")
 _MAX_TERM_DEPTH = 200
-"""A limit above this holds for lists only: what is deeper is written whole."""
+"""Limit for the recursion of `cut_off`. Parts that are deeper are written in full, except for long lists."""
 
 
 def cut_off(term: Term, most: int, depth: int = 1) -> Term:
-    """Return a term with ``...`` for what lies deeper than a number of terms in each other.
+    """Return a term with ``...`` for parts at a greater depth than ``most``.
 
-    An item of a list counts as being as deep as its place: that keeps long lists short.
+    The depth of an item of a list is its position, as in SWI-Prolog, which shortens long lists.
     """
     term = deref(term)
     if depth > most:
-        return _LEFT_OUT
+        return _ELLIPSIS
     if term.__class__ is not tuple or depth > _MAX_TERM_DEPTH:
         return term
     if term[0] is not CONS:
@@ -56,18 +55,19 @@ def cut_off(term: Term, most: int, depth: int = 1) -> Term:
         if rest is NIL:
             return make_list(items)
         if depth >= most:
-            return make_list(items, _LEFT_OUT)
+            return make_list(items, _ELLIPSIS)
     return make_list(items, cut_off(rest, most, min(depth, _MAX_TERM_DEPTH) + 1))
 
 
-_WIDEST = 10_000_000
+_MAX_BLANKS = 10_000_000
+"""Limit for the blanks that ``tab/1`` writes."""
 
 
 def write_to(machine: Machine, stream: Term, text: str) -> None:
     """Write text to a stream.
 
     Raises:
-        PrologError: where it is not an output stream.
+        PrologError: if it is not an output stream.
     """
     streams_of(machine).write(stream, text)
 
@@ -80,7 +80,7 @@ def _writer(**options: bool) -> Callable[[Machine, Term], str]:
 
 
 def letter_names(term: Term) -> Dict[Var, str]:
-    """Return names for the variables of a term: A, B, ..., and ``_`` for those that occur once."""
+    """Return names for the variables of a term: A, B, ..., or ``_`` for those that occur once."""
     counts: Dict[Var, int] = {}
     stack = [resolve(term)]
     steps = 0
@@ -122,16 +122,16 @@ _WRITERS: Dict[str, Callable[[Machine, Term], str]] = {
 def _define(name: str, text: Callable[[Machine, Term], str]) -> None:
     end = "\n" if name == "writeln" else ""
 
-    def one(machine: Machine, term: Term) -> bool:
+    def one_argument(machine: Machine, term: Term) -> bool:
         machine.logic.write(text(machine, term) + end)
         return True
 
-    def two(machine: Machine, stream: Term, term: Term) -> bool:
+    def two_arguments(machine: Machine, stream: Term, term: Term) -> bool:
         write_to(machine, stream, text(machine, term) + end)
         return True
 
-    deterministic(f"{name}/1")(one)
-    deterministic(f"{name}/2")(two)
+    deterministic(f"{name}/1")(one_argument)
+    deterministic(f"{name}/2")(two_arguments)
 
 
 for _name, _text in _WRITERS.items():
@@ -156,7 +156,7 @@ def _blanks(count: Term) -> str:
     number = evaluate(count)
     if not isinstance(number, int):
         raise type_error("integer_expression", deref(count))
-    if number > _WIDEST:
+    if number > _MAX_BLANKS:
         raise resource_error("memory")
     long_text(number)
     return " " * number
@@ -177,19 +177,19 @@ def tab_to(machine: Machine, stream: Term, count: Term) -> bool:
 
 
 def character_of(machine: Machine, char: Term) -> str:
-    """Return the character that an argument is; a code is taken too unless the flag ``iso`` is set.
+    """Return the character of an argument; a character code is accepted too, unless the flag ``iso`` is set.
 
     Raises:
-        PrologError: instantiation and type errors.
+        PrologError: an instantiation or type error.
     """
-    found = deref(char)
-    if found.__class__ is Var:
+    value = deref(char)
+    if value.__class__ is Var:
         raise instantiation_error()
-    if found.__class__ is int and not is_iso(machine) and 0 <= found <= MAX_CODE:
-        return chr(found)
-    if found.__class__ is not Atom or len(found.name) != 1:
-        raise type_error("character", found)
-    return str(found.name)
+    if value.__class__ is int and not is_iso(machine) and 0 <= value <= MAX_CODE:
+        return chr(value)
+    if value.__class__ is not Atom or len(value.name) != 1:
+        raise type_error("character", value)
+    return str(value.name)
 
 
 @deterministic("put_char/1", "put/1")
@@ -208,10 +208,10 @@ def put_char_to(machine: Machine, stream: Term, char: Term) -> bool:
 
 @deterministic("flush_output/0", "ttyflush/0")
 def flush_output(machine: Machine) -> bool:
-    """Write what is held back of a line."""
-    found = streams_of(machine).output
-    if found is not None:
-        found.flush()
+    """Write the buffered text of the current output to its file."""
+    output = streams_of(machine).output
+    if output is not None:
+        output.flush()
     return True
 
 
@@ -219,8 +219,8 @@ def flush_output(machine: Machine) -> bool:
 
 
 def write_options(machine: Machine, options: Term) -> Dict[str, object]:
-    """Return the options of ``write_term`` for the writer."""
-    found: Dict[str, object] = {"quoted": False}
+    """Return the options of ``write_term/2`` as keyword arguments of the writer."""
+    values: Dict[str, object] = {"quoted": False}
     iso = is_iso(machine)
     for option in option_values(options):
         if option.__class__ is not tuple or len(option) != 2:
@@ -230,10 +230,10 @@ def write_options(machine: Machine, options: Term) -> Dict[str, object]:
             raise instantiation_error()
         read = _OPTIONS.get(name)
         if read is not None:
-            found[name] = read(option, value, iso)
-    if "portray" in found:
-        found["portray"] = portray_of(machine) if found["portray"] else None
-    return found
+            values[name] = read(option, value, iso)
+    if "portray" in values:
+        values["portray"] = portray_of(machine) if values["portray"] else None
+    return values
 
 
 def _truth(option: CompoundTerm, value: Term, iso: bool) -> bool:
@@ -259,7 +259,7 @@ _OPTIONS: Dict[str, Callable[[CompoundTerm, Term, bool], object]] = {
     "priority": lambda option, value, iso: integer(value),
     "variable_names": lambda option, value, iso: _variable_names(option),
 }
-"""What reads the value of an option, given the whole option and whether the flag ``iso`` is set."""
+"""Functions that convert an option's value; arguments are the option, its value, and the flag ``iso``."""
 
 
 def _variable_names(option: CompoundTerm) -> Dict[Var, str]:
@@ -279,9 +279,9 @@ def _variable_names(option: CompoundTerm) -> Dict[Var, str]:
 
 
 def _with_options(machine: Machine, term: Term, options: Term) -> str:
-    found: Dict[str, Any] = write_options(machine, options)
-    depth = found.pop("max_depth", 0)
-    return write_term(cut_off(term, depth) if depth > 0 else term, machine.logic.operators, **found)
+    values: Dict[str, Any] = write_options(machine, options)
+    depth = values.pop("max_depth", 0)
+    return write_term(cut_off(term, depth) if depth > 0 else term, machine.logic.operators, **values)
 
 
 @deterministic("write_term/2")
@@ -306,9 +306,9 @@ def _arguments(term: Term) -> List[Term]:
     if term is NIL:
         return []
     if term.__class__ is tuple and term[0] is CONS:
-        found = list_items(term)
-        if found is not None:
-            return found
+        arguments = list_items(term)
+        if arguments is not None:
+            return arguments
     return [term]
 
 
@@ -320,13 +320,13 @@ def _format_text(form: Term) -> str:
 
 
 def formatted(machine: Machine, form: Term, arguments: Term, column: int) -> str:
-    """Return the text of ``format(form, arguments)``."""
+    """Return the text of ``format(Format, Arguments)`` at a column."""
     return Formatter(machine, column).format(_format_text(form), _arguments(arguments))
 
 
 @deterministic("format/1")
 def format_1(machine: Machine, form: Term) -> bool:
-    """Write formatted text."""
+    """Write formatted text without arguments."""
     return format_2(machine, form, NIL)
 
 
@@ -337,19 +337,21 @@ def format_2(machine: Machine, form: Term, arguments: Term) -> bool:
     formatter = Formatter(machine, logic.column)
     try:
         formatter.format(_format_text(form), _arguments(arguments))
-    finally:  # what comes before an error is written
+    # The text before an error is written, as by SWI-Prolog.
+    finally:
         logic.write(formatter.line.text())
     return True
 
 
 @deterministic("format/3")
 def format_3(machine: Machine, sink: Term, form: Term, arguments: Term) -> bool:
-    """Write formatted text to a stream, or unify it: ``atom(A)``, ``string(S)``, ``codes(Cs)``, ``chars(Cs)``."""
+    """Write formatted text to a stream, or unify it with an output specification such as ``atom(A)``."""
     sink = deref(sink)
     if is_sink(sink):
         return fill_sink(machine, sink, formatted(machine, form, arguments, 0))
     if sink.__class__ not in (Var, Atom) and not is_stream_term(sink):
         raise type_error("output", sink)
+    # Checks the stream before the arguments are formatted, which may have side effects.
     write_to(machine, sink, "")
     write_to(machine, sink, formatted(machine, form, arguments, 0))
     return True
@@ -357,22 +359,22 @@ def format_3(machine: Machine, sink: Term, form: Term, arguments: Term) -> bool:
 
 @deterministic("sformat/3")
 def sformat(machine: Machine, text: Term, form: Term, arguments: Term) -> bool:
-    """Give formatted text as a string."""
+    """Unify with formatted text as a string."""
     return unify(text, make_text("string", formatted(machine, form, arguments, 0)), machine.trail)
 
 
 @deterministic("sformat/2")
 def sformat_2(machine: Machine, text: Term, form: Term) -> bool:
-    """Give formatted text as a string."""
+    """Unify with formatted text without arguments as a string."""
     return sformat(machine, text, form, NIL)
 
 
-# Output caught as text
+# Captured output
 
 
 @control("with_output_to/2")
 def with_output_to(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Run a goal once and unify what it writes: ``atom(A)``, ``string(S)``, ``codes(Cs)``, ``chars(Cs)``."""
+    """Run a goal once, and unify its output with an output specification such as ``atom(A)``."""
     sink = deref(args[0])
     if sink.__class__ is Var:
         raise instantiation_error()
@@ -381,33 +383,33 @@ def with_output_to(machine: Machine, args: Values, after: Frame) -> Optional[Fra
     logic = machine.logic
     height = len(machine.choices)
     capture = OutputCapture(logic)
-    machine.choices.append((_CAUGHT, capture, len(machine.trail)))
-    return logic.control.call(args[1], (_RELEASE, machine, height, sink, capture.texts, after))
+    machine.choices.append((_CAPTURE_GUARD, capture, len(machine.trail)))
+    return logic.control.call(args[1], (_UNIFY_CAPTURED, machine, height, sink, capture.texts, after))
 
 
-def _give_back(entry: Frame) -> None:
+def _end_capture(entry: Frame) -> None:
     capture: OutputCapture = entry[1]
     capture.end()
 
 
-def _release(frame: Frame) -> Optional[Frame]:
+def _unify_captured(frame: Frame) -> Optional[Frame]:
     machine: Machine
     after: Frame
     _, machine, height, sink, captured, after = frame
-    _give_back(machine.choices[height])
+    _end_capture(machine.choices[height])
     del machine.choices[height:]
     return after if fill_sink(machine, sink, joined(captured)) else None
 
 
-_CAUGHT = Guard("with_output_to", _give_back)
-_RELEASE = Code("with_output_to", _release)
+_CAPTURE_GUARD = Guard("with_output_to", _end_capture)
+_UNIFY_CAPTURED = Code("with_output_to", _unify_captured)
 
 
 def _code_of(code: Term) -> str:
-    found = integer(code)
-    if not 0 <= found <= MAX_CODE:
+    value = integer(code)
+    if not 0 <= value <= MAX_CODE:
         raise representation_error("character_code")
-    return chr(found)
+    return chr(value)
 
 
 @deterministic("put_code/1")

@@ -1,4 +1,11 @@
-"""The recorded database: terms under keys, in order, outside of clauses."""
+"""The recorded database: terms stored under keys, in order, without being clauses (``recorda/3``, ``recorded/3``).
+
+The records of a key form a doubly linked list. Enumeration follows the logical update view: it returns the records
+that existed when it began. To decide that without a copy, records and erasures share one sequence of numbers: a
+record is visible if it was added at or before, and erased after, the number at which the enumeration began. Erased
+records stay linked while an enumeration of their key is active, so that it can continue from them, and are unlinked
+after it.
+"""
 
 from typing import Any, Dict, Hashable, Iterator, List, Optional, Set, Tuple
 
@@ -15,81 +22,89 @@ _NEVER = 1 << 62
 
 
 class RecordedTerm:
-    """A record: a term under a key, linked with the next ones of that key."""
+    """A record: a term stored under a key, linked with the preceding and the following one of that key."""
 
-    __slots__ = ("key", "value", "number", "erased", "before", "behind")
+    __slots__ = ("key", "value", "number", "erased", "preceding", "following")
 
     def __init__(self, key: Hashable, value: Term, number: int):
         self.key = key
         self.value = value
         self.number = number
         self.erased = _NEVER
-        """The number of the newest record when it was erased."""
-        self.before: Optional[RecordedTerm] = None
-        self.behind: Optional[RecordedTerm] = None
+        """Number of the newest record at the time of the erasure."""
+        self.preceding: Optional[RecordedTerm] = None
+        self.following: Optional[RecordedTerm] = None
 
     @property
     def reference(self) -> Term:
-        """The term by which programs name it."""
+        """The reference term of the record."""
         return (_REFERENCE, self.number)
 
 
 class _RecordChain:
-    """The records of one key, linked in their order; what is erased stays linked while somebody walks along them."""
+    """The linked records of one key; erased ones stay linked while an enumeration is active.
 
-    __slots__ = ("first", "last", "readers", "leaving")
+    Attributes:
+        readers: number of active enumerations.
+        erased_records: erased records that are still linked.
+    """
+
+    __slots__ = ("first", "last", "readers", "erased_records")
 
     def __init__(self) -> None:
         self.first: Optional[RecordedTerm] = None
         self.last: Optional[RecordedTerm] = None
         self.readers = 0
-        self.leaving: List[RecordedTerm] = []
+        self.erased_records: List[RecordedTerm] = []
 
     def add(self, record: RecordedTerm, first: bool) -> None:
         if self.first is None or self.last is None:
             self.last = self.first = record
         elif first:
-            record.behind, self.first.before = self.first, record
+            record.following, self.first.preceding = self.first, record
             self.first = record
         else:
-            record.before, self.last.behind = self.last, record
+            record.preceding, self.last.following = self.last, record
             self.last = record
 
     def mend(self) -> None:
-        """Link the records back as they are linked forth; nobody reads."""
+        """Restore the links after an interrupt, when no enumeration is active.
+
+        Only the forward links are trusted: each update changes them in one step.
+        """
         self.readers = 0
-        self.leaving = []
-        before, record = None, self.first
+        self.erased_records = []
+        preceding, record = None, self.first
         while record is not None:
-            record.before = before
+            record.preceding = preceding
             if record.erased != _NEVER:
-                self.leaving.append(record)
-            before, record = record, record.behind
-        self.last = before
-        self.let_go()
+                self.erased_records.append(record)
+            preceding, record = record, record.following
+        self.last = preceding
+        self.unlink_erased()
 
     def all(self) -> Iterator[RecordedTerm]:
-        """Yield the records, also those that were erased and are still linked."""
+        """Yield all linked records, including erased ones."""
         record = self.first
         while record is not None:
             yield record
-            record = record.behind
+            record = record.following
 
-    def let_go(self) -> None:
-        """Take out what was erased, if nobody reads."""
+    def unlink_erased(self) -> None:
+        """Unlink the erased records, unless an enumeration is active."""
         if self.readers:
             return
-        for record in self.leaving:
-            before, behind = record.before, record.behind
-            if before is None:
-                self.first = behind
+        for record in self.erased_records:
+            preceding, following = record.preceding, record.following
+            if preceding is None:
+                self.first = following
             else:
-                before.behind = behind
-            if behind is None:
-                self.last = before
+                preceding.following = following
+            if following is None:
+                self.last = preceding
             else:
-                behind.before = before
-        self.leaving.clear()
+                following.preceding = preceding
+        self.erased_records.clear()
 
 
 class _RecordedDatabase:
@@ -101,44 +116,46 @@ class _RecordedDatabase:
         self._last = 0
 
     def add(self, key: Term, value: Term, first: bool) -> Term:
-        """Record a copy of a term under a key; return the reference."""
+        """Store a copy of a term under a key; return its reference."""
         self._last += 1
-        record = RecordedTerm(_key(key), copy(value), self._last)
+        record = RecordedTerm(_record_key(key), copy(value), self._last)
         self.by_number[self._last] = record
         self.by_key.setdefault(record.key, _RecordChain()).add(record, first)
         return record.reference
 
     def erase(self, number: int) -> bool:
-        """Forget a record; tell whether it was there."""
+        """Erase a record; return whether it existed."""
         record = self.by_number.pop(number, None)
         if record is None:
             return False
-        self._last += 1  # a number that no record has: the record was there at all numbers before
+        # The erasure gets a number of its own, so that an enumeration that begins later does not see the record.
+        self._last += 1
         record.erased = self._last - 1
-        self.by_key[record.key].leaving.append(record)
-        self._tidy(record.key)
+        self.by_key[record.key].erased_records.append(record)
+        self._unlink_erased(record.key)
         return True
 
     def kept(self) -> Tuple[int, List[Tuple[Hashable, List[Tuple[int, Term]]]]]:
-        """Return the newest number, and by key the records in order: number and term; see `restore`."""
-        found = [
-            (key, [(one.number, one.value) for one in chain.all() if one.erased == _NEVER])
+        """Return the newest number, and for each key the numbers and terms of its records in order; see `restore`."""
+        chains = [
+            (key, [(record.number, record.value) for record in chain.all() if record.erased == _NEVER])
             for key, chain in self.by_key.items()
         ]
-        return self._last, found
+        return self._last, chains
 
     def restore(self, kept: Tuple[int, List[Tuple[Hashable, List[Tuple[int, Term]]]]]) -> None:
-        """Have the records that another one had."""
-        self._last, found = kept
-        for key, records in found:
+        """Replace the records by those that `kept` has returned."""
+        self._last, chains = kept
+        for key, records in chains:
             chain = self.by_key[key] = _RecordChain()
             for number, value in records:
-                one = self.by_number[number] = RecordedTerm(key, value, number)
-                chain.add(one, False)
+                record = self.by_number[number] = RecordedTerm(key, value, number)
+                chain.add(record, False)
 
     def of_keys(self, keys: List[Hashable]) -> Iterator[RecordedTerm]:
-        """Yield the records of keys as they are now, whatever comes and goes meanwhile."""
+        """Yield the current records of keys, without those that are added during the enumeration."""
         newest = self._last
+        # All chains are protected at once, not each when it is reached, since a later one may be erased before.
         chains = [(key, self.by_key[key]) for key in keys if key in self.by_key]
         for _, chain in chains:
             chain.readers += 1
@@ -148,52 +165,52 @@ class _RecordedDatabase:
                 while record is not None:
                     if record.number <= newest <= record.erased:
                         yield record
-                    record = record.behind
+                    record = record.following
         finally:
             for key, chain in chains:
                 chain.readers -= 1
-                self._tidy(key)
+                self._unlink_erased(key)
 
     def mend(self) -> None:
-        """Have each record be there in all respects or in none."""
-        there: Set[int] = set()
+        """Restore consistency after an interrupt: each record is in both indexes or in neither."""
+        linked: Set[int] = set()
         for key, chain in list(self.by_key.items()):
             for record in chain.all():
                 if record.number not in self.by_number:
                     record.erased = min(record.erased, self._last)
             chain.mend()
-            self._tidy(key)
-            there.update(record.number for record in chain.all())
-        self.by_number = {number: one for number, one in self.by_number.items() if number in there}
+            self._unlink_erased(key)
+            linked.update(record.number for record in chain.all())
+        self.by_number = {number: record for number, record in self.by_number.items() if number in linked}
 
-    def _tidy(self, key: Hashable) -> None:
+    def _unlink_erased(self, key: Hashable) -> None:
         chain = self.by_key[key]
-        chain.let_go()
+        chain.unlink_erased()
         if chain.first is None:
             del self.by_key[key]
 
 
-def _key(term: Term) -> Hashable:
-    """Return what a key is known by: itself, or name and number of arguments."""
-    key: Optional[Hashable] = key_of(term)
-    if key is None:
+def _record_key(term: Term) -> Hashable:
+    """Return the hashable form of a key: a constant, or the functor of a compound term."""
+    record_key: Optional[Hashable] = key_of(term)
+    if record_key is None:
         raise instantiation_error()
-    return key
+    return record_key
 
 
-def _term(key: Any) -> Term:
-    """Return the term of a key."""
+def _key_term(key: Any) -> Term:
+    """Return the most general term of a key."""
     if key.__class__ is Functor:
         return (key, *[Var() for _ in range(key.arity)])
     return float.fromhex(key[1]) if key.__class__ is tuple else key
 
 
 def records_of(machine: Machine) -> _RecordedDatabase:
-    """Return the records of a machine's program."""
-    found: Optional[_RecordedDatabase] = machine.logic.state.get("records")
-    if found is None:
-        found = machine.logic.state["records"] = _RecordedDatabase()
-    return found
+    """Return the recorded database of a machine's program."""
+    database: Optional[_RecordedDatabase] = machine.logic.state.get("records")
+    if database is None:
+        database = machine.logic.state["records"] = _RecordedDatabase()
+    return database
 
 
 def _define(name: str, first: bool) -> None:
@@ -215,18 +232,21 @@ _define("recordz", False)
 
 @nondeterministic("recorded/2", "recorded/3")
 def recorded(machine: Machine, key: Term, value: Term, reference: Optional[Term] = None) -> Solutions:
-    """Enumerate the records of a key, or all of them, in order."""
-    records = records_of(machine)
+    """Enumerate the records of a key, or of all keys, in order."""
+    database = records_of(machine)
     reference = Var() if reference is None else deref(reference)
     if reference.__class__ is not Var:
-        record = records.by_number.get(_number(reference))
-        found = iter([] if record is None else [record])
+        record = database.by_number.get(_number(reference))
+        records = iter([] if record is None else [record])
     else:
-        found = records.of_keys(list(records.by_key) if deref(key).__class__ is Var else [_key(key)])
-    record = next(found, None)
+        records = database.of_keys(
+            list(database.by_key) if deref(key).__class__ is Var else [_record_key(key)]
+        )
+    record = next(records, None)
+    # Fetches one record ahead, so that the last solution leaves no choice point.
     while record is not None:
-        following = next(found, None)
-        pairs = (key, _term(record.key)), (value, copy(record.value)), (reference, record.reference)
+        following = next(records, None)
+        pairs = (key, _key_term(record.key)), (value, copy(record.value)), (reference, record.reference)
         if machine.unify_all(*(pairs if deref(key).__class__ is Var else pairs[1:])):
             yield LAST if following is None else None
         record = following
@@ -234,15 +254,15 @@ def recorded(machine: Machine, key: Term, value: Term, reference: Optional[Term]
 
 @nondeterministic("current_key/1")
 def current_key(machine: Machine, key: Term) -> Solutions:
-    """Enumerate the keys that have records."""
+    """Enumerate the keys with records."""
     for known in list(records_of(machine).by_key):
-        if machine.unify(key, _term(known)):
+        if machine.unify(key, _key_term(known)):
             yield None
 
 
 @deterministic("erase/1")
 def erase(machine: Machine, reference: Term) -> bool:
-    """Forget a record."""
+    """Erase a record."""
     if not records_of(machine).erase(_number(reference)):
         raise existence_error("db_reference", deref(reference))
     return True
@@ -250,7 +270,7 @@ def erase(machine: Machine, reference: Term) -> bool:
 
 @deterministic("instance/2")
 def instance(machine: Machine, reference: Term, value: Term) -> bool:
-    """Give the term of a record."""
+    """Unify with the term of a record."""
     record = records_of(machine).by_number.get(_number(reference))
     return record is not None and unify(value, copy(record.value), machine.trail)
 
@@ -262,4 +282,4 @@ def _number(reference: Term) -> int:
     if reference.__class__ is not tuple or reference[0] is not _REFERENCE:
         raise type_error("db_reference", reference)
     number = deref(reference[1])
-    return number if number.__class__ is int else 0  # a number that no record has
+    return number if number.__class__ is int else 0  # no record has the number 0

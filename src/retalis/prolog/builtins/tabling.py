@@ -1,23 +1,30 @@
-"""Modes of tables: of the answers that agree in the other arguments one is kept, in which these are the best.
+"""Tabling (SLG resolution): storage of the answers of a predicate for each call variant.
 
-What tabling keeps: the answers to a variant of a call, and the calls that wait for more of them.
+Left-recursive predicates terminate with it. The first call of a variant, the *generator*, evaluates the clauses on a
+copy of the call, and stores each new answer in a table. A call of a table that is still being evaluated is a
+*follower* (a consumer in the terms of SLG): it returns the stored answers, and is then suspended. A suspended
+follower is stored as its continuation frame and the bindings made since the evaluation began, as in copying
+implementations of SLG (CAT), and is resumed when an answer is added.
 
-Tabling: answers of a predicate are kept for each variant of a call, so that left recursion ends.
+Tables that depend on each other form a strongly connected component (SCC). As in Tarjan's algorithm, each table has
+an index on the stack of active tables and the lowest index that it depends on. The tables of an SCC are completed
+together, by its oldest table (the leader), when all followers have returned all answers.
 
-A call that is new is evaluated, on a copy of it, until no more answers come. A call of a table that is being
-evaluated meanwhile follows its answers: it is given each as it is found, and when there are no more for now, what
-is bound since the evaluation began is kept aside with what it goes on with, until an answer comes. Tables that
-depend on each other are complete together, when the oldest of them has no follower left that has not seen all.
-Within negation, ``findall/3``, ``catch/3`` and the like a call cannot go on later; where it has missed answers, the
-evaluation of the oldest table is repeated. Everything runs as frames of the machine.
+Inside negation, ``findall/3``, ``catch/3`` and similar constructs a follower cannot be suspended, because its
+continuation ends inside the construct. If such a follower has missed answers, the leader repeats the evaluation of
+the whole SCC until no answer is added (iterated fixpoint). All evaluation runs as frames of the machine, without
+recursion.
 
-An incremental table also records what it reads of dynamic predicates, memories and states, with the version that
-each has at the first read; of a complete incremental table that it calls it takes over the reads. Tables that are
-complete together share theirs. A later call compares the versions and evaluates the table anew where one differs:
-nothing is done when something changes, and nothing for tables that are not incremental.
+*Incremental tables* record the dynamic predicates, memories and states that they read, with the version at the first
+read. A table inherits the reads of complete incremental tables that it calls, and the tables of an SCC share their
+reads. A later call compares the versions and evaluates the table again if one differs. So a change costs nothing, and
+neither do tables that are not incremental.
 
-An answer is what the call's unbound variables stand for, in the order in which they are met. A call that finds
-them gives its variables these values, which cannot fail: nothing is unified.
+*Moded tables* (answer subsumption) keep one answer for each combination of the other arguments: the one that is best
+in the arguments with modes, such as ``min`` or ``lattice(PI)``.
+
+An answer holds the values of the call's unbound variables in the order of their first occurrence. Returning it binds
+these variables, which cannot fail, so no unification is needed.
 """
 
 from typing import Any, Callable, Dict, Hashable, List, NamedTuple, Optional, Protocol, Sequence, Set, Tuple
@@ -37,7 +44,7 @@ _EQUAL = functor("=", 2)
 _LATTICE, _ORDER = functor("lattice", 1), functor("po", 1)
 
 Pick = Callable[[Term, Term], Term]
-_PICKS: Dict[str, Pick] = {
+_STANDARD_MODES: Dict[str, Pick] = {
     "first": lambda old, new: old,
     "-": lambda old, new: old,
     "last": lambda old, new: new,
@@ -47,12 +54,14 @@ _PICKS: Dict[str, Pick] = {
 
 
 class Mode(NamedTuple):
-    """What happens to an argument as answers come.
+    """Mode of an argument of a moded table: how the values of two answers are combined.
 
     Attributes:
-        pick: returns the one of two values that is kept; None where a predicate of the program decides.
-        goal: returns the goal that makes a value of two others.
-        grows: whether a change may lead to other answers; the last one found says nothing of the kind.
+        pick: returns the value to keep of the old and the new one; None if a predicate of the program decides.
+        goal: returns the goal that computes the third value from the first two; None with ``pick``.
+        grows: whether a changed value has to be returned to followers, because it may lead to further answers. It is
+        False
+            for mode ``last``, whose value may change with every answer.
     """
 
     pick: Optional[Pick] = None
@@ -61,27 +70,27 @@ class Mode(NamedTuple):
 
 
 def modes_of(spec: CompoundTerm) -> Tuple[Functor, Dict[int, Mode]]:
-    """Return the functor that a declaration such as ``path(_, _, min)`` names, and modes by position.
+    """Return the functor of a declaration such as ``path(_, _, min)``, and its modes by argument position.
 
     Raises:
-        PrologError: a domain error where there is no such mode.
+        PrologError: a domain error for an unknown mode.
     """
     modes = {}
-    for at, given in enumerate(spec[1:], 1):
-        given = deref(given)
-        if given.__class__ is Var or (given.__class__ is Atom and given.name in ("index", "+")):
+    for position, mode in enumerate(spec[1:], 1):
+        mode = deref(mode)
+        if mode.__class__ is Var or (mode.__class__ is Atom and mode.name in ("index", "+")):
             continue
-        modes[at] = _mode(given)
+        modes[position] = _mode(mode)
     return spec[0], modes
 
 
-def _mode(given: Term) -> Mode:
-    if given.__class__ is Atom and given.name in _PICKS:
-        return Mode(_PICKS[given.name], grows=given.name != "last")
-    if given.__class__ is not tuple or given[0] not in (_LATTICE, _ORDER):
-        raise domain_error("tabled_mode", given)
-    arity = 3 if given[0] is _LATTICE else 2
-    key = functor(_name(given[1], arity), arity)
+def _mode(mode: Term) -> Mode:
+    if mode.__class__ is Atom and mode.name in _STANDARD_MODES:
+        return Mode(_STANDARD_MODES[mode.name], grows=mode.name != "last")
+    if mode.__class__ is not tuple or mode[0] not in (_LATTICE, _ORDER):
+        raise domain_error("tabled_mode", mode)
+    arity = 3 if mode[0] is _LATTICE else 2
+    key = functor(_predicate_name(mode[1], arity), arity)
     if arity == 3:
         return Mode(goal=lambda old, new, kept: (key, old, new, kept))
     return Mode(
@@ -93,44 +102,50 @@ def _mode(given: Term) -> Mode:
     )
 
 
-def _name(given: Term, arity: int) -> str:
-    """Return the name of a predicate given by name, by indicator or by head."""
-    given = deref(given)
-    if given.__class__ is tuple and given[0].name == ":" and len(given) == 3:
-        given = deref(given[2])
+def _predicate_name(predicate: Term, arity: int) -> str:
+    """Return the name of the predicate of ``lattice(PI)`` or ``po(PI)``, given as a name, an indicator or a head."""
+    predicate = deref(predicate)
+    if predicate.__class__ is tuple and predicate[0].name == ":" and len(predicate) == 3:
+        predicate = deref(predicate[2])
     size = arity
-    if given.__class__ is tuple:
-        given, size = (given[1], natural(given[2])) if given[0] is SLASH else (given[0], given[0].arity)
-        given = deref(given)
+    if predicate.__class__ is tuple:
+        key = predicate[0]
+        predicate, size = (predicate[1], natural(predicate[2])) if key is SLASH else (key, key.arity)
+        predicate = deref(predicate)
     if size != arity:
         raise domain_error("lattice_arity" if arity == 3 else "po_arity", size)
-    if given.__class__ is Var:
+    if predicate.__class__ is Var:
         raise instantiation_error()
-    if given.__class__ not in (Atom, Functor):
-        raise type_error("atom", given)
-    return str(given.name)
+    if predicate.__class__ not in (Atom, Functor):
+        raise type_error("atom", predicate)
+    return str(predicate.name)
 
 
 class VersionedSource(Protocol):
-    """Data outside of tables that an incremental table may read: a predicate, the memories or the states."""
+    """Data with versions that an incremental table may read: a predicate, the memories or the states."""
 
     def version(self, part: Hashable, /) -> object:
-        """Return a value that is another one after each change of a part of the data."""
+        """Return a value that differs after each change of a part of the data."""
 
 
 Reads = Dict[Tuple[VersionedSource, Hashable], object]
-"""The parts of sources that an evaluation has read, with their versions when it first did."""
+"""Parts of sources that an evaluation has read, with their versions at the first read."""
 
 _CHANGED = object()
-"""The version of what has changed between two reads of an evaluation: equal to no other."""
+"""Version of a part that has changed between two reads of an evaluation; it is equal to no other version."""
 
 
 class Follower(NamedTuple):
-    """A call that has been given the first ``at`` answers of a table and waits for more.
+    """A suspended call of an incomplete table.
 
     Attributes:
-        bound: variables bound since its evaluation began, with their values; None where it cannot go on later.
-        height: of the stack of choice points, which cuts in what follows count on.
+        at: number of answers that it has returned.
+        free: unbound variables of the call.
+        after: its continuation.
+        bound: variables bound since the evaluation of the active table began, with their values; None if the call
+        cannot
+            be suspended.
+        height: size of the stack of choice points at the suspension; cuts in the continuation depend on it.
     """
 
     at: int
@@ -141,23 +156,24 @@ class Follower(NamedTuple):
 
 
 class Table:
-    """Answers to one variant of a call.
+    """The answers to one call variant, and the state of their evaluation.
 
     Attributes:
-        answers: values of the call's variables, in the order found; None in the place of one that there is a
-            better one for.
-        known: the answers' keys, with their positions.
-        ground: whether no answer has a variable.
-        reads: of an incremental table what its answers were made of; None for another one.
-        state: "new", "active", "waiting" (for the oldest table that it depends on), "complete", or of an incremental
-            table "checked": complete, as long as nothing that it has read changes.
+        answers: values of the call's variables, in the order in which they were found; None for an answer that has
+        been
+            replaced by a better one.
+        known: positions of the answers by their keys.
+        ground: whether all answers are ground.
+        reads: data that the answers of an incremental table depend on; None for other tables.
+        state: "new", "active", "waiting" (evaluated, but part of the SCC of an older table), "complete", or for an
+            incremental table "checked": complete as long as nothing that it has read changes.
         index: position on the stack of active tables.
-        low: position there of the oldest table that it is known to depend on.
-        parent: of a waiting table the one below it on that stack, which depends on it.
-        mark: length of the trail when what runs for it now began.
-        height: of the stack of choice points then.
-        first: how many tables waited, and how many followers were ready, when it became active.
-        followers: calls that have seen all answers so far.
+        low: the lowest index of a table that it is known to depend on.
+        parent: for a waiting table, the table below it on the stack, which depends on it.
+        mark: length of the trail when the current round of its evaluation began.
+        height: size of the stack of choice points when the current round began.
+        first: numbers of waiting tables and of ready followers when it became active.
+        followers: suspended calls that have returned all answers so far.
     """
 
     index: int
@@ -188,21 +204,22 @@ class Table:
         self.empty()
 
     def empty(self) -> None:
-        """Forget the answers."""
+        """Remove all answers and followers."""
         self.answers: List[Any] = []
         self.known: Dict[Hashable, int] = {}
         self.ground = True
         self.followers: List[Follower] = []
 
     def renew(self) -> None:
-        """Be a table that has not been evaluated."""
+        """Reset the table to one that has not been evaluated."""
         self.state = "new"
         self.empty()
         if self.reads is not None:
-            self.reads = {}  # not cleared: tables that were completed together share one
+            # Replaced, not cleared: the tables of an SCC share one dictionary.
+            self.reads = {}
 
     def complete(self) -> None:
-        """Note that there will be no other answers."""
+        """Mark the table as complete, and free what only the evaluation needed."""
         self.state = "complete" if self.reads is None else "checked"
         if len(self.known) < len(self.answers):
             self.answers = [answer for answer in self.answers if answer is not None]
@@ -211,12 +228,12 @@ class Table:
 
     @property
     def is_outdated(self) -> bool:
-        """True if something has changed that an incremental table has read."""
+        """Whether data that an incremental table has read has changed since."""
         reads = self.reads or {}
         return any(source.version(part) != version for (source, part), version in reads.items())
 
     def depend(self, reads: Reads) -> None:
-        """Note that an incremental table depends on what another one has read."""
+        """Add the reads of another table to those of an incremental table."""
         own = self.reads
         if own is not None and own is not reads:
             for read, version in reads.items():
@@ -226,65 +243,68 @@ class Table:
 
 _ANSWER = functor("answer", 0)
 AS, INCREMENTAL = functor("as", 2), atom("incremental")
-"""Kinds of terms that are their own keys."""
+"""Functor and option of ``table ... as incremental``."""
 
-_SPARE = 1000
-"""Tables from which on, and then at twice as many, those that are out of date are dropped."""
+_MIN_TABLES_BEFORE_DROP = 1000
+"""Number of tables at which outdated ones are first dropped."""
 
 TabledCall = Callable[[Frame], Optional[Frame]]
 
 
 class Tables:
-    """All tables of a program, and the ones being evaluated."""
+    """All tables of a program, with the stack of those that are being evaluated."""
 
     def __init__(self, machine: Machine):
         self.machine = machine
         self.by_call: Dict[Hashable, Table] = {}
         self.declared: Dict[Functor, Term] = {}
-        """Indicators or heads with modes of the predicates that have tables."""
+        """Declarations of the tabled predicates: indicators, or heads with modes."""
         self.active: List[Table] = []
-        """Those that are being evaluated, the oldest first; always the same list, for what is read to look at it."""
+        """Tables under evaluation, the oldest first. The list is never replaced: others hold a reference to it."""
         self.waiting: List[Table] = []
         self.ready: List[Tuple[Table, Follower]] = []
-        self._repeated: Dict[Table, Set[Table]] = {}
-        """By the oldest of some tables those evaluated with it in rounds before this one: they may not be again."""
-        self._many = _SPARE
-        self._guard = Guard("table", self._abandon)
-        self._round = Code("table", self._end_of_round)
-        self._next = Code("table", lambda entry: self._enumerate(*entry[1:6]))
-        self._more = Code("table", lambda entry: self._follow(*entry[1:5]))
+        self._earlier_rounds: Dict[Table, Set[Table]] = {}
+        """Tables evaluated in earlier rounds of an SCC, by its leader; a later round need not call them again."""
+        self._drop_at = _MIN_TABLES_BEFORE_DROP
+        self._guard = Guard("table", self._discard)
+        self._round = Code("table", self._end_round)
+        self._next_answer = Code("table", lambda entry: self._enumerate(*entry[1:6]))
+        self._more_answers = Code("table", lambda entry: self._follow(*entry[1:5]))
         self._padding = Code("table", self._leave_padding)
         self._guard.closes = False
-        self._answer = Code("answer", self._add)
-        self._better = Code("answer", self._improve)
-        self._kept = Code("answer", self._keep)
-        self._moded = Code("table", lambda frame: frame[3] if machine.unify_all(*zip(*frame[1:3])) else None)
+        self._new_answer = Code("answer", self._add)
+        self._combine_answer = Code("answer", self._combine)
+        self._replace_answer = Code("answer", self._replace)
+        self._unify_modes = Code(
+            "table", lambda frame: frame[3] if machine.unify_all(*zip(*frame[1:3])) else None
+        )
 
     def clear(self) -> None:
-        """Forget all answers; nothing is done while a table is evaluated."""
+        """Remove all tables, unless one is being evaluated."""
         if not self.active:
             self.by_call.clear()
-            self._many = _SPARE
+            self._drop_at = _MIN_TABLES_BEFORE_DROP
 
     def note(self, source: VersionedSource, part: Hashable) -> None:
-        """Record that part of a source is about to be read; to be called where `active` has tables."""
+        """Record that part of a source is about to be read. Must be called only while a table is active."""
         reads = self.active[-1].reads
         if reads is not None and (source, part) not in reads:
             reads[source, part] = source.version(part)
 
     def observe(self, predicate: Predicate) -> None:
-        """Have incremental tables depend on the clauses of a predicate."""
+        """Record reads of a predicate's clauses in incremental tables from now on."""
         if not predicate.incremental:
             predicate.observe(self.note_predicate)
-            self.clear()  # those that have read it do not know that
+            # Existing tables have read the predicate without recording it.
+            self.clear()
 
     def note_predicate(self, predicate: Predicate) -> None:
-        """Record that the clauses of a predicate are about to be read."""
+        """Record that the clauses of a predicate are about to be read, if a table is active."""
         if self.active:
             self.note(predicate, None)
 
     def declarations(self) -> List[Term]:
-        """Return how the predicates were declared that have tables."""
+        """Return the declarations of all tabled predicates, as terms."""
         predicate = self.machine.logic.database.predicate
         return [
             (AS, item, INCREMENTAL) if predicate(key).incremental else item
@@ -292,40 +312,45 @@ class Tables:
         ]
 
     def mend(self) -> None:
-        """Forget all evaluations that are not over: nothing is evaluated."""
+        """Discard all incomplete evaluations, after an interrupt has ended the goals that ran them."""
         self.active.clear()
         self.waiting.clear()
         self.ready.clear()
-        self._repeated.clear()
+        self._earlier_rounds.clear()
         for table in self.by_call.values():
             if table.state != "complete":
                 table.renew()
 
     def kept(self) -> List[Tuple[Hashable, List[Values], bool]]:
-        """Return the calls whose answers are known, with those, but for incremental tables; see `restore`."""
+        """Return the complete tables as ``(key, answers, ground)``, without incremental ones; see `restore`."""
         complete = [(key, table) for key, table in self.by_call.items() if table.state == "complete"]
         return [(key, table.answers, table.ground) for key, table in complete]
 
     def restore(self, kept: List[Tuple[Hashable, List[Values], bool]]) -> None:
-        """Know the answers that another one knew."""
+        """Add the complete tables that `kept` has returned."""
         for key, answers, ground in kept:
             table = self.by_call[key] = Table()
             table.answers, table.ground = answers, ground
             table.complete()
 
     def moded_caller(self, predicate: Predicate, modes: Dict[int, Mode]) -> TabledCall:
-        """Return the function that does calls of a predicate some of whose arguments have modes."""
+        """Return the function that executes calls of a predicate with moded arguments."""
+        # A moded argument is called with a new variable and unified afterwards: which answer is the best must not
+        # depend on a value that the caller has given.
         plain = self.caller(predicate, list(modes.values()))
 
         def call(frame: Frame) -> Optional[Frame]:
             inner = list(frame)
-            for at in modes:
-                value = deref(frame[at])
+            for position in modes:
+                value = deref(frame[position])
                 if value.__class__ is not Var:
                     raise uninstantiation_error(value)
-                inner[at] = Var()
-            given, fresh = [frame[at] for at in modes], [inner[at] for at in modes]
-            inner[-1] = (self._moded, given, fresh, frame[-1])
+                inner[position] = Var()
+            originals, fresh = (
+                [frame[position] for position in modes],
+                [inner[position] for position in modes],
+            )
+            inner[-1] = (self._unify_modes, originals, fresh, frame[-1])
             return plain(tuple(inner), fresh)
 
         return call
@@ -333,7 +358,7 @@ class Tables:
     def caller(  # noqa: C901  (what it returns runs at each call of a tabled predicate: one function)
         self, predicate: Predicate, modes: Sequence[Mode] = ()
     ) -> Callable[..., Optional[Frame]]:
-        """Return the function that does calls of a predicate, given the variables of arguments with modes."""
+        """Return the function that executes calls of a predicate; it is passed the variables of moded arguments."""
         key_of_call = predicate.functor
         find = self.by_call.get
         bound = self.machine.trail.append
@@ -342,6 +367,8 @@ class Tables:
             key: Any = [key_of_call]
             free: List[Var] = []
             walked = False
+            # The key of a call with only constants and distinct variables is built here: `term_key` walks over the
+            # whole term, which costs more than the rest of a call of a complete table.
             for arg in frame[1:-1]:
                 while arg.__class__ is Var and arg.ref is not None:
                     arg = arg.ref
@@ -350,7 +377,7 @@ class Tables:
                 elif arg.__class__ is Var and arg not in free:
                     free.append(arg)
                     key.append(None)
-                else:  # a key that takes a walk
+                else:
                     goal = (key_of_call, *frame[1:-1])
                     key = term_key(goal)
                     free = variables(goal)
@@ -363,6 +390,7 @@ class Tables:
             if table is None:
                 table = self.by_call[key] = Table(predicate.incremental)
             elif table.state == "complete":
+                # A single ground answer, the most common case, is bound without a further call.
                 if len(table.answers) != 1 or not table.ground:
                     return self._enumerate(table.answers, table.ground, 0, free, after)
                 for var, value in zip(free, table.answers[0]):
@@ -373,7 +401,8 @@ class Tables:
                 if not table.is_outdated:
                     self._depend(table.reads)
                     return self._enumerate(table.answers, table.ground, 0, free, after)
-                table.renew()  # goals that are going through its answers have a list of their own
+                # Goals that are still enumerating its answers keep the old list, which `renew` does not change.
+                table.renew()
             if table.state == "new":
                 collect = self._collector(table, free, moded, modes)
                 own = collect[2]
@@ -384,31 +413,37 @@ class Tables:
         return call
 
     def _collector(self, table: Table, free: List[Var], moded: Sequence[Var], modes: Sequence[Mode]) -> Frame:
-        """Return the frame that takes answers, with new variables for what they say."""
+        """Return the frame that stores an answer, with new variables for its values."""
         own = [Var() for _ in free]
         if not modes:
-            return (self._answer, table, own)
-        return (self._better, table, own, list(map(free.index, moded)), modes)
+            return (self._new_answer, table, own)
+        return (self._combine_answer, table, own, list(map(free.index, moded)), modes)
 
     def _consult(self, table: Table, free: List[Var], after: Frame) -> Optional[Frame]:
-        """Give the answers of a table that is not complete: what is evaluated now depends on it."""
+        """Return the answers of an incomplete table, and record that the active table depends on it."""
+        # A waiting table has left the stack. Its dependency is that of its nearest ancestor that is still active; the
+        # path to it is compressed as in a union-find structure.
         while table.state == "waiting" and table.parent is not None and table.parent.state == "waiting":
             table.parent = table.parent.parent
-        found = table.parent if table.state == "waiting" else table
+        ancestor = table.parent if table.state == "waiting" else table
         newest = self.active[-1]
-        newest.low = min(newest.low, found.index)  # type: ignore[union-attr]
+        newest.low = min(newest.low, ancestor.index)  # type: ignore[union-attr]
         return self._follow(table, 0, free, after)
 
     def _follow(self, table: Table, at: int, free: List[Var], after: Frame) -> Optional[Frame]:
-        """Give the answers of a table that is not complete from ``at`` on; then wait for more."""
+        """Return the answers of an incomplete table from position ``at`` on, then suspend the call."""
         answers = table.answers
         while at < len(answers) and answers[at] is None:
             at += 1
         if at < len(answers):
-            self.machine.choices.append((self._more, table, at + 1, free, after, len(self.machine.trail)))
+            self.machine.choices.append(
+                (self._more_answers, table, at + 1, free, after, len(self.machine.trail))
+            )
             return self.give(answers[at], table.ground, free, after)
         choices, trail = self.machine.choices, self.machine.trail
         newest = self.active[-1]
+        # A choice point that closes, such as that of a negation, ends before the continuation could be resumed. The
+        # call is only recorded then, and an answer that it misses makes the leader repeat the evaluation.
         if any(getattr(entry[0], "closes", False) for entry in choices[newest.height :]):
             follower = Follower(at, free, after, None, 0)
         else:
@@ -418,8 +453,8 @@ class Tables:
         return None
 
     def _evaluate(self, clauses: Frame, table: Table, free: List[Var], after: Frame) -> Frame:
-        """Evaluate the clauses once; all bindings are undone in the end."""
-        if table.reads is not None and len(self.by_call) >= self._many:
+        """Start the evaluation of a table; its bindings are undone on completion."""
+        if table.reads is not None and len(self.by_call) >= self._drop_at:
             self._drop_outdated()
         machine = self.machine
         index = len(self.active)
@@ -428,29 +463,30 @@ class Tables:
         machine.choices.append((self._guard, index, table, len(machine.trail)))
         self.active.append(table)
         table.state = "active"
-        self._begin(table, clauses, free, after)
+        self._begin_round(table, clauses, free, after)
         return clauses
 
     def _drop_outdated(self) -> None:
-        """Drop the tables that are out of date: those of calls that never come again would stay for ever."""
+        """Drop outdated tables, which would otherwise stay forever if their calls are not repeated."""
         for key, table in list(self.by_call.items()):
             if table.state == "checked" and table.is_outdated:
                 del self.by_call[key]
-        self._many = 2 * len(self.by_call) + _SPARE
+        # The limit doubles with the tables that remain, so the cost of this scan is constant per new table.
+        self._drop_at = 2 * len(self.by_call) + _MIN_TABLES_BEFORE_DROP
 
     def _depend(self, reads: Reads) -> None:
-        """Note that the table that is being evaluated, if any, depends on what a complete one has read."""
+        """Add the reads of a complete table to those of the active table, if any."""
         if self.active:
             self.active[-1].depend(reads)
 
-    def _begin(self, table: Table, clauses: Frame, free: List[Var], after: Frame) -> None:
-        """Have the end of what is evaluated from here on be noticed."""
+    def _begin_round(self, table: Table, clauses: Frame, free: List[Var], after: Frame) -> None:
+        """Push the choice point that ends a round: it is reached when the clauses have no more solutions."""
         table.mark = len(self.machine.trail)
         self.machine.choices.append((self._round, table, clauses, free, after, table.mark))
         table.height = len(self.machine.choices)
 
-    def _found(self, table: Table, key: Hashable, answer: Values) -> None:
-        """Note an answer; whoever waits for one can go on."""
+    def _store_answer(self, table: Table, key: Hashable, answer: Values) -> None:
+        """Store a new answer, and make the followers of the table ready."""
         table.known[key] = len(table.answers)
         table.answers.append(answer)
         if table.followers:
@@ -458,7 +494,7 @@ class Tables:
             table.followers.clear()
 
     def _add(self, frame: Frame) -> None:
-        """Note an answer, and look for the next one."""
+        """Store an answer if it is new, then fail to find the next one."""
         table: Table
         free: List[Var]
         _, table, free = frame
@@ -476,62 +512,66 @@ class Tables:
         else:
             key = answer = tuple(answer)
         if key not in table.known:
-            self._found(table, key, answer)
+            self._store_answer(table, key, answer)
             if key is not answer and table.ground:
                 table.ground = all(map(is_plain, answer))
 
-    def _improve(self, frame: Frame) -> Optional[Frame]:
-        """Note an answer of a table with modes, or what is better of it and the one that is there."""
+    def _combine(self, frame: Frame) -> Optional[Frame]:
+        """Store an answer of a moded table, or combine it with the answer that is equal in the other arguments."""
         table: Table
         modes: Sequence[Mode]
         _, table, free, places, modes = frame
         answer = copy((_ANSWER, *free))[1:]
-        key = term_key((_ANSWER, *[value for at, value in enumerate(answer) if at not in places]))
-        at = table.known.get(key)
-        if at is None:
-            self._found(table, key, answer)
+        key = term_key((_ANSWER, *[value for index, value in enumerate(answer) if index not in places]))
+        index = table.known.get(key)
+        if index is None:
+            self._store_answer(table, key, answer)
             table.ground = table.ground and all(map(is_plain, answer))
             return None
-        kept = list(answer)
+        merged = list(answer)
         goals = []
-        for place, mode in zip(places, modes):
-            old, new = table.answers[at][place], answer[place]
+        for position, mode in zip(places, modes):
+            old, new = table.answers[index][position], answer[position]
             if mode.pick is not None:
-                kept[place] = mode.pick(old, new)
+                merged[position] = mode.pick(old, new)
             elif mode.goal is not None:
-                kept[place] = Var()
-                goals.append(mode.goal(old, new, kept[place]))
+                merged[position] = Var()
+                goals.append(mode.goal(old, new, merged[position]))
         grows = any(mode.grows for mode in modes)
-        after = (self._kept, table, key, kept, grows)
+        after = (self._replace_answer, table, key, merged, grows)
         return self.machine.logic.control.once(conjunction(goals), after) if goals else after
 
-    def _keep(self, frame: Frame) -> None:
-        """Put an answer in the place of another."""
+    def _replace(self, frame: Frame) -> None:
+        """Replace an answer of a moded table if the combined one differs from it."""
         table: Table
-        _, table, key, kept, grows = frame
-        answer = copy((_ANSWER, *kept))
-        at = table.known[key]
-        if term_key(answer) != term_key((_ANSWER, *table.answers[at])):
+        _, table, key, merged, grows = frame
+        answer = copy((_ANSWER, *merged))
+        index = table.known[key]
+        if term_key(answer) != term_key((_ANSWER, *table.answers[index])):
             table.ground = table.ground and is_plain(answer)
             if grows:
-                table.answers[at] = None
-                self._found(table, key, answer[1:])
+                table.answers[index] = None
+                self._store_answer(table, key, answer[1:])
             else:
-                table.answers[at] = answer[1:]
+                table.answers[index] = answer[1:]
 
-    def _end_of_round(self, entry: Frame) -> Optional[Frame]:
-        """Let followers go on, evaluate the clauses again, or be done."""
+    def _end_round(self, entry: Frame) -> Optional[Frame]:
+        """Resume a follower, start another round, or complete the SCC, when a round has no more solutions."""
         table: Table
         clauses: Frame
         _, table, clauses, free, after, _ = entry
+        # Not the leader of its SCC: an older table decides when both are complete.
         if table.low < table.index:
-            return self._hand_on(table, free, after)
+            return self._defer_completion(table, free, after)
         waiting, ready = table.first
         again = False
+        # Followers that were ready before this table became active belong to older tables.
         while len(self.ready) > ready:
             followed, follower = self.ready.pop()
             if follower.bound is not None:
-                return self._go_on(entry, followed, follower)
+                return self._resume(entry, followed, follower)
+            # This follower missed answers and cannot be resumed, so the round is repeated, which serves all others
+            # too.
             again = True
             del self.ready[ready:]
         members = [table]
@@ -539,15 +579,16 @@ class Tables:
             members += self.waiting[waiting:]
             del self.waiting[waiting:]
         if again:
+            # The answers stay, so each round adds some or is the last one.
             for member in members:
                 member.followers.clear()
                 member.state = "active" if member is table else "new"
-            self._repeated.setdefault(table, set()).update(members[1:])
-            self._begin(table, clauses, free, after)
+            self._earlier_rounds.setdefault(table, set()).update(members[1:])
+            self._begin_round(table, clauses, free, after)
             return clauses
-        if len(members) > 1 or self._repeated:
-            self._share_reads(members)
-            self._forget_repeated(members)
+        if len(members) > 1 or self._earlier_rounds:
+            self._merge_reads(members)
+            self._reset_uncalled(members)
         for member in members:
             member.complete()
         self.active.pop()
@@ -556,28 +597,29 @@ class Tables:
             self._depend(table.reads)
         return self._enumerate(table.answers, table.ground, 0, free, after)
 
-    def _forget_repeated(self, members: List[Table]) -> None:
-        """Empty the tables of earlier rounds that the last one has not called: what they have read may change."""
+    def _reset_uncalled(self, members: List[Table]) -> None:
+        """Reset tables that the last round has not called: their reads are not among those of the SCC."""
         for member in members:
-            for table in self._repeated.pop(member, ()):
+            for table in self._earlier_rounds.pop(member, ()):
                 if table.state == "new":
                     table.renew()
 
     @staticmethod
-    def _share_reads(members: List[Table]) -> None:
-        """Have the incremental ones of tables that depend on each other depend on what any of them has read."""
+    def _merge_reads(members: List[Table]) -> None:
+        """Give all incremental tables of an SCC one dictionary with the reads of all of them."""
         incremental = [member for member in members if member.reads is not None]
-        for other in incremental[1:]:
-            incremental[0].depend(other.reads or {})
-        for other in incremental[1:]:
-            other.reads = incremental[0].reads
+        for member in incremental[1:]:
+            incremental[0].depend(member.reads or {})
+        for member in incremental[1:]:
+            member.reads = incremental[0].reads
 
-    def _go_on(self, entry: Frame, followed: Table, follower: Follower) -> Optional[Frame]:
-        """Bring back what was bound when a call had seen all answers, and give it those that came since."""
+    def _resume(self, entry: Frame, followed: Table, follower: Follower) -> Optional[Frame]:
+        """Resume a suspended call: restore its bindings, and return the answers that were added since."""
         choices, trail = self.machine.choices, self.machine.trail
         table: Table = entry[1]
-        self._begin(*entry[1:5])
-        # Cuts count on as many choice points as there were.
+        self._begin_round(*entry[1:5])
+        # Cuts in the continuation remove choice points down to the heights at the suspension, so the stack is padded
+        # to the same height.
         below = len(choices)
         choices += [(self._padding, below, len(trail))] * (follower.height - below)
         table.height = len(choices)
@@ -589,8 +631,8 @@ class Tables:
     def _leave_padding(self, entry: Frame) -> None:
         del self.machine.choices[entry[1] :]
 
-    def _hand_on(self, table: Table, free: List[Var], after: Frame) -> Optional[Frame]:
-        """Leave a table that depends on an older one, which decides when both are complete."""
+    def _defer_completion(self, table: Table, free: List[Var], after: Frame) -> Optional[Frame]:
+        """Leave a table that depends on an older one, which completes both."""
         self.active.pop()
         self.machine.choices.pop()  # the guard
         parent = self.active[-1]
@@ -603,17 +645,17 @@ class Tables:
     def _enumerate(
         self, answers: List[Tuple[Term, ...]], ground: bool, at: int, free: List[Var], after: Frame
     ) -> Optional[Frame]:
-        """Give variables the values of an answer; the next ones on backtracking."""
+        """Return the answers from position ``at`` on, one at each solution."""
         count = len(answers)
         if at == count:
             return None
         if at + 1 < count:
             mark = len(self.machine.trail)
-            self.machine.choices.append((self._next, answers, ground, at + 1, free, after, mark))
+            self.machine.choices.append((self._next_answer, answers, ground, at + 1, free, after, mark))
         return self.give(answers[at], ground, free, after)
 
     def give(self, answer: Tuple[Term, ...], ground: bool, free: List[Var], after: Frame) -> Frame:
-        """Give variables the values of an answer."""
+        """Bind the free variables of a call to the values of an answer."""
         trail = self.machine.trail
         if ground:
             for var, value in zip(free, answer):
@@ -621,16 +663,18 @@ class Tables:
                 trail.append(var)
         else:
             for var, value in zip(free, copy((_ANSWER, *answer))[1:]):
-                unify(value, var, trail)  # cannot fail; of two variables the caller's stays
+                # Cannot fail, as the call's variables are unbound. The order of arguments keeps the caller's
+                # variable.
+                unify(value, var, trail)
         return after
 
-    def _abandon(self, entry: Frame) -> None:
-        """Forget evaluations that an error has ended, and what they found."""
+    def _discard(self, entry: Frame) -> None:
+        """Discard the evaluations above an exception, with their answers, which may be incomplete."""
         table: Table
         _, index, table, _ = entry
         waiting, ready = table.first
         members = [*self.active[index:], *self.waiting[waiting:]]
-        self._forget_repeated(members)
+        self._reset_uncalled(members)
         for member in members:
             member.renew()
         del self.active[index:]
@@ -639,14 +683,14 @@ class Tables:
 
 
 def _renamed(key: Sequence[Optional[Term]], own: List[Var]) -> List[Term]:
-    """Return the arguments of a call whose key has None in the place of each variable, with new ones."""
+    """Return the arguments of a call from its key, which has None for each variable, with new variables."""
     fresh = iter(own)
     return [next(fresh) if known is None else known for known in key[1:]]
 
 
 def tables_of(machine: Machine) -> Tables:
     """Return the tables of a machine's program."""
-    found: Optional[Tables] = machine.logic.state.get("tables")
-    if found is None:
-        found = machine.logic.state["tables"] = Tables(machine)
-    return found
+    tables: Optional[Tables] = machine.logic.state.get("tables")
+    if tables is None:
+        tables = machine.logic.state["tables"] = Tables(machine)
+    return tables

@@ -1,9 +1,12 @@
-"""Unification, comparison, arithmetic and type tests as predicates (clauses have most of them in line).
+"""Predicates for unification, comparison, arithmetic and type tests.
 
-Goals on unbound variables: ``freeze/2``, ``dif/2`` and ``when/2`` where they can be decided at once.
+Compiled clauses contain most of these tests inline; the predicates serve for calls of goals that are known only at
+run time.
 
-No goal waits for a variable here: unification is written into the compiled clauses, and would cost more in all of
-them. Where the answer depends on a variable that is not bound yet, these are instantiation errors.
+``freeze/2``, ``dif/2`` and ``when/2`` are supported only if they can be decided immediately. Coroutining (suspended
+goals that are woken by the binding of a variable) is not: compiled clauses contain the code of unifications, all of
+which would have to check for suspended goals. A call that depends on an unbound variable raises an instantiation
+error.
 """
 
 from typing import Any, Callable, Dict, List, Optional, Tuple
@@ -44,12 +47,12 @@ from ..terms.unification import by_age, compare, undo, unify, unlike
 from .argument_checks import integer, integer_or_var, is_iso, natural, partial_items
 from .builtin_registry import Machine, control, deterministic
 
-_ORDERS = {-1: atom("<"), 0: atom("="), 1: atom(">")}
+_ORDER_ATOMS = {-1: atom("<"), 0: atom("="), 1: atom(">")}
 
 
 @deterministic("=/2")
 def equal(machine: Machine, left: Term, right: Term) -> bool:
-    """Unify."""
+    """Unify two terms."""
     return unify(left, right, machine.trail)
 
 
@@ -57,14 +60,14 @@ def equal(machine: Machine, left: Term, right: Term) -> bool:
 def different(machine: Machine, left: Term, right: Term) -> bool:
     """Test that two terms do not unify."""
     mark = len(machine.trail)
-    found = unify(left, right, machine.trail)
+    unifies = unify(left, right, machine.trail)
     undo(machine.trail, mark)
-    return not found
+    return not unifies
 
 
 @deterministic("unify_with_occurs_check/2")
 def unify_with_occurs_check(machine: Machine, left: Term, right: Term) -> bool:
-    """Unify, unless that would make an infinite term."""
+    """Unify two terms, but fail if that would create a cyclic term."""
     trail = machine.trail
     mark = len(trail)
     return unify(left, right, trail) and not any(
@@ -73,7 +76,7 @@ def unify_with_occurs_check(machine: Machine, left: Term, right: Term) -> bool:
 
 
 def _is_cyclic(var: Any) -> bool:
-    """Tell whether the binding of a variable contains the variable."""
+    """Return whether the binding of a variable contains the variable."""
     seen = set()
     stack = [var.ref]
     steps = 0
@@ -97,17 +100,19 @@ def _is_cyclic(var: Any) -> bool:
 def compare_terms(
     machine: Machine, order: Term, left: Term, right: Term, variables: Callable[[Var, Var], int] = by_age
 ) -> bool:
-    """Compare in the standard order."""
+    """Compare two terms in the standard order."""
     order = deref(order)
     if order.__class__ is not Var:
         if order.__class__ is not Atom:
             raise type_error("atom", order)
-        if order not in _ORDERS.values():
+        if order not in _ORDER_ATOMS.values():
             raise domain_error("order", order)
-    return unify(order, _ORDERS[compare(left, right, variables)], machine.trail)
+    return unify(order, _ORDER_ATOMS[compare(left, right, variables)], machine.trail)
 
 
-def _order(test: str) -> Callable[[Machine, Term, Term], bool]:
+def _standard_order_test(test: str) -> Callable[[Machine, Term, Term], bool]:
+    """Return a predicate that compares terms in the standard order."""
+    # For equality the age of variables does not matter, and comparing it would number them.
     variables = unlike if test in ("== 0", "!= 0") else by_age
     lines = ["def made(machine, left, right):", f"    return compare(left, right, variables) {test}"]
     names = {"compare": compare, "variables": variables}
@@ -115,7 +120,8 @@ def _order(test: str) -> Callable[[Machine, Term, Term], bool]:
     return made
 
 
-def _arithmetic(operator: str) -> Callable[[Machine, Term, Term], bool]:
+def _arithmetic_comparison(operator: str) -> Callable[[Machine, Term, Term], bool]:
+    """Return a predicate that compares the values of two expressions."""
     lines = ["def made(machine, left, right):", f"    return measure(left) {operator} measure(right)"]
     names = {"measure": measure}
     made: Callable[[Machine, Term, Term], bool] = codegen.function(lines, names, f"comparison {operator}")
@@ -123,14 +129,14 @@ def _arithmetic(operator: str) -> Callable[[Machine, Term, Term], bool]:
 
 
 for _key, _test in ORDERS.items():
-    deterministic(str(_key))(_order(_test))
+    deterministic(str(_key))(_standard_order_test(_test))
 for _key, _test in COMPARISONS.items():
-    deterministic(str(_key))(_arithmetic(_test))
+    deterministic(str(_key))(_arithmetic_comparison(_test))
 
 
 @deterministic("is/2")
 def is_value(machine: Machine, result: Term, expression: Term) -> bool:
-    """Evaluate."""
+    """Evaluate an expression."""
     value = measure(expression)
     if value.__class__ is not int and value.__class__ is not float:
         value = plain(value)
@@ -139,7 +145,7 @@ def is_value(machine: Machine, result: Term, expression: Term) -> bool:
 
 @deterministic("succ/2")
 def succ(machine: Machine, smaller: Term, greater: Term) -> bool:
-    """Relate an integer that is not negative with the next one."""
+    """Relate a non-negative integer with its successor."""
     smaller = deref(smaller)
     if smaller.__class__ is Var:
         greater = deref(greater)
@@ -187,7 +193,7 @@ deterministic("callable/1")(_type_test(Atom, tuple))
 
 @deterministic("blob/2")
 def blob(machine: Machine, term: Term, kind: Term) -> bool:
-    """Give the kind of an atom: there are only those of text."""
+    """Unify with the type of an atom, which is always ``text``."""
     return deref(term).__class__ is Atom and unify(kind, atom("text"), machine.trail)
 
 
@@ -205,7 +211,7 @@ def ground(machine: Machine, term: Term) -> bool:
 
 @deterministic("term_variables/2")
 def term_variables(machine: Machine, term: Term, result: Term) -> bool:
-    """Give the variables of a term."""
+    """Unify with the variables of a term, in the order of their first occurrence."""
     if is_iso(machine):
         partial_items(result)
     return unify(result, make_list(variables(term)), machine.trail)
@@ -213,29 +219,29 @@ def term_variables(machine: Machine, term: Term, result: Term) -> bool:
 
 @deterministic("?=/2")
 def decided(machine: Machine, left: Term, right: Term) -> bool:
-    """Test that ``==`` of two terms cannot change any more."""
+    """Test that the result of ``==`` cannot change by further bindings."""
     return compare(left, right, unlike) == 0 or different(machine, left, right)
 
 
 @deterministic("subsumes_term/2")
 def subsumes_term(machine: Machine, general: Term, specific: Term) -> bool:
-    """Test that a term can be made equal to another by binding its own variables only."""
+    """Test that two terms unify without binding variables of the second one."""
     trail = machine.trail
     mark = len(trail)
     before = variables(specific)
-    found = unify(general, specific, trail)
-    if found:
+    subsumes = unify(general, specific, trail)
+    if subsumes:
         after = [deref(var) for var in watched(before)]
-        found = all(var.__class__ is Var for var in after) and len(set(after)) == len(before)
+        subsumes = all(var.__class__ is Var for var in after) and len(set(after)) == len(before)
         # A variable of the specific term may be bound to one of the general term, not the other way round.
-        found = found and variables((CONS, *before)) == after
+        subsumes = subsumes and variables((CONS, *before)) == after
     undo(trail, mark)
-    return found
+    return subsumes
 
 
 @deterministic("=@=/2")
 def variant(machine: Machine, left: Term, right: Term) -> bool:
-    """Test that two terms are equal up to the names of their variables."""
+    """Test that two terms are equal up to renaming of variables."""
     return is_variant(left, right)
 
 
@@ -246,9 +252,10 @@ def no_variant(machine: Machine, left: Term, right: Term) -> bool:
 
 
 def is_variant(left: Term, right: Term) -> bool:
-    """Tell whether two terms are equal up to the names of their variables."""
-    forth: Dict[Var, Var] = {}
-    back: Dict[Var, Var] = {}
+    """Return whether two terms are equal up to renaming of variables."""
+    # The renaming has to be a bijection, so it is recorded in both directions.
+    renaming: Dict[Var, Var] = {}
+    inverse: Dict[Var, Var] = {}
     stack = [(left, right)]
     steps = 0
     while stack:
@@ -260,7 +267,7 @@ def is_variant(left: Term, right: Term) -> bool:
         if left.__class__ is not right.__class__:
             return False
         if left.__class__ is Var and right.__class__ is Var:
-            if forth.setdefault(left, right) is not right or back.setdefault(right, left) is not left:
+            if renaming.setdefault(left, right) is not right or inverse.setdefault(right, left) is not left:
                 return False
         elif left.__class__ is tuple and right.__class__ is tuple:
             if left[0] is not right[0]:
@@ -272,6 +279,7 @@ def is_variant(left: Term, right: Term) -> bool:
 
 
 def _check_steps(steps: int, left: Term, right: Term) -> None:
+    """Check the limits of the goal, and raise `TermTooLarge` for cyclic or too large terms."""
     look()
     if steps > MAX_STEPS:
         raise TermTooLarge
@@ -287,7 +295,7 @@ _DECIDED = functor("?=", 2)
 
 
 def _undecided(key: Functor) -> PrologError:
-    """Return the error for what a variable decides, which says where there is more."""
+    """Return the error for a call that depends on an unbound variable, with a hint to SWI-Prolog."""
     reason = (
         "no goal waits here until a variable is bound: that needs SWI-Prolog, see use_swi in docs/prolog.md"
     )
@@ -296,7 +304,7 @@ def _undecided(key: Functor) -> PrologError:
 
 @deterministic("dif/2")
 def dif(machine: Machine, left: Term, right: Term) -> bool:
-    """Test that two terms can never be equal; an error where they may become so."""
+    """Test that two terms can never be equal; raise an error if they could become equal."""
     trail = machine.trail
     mark = len(trail)
     if not unify(left, right, trail):
@@ -311,7 +319,7 @@ def dif(machine: Machine, left: Term, right: Term) -> bool:
 
 @control("freeze/2")
 def freeze(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Call a goal when a variable is bound: it has to be already."""
+    """Call a goal if a term is bound; raise an error otherwise."""
     if deref(args[0]).__class__ is Var:
         raise _undecided(_FREEZE)
     return machine.logic.control.call(args[1], after)
@@ -319,27 +327,28 @@ def freeze(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
 
 @control("when/2")
 def when(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-    """Call a goal when a condition holds: it has to hold already."""
+    """Call a goal if a condition holds; raise an error otherwise."""
     if not _holds(machine, args[0]):
         raise _undecided(_WHEN)
     return machine.logic.control.call(args[1], after)
 
 
 def _holds(machine: Machine, condition: Term) -> bool:
-    """Tell whether a condition holds; no recursion, however deep it is."""
-    # Of conjunctions and disjunctions whose left side is looked at: key, right side.
-    lefts: List[Tuple[Functor, Term]] = []
+    """Return whether a condition of ``when/2`` holds, without recursion into nested conditions."""
+    # Connective and right operand of the conjunctions and disjunctions whose left operand is being evaluated.
+    pending: List[Tuple[Functor, Term]] = []
     for _ in ROUNDS:
         for _ in BULK:
             condition = deref(condition)
             if condition.__class__ is tuple and condition[0] in (COMMA, _SEMICOLON):
-                lefts.append((condition[0], condition[2]))
+                pending.append((condition[0], condition[2]))
                 condition = condition[1]
                 continue
-            holds = _simple(machine, condition)
-            while lefts:
-                key, right = lefts.pop()
-                if holds is (key is COMMA):  # the right side decides
+            holds = _holds_simple(machine, condition)
+            while pending:
+                key, right = pending.pop()
+                # The left operand has not decided the connective, so the right one does.
+                if holds is (key is COMMA):
                     condition = right
                     break
             else:
@@ -348,7 +357,7 @@ def _holds(machine: Machine, condition: Term) -> bool:
     raise TermTooLarge
 
 
-def _simple(machine: Machine, condition: Term) -> bool:
+def _holds_simple(machine: Machine, condition: Term) -> bool:
     if condition.__class__ is Var:
         raise instantiation_error()
     if condition.__class__ is not tuple:

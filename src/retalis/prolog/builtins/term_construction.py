@@ -1,6 +1,8 @@
-"""Terms taken apart and put together: functor, arg, univ, copies.
+"""Predicates that analyse and construct terms: ``functor/3``, ``arg/3``, ``=../2``, ``numbervars/3`` and others.
 
-Variables given names, terms given numbers: numbervars, hashes, generated symbols.
+Terms are immutable, so ``setarg/3`` raises an error. The number of arguments of a new term is limited and charged to
+the goal's limits before the arguments are created. The module also has generated symbols and counters (``gensym/2``,
+``flag/3``).
 """
 
 from typing import Dict, Optional, Sequence
@@ -21,8 +23,8 @@ from .type_checks import is_acyclic
 
 _MAX_ARGUMENTS = 1_000_000
 
-_ARGUMENT = 64
-"""Bytes of an argument that is a new variable."""
+_ARGUMENT_BYTES = 64
+"""Approximate size of an argument that is a new variable."""
 
 
 @deterministic("functor/3")
@@ -39,7 +41,7 @@ def functor_of(machine: Machine, term: Term, name: Term, arity: Term) -> bool:
 
 @function("$blank/3")
 def blank(name: Term, arity: Term) -> Term:
-    """Return a term of a name and an arity with new variables; compiled clauses call it for ``functor/3``."""
+    """Return the most general term of a name and an arity; compiled clauses call it for ``functor/3``."""
     name, arity = deref(name), deref(arity)
     if name.__class__ is Var:
         raise instantiation_error()
@@ -54,20 +56,24 @@ def blank(name: Term, arity: Term) -> Term:
         raise type_error("atomic", name)
     if name.__class__ is not Atom:
         raise type_error("atom", name)
-    return _term(name, [Var() for _ in range(_arity(count))])
+    return _compound(name, [Var() for _ in range(_checked_arity(count))])
 
 
-def _arity(count: int) -> int:
-    """Return a number of arguments that a term may have; look at the limits before many are made."""
+def _checked_arity(count: int) -> int:
+    """Return a number of arguments after a check of the limits.
+
+    Raises:
+        PrologError: a resource error if a term cannot have so many arguments.
+    """
     if count > _MAX_ARGUMENTS:
         raise resource_error("memory")
     if count > len(BULK):
-        look(count, _ARGUMENT * count)
+        look(count, _ARGUMENT_BYTES * count)
     return count
 
 
-def _term(name: Atom, args: Sequence[Term]) -> Term:
-    return (functor(name.name, _arity(len(args))), *args)
+def _compound(name: Atom, args: Sequence[Term]) -> Term:
+    return (functor(name.name, _checked_arity(len(args))), *args)
 
 
 @nondeterministic("arg/3")
@@ -79,28 +85,28 @@ def arg(machine: Machine, number: Term, term: Term, value: Term) -> Outcome:
             raise instantiation_error()
         raise type_error("compound", term)
     if number.__class__ is Var:
-        return _arguments(machine, number, term, value)
-    at = natural(number)
-    return 0 < at < len(term) and unify(value, term[at], machine.trail)
+        return _enumerate_arguments(machine, number, term, value)
+    index = natural(number)
+    return 0 < index < len(term) and unify(value, term[index], machine.trail)
 
 
-def _arguments(machine: Machine, number: Term, term: CompoundTerm, value: Term) -> Solutions:
+def _enumerate_arguments(machine: Machine, number: Term, term: CompoundTerm, value: Term) -> Solutions:
     last = len(term) - 1
-    for at in range(1, len(term)):
-        if machine.unify_all((number, at), (value, term[at])):
-            yield LAST if at == last else None
+    for index in range(1, len(term)):
+        if machine.unify_all((number, index), (value, term[index])):
+            yield LAST if index == last else None
 
 
 @function("$arg/3")
 def known_arg(number: Term, term: Term) -> Optional[Term]:
-    """Return what ``arg/3`` finds for a number that is known; compiled clauses look plain cases up themselves."""
+    """Return an argument by its number; compiled clauses call it, except for simple cases that they do inline."""
     term = deref(term)
     if term.__class__ is not tuple:
         if term.__class__ is Var:
             raise instantiation_error()
         raise type_error("compound", term)
-    at = natural(number)
-    return term[at] if 0 < at < len(term) else None
+    index = natural(number)
+    return term[index] if 0 < index < len(term) else None
 
 
 @deterministic("=../2")
@@ -116,17 +122,17 @@ def univ(machine: Machine, term: Term, parts: Term) -> bool:
         if deref(parts).__class__ not in (Var, tuple):
             check_tail(parts)
         return unify(parts, make_list([term]), machine.trail)
-    return unify(term, _of_parts(parts), machine.trail)
+    return unify(term, _term_of_list(parts), machine.trail)
 
 
-def _of_parts(parts: Term) -> Term:
-    """Return the term of a list of name and arguments."""
-    found = partial_items(parts)
-    if not found:
+def _term_of_list(parts: Term) -> Term:
+    """Return the term for a list of its name and arguments."""
+    values = partial_items(parts)
+    if not values:
         if deref(parts) is NIL:
             raise domain_error("non_empty_list", NIL)
         raise instantiation_error()
-    head, args = deref(found[0]), items(parts)[1:]
+    head, args = deref(values[0]), items(parts)[1:]
     if head.__class__ is Var:
         raise instantiation_error()
     if not args:
@@ -135,7 +141,7 @@ def _of_parts(parts: Term) -> Term:
         return head
     if head.__class__ is not Atom:
         raise type_error("atom", head)
-    return _term(head, args)
+    return _compound(head, args)
 
 
 @deterministic("copy_term/2", "duplicate_term/2", "copy_term_nat/2")
@@ -146,7 +152,7 @@ def copy_term(machine: Machine, term: Term, result: Term) -> bool:
 
 @deterministic("compound_name_arity/3")
 def compound_name_arity(machine: Machine, term: Term, name: Term, arity: Term) -> bool:
-    """Relate a compound term, also one without arguments, with its name and arity."""
+    """Relate a compound term with its name and arity."""
     term = deref(term)
     if term.__class__ is tuple:
         return machine.unify_all((name, term[0].atom), (arity, len(term) - 1))
@@ -158,7 +164,7 @@ def compound_name_arity(machine: Machine, term: Term, name: Term, arity: Term) -
     if name.__class__ is not Atom:
         raise type_error("atom", name)
     count = natural(arity)
-    return unify(term, _term(name, [Var() for _ in range(_arity(count))]), machine.trail)
+    return unify(term, _compound(name, [Var() for _ in range(_checked_arity(count))]), machine.trail)
 
 
 @deterministic("compound_name_arguments/3")
@@ -177,13 +183,13 @@ def compound_name_arguments(machine: Machine, term: Term, name: Term, arguments:
         raise instantiation_error()
     if name.__class__ is not Atom:
         raise type_error("atom", name)
-    found = items(arguments)
-    return unify(term, _term(name, found), machine.trail)
+    values = items(arguments)
+    return unify(term, _compound(name, values), machine.trail)
 
 
 @deterministic("setarg/3", "nb_setarg/3")
 def setarg(machine: Machine, number: Term, term: Term, value: Term) -> bool:
-    """Refuse: terms do not change here."""
+    """Raise a permission error: terms are immutable."""
     raise permission_error("modify", "term", resolve(term))
 
 
@@ -192,7 +198,7 @@ _NUMBERED = functor("$VAR", 1)
 
 @deterministic("numbervars/3")
 def numbervars(machine: Machine, term: Term, start: Term, end: Term) -> bool:
-    """Bind the variables of a term to ``'$VAR'(N)`` with rising numbers."""
+    """Bind the variables of a term to ``'$VAR'(N)`` with increasing numbers."""
     number = integer(start)
     for var in watched(variables(term)):
         unify(var, (_NUMBERED, number), machine.trail)
@@ -202,44 +208,45 @@ def numbervars(machine: Machine, term: Term, start: Term, end: Term) -> bool:
 
 @deterministic("numbervars/1")
 def numbervars_from_zero(machine: Machine, term: Term) -> bool:
-    """Bind the variables of a term to ``'$VAR'(N)``, from 0."""
+    """Bind the variables of a term to ``'$VAR'(N)`` with increasing numbers from 0."""
     return numbervars(machine, term, 0, Var())
 
 
 @deterministic("term_variables/3")
-def term_variables(machine: Machine, term: Term, found: Term, tail: Term) -> bool:
-    """Give the variables of a term with a tail after them."""
-    return unify(found, make_list(variables(term), tail), machine.trail)
+def term_variables(machine: Machine, term: Term, result: Term, tail: Term) -> bool:
+    """Unify with a partial list of the variables of a term."""
+    return unify(result, make_list(variables(term), tail), machine.trail)
 
 
 @deterministic("acyclic_term/1")
 def acyclic_term(machine: Machine, term: Term) -> bool:
-    """Test that a term does not contain itself."""
+    """Test that a term is not cyclic."""
     return is_acyclic(term)
 
 
 @deterministic("cyclic_term/1")
 def cyclic_term(machine: Machine, term: Term) -> bool:
-    """Test that a term contains itself."""
+    """Test that a term is cyclic."""
     return not acyclic_term(machine, term)
 
 
 @deterministic("term_hash/2")
 def term_hash(machine: Machine, term: Term, value: Term) -> bool:
-    """Give a number for a ground term, the same in every run; leave it open for others."""
+    """Unify with a hash of a ground term, which is the same in each process; for other terms, do nothing."""
     if not is_ground(term):
         return True
+    # Python's own hash of a text differs between processes.
     return unify(value, crc32(machine.logic.show(term).encode()) & 0xFFFFFF, machine.trail)
 
 
 def _counters(machine: Machine) -> Dict[str, int]:
-    found: Dict[str, int] = machine.logic.state.setdefault("gensym", {})
-    return found
+    counters: Dict[str, int] = machine.logic.state.setdefault("gensym", {})
+    return counters
 
 
 @deterministic("gensym/2")
 def gensym(machine: Machine, base: Term, result: Term) -> bool:
-    """Give a new atom: the base and a number."""
+    """Unify with a new atom that consists of a base and a number."""
     name = atomic_text(base)
     no_compound(result, "atomic")
     counters = _counters(machine)
@@ -249,21 +256,21 @@ def gensym(machine: Machine, base: Term, result: Term) -> bool:
 
 @deterministic("reset_gensym/1")
 def reset_gensym(machine: Machine, base: Term) -> bool:
-    """Start again with the numbers of a base."""
+    """Restart the numbers of a base."""
     _counters(machine).pop(atomic_text(base), None)
     return True
 
 
 @deterministic("reset_gensym/0")
 def reset_all_gensym(machine: Machine) -> bool:
-    """Start again with all numbers."""
+    """Restart the numbers of all bases."""
     _counters(machine).clear()
     return True
 
 
 @deterministic("flag/3")
 def flag(machine: Machine, name: Term, old: Term, new: Term) -> bool:
-    """Give a counter's value and set it to the value of an expression."""
+    """Unify with the value of a counter, and set it to the value of an expression."""
     values = machine.logic.state.setdefault("flag", {})
     key = atomic_text(name)
     if not unify(old, values.get(key, 0), machine.trail):
@@ -274,7 +281,7 @@ def flag(machine: Machine, name: Term, old: Term, new: Term) -> bool:
 
 @nondeterministic("nb_current/2")
 def nb_current(machine: Machine, name: Term, value: Term) -> Solutions:
-    """Enumerate global variables."""
+    """Enumerate the global variables."""
     values = machine.logic.globals
     given = deref(name)
     if given.__class__ is not Var:

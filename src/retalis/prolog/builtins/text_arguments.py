@@ -1,6 +1,8 @@
-"""Text arguments: atoms, strings, numbers, lists of codes or characters, as Python strings and back.
+"""Conversion between text arguments and Python strings, and reading of terms from text.
 
-Reading terms from text.
+A text is an atom, a string, a number, or a list of character codes or of characters. Each conversion checks the
+length of a text before it is built, because one step of a goal could otherwise exceed its time or memory limit by
+far.
 """
 
 from typing import TYPE_CHECKING, Any, Callable, List, Optional, Sequence
@@ -36,56 +38,62 @@ MAX_CODE = 0x10FFFF
 _LARGE_INTEGER = 10**300
 
 MAX_TEXT_CHARACTERS = 33_000_000
-"""Characters of the longest text that a goal may make."""
+"""Limit for the length of a text that a goal may create."""
 
-_LOOK_FROM = 1 << 15
+_MIN_CHECKED_CHARACTERS = 1 << 15
+"""Length of a text from which on its creation is charged to the goal's limits."""
 
 MAX_NUMBER_CHARACTERS = 1 << 20
-"""Characters of the longest text that is read as a number: it has more digits than any, in base 2 as well."""
+"""Limit for the length of a text that is parsed as a number; every valid number is shorter, also in base 2."""
 
 
 def long_text(size: int, *parts: str) -> None:
-    """Check the length of a text that is about to be made; where it is long, look at the goal's limits.
+    """Check the length of a text before it is created; the creation of a long text is charged to the goal's limits.
 
     Args:
-        size: characters of the text.
-        parts: texts that it is made of, by which the bytes of a character are known.
+        size: number of characters.
+        parts: texts that it consists of. If all are ASCII, a character takes one byte, otherwise up to four.
 
     Raises:
-        PrologError: a resource error where the text would be too long, or the goal has no room for it.
+        PrologError: a resource error if the text would be too long or exceed the goal's memory.
     """
-    if size > _LOOK_FROM:
+    if size > _MIN_CHECKED_CHARACTERS:
         if size > MAX_TEXT_CHARACTERS:
             raise resource_error("memory")
         look(size=size if all(map(str.isascii, parts)) else 4 * size)
 
 
 def each(make: Callable[[str], Term], parts: Sequence[str]) -> List[Term]:
-    """Return what is made of each part, of a character of a text say; look at the goal's limits meanwhile."""
-    made: List[Term] = []
-    for some in in_bulks(parts):
-        made += map(make, some)
-    return made
+    """Return a term for each part, such as a character of a text, and check the goal's limits meanwhile."""
+    terms: List[Term] = []
+    for bulk in in_bulks(parts):
+        terms += map(make, bulk)
+    return terms
 
 
 def joined(parts: Sequence[str], between: str = "") -> str:
-    """Return texts joined, unless they are too long together."""
+    """Return the concatenation of texts.
+
+    Raises:
+        PrologError: a resource error if the result would be too long.
+    """
     long_text(sum(map(len, parts)) + len(between) * len(parts), between, *parts[:1])
     return between.join(parts)
 
 
 def number_text(value: Number) -> str:
-    """Return a number as it is written."""
+    """Return the text of a number."""
     return write_term(value)
 
 
 def constant_text(term: Term) -> Optional[str]:
-    """Return the text of an atom, string or number; None for anything else."""
+    """Return the text of an atom, string or number, or None for any other term."""
     if term.__class__ is Atom:
         return term.name
     if term.__class__ is String:
         return term.text
     if term.__class__ is int:
+        # `str` takes quadratic time and raises an error for long integers in recent versions of Python.
         return str(term) if -_LARGE_INTEGER < term < _LARGE_INTEGER else number_text(term)
     if term.__class__ is float:
         return number_text(term)
@@ -93,31 +101,31 @@ def constant_text(term: Term) -> Optional[str]:
 
 
 def text_of(term: Term, kind: str = "text", numbers: bool = True) -> str:
-    """Return the text of an argument: a constant, or a list of codes or characters.
+    """Return the text of an argument: a constant, or a list of character codes or characters.
 
     Args:
         term: the argument; ``[]`` is the empty list.
-        kind: the type that an error names.
-        numbers: a number is a text.
+        kind: the expected type, for the error term.
+        numbers: whether a number is accepted.
 
     Raises:
-        PrologError: an instantiation error where it is not bound, a type error where it is not a text.
+        PrologError: an instantiation error for an unbound argument, a type error for a term that is not a text.
     """
     term = deref(term)
     if term is NIL:
         return ""
     if term.__class__ is tuple:
         return _checked_list(term, kind)
-    found = constant_text(term)
-    if found is None:
+    text = constant_text(term)
+    if text is None:
         raise instantiation_error()
     if not numbers and term.__class__ in (int, float):
         raise type_error(kind, term)
-    return found
+    return text
 
 
 def whole_text(term: Term, kind: str) -> str:
-    """Do what `text_of` does, but name the whole argument as the culprit."""
+    """Return the text of an argument like `text_of`, but with the whole list as the culprit of a type error."""
     term = deref(term)
     if term.__class__ is tuple:
         text = _good_list_text(term)
@@ -128,7 +136,7 @@ def whole_text(term: Term, kind: str) -> str:
 
 
 def is_text_list(term: Term) -> bool:
-    """Tell whether a term is a list of codes or of characters."""
+    """Return whether a term is a list of character codes or of characters."""
     return _good_list_text(term) is not None
 
 
@@ -140,18 +148,19 @@ def _good_list_text(term: Term) -> Optional[str]:
 
 
 def _checked_list(term: Term, kind: str) -> str:
-    found, tail = list_parts(term)
+    codes_or_chars, tail = list_parts(term)
     if tail is not NIL and tail.__class__ is not Var:
         raise type_error(kind, term)
-    long_text(len(found))
-    culprit = wrong_item(found)
+    long_text(len(codes_or_chars))
+    # A wrong item takes precedence over an unbound one or an unbound tail, as in SWI-Prolog.
+    culprit = wrong_item(codes_or_chars)
     if culprit is not None:
         raise culprit
     if tail is not NIL:
         raise instantiation_error()
     text = []
-    for some in in_bulks(found):
-        items: List[Any] = [deref(item) for item in some]
+    for bulk in in_bulks(codes_or_chars):
+        items: List[Any] = [deref(item) for item in bulk]
         if any(item.__class__ is Var for item in items):
             raise instantiation_error()
         text.append("".join([chr(item) if item.__class__ is int else item.name for item in items]))
@@ -159,10 +168,10 @@ def _checked_list(term: Term, kind: str) -> str:
 
 
 def wrong_item(items: List[Term]) -> Optional[PrologError]:
-    """Return the error for the first item that is not a code among codes, or no character among characters."""
+    """Return the error for the first invalid item; the first bound item decides between codes and characters."""
     of_characters = None
-    for some in in_bulks(items):
-        for item in some:
+    for bulk in in_bulks(items):
+        for item in bulk:
             item = deref(item)
             if item.__class__ is Var:
                 continue
@@ -176,10 +185,10 @@ def wrong_item(items: List[Term]) -> Optional[PrologError]:
 
 
 def parts_text(machine: Machine, term: Term, as_codes: bool) -> str:
-    """Return the text of an argument that has to be a list of codes or characters; strings are taken too.
+    """Return the text of a list of character codes or characters, or of a string.
 
     Raises:
-        PrologError: an instantiation error for a list that is not wholly bound; type errors.
+        PrologError: an instantiation error for a list with unbound parts, or a type error.
     """
     term = deref(term)
     if term.__class__ is String:
@@ -192,7 +201,7 @@ def parts_text(machine: Machine, term: Term, as_codes: bool) -> str:
 
 
 def _check_standard(items: List[Term], as_codes: bool) -> None:
-    """Raise the standard's error for an item that is none of a list of codes, or of characters."""
+    """Raise the error of ISO 13211-1 for the first item that is not a character code or character."""
     first = deref(items[0]) if items else None
     are_codes = as_codes if first is None else first.__class__ is int
     for item in map(deref, watched(items)):
@@ -204,38 +213,38 @@ def _check_standard(items: List[Term], as_codes: bool) -> None:
 
 
 def check_parts(term: Term) -> None:
-    """Raise the error for what cannot become a list of codes or characters."""
+    """Raise a type error for a term that cannot be unified with a list of character codes or characters."""
     term = deref(term)
     if term.__class__ in (Var, String):
         return
-    found, tail = list_parts(term)
+    parts, tail = list_parts(term)
     if tail is not NIL and tail.__class__ is not Var:
         raise type_error("list", term)
-    error = wrong_item(found)
+    error = wrong_item(parts)
     if error is not None:
         raise error
 
 
 def atomic_text(term: Term, kind: str = "atomic") -> str:
-    """Return the text of an argument that has to be a constant."""
+    """Return the text of an atomic argument."""
     term = deref(term)
-    found = constant_text(term)
-    if found is None:
+    text = constant_text(term)
+    if text is None:
         if term.__class__ is Var:
             raise instantiation_error()
         raise type_error(kind, term)
-    return found
+    return text
 
 
 def no_compound(term: Term, kind: str) -> None:
-    """Raise a type error for a result that is given and is not a constant."""
+    """Raise a type error for an output argument that is a compound term."""
     term = deref(term)
     if term.__class__ is tuple:
         raise type_error(kind, term)
 
 
 def codes(text: str) -> Term:
-    """Return a text as a list of codes."""
+    """Return a text as a list of character codes."""
     return make_list(each(ord, text))
 
 
@@ -245,15 +254,17 @@ def chars(text: str) -> Term:
 
 
 def parse_number(text: str, operators: Operators) -> Optional[Term]:
-    """Return the number that a text is, with white space before it and a sign allowed; None for no number."""
+    """Return the number that a text denotes, or None; leading white space and a sign are allowed."""
     stripped = text.lstrip()
     if len(stripped) > MAX_NUMBER_CHARACTERS:
         return None
+    # The reader would also accept terms, comments, trailing white space and an end: they are excluded before and
+    # after.
     body = stripped[1:] if stripped[:1] in ("-", "+") else stripped
     if not body or not (body[0].isdigit() or body[:3] in ("inf", "nan")) or body[-1].isspace():
         return None
     after = body[3:] if body.startswith("0'") else body
-    if "%" in after or "/*" in after:  # a comment is no part of a number
+    if "%" in after or "/*" in after:
         return None
     try:
         term = read_term(body, operators, positions=False).term
@@ -267,19 +278,19 @@ def parse_number(text: str, operators: Operators) -> Optional[Term]:
 
 
 def number_or_error(text: str, operators: Operators) -> Term:
-    """Return the number that a text is.
+    """Return the number that a text denotes.
 
     Raises:
-        PrologError: a syntax error where it is none.
+        PrologError: a syntax error if it does not denote a number.
     """
-    found = parse_number(text, operators)
-    if found is None:
+    number = parse_number(text, operators)
+    if number is None:
         raise syntax_error("illegal_number")
-    return found
+    return number
 
 
 def make_text(like: str, text: str) -> Term:
-    """Return a text as an atom, string, codes or chars."""
+    """Return a text as a term of the type ``like``: ``atom``, ``string``, ``codes`` or ``chars``."""
     if like == "atom":
         return atom(text)
     if like == "string":
@@ -288,7 +299,7 @@ def make_text(like: str, text: str) -> Term:
 
 
 def is_sink(sink: Term) -> "TypeGuard[CompoundTerm]":
-    """Tell whether a term asks for text: ``atom(A)``, ..., also ``codes(Cs,Tail)`` and ``chars(Cs,Tail)``."""
+    """Return whether a term is an output specification such as ``atom(A)`` or ``codes(Codes, Tail)``."""
     if sink.__class__ is not tuple:
         return False
     name = sink[0].name
@@ -301,25 +312,25 @@ def is_sink(sink: Term) -> "TypeGuard[CompoundTerm]":
 
 
 def fill_sink(machine: Machine, sink: CompoundTerm, text: str) -> bool:
-    """Unify the text of a sink."""
-    found = make_text(sink[0].name, text)
+    """Unify the argument of an output specification with a text."""
+    value = make_text(sink[0].name, text)
     if len(sink) == 3:
-        found = make_list(list_items(found) or [], sink[2])
-    return unify(sink[1], found, machine.trail)
+        value = make_list(list_items(value) or [], sink[2])
+    return unify(sink[1], value, machine.trail)
 
 
 _EQUAL = functor("=", 2)
 _SYNTAX = functor("syntax_error", 1)
-_POSITION = functor("string", 2)
+_STRING_POSITION = functor("string", 2)
 _QUOTES = {
     "double_quotes": ("codes", "chars", "atom", "string"),
     "back_quotes": ("codes", "chars", "string", "symbol_char"),
 }
-"""What the text in quotes may become."""
+"""Values of the flags for quoted text."""
 
 
 def read_flags(machine: Machine) -> ReadFlags:
-    """Return how quotes read, by the program's flags."""
+    """Return the reader flags of a machine's program."""
     flags = machine.logic.flags
     return ReadFlags(
         double_quotes=atom_of(flags["double_quotes"]).name,
@@ -329,7 +340,7 @@ def read_flags(machine: Machine) -> ReadFlags:
 
 
 def parse(machine: Machine, text: str) -> Term:
-    """Return the term that a text is.
+    """Return the term that a text denotes.
 
     Raises:
         PrologError: a syntax error.
@@ -338,7 +349,7 @@ def parse(machine: Machine, text: str) -> Term:
 
 
 def read(machine: Machine, text: str, flags: Optional[ReadFlags] = None) -> ReadTerm:
-    """Return the `ReadTerm` of a text; of one without a term, that of ``end_of_file``."""
+    """Return the `ReadTerm` of a text; an empty text denotes ``end_of_file``."""
     flags = read_flags(machine) if flags is None else flags
     try:
         if not text.strip():
@@ -347,18 +358,18 @@ def read(machine: Machine, text: str, flags: Optional[ReadFlags] = None) -> Read
     except SyntaxFault as fault:
         column = fault.place.column if fault.place is not None else 0
         raise PrologError(
-            (ERROR, (_SYNTAX, atom(fault.message)), (_POSITION, atom(text), column - 1))
+            (ERROR, (_SYNTAX, atom(fault.message)), (_STRING_POSITION, atom(text), column - 1))
         ) from fault
 
 
 def nothing(machine: Machine) -> ReadTerm:
-    """Return what is read at the end of a text."""
+    """Return the `ReadTerm` of the end of a text, ``end_of_file``."""
     return read(machine, "")
 
 
 @deterministic("term_string/2")
 def term_string(machine: Machine, term: Term, text: Term) -> bool:
-    """Relate a term with its text as a string."""
+    """Convert between a term and its text as a string."""
     given = deref(text)
     if given.__class__ is not Var:
         return unify(term, parse(machine, text_of(given)), machine.trail)
@@ -367,59 +378,59 @@ def term_string(machine: Machine, term: Term, text: Term) -> bool:
 
 @deterministic("term_string/3")
 def term_string_options(machine: Machine, term: Term, text: Term, options: Term) -> bool:
-    """Do what ``term_string/2`` does."""
+    """Convert between a term and its text, see ``term_string/2``; options are ignored."""
     return term_string(machine, term, text)
 
 
 @deterministic("atom_to_term/3")
 def atom_to_term(machine: Machine, text: Term, term: Term, bindings: Term) -> bool:
-    """Read a term and its variables' names from a text."""
+    """Read a term and the names of its variables from a text."""
     if deref(text).__class__ is Var:
         raise instantiation_error()
     whole = text_of(text)
     partial_items(bindings)
-    found = read(machine, whole)
-    names = make_list([(_EQUAL, atom(name), var) for name, var in found.names.items()])
-    return machine.unify_all((term, found.term), (bindings, names))
+    result = read(machine, whole)
+    names = make_list([(_EQUAL, atom(name), var) for name, var in result.names.items()])
+    return machine.unify_all((term, result.term), (bindings, names))
 
 
 @deterministic("read_term_from_atom/3")
 def read_term_from_atom(machine: Machine, text: Term, term: Term, options: Term) -> bool:
-    """Read a term from a text."""
+    """Read a term from a text, with the options of ``read_term/2``."""
     whole = text_of(text, numbers=False)
-    asked: List[CompoundTerm] = []
+    requested: List[CompoundTerm] = []
     for option in option_values(options):
         if option.__class__ is not tuple:
             raise type_error("option", option)
-        asked.append(option)
-    found = read(machine, whole, flags_of(machine, asked))
-    return unify(term, found.term, machine.trail) and unify_options(machine, found, asked)
+        requested.append(option)
+    result = read(machine, whole, flags_of(machine, requested))
+    return unify(term, result.term, machine.trail) and unify_options(machine, result, requested)
 
 
 def flags_of(machine: Machine, options: List[CompoundTerm]) -> ReadFlags:
-    """Return how quotes read: by the options, else by the program's flags."""
+    """Return the reader flags of the options, with those of the program as defaults."""
     flags = read_flags(machine)
     quotes = {"double_quotes": flags.double_quotes, "back_quotes": flags.back_quotes}
     for option in options:
         name = option[0].name
         if name in quotes:
-            how = atom_of(option[1])
-            if how.name not in _QUOTES[name]:
-                raise domain_error(name, how)
-            quotes[name] = how.name
+            value = atom_of(option[1])
+            if value.name not in _QUOTES[name]:
+                raise domain_error(name, value)
+            quotes[name] = value.name
     return flags._replace(double_quotes=quotes["double_quotes"], back_quotes=quotes["back_quotes"])
 
 
-def unify_options(machine: Machine, found: ReadTerm, options: List[CompoundTerm]) -> bool:
-    """Unify what the options of ``read_term`` ask for."""
+def unify_options(machine: Machine, result: ReadTerm, options: List[CompoundTerm]) -> bool:
+    """Unify the arguments of the output options of ``read_term/2``."""
     for option in options:
         name = option[0].name
         if name == "variables":
-            value = make_list(variables(found.term))
+            value = make_list(variables(result.term))
         elif name in ("variable_names", "bindings"):
-            value = make_list([(_EQUAL, atom(text), var) for text, var in found.names.items()])
+            value = make_list([(_EQUAL, atom(text), var) for text, var in result.names.items()])
         elif name == "singletons":
-            value = make_list([(_EQUAL, atom(text), found.names[text]) for text in found.singletons])
+            value = make_list([(_EQUAL, atom(text), result.names[text]) for text in result.singletons])
         else:
             continue
         if not unify(option[1], value, machine.trail):

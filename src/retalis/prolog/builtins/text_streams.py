@@ -1,9 +1,11 @@
-"""Streams: texts that a program reads, and files that it writes.
+"""Text streams of Prolog programs: input files, output files, captured output, and their properties.
 
-A file that is read is read whole, as far as files may be large; one that is written is opened for each line
-of it. So no file stays open, whatever becomes of the goal, and nothing that was written to the end of a line is lost.
+An input file is read as a whole when it is opened, up to the size limit of files. An output file is opened and closed
+for each write of complete lines. So no file descriptor stays open if a goal is interrupted, and no complete line is
+lost.
 
-What is known of streams: properties, positions, lines and columns.
+The current output is a stack: a goal that captures its output (``with_output_to/2``) or a stream that is set with
+``set_output/1`` replaces the output below it, which is stored with its column until the replacement ends.
 """
 
 from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple, Union
@@ -27,10 +29,10 @@ from .builtin_registry import Machine, MachineProgram, Solutions, StreamFiles, d
 from .text_arguments import long_text
 
 MAX_OPEN_STREAMS = 64
-"""ProgramStreams that may be open at once."""
+"""Limit for streams that are open at the same time."""
 
-_HELD = 4096
-"""Characters of a line that are held back at most."""
+_MAX_BUFFERED_CHARACTERS = 4096
+"""Limit for the characters of an incomplete line that an output stream buffers."""
 
 _STREAM = functor("$stream", 1)
 _SYNTAX, _AT = functor("syntax_error", 1), functor("stream", 4)
@@ -38,19 +40,20 @@ _USER = ("user_input", "user_output", "user_error")
 
 
 class InputStream:
-    """A text that is read.
+    """An input stream over a text.
 
     Args:
-        name: what errors call it.
-        text: what is known of it.
-        more: gives the next line, None at the end.
+        name: name for error messages.
+        text: the text, or its part that has been read so far.
+        more: returns the next line, or None at the end; None if ``text`` is complete.
 
     Attributes:
-        at: where it is in the text.
-        itself: the term that names it.
+        at: position in ``text``.
+        asked: name by which ``see/1`` or ``tell/1`` opened it.
+        itself: the stream term.
         kind: ``text`` or ``binary``.
-        eof_action: what reading on behind the end does: ``error``, ``eof_code`` or ``reset``.
-        ended: whether the end has been read.
+        eof_action: action for a read past the end: ``error``, ``eof_code`` or ``reset``.
+        ended: whether the end of the stream has been read.
     """
 
     mode = "read"
@@ -65,108 +68,117 @@ class InputStream:
         self.kind = "text"
         self.eof_action = "eof_code" if more is None else "reset"
         self.ended = False
-        self._before = (0, 0, 0)
-        self._counted = (0, 0, -1)  # up to where lines were counted, how many, and where the last one ended
+        self._start = (0, 0, 0)  # characters, line ends and column before `text`
+        self._counted = (
+            0,
+            0,
+            -1,
+        )  # position up to which lines have been counted, their number, the last line end
         self._program: Optional[Program] = None
         self._base = 0
         self._next = 0
 
     def _fill(self) -> bool:
-        """Take the next line; return whether there was one."""
+        """Append the next line to the text; return whether there was one."""
         line = None if self.more is None else self.more()
         if line is None:
             return False
-        self._before = self.position
+        # What has been read is dropped, so that memory does not grow with an interactive session.
+        self._start = self.position
         self.text, self.at, self._program = self.text[self.at :] + line, 0, None
         self._counted = (0, 0, -1)
         return True
 
     @property
     def position(self) -> Tuple[int, int, int]:
-        """How many characters have been read, how many line ends, and how many characters of the line."""
-        characters, lines, column = self._before
-        at, counted, newline = self._counted
-        if at > self.at:  # it was set back
-            at, counted, newline = 0, 0, -1
-        counted += self.text.count("\n", at, self.at)
-        newline = max(newline, self.text.rfind("\n", at, self.at))
+        """Numbers of characters read, of line ends read, and of characters read of the current line."""
+        characters, lines, column = self._start
+        start, counted, newline = self._counted
+        # Lines are counted incrementally from the last position; only repositioning backwards restarts the count.
+        if start > self.at:
+            start, counted, newline = 0, 0, -1
+        counted += self.text.count("\n", start, self.at)
+        newline = max(newline, self.text.rfind("\n", start, self.at))
         self._counted = (self.at, counted, newline)
         column = column + self.at if newline < 0 else self.at - newline - 1
         return characters + self.at, lines + counted, column
 
     def go_to(self, characters: int) -> bool:
-        """Go to where so many characters had been read; return whether that is still known."""
-        at = characters - self._before[0]
-        if not 0 <= at <= len(self.text):
+        """Set the position to a number of characters from the start; return whether its text is still stored."""
+        position = characters - self._start[0]
+        if not 0 <= position <= len(self.text):
             return False
-        self.at, self.ended = at, False
+        self.at, self.ended = position, False
         return True
 
     def read_end(self, take: bool) -> None:
-        """Note that its end is read.
+        """Record that the end of the stream is read; ``take`` is False for a peek.
 
         Raises:
-            PrologError: where it had been read before, and may not be read again.
+            PrologError: a permission error if it has been read before, and the ``eof_action`` is ``error``.
         """
         if self.ended and self.eof_action == "error":
             raise permission_error("input", "past_end_of_stream", self.itself)
         self.ended = self.ended or take
 
     def character(self, take: bool) -> str:
-        """Return the next character, "" at the end."""
+        """Return the next character, or "" at the end; it is consumed if ``take``."""
         if self.at >= len(self.text) and not self._fill():
             self.read_end(take)
             return ""
-        found = self.text[self.at]
+        char = self.text[self.at]
         self.at += take
-        return found
+        return char
 
     def ahead(self, length: int) -> str:
-        """Return so many of the next characters, fewer at the end; they stay."""
+        """Return the next ``length`` characters, or fewer at the end, without consuming them."""
         while len(self.text) - self.at < length and self._fill():
             pass
         return self.text[self.at : self.at + length]
 
     @property
     def line(self) -> int:
-        """The number of the line that it is in."""
+        """Number of the current line, from 1."""
         return self.position[1] + 1
 
     def term(self, operators: Operators, flags: ReadFlags) -> Union[ReadTerm, SyntaxFault, None]:
-        """Read a term; return what is wrong where it does not read, and None at the end."""
+        """Read a term; return a `SyntaxFault` for an invalid one, and None at the end."""
         while True:
-            found = self._term(operators, flags)
-            if self.more is None or not self._goes_on(found) or not self._fill():
+            result = self._term(operators, flags)
+            # A term may span lines, but a line is requested only if the term is incomplete: the user waits for an
+            # answer to the terms that are complete.
+            if self.more is None or not self._may_continue(result) or not self._fill():
                 self.at = self._next
-                if found is None:
+                if result is None:
                     self.read_end(True)
-                return found
+                return result
 
     def _term(self, operators: Operators, flags: ReadFlags) -> Union[ReadTerm, SyntaxFault, None]:
         program = self._program
+        # The reader is kept between terms. Without that, each read would tokenize the rest of the text again.
         if program is None or self._next != self.at:
             program = read_program(self.text[self.at :], operators, self.name, flags, self.line)
             self._program, self._base = program, self.at
         program.operators, program.flags = operators, flags
         before = program.end
-        found = next(iter(program), None)
+        result = next(iter(program), None)
         self._next = self._base + program.end if program.end > before else len(self.text)
-        if isinstance(found, SyntaxFault):
+        if isinstance(result, SyntaxFault):
             self._program = None
-        return found
+        return result
 
-    def _goes_on(self, found: Union[ReadTerm, SyntaxFault, None]) -> bool:
-        """Tell whether more lines have to be seen."""
+    def _may_continue(self, result: Union[ReadTerm, SyntaxFault, None]) -> bool:
+        """Return whether the term may be incomplete, so that another line has to be read."""
         rest = self.text[self.at :].rstrip()
-        if found is None or not rest:
+        if result is None or not rest:
             return True
-        if not isinstance(found, SyntaxFault) or rest.endswith("."):
+        if not isinstance(result, SyntaxFault) or rest.endswith("."):
             return False
-        return found.place is None or found.place.line >= self.line + rest.count("\n")
+        return result.place is None or result.place.line >= self.line + rest.count("\n")
 
 
 class OutputStream:
-    """A file that is written, a line at a time."""
+    """An output stream to a file, written in complete lines."""
 
     def __init__(self, name: str, mode: str, add: Callable[[str], None]):
         self.name = name
@@ -176,26 +188,26 @@ class OutputStream:
         self.mode = mode
         self.column = 0
         self._add = add
-        self._held: List[str] = []
+        self._buffer: List[str] = []
         self._size = 0
 
     def write(self, text: str) -> None:
         """Write a text."""
-        self._held.append(text)
+        self._buffer.append(text)
         self._size += len(text)
-        if self._size > _HELD or "\n" in text:
+        if self._size > _MAX_BUFFERED_CHARACTERS or "\n" in text:
             self.flush()
 
     def flush(self) -> None:
-        """Write what has been held back."""
-        text = "".join(self._held)
-        self._held, self._size = [], 0
+        """Write the buffered text to the file."""
+        text = "".join(self._buffer)
+        self._buffer, self._size = [], 0
         if text:
             self._add(text)
 
 
-class _Outer:
-    """The output that a stream or a capture replaces, and its column."""
+class _ReplacedOutput:
+    """An output that has been replaced by a stream or a capture, with its column."""
 
     __slots__ = ("output", "column")
 
@@ -204,28 +216,28 @@ class _Outer:
         self.column = column
 
     def write(self, text: str) -> None:
-        """Write to it while it is replaced."""
+        """Write a text to it while it is replaced."""
         self.column = column_after(self.column, text)
         self.output(text)
 
 
 def column_after(column: int, text: str) -> int:
-    """Return the column behind a text that is written at a column."""
+    """Return the column after a text that is written at a column."""
     newline = text.rfind("\n")
     return column + len(text) if newline < 0 else len(text) - newline - 1
 
 
 class OutputCapture:
-    """The output of a goal, kept as text.
+    """Captured output of a goal.
 
-    It replaces the current output of the program until `end` is called. Captures and streams that are set as current
-    output nest: a capture remembers which stream was set before, so that each `end` gives back what it has replaced.
+    It replaces the current output of the program until `end` is called. Captures nest with each other and with
+    streams that are set as current output: a capture stores the stream that was set before, and `end` restores it.
 
     Attributes:
-        texts: the parts of the text.
-        before: the output that it replaces.
-        replaced: the output that the stream had replaced which was the current output before; None without one.
-        itself: the term of its stream.
+        texts: parts of the captured text.
+        before: the output that it has replaced.
+        replaced: the output that was replaced by the stream set before; None if none was set.
+        itself: its stream term.
     """
 
     mode = "append"
@@ -234,7 +246,7 @@ class OutputCapture:
 
     def __init__(self, logic: MachineProgram):
         self.texts: List[str] = []
-        self.before = _Outer(logic.output, logic.column)
+        self.before = _ReplacedOutput(logic.output, logic.column)
         self._logic = logic
         self._streams = _streams(logic)
         self.itself: Term = self._streams.new_term()
@@ -243,20 +255,20 @@ class OutputCapture:
         logic.output, logic.column = self, 0
 
     def __call__(self, text: str) -> None:
-        """Keep a text."""
+        """Append a text."""
         self._size += len(text)
         long_text(self._size)
         self.texts.append(text)
 
     def end(self) -> None:
-        """Give the output back that was replaced."""
+        """Restore the output that was replaced."""
         logic = self._logic
         logic.output, logic.column = self.before.output, self.before.column
         self._streams.replace_current(self._stream, self.replaced)
 
 
 def end_captures(logic: MachineProgram) -> None:
-    """End all captures, and write to no stream any more: no goal runs."""
+    """End all captures and reset the current output to the user's, when no goal runs."""
     while True:
         _streams(logic).set_output("user_output")
         if not isinstance(logic.output, OutputCapture):
@@ -268,7 +280,7 @@ OpenStream = Union[InputStream, OutputStream, OutputCapture]
 
 
 class ProgramStreams:
-    """The streams of a program."""
+    """Open streams of a program, and its current input and output."""
 
     def __init__(self, logic: MachineProgram):
         self._logic = logic
@@ -277,7 +289,7 @@ class ProgramStreams:
         self.user = InputStream("user_input", more=self._ask)
         self.input = self.user
         self.output: Optional[OutputStream] = None
-        self._outer: Optional[_Outer] = None
+        self._replaced: Optional[_ReplacedOutput] = None
         self._number = 0
 
     def _ask(self) -> Optional[str]:
@@ -290,14 +302,14 @@ class ProgramStreams:
         """Open a file; return the stream's term.
 
         Args:
-            name: that of the file.
+            name: name of the file.
             mode: ``read``, ``write`` or ``append``.
-            alias: a name for the stream.
+            alias: alias of the stream.
             kind: ``text`` or ``binary``.
-            encoding: how its characters are bytes; latin-1 for binary files.
+            encoding: Python name of the encoding; latin-1 for binary files.
 
         Raises:
-            PrologError: where that is not allowed, or not there; and for too many.
+            PrologError: a permission, existence or resource error.
         """
         files = self._logic.files
         if alias is not None and (alias in self.aliases or alias in _USER):
@@ -318,19 +330,19 @@ class ProgramStreams:
         return stream.itself
 
     def new_term(self) -> Term:
-        """Return the term of one more stream."""
+        """Return a new stream term."""
         self._number += 1
         return (_STREAM, self._number)
 
     def term_of(self, stream: OpenStream) -> Term:
-        """Return the term of a stream."""
+        """Return the stream term of a stream."""
         return stream.itself
 
     def find(self, term: Term) -> Union[OpenStream, str]:
-        """Return the stream that a term or alias names; the name itself for the streams that are always there.
+        """Return the stream of a stream term or alias; for a standard stream, return its name.
 
         Raises:
-            PrologError: where there is none.
+            PrologError: an instantiation, domain or existence error.
         """
         term = deref(term)
         number: Optional[int] = None
@@ -344,144 +356,145 @@ class ProgramStreams:
             for capture in self._captures():
                 if capture.itself == term:
                     return capture
-            at = deref(term[1])
-            number = at if isinstance(at, int) else None
+            value = deref(term[1])
+            number = value if isinstance(value, int) else None
         else:
             raise domain_error("stream_or_alias", term)
-        found = None if number is None else self.opened.get(number)
-        if found is None:
+        stream = None if number is None else self.opened.get(number)
+        if stream is None:
             raise existence_error("stream", term)
-        return found
+        return stream
 
     def find_open(self, term: Term) -> OpenStream:
-        """Return a stream that has been opened, by its term."""
-        found = self.find(term)
-        assert not isinstance(found, str)
-        return found
+        """Return an opened stream by its stream term."""
+        opened = self.find(term)
+        assert not isinstance(opened, str)
+        return opened
 
     def to_read(self, term: Optional[Term]) -> InputStream:
-        """Return a stream that is read; the current one for None.
+        """Return an input stream; the current one for None.
 
         Raises:
-            PrologError: where it is none.
+            PrologError: a permission error for an output stream, or an error of `find`.
         """
         if term is None:
             return self.input
-        found = self.find(term)
-        if found in ("user_input", "user"):
+        opened = self.find(term)
+        if opened in ("user_input", "user"):
             return self.user
-        if not isinstance(found, InputStream):
+        if not isinstance(opened, InputStream):
             raise permission_error("input", "stream", deref(term))
-        return found
+        return opened
 
     def to_write(self, term: Term) -> Union[OutputStream, OutputCapture, str]:
-        """Return a stream that is written, by its name where it is always there.
+        """Return an output stream; for a standard stream, return its name.
 
         Raises:
-            PrologError: where it is none.
+            PrologError: a permission error for an input stream, or an error of `find`.
         """
-        found = self.find(term)
-        if found == "user_input" or isinstance(found, InputStream):
+        opened = self.find(term)
+        if opened == "user_input" or isinstance(opened, InputStream):
             raise permission_error("output", "stream", deref(term))
-        return found
+        return opened
 
     def write(self, term: Term, text: str) -> None:
         """Write a text to a stream."""
-        found, logic = self.to_write(term), self._logic
-        if found == "user_error":
+        target, logic = self.to_write(term), self._logic
+        if target == "user_error":
             logic.error_output(text)
-        elif found == "current_output" or found is self.output or found is logic.output:
+        elif target == "current_output" or target is self.output or target is logic.output:
             logic.write(text)
-        elif isinstance(found, OutputStream):
-            found.column = column_after(found.column, text)
-            found.write(text)
+        elif isinstance(target, OutputStream):
+            target.column = column_after(target.column, text)
+            target.write(text)
         else:
-            outer = self._outer_of(found)
-            if outer is None:
+            replaced = self._replaced_state(target)
+            if replaced is None:
                 logic.write(text)
             else:
-                outer.write(text)
+                replaced.write(text)
 
     def column(self, stream: Union[OutputStream, OutputCapture, str]) -> int:
-        """Return how many characters of the last line of an output have been written."""
+        """Return the number of characters in the last line of an output."""
         logic = self._logic
         if stream == "current_output" or stream is self.output or stream is logic.output:
             return logic.column
         if isinstance(stream, OutputStream):
             return stream.column
-        outer = self._outer_of(stream)
-        return logic.column if outer is None else outer.column
+        replaced = self._replaced_state(stream)
+        return logic.column if replaced is None else replaced.column
 
-    def _outer_of(self, stream: Union[OutputCapture, str]) -> Optional[_Outer]:
-        """Return a capture, or with a name the output of the user, where something replaces it; None otherwise."""
-        outers = list(self._outers())
+    def _replaced_state(self, stream: Union[OutputCapture, str]) -> Optional[_ReplacedOutput]:
+        """Return the state of a capture, or of the user's output for a name, if it has been replaced; else None."""
+        outputs = list(self._replaced_outputs())
         if isinstance(stream, OutputCapture):
-            return next((outer for outer in outers if outer.output is stream), None)
-        return outers[-1] if outers else None
+            return next((output for output in outputs if output.output is stream), None)
+        return outputs[-1] if outputs else None
 
-    def _outers(self) -> Iterator[_Outer]:
-        """Yield the outputs that streams and captures replace, the innermost first; the last one is the user's."""
+    def _replaced_outputs(self) -> Iterator[_ReplacedOutput]:
+        """Yield the outputs that streams and captures have replaced, the innermost first and the user's last."""
         output = self._logic.output
-        if self._outer is not None:
-            yield self._outer
-            output = self._outer.output
+        if self._replaced is not None:
+            yield self._replaced
+            output = self._replaced.output
         while isinstance(output, OutputCapture):
-            outer = output.replaced or output.before
-            yield outer
-            output = outer.output
+            replaced = output.replaced or output.before
+            yield replaced
+            output = replaced.output
 
     def _captures(self) -> Iterator[OutputCapture]:
-        """Yield the captures under way, the innermost first."""
-        for output in (self._logic.output, *(outer.output for outer in self._outers())):
+        """Yield the active captures, the innermost first."""
+        for output in (self._logic.output, *(replaced.output for replaced in self._replaced_outputs())):
             if isinstance(output, OutputCapture):
                 yield output
 
     def current_output(self) -> Term:
-        """Return the term of the stream that is written."""
+        """Return the stream term of the current output."""
         capture = self._logic.output
         if isinstance(capture, OutputCapture):
             return capture.itself
         return atom("user_output") if self.output is None else self.output.itself
 
     def replace_current(
-        self, stream: Optional[OutputStream], outer: Optional[_Outer]
-    ) -> Tuple[Optional[OutputStream], Optional[_Outer]]:
-        """Set the stream that is the current output, and what that replaces; return both from before."""
-        before = self.output, self._outer
-        self.output, self._outer = stream, outer
+        self, stream: Optional[OutputStream], replaced: Optional[_ReplacedOutput]
+    ) -> Tuple[Optional[OutputStream], Optional[_ReplacedOutput]]:
+        """Set the current output stream and the output that it replaces; return the previous ones."""
+        before = self.output, self._replaced
+        self.output, self._replaced = stream, replaced
         return before
 
     def set_output(self, stream: Union[OutputStream, OutputCapture, str]) -> None:
-        """Have what the program writes go to a stream."""
+        """Set the current output."""
         logic = self._logic
         if stream is logic.output:
             return
-        if self.output is not None and self._outer is not None:
+        # A stream set before is left first: at most one stream is on the stack between two captures.
+        if self.output is not None and self._replaced is not None:
             self.output.column = logic.column
-            logic.output, logic.column = self._outer.output, self._outer.column
-            self.output = self._outer = None
+            logic.output, logic.column = self._replaced.output, self._replaced.column
+            self.output = self._replaced = None
         if isinstance(stream, OutputStream):
-            self._outer = _Outer(logic.output, logic.column)
+            self._replaced = _ReplacedOutput(logic.output, logic.column)
             self.output = stream
             logic.output, logic.column = stream.write, stream.column
 
     def close(self, stream: OpenStream) -> None:
-        """Close a stream; the current ones are those of before then."""
+        """Close a stream; if it was the current input or output, the user's becomes current."""
         if isinstance(stream, OutputCapture):
             return
         if stream is self.input:
             self.input = self.user
         if stream is self.output:
             self.set_output("user_output")
-        for number, one in list(self.opened.items()):
-            if one is stream:
+        for number, opened in list(self.opened.items()):
+            if opened is stream:
                 del self.opened[number]
-                self.aliases = {alias: at for alias, at in self.aliases.items() if at != number}
+                self.aliases = {alias: index for alias, index in self.aliases.items() if index != number}
         if isinstance(stream, OutputStream):
             stream.flush()
 
     def mend(self) -> None:
-        """Close all: the goal that had opened them has been interrupted."""
+        """Close all streams, after the goal that opened them has been interrupted."""
         self.set_output("user_output")
         self.input = self.user
         self.opened.clear()
@@ -489,7 +502,7 @@ class ProgramStreams:
 
 
 def _text_of(files: StreamFiles, name: Term, encoding: str) -> Tuple[str, str]:
-    """Return the path of a file and its text; where there is none, the error has the name as the program has it."""
+    """Return the path and the text of a file; an existence error contains the name as the program wrote it."""
     try:
         return files.to_read(name, encoding)
     except PrologError as error:
@@ -500,24 +513,24 @@ def _text_of(files: StreamFiles, name: Term, encoding: str) -> Tuple[str, str]:
 
 
 def is_stream_term(term: Term) -> bool:
-    """Tell whether a term is that of a stream, open or not."""
+    """Return whether a term is a stream term, of an open or a closed stream."""
     return isinstance(term, tuple) and term[0] is _STREAM
 
 
 def streams_of(machine: Machine) -> ProgramStreams:
-    """Return the streams of the program that a machine runs."""
+    """Return the streams of a machine's program."""
     return _streams(machine.logic)
 
 
 def _streams(logic: MachineProgram) -> ProgramStreams:
-    found: Optional[ProgramStreams] = logic.state.get("streams")
-    if found is None:
-        found = logic.state["streams"] = ProgramStreams(logic)
-    return found
+    streams: Optional[ProgramStreams] = logic.state.get("streams")
+    if streams is None:
+        streams = logic.state["streams"] = ProgramStreams(logic)
+    return streams
 
 
 def syntax_error_in(stream: InputStream, term: Term, fault: SyntaxFault) -> PrologError:
-    """Return the error for a term of a stream that does not read."""
+    """Return the Prolog error for a syntax error in a stream."""
     line, column = (0, 0) if fault.place is None else (fault.place.line, fault.place.column)
     return PrologError((ERROR, (_SYNTAX, atom(fault.message)), (_AT, term, line, column - 1, stream.at)))
 
@@ -533,7 +546,7 @@ _WITH_VALUE = (
 
 @deterministic("is_stream/1")
 def is_stream(machine: Machine, term: Term) -> bool:
-    """Succeed for a stream that is open."""
+    """Test for an open stream, by its term or alias."""
     try:
         streams_of(machine).find(term)
     except PrologError:
@@ -543,38 +556,40 @@ def is_stream(machine: Machine, term: Term) -> bool:
 
 @nondeterministic("stream_property/2")
 def stream_property(machine: Machine, stream: Term, wanted: Term) -> Solutions:
-    """Enumerate the streams that are open, and what is known of them."""
+    """Enumerate the properties of open streams."""
     streams, stream = streams_of(machine), deref(stream)
     _require_property(deref(wanted))
     if stream.__class__ is Var:
-        asked: List[Tuple[Term, Union[OpenStream, str]]] = [(atom(name), name) for name in _STANDARD]
-        asked += [(one.itself, one) for one in list(streams.opened.values())]
+        candidates: List[Tuple[Term, Union[OpenStream, str]]] = [(atom(name), name) for name in _STANDARD]
+        candidates += [
+            (stream_or_name.itself, stream_or_name) for stream_or_name in list(streams.opened.values())
+        ]
     elif is_stream_term(stream):
-        asked = [(stream, streams.find(stream))]
+        candidates = [(stream, streams.find(stream))]
     else:
-        asked = [(stream, _standard(streams, stream))]
-    for term, one in asked:
-        for found in _properties(streams, one):
-            if machine.unify_all((stream, term), (wanted, found)):
+        candidates = [(stream, _standard(streams, stream))]
+    for term, stream_or_name in candidates:
+        for value in _properties(streams, stream_or_name):
+            if machine.unify_all((stream, term), (wanted, value)):
                 yield None
 
 
 def _standard(streams: ProgramStreams, stream: Term) -> str:
-    """Return the name of a stream that is always there: no other alias is a stream's term."""
+    """Return the name of a standard stream; other aliases are not accepted as stream terms here."""
     try:
-        found = streams.find(stream)
+        name = streams.find(stream)
     except PrologError:
         raise domain_error("stream", stream) from None
-    if not isinstance(found, str):
+    if not isinstance(name, str):
         raise domain_error("stream", stream)
-    return found
+    return name
 
 
 def _require_property(wanted: Term) -> None:
-    """Accept a property, or a variable.
+    """Check that a term is a stream property or a variable.
 
     Raises:
-        PrologError: a domain error for what is none.
+        PrologError: a domain error for any other term.
     """
     if wanted.__class__ is Var:
         return
@@ -628,38 +643,38 @@ def _position(stream: InputStream) -> CompoundTerm:
 
 @deterministic("set_stream_position/2")
 def set_stream_position(machine: Machine, stream: Term, position: Term) -> bool:
-    """Go on reading where a stream was when that was its position."""
+    """Set the position of an input stream to one obtained from its property ``position``."""
     position = deref(position)
     if position.__class__ is Var or deref(stream).__class__ is Var:
         raise instantiation_error()
-    found = streams_of(machine).find(stream)
+    opened = streams_of(machine).find(stream)
     characters = deref(position[1]) if isinstance(position, tuple) and position[0] is _POSITION else None
     if not isinstance(characters, int):
         raise domain_error("stream_position", position)
-    if not isinstance(found, InputStream) or not found.go_to(characters):
+    if not isinstance(opened, InputStream) or not opened.go_to(characters):
         raise permission_error("reposition", "stream", deref(stream))
     return True
 
 
 @deterministic("line_count/2")
 def line_count(machine: Machine, stream: Term, line: Term) -> bool:
-    """Give the number of the line that is read next."""
+    """Unify with the number of the current line of an input stream."""
     return unify(line, streams_of(machine).to_read(stream).line, machine.trail)
 
 
 @deterministic("line_position/2")
 def line_position(machine: Machine, stream: Term, column: Term) -> bool:
-    """Give how many characters of the line have been read or written."""
+    """Unify with the number of characters read or written of the current line."""
     streams = streams_of(machine)
-    found = streams.find(stream)
-    if found == "user_input" or isinstance(found, InputStream):
-        at = streams.to_read(stream).position[2]
+    opened = streams.find(stream)
+    if opened == "user_input" or isinstance(opened, InputStream):
+        position = streams.to_read(stream).position[2]
     else:
-        at = streams.column(found)
-    return unify(column, at, machine.trail)
+        position = streams.column(opened)
+    return unify(column, position, machine.trail)
 
 
 @deterministic("character_count/2")
 def character_count(machine: Machine, stream: Term, count: Term) -> bool:
-    """Give how many characters have been read."""
+    """Unify with the number of characters read."""
     return unify(count, streams_of(machine).to_read(stream).position[0], machine.trail)

@@ -1,11 +1,12 @@
-"""Time stamps in programs: ``datime/7``, ``datime/6``, numbers of seconds, and ROS times ``[Sec,NSec]``.
+"""Predicates on timestamps and dates, and statistics.
 
-Comparisons are by the instant that a stamp names, whatever its form.
+Timestamps of events have four forms: ``datime/7`` (with nanoseconds), ``datime/6``, a number of seconds since the
+epoch, and a ROS time ``[Sec,NSec]``. They are compared by the instant that they denote, an integer of nanoseconds
+since the epoch, so forms may be mixed.
 
-Calendar time as SWI-Prolog has it (everything is UTC), and statistics.
-
-A stamp is a float of seconds since the epoch; a date is ``date(Y,M,D,H,Mn,S,Offset,TimeZone,DST)`` or
-``date(Y,M,D)``. ``get_time/1`` asks the program's clock: ROS time, or the time of a bag.
+The predicates of SWI-Prolog use a float of seconds since the epoch (here: *stamp*) and dates
+``date(Y,M,D,H,Mn,S,Offset,TimeZone,DST)`` or ``date(Y,M,D)``. The time zone is always UTC. The present time is that
+of the program's clock: ROS time, or the time of a bag during playback.
 """
 
 import re
@@ -29,15 +30,16 @@ from .text_arguments import fill_sink, is_sink, text_of
 
 
 def instant_of(term: Term) -> int:
-    """Return the instant that an argument names.
+    """Return the instant of a timestamp, in nanoseconds since the epoch.
 
     Raises:
-        PrologError: an instantiation or type error where it names none.
+        PrologError: an instantiation or type error for a term that is not a timestamp.
     """
     while term.__class__ is Var and term.ref is not None:
         term = term.ref
+    # Most timestamps come from a memory or a conversion, and hold the instant until the term is needed.
     if term.__class__ is Lazy and term.make is timestamps.to_term and term.made is None:
-        return term.source  # type: ignore[no-any-return]  # most come from a look-up or a conversion
+        return term.source  # type: ignore[no-any-return]
     try:
         return timestamps.from_any(term)
     except UsageError:
@@ -45,7 +47,7 @@ def instant_of(term: Term) -> int:
 
 
 def _arity(term: Term) -> int:
-    """Return 7 or 6 for a datime, 2 for a ROS time, 0 for a number."""
+    """Return the form of a timestamp: 7 or 6 for a datime, 2 for a ROS time, 0 for a number."""
     term = deref(term) if term.__class__ is not Lazy else term
     if term.__class__ is Lazy:
         return term.functor.arity
@@ -54,7 +56,7 @@ def _arity(term: Term) -> int:
 
 @function("convert_to_datime/2")
 def convert_to_datime(time: Term) -> Term:
-    """Give the stamp of a ROS time ``[Sec,NSec]``."""
+    """Return the timestamp of a ROS time ``[Sec,NSec]``."""
     time = deref(time)
     if time.__class__ is tuple and time[0] is CONS:
         rest = deref(time[2])
@@ -67,44 +69,46 @@ def convert_to_datime(time: Term) -> Term:
 
 
 @function("datime_interpolate/4")
-def datime_interpolate(first: Term, second: Term, at: Term) -> Term:
-    """Give the weight of the first of two stamps at an instant: 1 at the first, 0 at the second."""
-    return weight_of_first(instant_of(first), instant_of(second), instant_of(at))
+def datime_interpolate(first: Term, second: Term, time: Term) -> Term:
+    """Return the weight of the first of two timestamps at a time between them: 1 at the first, 0 at the second."""
+    return weight_of_first(instant_of(first), instant_of(second), instant_of(time))
 
 
 def weight_of_first(start: int, end: int, middle: int) -> Number:
-    """Return the weight of the first of two instants."""
+    """Return the weight of the instant ``start`` at the instant ``middle``, for a linear interpolation."""
     return 1 if start == end else (end - middle) / (end - start)
 
 
 @deterministic("less_datime/2")
 def less_datime(machine: Machine, left: Term, right: Term) -> bool:
-    """Compare."""
+    """Test that a timestamp is earlier than another."""
     return instant_of(left) < instant_of(right)
 
 
 @deterministic("less_equal_datime/2")
 def less_equal_datime(machine: Machine, left: Term, right: Term) -> bool:
-    """Compare."""
+    """Test that a timestamp is not later than another."""
     return instant_of(left) <= instant_of(right)
 
 
 @deterministic("equal_datime/2", "equal_datime_retalis/2")
 def equal_datime(machine: Machine, left: Term, right: Term) -> bool:
-    """Compare."""
+    """Test that two timestamps denote the same instant."""
     return instant_of(left) == instant_of(right)
 
 
 @deterministic("between_datime/3")
-def between_datime(machine: Machine, at: Term, low: Term, high: Term) -> bool:
-    """Test for a stamp between two others: strictly for datimes, limits included for numbers."""
-    instant, first, last = instant_of(at), instant_of(low), instant_of(high)
-    if _arity(at) or _arity(low) or _arity(high):
+def between_datime(machine: Machine, middle: Term, low: Term, high: Term) -> bool:
+    """Test that a timestamp is between two others: exclusively for datimes, inclusively for numbers."""
+    instant, first, last = instant_of(middle), instant_of(low), instant_of(high)
+    if _arity(middle) or _arity(low) or _arity(high):
         return first < instant < last
     return first <= instant <= last
 
 
-def _one_of(earlier: bool) -> Callable[[Machine, Term, Term, Term], bool]:
+def _select_timestamp(earlier: bool) -> Callable[[Machine, Term, Term, Term], bool]:
+    """Return a predicate that selects the earlier, or the later, of two timestamps."""
+
     def run(machine: Machine, left: Term, right: Term, result: Term) -> bool:
         left, right = deref(left), deref(right)
         if isinstance(left, (int, float)) and isinstance(right, (int, float)):
@@ -116,20 +120,24 @@ def _one_of(earlier: bool) -> Callable[[Machine, Term, Term, Term], bool]:
     return run
 
 
-deterministic("min/3", locked=False)(_one_of(True))
-deterministic("max/3", locked=False)(_one_of(False))
+deterministic("min/3", locked=False)(_select_timestamp(True))
+deterministic("max/3", locked=False)(_select_timestamp(False))
 
 
 @deterministic("is_datime/1")
 def is_datime(machine: Machine, term: Term) -> bool:
-    """Test for a datime."""
+    """Test for a valid datime."""
     term = deref(term)
     return term.__class__ is tuple and term[0] in (DATIME6, DATIME7) and timestamps.is_instant(term)
 
 
 @deterministic("datime_minus_datime/3")
 def datime_minus_datime(machine: Machine, later: Term, earlier: Term, seconds: Term) -> bool:
-    """Give the seconds between two stamps: for two numbers or two whole ``datime/6`` as these are, else a float."""
+    """Unify with the seconds between two timestamps.
+
+    The difference of two numbers is a number of their type; that of two ``datime/6`` is an integer if it has no
+    fraction; otherwise it is a float.
+    """
     later, earlier = deref(later), deref(earlier)
     distance = int(instant_of(later)) - int(instant_of(earlier))
     if isinstance(later, (int, float)) and isinstance(earlier, (int, float)):
@@ -139,26 +147,26 @@ def datime_minus_datime(machine: Machine, later: Term, earlier: Term, seconds: T
     return unify(seconds, whole if is_integer else distance / SECOND, machine.trail)
 
 
-def _moved(stamp: Term, seconds: Term, sign: int) -> Term:
-    """Return a stamp some seconds later, in its own form."""
-    found: Any = deref(stamp)
+def _add_seconds(stamp: Term, seconds: Term, sign: int) -> Term:
+    """Return a timestamp moved by seconds, in the same form."""
+    timestamp: Any = deref(stamp)
     seconds = deref(seconds)
-    instant = instant_of(found)
+    instant = instant_of(timestamp)
     if not isinstance(seconds, (int, float)):
         raise instantiation_error() if seconds.__class__ is Var else type_error("number", seconds)
-    if isinstance(found, (int, float)):
-        return checked(found + sign * seconds)
+    if isinstance(timestamp, (int, float)):
+        return checked(timestamp + sign * seconds)
     try:
         moved = int(instant) + sign * timestamps.from_seconds(seconds)
         fields = timestamps.fields(moved)
     except UsageError:
         raise evaluation_error("undefined") from None
-    arity = _arity(found)
+    arity = _arity(timestamp)
     if arity == 2:
         return make_list(timestamps.to_parts(moved))
     if arity == 6:
-        return _as_datime6(fields, deref(found[6]).__class__ is float or seconds.__class__ is float)
-    return timestamps.datime(moved) if deref(found[6]).__class__ is int else timestamps.to_term(moved)
+        return _as_datime6(fields, deref(timestamp[6]).__class__ is float or seconds.__class__ is float)
+    return timestamps.datime(moved) if deref(timestamp[6]).__class__ is int else timestamps.to_term(moved)
 
 
 def _as_datime6(fields: Tuple[int, ...], is_float: bool) -> Term:
@@ -169,31 +177,31 @@ def _as_datime6(fields: Tuple[int, ...], is_float: bool) -> Term:
 
 @deterministic("datime_plus_sec/3")
 def datime_plus_sec(machine: Machine, stamp: Term, seconds: Term, result: Term) -> bool:
-    """Add seconds to a stamp of any form, and give one of the same form."""
-    return unify(result, _moved(stamp, seconds, 1), machine.trail)
+    """Add seconds to a timestamp; the result has the same form."""
+    return unify(result, _add_seconds(stamp, seconds, 1), machine.trail)
 
 
 @deterministic("addSec_Datime/3")
 def add_sec_datime(machine: Machine, seconds: Term, stamp: Term, result: Term) -> bool:
-    """Do what ``datime_plus_sec/3`` does."""
+    """Add seconds to a timestamp, see ``datime_plus_sec/3``."""
     return datime_plus_sec(machine, stamp, seconds, result)
 
 
 @deterministic("datime_minus_sec/3")
 def datime_minus_sec(machine: Machine, stamp: Term, seconds: Term, result: Term) -> bool:
-    """Take seconds from a stamp of any form, and give one of the same form."""
-    return unify(result, _moved(stamp, seconds, -1), machine.trail)
+    """Subtract seconds from a timestamp; the result has the same form."""
+    return unify(result, _add_seconds(stamp, seconds, -1), machine.trail)
 
 
 @deterministic("current_datime/1")
 def current_datime(machine: Machine, result: Term) -> bool:
-    """Give the present as ``datime/6``."""
+    """Unify with the present time as ``datime/6``."""
     return unify(result, timestamps.datime6(machine.logic.now()), machine.trail)
 
 
 @deterministic("month_days/3")
 def month_days(machine: Machine, month: Term, year: Term, days: Term) -> bool:
-    """Give the number of days of a month; year and month may stand in either order."""
+    """Unify with the number of days of a month; year and month may be given in either order."""
     first, second = integer(month), integer(year)
     if first > 12:
         first, second = second, first
@@ -204,7 +212,7 @@ def month_days(machine: Machine, month: Term, year: Term, days: Term) -> bool:
 
 @function("absoluteTime/2")
 def absolute_time(stamp: Term) -> Term:
-    """Give the seconds since midnight."""
+    """Return the seconds since midnight (UTC) of a timestamp."""
     *_, hour, minute, second, rest = timestamps.fields(instant_of(stamp))
     value = (hour * 60 + minute) * 60 + second
     return value + rest / SECOND if rest else value
@@ -215,24 +223,25 @@ _UTC, _NONE = atom("UTC"), atom("-")
 _EPOCH = datetime(1970, 1, 1)
 
 
-def _of_stamp(stamp: float) -> Tuple[datetime, float]:
-    """Return date and time of a stamp, and the second with its fraction."""
+def _fields_of_stamp(stamp: float) -> Tuple[datetime, float]:
+    """Return the date and time of a stamp, and its second with the fraction."""
     try:
         whole = int(stamp // 1)
-        found = _EPOCH + timedelta(seconds=whole)
-    except (OverflowError, ValueError):  # what is infinite is not a number of seconds
+        moment = _EPOCH + timedelta(seconds=whole)
+    except (OverflowError, ValueError):  # also an infinite stamp
         raise domain_error("time_stamp", stamp) from None
-    return found, found.second + (stamp - whole)
+    return moment, moment.second + (stamp - whole)
 
 
-def _of_date(term: CompoundTerm) -> Tuple[datetime, float]:
-    """Return date and time (UTC) that a date term names."""
+def _fields_of_date(term: CompoundTerm) -> Tuple[datetime, float]:
+    """Return the date and time (UTC) of a date term, and its second with the fraction."""
     parts = [deref(part) for part in term[1:]]
     values: List[Number] = [0 if part.__class__ is Var else number(part) for part in parts[:6]]
     zone = parts[6] if len(parts) == 9 else 0
     offset = zone if zone.__class__ is int else 0
     given_year, given_month, day, hour, minute, second = (values + [0, 0, 0])[:6]
     year, month = integer(given_year), integer(given_month)
+    # As in SWI-Prolog, fields may exceed their ranges and are normalised: month 13 is January of the next year.
     year += (month - 1) // 12
     try:
         start = datetime(year, (month - 1) % 12 + 1, 1)
@@ -242,13 +251,13 @@ def _of_date(term: CompoundTerm) -> Tuple[datetime, float]:
     return moved, moved.second + second - second // 1
 
 
-def _moment(term: Term) -> Tuple[datetime, float]:
+def _time_of(term: Term) -> Tuple[datetime, float]:
     term = deref(term)
     if term.__class__ is tuple and term[0] in (_DATE9, _DATE3):
-        return _of_date(term)
+        return _fields_of_date(term)
     if term.__class__ not in (Var, int, float):
         raise type_error("time", term)
-    return _of_stamp(number(term))
+    return _fields_of_stamp(number(term))
 
 
 def _stamp(moment: datetime, second: float) -> float:
@@ -258,14 +267,14 @@ def _stamp(moment: datetime, second: float) -> float:
 
 @deterministic("get_time/1")
 def get_time(machine: Machine, stamp: Term) -> bool:
-    """Give the present."""
+    """Unify with the present time as a stamp."""
     return unify(stamp, machine.logic.now() / 1e9, machine.trail)
 
 
 @deterministic("stamp_date_time/3")
 def stamp_date_time(machine: Machine, stamp: Term, result: Term, zone: Term) -> bool:
-    """Give the date of a stamp; local time is UTC."""
-    moment, second = _of_stamp(number(stamp))
+    """Unify with the date term of a stamp; local time is UTC."""
+    moment, second = _fields_of_stamp(number(stamp))
     zone = deref(zone)
     offset = 0
     name, dst = _UTC, _NONE
@@ -292,13 +301,13 @@ def stamp_date_time(machine: Machine, stamp: Term, result: Term, zone: Term) -> 
 
 @deterministic("date_time_stamp/2")
 def date_time_stamp(machine: Machine, given: Term, stamp: Term) -> bool:
-    """Give the stamp of a date."""
+    """Unify with the stamp of a date term."""
     given = deref(given)
     if given.__class__ is Var:
         raise instantiation_error()
     if given.__class__ is not tuple or given[0] not in (_DATE9, _DATE3):
         raise type_error("time", given)
-    return unify(stamp, _stamp(*_of_date(given)), machine.trail)
+    return unify(stamp, _stamp(*_fields_of_date(given)), machine.trail)
 
 
 _FIELDS = ("year", "month", "day", "hour", "minute", "second", "utc_offset", "time_zone", "daylight_saving")
@@ -306,7 +315,7 @@ _FIELDS = ("year", "month", "day", "hour", "minute", "second", "utc_offset", "ti
 
 @nondeterministic("date_time_value/3")
 def date_time_value(machine: Machine, name: Term, given: Term, value: Term) -> Solutions:
-    """Enumerate the fields of a date."""
+    """Enumerate the fields of a date term."""
     given = deref(given)
     if given.__class__ is not tuple or given[0] is not _DATE9:
         return
@@ -319,7 +328,7 @@ def date_time_value(machine: Machine, name: Term, given: Term, value: Term) -> S
 
 @deterministic("day_of_the_week/2")
 def day_of_the_week(machine: Machine, given: Term, number: Term) -> bool:
-    """Give the day of the week of ``date(Y,M,D)``: Monday is 1."""
+    """Unify with the day of the week of ``date(Y,M,D)``; Monday is 1."""
     given = deref(given)
     if given.__class__ is Var:
         raise instantiation_error()
@@ -337,11 +346,11 @@ _ISO = re.compile(r"(\d{4})-(\d\d)-(\d\d)(?:[T ](\d\d):(\d\d)(?::(\d\d(?:\.\d+)?
 
 @deterministic("parse_time/2")
 def parse_time(machine: Machine, text: Term, stamp: Term) -> bool:
-    """Give the stamp of an ISO 8601 text; fails for others."""
-    found = _ISO.match(text_of(text))
-    if found is None:
+    """Unify with the stamp of an ISO 8601 text; fail for another text."""
+    match = _ISO.match(text_of(text))
+    if match is None:
         return False
-    year, month, day, hour, minute, second, zone = found.groups()
+    year, month, day, hour, minute, second, zone = match.groups()
     try:
         moment = datetime(int(year), int(month), int(day), int(hour or 0), int(minute or 0))
     except ValueError:
@@ -353,11 +362,12 @@ def parse_time(machine: Machine, text: Term, stamp: Term) -> bool:
 
 
 def _formatted(form: str, moment: datetime, second: float) -> str:
-    """Return the text of a C time format; ``%f`` is the fraction of the second, ``%3f`` its first digits."""
+    """Return a time formatted as by C's ``strftime``; ``%3f`` is the fraction of the second with three digits."""
     fraction = second - int(second)
 
     def fraction_text(match: "Match[str]") -> str:
         digits = int(match.group(1) or 6)
+        # Rounding up to 1 would need a carry into the seconds, so the largest fraction is used instead.
         return f"{fraction:.{digits}f}"[2:] if fraction < 1 - 0.5 * 10**-digits else "9" * digits
 
     text = re.sub(r"%(\d{0,2})f", fraction_text, form)
@@ -371,8 +381,8 @@ def _formatted(form: str, moment: datetime, second: float) -> str:
 
 @deterministic("format_time/3")
 def format_time(machine: Machine, sink: Term, form: Term, given: Term) -> bool:
-    """Write a stamp or date by a format, or unify it as ``format/3`` does."""
-    text = _formatted(text_of(form), *_moment(given))
+    """Write a formatted stamp or date to a stream, or unify it with an output specification such as ``atom(A)``."""
+    text = _formatted(text_of(form), *_time_of(given))
     sink = deref(sink)
     if is_sink(sink):
         return fill_sink(machine, sink, text)
@@ -396,17 +406,21 @@ _STATISTICS: Dict[str, Callable[[Machine], Term]] = {
     "process_cputime": lambda machine: time.process_time(),
     "inferences": lambda machine: machine.budget.inferences,
     "epoch": lambda machine: time.time() - (time.monotonic() - _START),
-    "real_time": lambda machine: _pair(machine, "real_time", int(time.time())),
-    "runtime": lambda machine: _pair(machine, "runtime", _milliseconds(time.process_time())),
-    "process_runtime": lambda machine: _pair(machine, "runtime", _milliseconds(time.process_time())),
-    "walltime": lambda machine: _pair(machine, "walltime", _milliseconds(time.monotonic() - _START)),
+    "real_time": lambda machine: _value_and_difference(machine, "real_time", int(time.time())),
+    "runtime": lambda machine: _value_and_difference(machine, "runtime", _milliseconds(time.process_time())),
+    "process_runtime": lambda machine: _value_and_difference(
+        machine, "runtime", _milliseconds(time.process_time())
+    ),
+    "walltime": lambda machine: _value_and_difference(
+        machine, "walltime", _milliseconds(time.monotonic() - _START)
+    ),
     "trail": lambda machine: len(machine.trail),
     "trailused": lambda machine: len(machine.trail),
 }
 
 
-def _pair(machine: Machine, name: str, value: int) -> Term:
-    """Return ``[Value,SinceTheLastCall]``."""
+def _value_and_difference(machine: Machine, name: str, value: int) -> Term:
+    """Return ``[Value, Difference]`` with the difference since the last call for the same key."""
     last = machine.logic.state.setdefault("statistics", {})
     since = value - last.get(name, 0)
     last[name] = value
@@ -415,7 +429,7 @@ def _pair(machine: Machine, name: str, value: int) -> Term:
 
 @deterministic("statistics/2")
 def statistics(machine: Machine, key: Term, value: Term) -> bool:
-    """Give a figure about the process and the machine."""
+    """Unify with a statistic of the process or the machine."""
     key = deref(key)
     if key.__class__ is Var:
         raise instantiation_error()

@@ -1,4 +1,4 @@
-"""must_be/2 and is_of_type/2."""
+"""Type checks ``must_be/2`` and ``is_of_type/2``, with the types and errors of SWI-Prolog's ``library(error)``."""
 
 from typing import Callable, Dict, Optional
 
@@ -25,7 +25,7 @@ _NUMBERS = (int, float)
 
 
 def is_acyclic(term: Term) -> bool:
-    """Tell whether a term does not contain itself."""
+    """Return whether a term is not cyclic."""
     try:
         resolve(term)
     except TermTooLarge:
@@ -52,9 +52,9 @@ _ENCODINGS = frozenset(
 )
 _STREAMS = frozenset(("user_input", "user_output", "user_error"))
 
-_SIMPLE: Dict[str, Callable[[Term], bool]] = {
+_TYPE_TESTS: Dict[str, Callable[[Term], bool]] = {
     "any": lambda term: True,
-    "dict": lambda term: False,  # there are none
+    "dict": lambda term: False,  # dicts are not supported
     "encoding": lambda term: term.__class__ is Atom and term.name in _ENCODINGS,
     "stream": lambda term: term.__class__ is Atom and term.name in _STREAMS,
     "acyclic": is_acyclic,
@@ -84,14 +84,14 @@ _SIMPLE: Dict[str, Callable[[Term], bool]] = {
     "code": lambda term: term.__class__ is int and 0 <= term <= 0x10FFFF,
     "pair": lambda term: term.__class__ is tuple and str(term[0]) == "-/2",
     "text": lambda term: term.__class__ in (Atom, String) or is_text_list(term),
-    "chars": lambda term: _each(term, lambda item: item.__class__ is Atom and len(item.name) == 1),
-    "codes": lambda term: _each(term, lambda item: item.__class__ is int and 0 <= item <= 0x10FFFF),
+    "chars": lambda term: _is_list_of(term, lambda item: item.__class__ is Atom and len(item.name) == 1),
+    "codes": lambda term: _is_list_of(term, lambda item: item.__class__ is int and 0 <= item <= 0x10FFFF),
 }
 
 
-def _each(term: Term, test: Callable[[Term], bool]) -> bool:
-    found = list_items(term)
-    return found is not None and all(test(deref(item)) for item in watched(found))
+def _is_list_of(term: Term, test: Callable[[Term], bool]) -> bool:
+    values = list_items(term)
+    return values is not None and all(test(deref(item)) for item in watched(values))
 
 
 def _is_partial_list(term: Term) -> bool:
@@ -99,25 +99,25 @@ def _is_partial_list(term: Term) -> bool:
     return tail.__class__ is Var or tail is NIL
 
 
-_OF_ITEMS = {"chars": atom("char"), "codes": atom("code")}
+_ITEM_TYPES = {"chars": atom("char"), "codes": atom("code")}
 _WHOLLY_BOUND = frozenset(("text", "string", "rational", "ground", "oneof"))
-"""Types whose error for a term with variables in it is an instantiation error."""
+"""Types for which a term that contains variables is an instantiation error."""
 
 
 def holds(kind: Term, term: Term) -> Optional[bool]:
-    """Tell whether a term is of a type; None where there is no such type.
+    """Return whether a term has a type, or None for an unknown type.
 
     Raises:
-        PrologError: where the arguments of the type are none.
+        PrologError: if an argument of the type is invalid.
     """
     name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else ""
     if kind.__class__ is tuple:
-        return _parametric(name, kind, term)
-    test = _SIMPLE.get(name)
+        return _has_parametric_type(name, kind, term)
+    test = _TYPE_TESTS.get(name)
     return None if test is None else test(term)
 
 
-def _parametric(name: str, kind: CompoundTerm, term: Term) -> Optional[bool]:
+def _has_parametric_type(name: str, kind: CompoundTerm, term: Term) -> Optional[bool]:
     if name == "oneof" and len(kind) == 2:
         return is_ground(term) and any(not compare(item, term) for item in watched(items(kind[1])))
     if name == "between" and len(kind) == 3:
@@ -126,27 +126,28 @@ def _parametric(name: str, kind: CompoundTerm, term: Term) -> Optional[bool]:
             return term.__class__ is int and low <= term <= integer(high)
         return term.__class__ in _NUMBERS and evaluate(low) <= term <= evaluate(high)
     if name in ("list", "list_of") and len(kind) == 2:
-        found = list_items(term)
-        return found is not None and all(holds(deref(kind[1]), deref(item)) for item in watched(found))
+        values = list_items(term)
+        return values is not None and all(holds(deref(kind[1]), deref(item)) for item in watched(values))
     return None
 
 
 def check(kind: Term, term: Term) -> Optional[PrologError]:
-    """Return the error for a term that is not of a type, or None."""
+    """Return the error for a term that does not have a type, or None if it does."""
     kind, term = deref(kind), deref(term)
     if kind.__class__ is Var:
         return instantiation_error()
     name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else ""
-    of_items = _OF_ITEMS.get(name) if kind.__class__ is Atom else None
-    if of_items is not None:
-        kind = (_LIST_OF, of_items)
+    # `chars` and `codes` are checked as lists of a type, so that the error names the wrong item.
+    item_type = _ITEM_TYPES.get(name) if kind.__class__ is Atom else None
+    if item_type is not None:
+        kind = (_LIST_OF, item_type)
     known = holds(kind, term)
     if known:
         return None
     if known is None:
         return existence_error("type", kind)
-    if name in ("list", "list_of") or of_items is not None:
-        return _no_list(kind, term)
+    if name in ("list", "list_of") or item_type is not None:
+        return _list_error(kind, term)
     if name == "var":
         return uninstantiation_error(term)
     if name in ("cyclic", "acyclic"):
@@ -156,31 +157,32 @@ def check(kind: Term, term: Term) -> Optional[PrologError]:
     return type_error_of(kind, term)
 
 
-def _no_list(kind: Term, term: Term) -> Optional[PrologError]:
-    found = list_items(term)
-    if found is None or kind.__class__ is not tuple:
+def _list_error(kind: Term, term: Term) -> Optional[PrologError]:
+    """Return the error for a term that is not a list, or for the first item of the wrong type."""
+    values = list_items(term)
+    if values is None or kind.__class__ is not tuple:
         return instantiation_error() if _is_partial_list(term) else type_error_of(kind, term)
-    errors = (check(kind[1], item) for item in watched(found))
+    errors = (check(kind[1], item) for item in watched(values))
     return next((error for error in errors if error is not None), None)
 
 
 def type_error_of(kind: Term, term: Term) -> PrologError:
-    """Return the type error for a type that is a term."""
+    """Return the type error for a type, which may be a compound term."""
     return error((_TYPE_ERROR, kind, term))
 
 
 @deterministic("must_be/2", locked=False)
 def must_be(machine: Machine, kind: Term, term: Term) -> bool:
-    """Raise the error for a term that is not of a type."""
-    found = check(kind, term)
-    if found is not None:
-        raise found
+    """Raise an error unless a term has a type."""
+    failure = check(kind, term)
+    if failure is not None:
+        raise failure
     return True
 
 
 @deterministic("is_of_type/2", locked=False)
 def is_of_type(machine: Machine, kind: Term, term: Term) -> bool:
-    """Test that a term is of a type; nothing is of an unknown one."""
+    """Test that a term has a type; fail for an unknown type."""
     kind = deref(kind)
     if kind.__class__ is Var:
         raise instantiation_error()

@@ -1,6 +1,6 @@
-"""Units of tests: which clauses of ``test/1`` and ``test/2`` stand between ``begin_tests`` and ``end_tests``.
+"""Registration of test units: the clauses of ``test/1`` and ``test/2`` between ``begin_tests`` and ``end_tests``.
 
-What runs them is in the library (library/plunit.pl).
+The test runner is in library/plunit.pl.
 """
 
 from typing import Dict, Iterator, NamedTuple, Tuple
@@ -19,12 +19,12 @@ _AT = functor(":", 2)
 
 
 class _TestUnit(NamedTuple):
-    """A unit of tests.
+    """A test unit.
 
     Attributes:
-        options: of the unit, as a list.
-        before: the clauses of tests that stood there when it began.
-        tests: its own, once it has ended.
+        options: list of the unit's options.
+        before: test clauses that existed when it began.
+        tests: test clauses of the unit; empty until it has ended.
     """
 
     options: Term
@@ -32,16 +32,16 @@ class _TestUnit(NamedTuple):
     tests: Tuple[Clause, ...]
 
 
-class _Units:
-    """The units of a program, by name in their order; one of them may be open."""
+class _TestUnits:
+    """The test units of a program by name, in the order of their ends; at most one is open."""
 
     def __init__(self) -> None:
         self.ended: Dict[str, _TestUnit] = {}
         self.open: Dict[str, _TestUnit] = {}
 
 
-def _units(machine: Machine) -> _Units:
-    units: _Units = machine.logic.state.setdefault("units of tests", _Units())
+def _units(machine: Machine) -> _TestUnits:
+    units: _TestUnits = machine.logic.state.setdefault("units of tests", _TestUnits())
     return units
 
 
@@ -54,50 +54,52 @@ def _clauses(machine: Machine) -> Iterator[Clause]:
 
 @deterministic("begin_tests/1")
 def begin_tests(machine: Machine, name: Term) -> bool:
-    """Begin a unit of tests."""
+    """Begin a test unit."""
     return begin_tests_with(machine, name, NIL)
 
 
 @deterministic("begin_tests/2")
 def begin_tests_with(machine: Machine, name: Term, options: Term) -> bool:
-    """Begin a unit of tests, with options that hold for all of it."""
+    """Begin a test unit with options that apply to all of its tests."""
     unit, units = atom_of(name), _units(machine)
     items(options)
     if units.open:
         raise permission_error("begin", "test_unit", unit)
     units.open[unit.name] = _TestUnit(copy(options), tuple(_clauses(machine)), ())
     machine.logic.database.modules.shared.update(_HEADS)
-    for key in _HEADS:  # a unit mixes the two
+    # A unit mixes clauses of both predicates, which must not cause warnings.
+    for key in _HEADS:
         machine.logic.database.writable(key, "modify").discontiguous = True
     return True
 
 
 @deterministic("end_tests/1")
 def end_tests(machine: Machine, name: Term) -> bool:
-    """End a unit of tests: its tests are those that have been read since it began."""
+    """End a test unit: its tests are those that have been loaded since it began."""
     unit, units = atom_of(name), _units(machine)
     opened = units.open.pop(unit.name, None)
     if opened is None:
         raise error((functor("context_error", 2), atom("end_tests"), unit))
     machine.logic.database.modules.shared.difference_update(_HEADS)
     before = set(map(id, opened.before))
-    found = [clause for clause in _clauses(machine) if id(clause) not in before]
-    found.sort(key=lambda clause: 0 if clause.place is None else clause.place.line)
+    tests = [clause for clause in _clauses(machine) if id(clause) not in before]
+    # Clauses of the two predicates are stored separately; tests run in the order of the file.
+    tests.sort(key=lambda clause: 0 if clause.place is None else clause.place.line)
     units.ended.pop(unit.name, None)
-    units.ended[unit.name] = _TestUnit(opened.options, (), tuple(found))
+    units.ended[unit.name] = _TestUnit(opened.options, (), tuple(tests))
     return True
 
 
 @nondeterministic("$unit/3")
 def unit_of(machine: Machine, name: Term, options: Term, tests: Term) -> Solutions:
-    """Enumerate the units: name, options, and tests as ``test(Place, Head, Body)``."""
+    """Enumerate the test units with their options, and their tests as ``test(Place, Head, Body)``."""
     for unit, entry in list(_units(machine).ended.items()):
-        shown = make_list([_shown(clause) for clause in entry.tests])
+        shown = make_list([_test_term(clause) for clause in entry.tests])
         if machine.unify_all((name, atom(unit)), (options, copy(entry.options)), (tests, shown)):
             yield None
 
 
-def _shown(clause: Clause) -> Values:
+def _test_term(clause: Clause) -> Values:
     place = clause.place
     where: Term = atom("-") if place is None else (_AT, atom(place.source), place.line)
     return copy((_TEST, where, clause.head, clause.body))
@@ -105,7 +107,7 @@ def _shown(clause: Clause) -> Values:
 
 @nondeterministic("current_test_unit/2")
 def current_test_unit(machine: Machine, name: Term, options: Term) -> Solutions:
-    """Enumerate the units and their options."""
+    """Enumerate the test units with their options."""
     for unit, entry in list(_units(machine).ended.items()):
         if machine.unify_all((name, atom(unit)), (options, copy(entry.options))):
             yield None
@@ -113,5 +115,5 @@ def current_test_unit(machine: Machine, name: Term, options: Term) -> Solutions:
 
 @deterministic("$no_unit/1")
 def no_unit(machine: Machine, name: Term) -> bool:
-    """Say that there is no such unit."""
+    """Raise the existence error for a test unit."""
     raise existence_error("unit_test", name)

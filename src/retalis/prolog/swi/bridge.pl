@@ -1,11 +1,11 @@
-% What retalis loads into SWI-Prolog at its start: loading of files, limits, and the way back.
+% Predicates that retalis loads into SWI-Prolog at its start: loading of files, limits, and callbacks.
 
 :- module(retalis_bridge,
           [ retalis/1, prev/5, prev_binary/5, next/6, next_binary/6, next_inf/5, access_mem/3 ]).
 
 :- meta_predicate limited(0, +).
 
-% Goals of the engine, its program and its memories: all solutions are looked for at once.
+% Goals of the program and its memories. A callback computes all solutions at once.
 
 retalis(Goal) :-
     '$retalis_ask'(asked(Goal, Solutions)),
@@ -52,7 +52,7 @@ limit_stacks(Bytes) :-
             set_prolog_flag(stack_limit, Least)
           ), error(_, _), true).
 
-% An engine of a goal's own puts its stack for signals in place of the thread's, see signalstack.py.
+% An engine that a goal creates replaces the signal stack of the thread, see libswipl.py.
 
 make_engine(Make) :-
     with_mutex(retalis_signal_stack,
@@ -61,7 +61,7 @@ make_engine(Make) :-
 :- catch(( use_module(library(prolog_wrap), []),
            prolog_wrap:wrap_predicate(system:'$engine_create'(_, _, _), retalis, Make,
                                       retalis_bridge:make_engine(Make)) ),
-         error(_, _), true).  % those without that library have no such stacks
+         error(_, _), true).  % versions without that library do not replace the stack
 
 % Loading
 
@@ -81,7 +81,7 @@ load(Spec, Module, Exports, Problems) :-
         Exports = []
     ).
 
-% Loaded over what is there, a tabled predicate would not be tabled any more (9.0.4).
+% In version 9.0.4 a tabled predicate is not tabled any more after its file has been loaded again, so it is unloaded first.
 
 give_up(Spec) :-
     absolute_file_name(Spec, File, [file_type(prolog), access(read), file_errors(fail)]),
@@ -117,7 +117,7 @@ note(Kind, Lines) :-
     string_concat(Where, Short, Text),
     assertz(problem(Kind, Text)).
 
-% A program may not end the process that it is a part of.
+% A program may not end the process that it runs in.
 
 :- at_halt(cancel_halt('retalis goes on: halt/0 ends no engine')).
 

@@ -1,11 +1,15 @@
-"""Keeps the stack on which a thread's signals are handled: SWI-Prolog puts one of each new engine's in its place.
+"""Interface to SWI-Prolog's C library: its functions, signal stacks of threads, and interruption of goals.
 
-That one is given back with the engine, and Python goes on to handle the thread's signals there: in memory that is
-somebody else's by then. So the thread has its own back as soon as the engine is made.
+*Library.* `SwiLibrary` declares the functions of ``libswipl`` for ctypes, and detects constants that differ between
+versions (7.6.4 and later are supported). See the manual, "Foreign Language Interface".
 
-The functions of SWI-Prolog's library that are called here, and the start of it in this process.
+*Signal stacks.* SWI-Prolog replaces the alternate signal stack (``sigaltstack(2)``) of a thread when an engine is
+created, and frees the new stack together with the engine. Python would go on to handle the thread's signals in the
+freed memory. Therefore the previous stack is restored as soon as the engine exists.
 
-Ends goals in SWI-Prolog that are past a limit: they cannot look at the limits by themselves.
+*Limits.* A goal in SWI-Prolog does not check the limits of the program. A thread (`Interrupter`) checks the goals
+that run, and interrupts those that exceed a limit: it raises an exception in their engine, and sends a signal to
+their thread, which ends a blocking system call.
 """
 
 import ctypes
@@ -28,28 +32,31 @@ from functools import lru_cache, partial
 from glob import glob
 from threading import Event, Lock, Thread, get_ident
 from time import monotonic, sleep
-from typing import Any, Callable, Dict, Iterator, List, Optional, Protocol, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Dict, Iterator, List, Optional, Tuple
 from weakref import ref
 
 from ...foundation.errors import UsageError
 from ...foundation.python_interpreter import PYPY
 from ..machine.resource_limits import Left, resident_bytes
 
+if TYPE_CHECKING:
+    from .swi_session import SwiEngine
+
 _C = CDLL(None)
 
-Doing = CFUNCTYPE(c_int)
-"""The kind of a predicate without arguments that is a function of ours."""
+NullaryCallback = CFUNCTYPE(c_int)
+"""Type of a C callback that implements a predicate without arguments."""
 
 
 class _SignalStack(Structure):
-    """Linux's ``stack_t``; one that says "none" can be set like others."""
+    """``stack_t`` of Linux. A value that was read can be set again, also one with the flag ``SS_DISABLE``."""
 
     _fields_ = [("place", c_void_p), ("flags", c_int), ("size", c_size_t)]
 
 
 @contextmanager
 def signal_stack_kept() -> Iterator[None]:
-    """Have this thread handle its signals afterwards where it has handled them before."""
+    """Restore the signal stack of this thread at the end of the context."""
     before = _SignalStack()
     _C.sigaltstack(None, byref(before))
     try:
@@ -58,28 +65,29 @@ def signal_stack_kept() -> Iterator[None]:
         _C.sigaltstack(byref(before), None)
 
 
-def steps_of_keeping() -> List[Tuple[str, object]]:
-    """Return the same for engines that goals make, as two predicates: one goal at a time may be between them.
+def signal_stack_predicates() -> List[Tuple[str, object]]:
+    """Return two predicates that save and restore the signal stack, for engines that are created by goals.
 
-    They fail, as 0 is what C says where all is well. No code in Python runs in them: a signal that comes meanwhile
-    would have its handler raise something here, where nobody can take it.
+    Only one goal at a time may be between the two calls, which the bridge ensures with a mutex. The predicates fail,
+    because ``sigaltstack`` returns 0 on success. They call C directly: Python code would be a point where Python
+    handles pending signals, and an exception of a signal handler could not be propagated through C.
     """
     before = _SignalStack()
     return [
-        ("$retalis_note_stack", Doing(partial(_C.sigaltstack, None, byref(before)))),
-        ("$retalis_put_stack_back", Doing(partial(_C.sigaltstack, byref(before), None))),
+        ("$retalis_note_stack", NullaryCallback(partial(_C.sigaltstack, None, byref(before)))),
+        ("$retalis_put_stack_back", NullaryCallback(partial(_C.sigaltstack, byref(before), None))),
     ]
 
 
-NAMES = ("libswipl.so.9", "libswipl.so.10", "libswipl.so.8", "libswipl.so.7", "libswipl.so")
-"""Of the library, as the loader of the system finds it."""
+LIBRARY_NAMES = ("libswipl.so.9", "libswipl.so.10", "libswipl.so.8", "libswipl.so.7", "libswipl.so")
+"""File names of the library in the search path of the dynamic linker."""
 
-PLACES = (
+LIBRARY_PATTERNS = (
     "/usr/lib/swi-prolog/lib/*/libswipl.so*",
     "/usr/lib/swipl/lib/*/libswipl.so*",
     "/usr/local/lib/swipl/lib/*/libswipl.so*",
 )
-"""Where the loader does not look: SWI-Prolog's own folders."""
+"""Paths of the library in the folders of SWI-Prolog, which the dynamic linker does not search."""
 
 MISSING = (
     "use_swi needs SWI-Prolog, which is not installed here: ./install.py --with-swi installs it, "
@@ -87,129 +95,130 @@ MISSING = (
 )
 
 OLDEST = "7.6.4"
-"""All that is called here is in it."""
+"""Oldest version that has all functions used here."""
 
 ON_PYPY = "use_swi needs CPython: PyPy lets go of its lock in each call of a library"
 
-# As its argument vector: no handlers of signals but the one that interrupts a system call, no file of the user's.
+# Argument vector of SWI-Prolog: no signal handlers except the one that interrupts system calls, no user files.
 _ARGUMENTS = (b"swipl", b"--nosignals", b"-q", b"-f", b"none", b"-F", b"none", b"--nodebug")
 
 NODEBUG, CATCH, STATUS = 0x4, 0x8, 0x40
-ASK = NODEBUG | CATCH | STATUS
-"""How queries are opened: exceptions are ours, and the last solution is told as such."""
+QUERY_FLAGS = NODEBUG | CATCH | STATUS
+"""Flags of queries: exceptions are returned to the caller, and the last solution is marked."""
 
 RAISED, FAILED, SOLVED, LAST_SOLVED = -1, 0, 1, 2
-"""What a query says when it is asked for a solution."""
+"""Status of a query after a request for a solution."""
 
 ATOM_TEXT, STRING_TEXT, INTEGER_TEXT = 0x1, 0x2, 0x8
-_FLAGS = ((0x100000, 0x80), (0x1000, 0x40))
-"""The flags for texts in UTF-8 and for terms as text: of SWI-Prolog 8.5 and later, and of those before."""
+_TEXT_FLAGS = ((0x100000, 0x80), (0x1000, 0x40))
+"""Flags for UTF-8 text and for any term as text, in SWI-Prolog 8.5 and later, and in earlier versions."""
 
-Called = Callable[..., Any]
+ForeignFunction = Callable[..., Any]
 
-Answering = ctypes.CFUNCTYPE(c_size_t, c_size_t)
-"""The kind of a predicate of arity 1 that is a function of ours."""
+UnaryCallback = ctypes.CFUNCTYPE(c_size_t, c_size_t)
+"""Type of a C callback that implements a predicate of arity 1."""
 
 
 class SwiLibrary:
-    """SWI-Prolog's functions: those that are short keep Python's lock, those that run goals let it go.
+    """Functions of SWI-Prolog's library.
 
-    To let it go costs a thread that wants it back up to 5 ms where others are busy: once for each goal is enough.
+    Short functions keep Python's global interpreter lock, and those that run goals release it. Reacquiring the lock
+    takes up to 5 ms if other threads are busy, so it is released only once per goal.
 
     Args:
-        library: the path or name of the library.
+        library: path or name of the library.
 
     Attributes:
-        kinds: what ``term_type`` says of a variable, an atom, and so on; it differs between versions.
-        utf8: the flag for texts in UTF-8.
-        written: the flag for any term as text.
-        atom: the flag for a text that is to be an atom.
+        kinds: results of ``term_type`` by the name of a type, which differ between versions.
+        utf8: flag for UTF-8 text.
+        written: flag for any term as text.
+        atom: flag for a text that becomes an atom.
     """
 
     def __init__(self, library: str):
         short = ctypes.PyDLL(library, mode=ctypes.RTLD_GLOBAL)
         long = ctypes.CDLL(library, mode=ctypes.RTLD_GLOBAL)
 
-        def known(name: str, result: Any, *arguments: Any, of: ctypes.CDLL = short) -> Called:
+        def declare(name: str, result: Any, *arguments: Any, of: ctypes.CDLL = short) -> ForeignFunction:
             function = of["PL_" + name]
             function.restype, function.argtypes = result, arguments
             return function
 
         term, handle, text = c_size_t, c_size_t, c_char_p
-        self.initialise = known("initialise", c_int, c_int, POINTER(c_char_p), of=long)
+        self.initialise = declare("initialise", c_int, c_int, POINTER(c_char_p), of=long)
         # Engines
-        self.create_engine = known("create_engine", c_void_p, c_void_p)
-        self.destroy_engine = known("destroy_engine", c_int, c_void_p, of=long)
-        self.set_engine = known("set_engine", c_int, c_void_p, POINTER(c_void_p))
-        self.attach_thread = known("thread_attach_engine", c_int, c_void_p)
-        self.thread_self = known("thread_self", c_int)
+        self.create_engine = declare("create_engine", c_void_p, c_void_p)
+        self.destroy_engine = declare("destroy_engine", c_int, c_void_p, of=long)
+        self.set_engine = declare("set_engine", c_int, c_void_p, POINTER(c_void_p))
+        self.attach_thread = declare("thread_attach_engine", c_int, c_void_p)
+        self.thread_self = declare("thread_self", c_int)
         # Queries
-        self.predicate = known("predicate", c_void_p, text, c_int, text)
-        self.predicate_of = known("pred", c_void_p, handle, c_void_p)
-        self.new_module = known("new_module", c_void_p, handle)
-        self.open_query = known("open_query", c_size_t, c_void_p, c_int, c_void_p, term)
-        self.next_solution = known("next_solution", c_int, c_size_t, of=long)
-        self.close_query = known("close_query", c_int, c_size_t, of=long)
-        self.close_done = known("close_query", c_int, c_size_t)  # of a query that has nothing left to run
-        self.current_query = known("current_query", c_size_t)
-        self.exception = known("exception", term, c_size_t)
-        self.raise_exception = known("raise_exception", c_int, term)
-        self.clear_exception = known("clear_exception", None)
-        self.handle_signals = known("handle_signals", c_int, of=long)
-        self.call_predicate = known("call_predicate", c_int, c_void_p, c_int, c_void_p, term, of=long)
-        self.register = known("register_foreign_in_module", c_int, text, text, c_int, c_void_p, c_int)
+        self.predicate = declare("predicate", c_void_p, text, c_int, text)
+        self.predicate_of = declare("pred", c_void_p, handle, c_void_p)
+        self.new_module = declare("new_module", c_void_p, handle)
+        self.open_query = declare("open_query", c_size_t, c_void_p, c_int, c_void_p, term)
+        self.next_solution = declare("next_solution", c_int, c_size_t, of=long)
+        self.close_query = declare("close_query", c_int, c_size_t, of=long)
+        self.close_done = declare("close_query", c_int, c_size_t)  # for a query that has no goals left to run
+        self.current_query = declare("current_query", c_size_t)
+        self.exception = declare("exception", term, c_size_t)
+        self.raise_exception = declare("raise_exception", c_int, term)
+        self.clear_exception = declare("clear_exception", None)
+        self.handle_signals = declare("handle_signals", c_int, of=long)
+        self.call_predicate = declare("call_predicate", c_int, c_void_p, c_int, c_void_p, term, of=long)
+        self.register = declare("register_foreign_in_module", c_int, text, text, c_int, c_void_p, c_int)
         # Terms
-        self.open_frame = known("open_foreign_frame", c_size_t)
-        self.discard_frame = known("discard_foreign_frame", None, c_size_t)
-        self.new_refs = known("new_term_refs", term, c_int)
-        self.copy_ref = known("put_term", c_int, term, term)
-        self.read_text = known("chars_to_term", c_int, text, term)
-        self.new_functor = known("new_functor", handle, handle, c_int)
-        self.register_atom = known("register_atom", None, handle)
-        self.unregister_atom = known("unregister_atom", None, handle)
-        self.unify = known("unify", c_int, term, term)
-        self.unify_integer = known("unify_int64", c_int, term, c_int64)
-        self.unify_float = known("unify_float", c_int, term, c_double)
-        self.unify_atom = known("unify_atom", c_int, term, handle)
-        self.unify_nil = known("unify_nil", c_int, term)
-        self.unify_text = known("unify_chars", c_int, term, c_int, c_size_t, c_char_p)
-        self.unify_functor = known("unify_functor", c_int, term, handle)
-        self.unify_list = known("unify_list", c_int, term, term, term)
-        self.put_text = known("put_string_chars", c_int, term, text)
-        self.term_type = known("term_type", c_int, term)
-        self.is_attributed = known("is_attvar", c_int, term)
-        self.is_acyclic = known("is_acyclic", c_int, term)
-        self.get_atom = known("get_atom", c_int, term, POINTER(c_size_t))
-        self.get_integer = known("get_int64", c_int, term, POINTER(c_int64))
-        self.get_float = known("get_float", c_int, term, POINTER(c_double))
-        self.get_text = known("get_nchars", c_int, term, POINTER(c_size_t), POINTER(c_void_p), c_int)
-        self.get_name = known("get_name_arity", c_int, term, POINTER(c_size_t), POINTER(c_int))
-        self.get_functor = known("get_functor", c_int, term, POINTER(c_size_t))
-        self.get_argument = known("get_arg", c_int, c_int, term, term)
-        self.get_list = known("get_list", c_int, term, term, term)
+        self.open_frame = declare("open_foreign_frame", c_size_t)
+        self.discard_frame = declare("discard_foreign_frame", None, c_size_t)
+        self.new_refs = declare("new_term_refs", term, c_int)
+        self.copy_ref = declare("put_term", c_int, term, term)
+        self.read_text = declare("chars_to_term", c_int, text, term)
+        self.new_functor = declare("new_functor", handle, handle, c_int)
+        self.register_atom = declare("register_atom", None, handle)
+        self.unregister_atom = declare("unregister_atom", None, handle)
+        self.unify = declare("unify", c_int, term, term)
+        self.unify_integer = declare("unify_int64", c_int, term, c_int64)
+        self.unify_float = declare("unify_float", c_int, term, c_double)
+        self.unify_atom = declare("unify_atom", c_int, term, handle)
+        self.unify_nil = declare("unify_nil", c_int, term)
+        self.unify_text = declare("unify_chars", c_int, term, c_int, c_size_t, c_char_p)
+        self.unify_functor = declare("unify_functor", c_int, term, handle)
+        self.unify_list = declare("unify_list", c_int, term, term, term)
+        self.put_text = declare("put_string_chars", c_int, term, text)
+        self.term_type = declare("term_type", c_int, term)
+        self.is_attributed = declare("is_attvar", c_int, term)
+        self.is_acyclic = declare("is_acyclic", c_int, term)
+        self.get_atom = declare("get_atom", c_int, term, POINTER(c_size_t))
+        self.get_integer = declare("get_int64", c_int, term, POINTER(c_int64))
+        self.get_float = declare("get_float", c_int, term, POINTER(c_double))
+        self.get_text = declare("get_nchars", c_int, term, POINTER(c_size_t), POINTER(c_void_p), c_int)
+        self.get_name = declare("get_name_arity", c_int, term, POINTER(c_size_t), POINTER(c_int))
+        self.get_functor = declare("get_functor", c_int, term, POINTER(c_size_t))
+        self.get_argument = declare("get_arg", c_int, c_int, term, term)
+        self.get_list = declare("get_list", c_int, term, term, term)
         self.kinds: Dict[str, int] = {}
         self.utf8 = self.written = 0
         self.atom = 2
 
     def start(self) -> None:
-        """Start SWI-Prolog, and leave it for engines to be used.
+        """Start SWI-Prolog, and prepare it for the use of engines.
 
         Raises:
-            UsageError: where it does not start.
+            UsageError: if it does not start.
         """
         given = (c_char_p * (len(_ARGUMENTS) + 1))(*_ARGUMENTS)
         with signal_stack_kept():
             started = self.initialise(len(_ARGUMENTS), given)
         if not started:
             raise UsageError("SWI-Prolog does not start: its library is there, its own files are not")
-        self._look_at_terms()
+        self._detect_constants()
 
     def leave(self) -> None:
-        """Have this thread use no engine."""
+        """Detach this thread from its engine."""
         self.set_engine(None, None)
 
-    def _look_at_terms(self) -> None:
-        """Find out how this version names the kinds of terms: by asking for the kind of one of each."""
+    def _detect_constants(self) -> None:
+        """Detect the constants of this version for term types and text flags, from samples."""
         frame = self.open_frame()
         ref = self.new_refs(2)
         self.kinds["variable"] = self.term_type(ref)
@@ -217,12 +226,13 @@ class SwiLibrary:
         for name, text in {**samples, "compound": b"f(x)", "rational": b"1r3", "dict": b"_{a: 1}"}.items():
             read = self.read_text(text, ref)
             kind = self.term_type(ref) if read else 0
+            # Versions without a type read its sample as another one, such as a rational as an integer.
             self.kinds[name] = kind if kind not in self.kinds.values() else 0
         self.clear_exception()
         self.put_text(ref, b"text")
         self.kinds["string"] = self.term_type(ref)
         sample = "\u0430".encode()
-        for flag, written in _FLAGS:
+        for flag, written in _TEXT_FLAGS:
             self.read_text(b"'\\u0430'", ref)
             length, place = c_size_t(), c_void_p()
             got = self.get_text(ref, ctypes.byref(length), ctypes.byref(place), ATOM_TEXT | flag)
@@ -234,105 +244,105 @@ class SwiLibrary:
 
 @lru_cache(maxsize=1)
 def find_library() -> SwiLibrary:
-    """Return the library's functions, without starting it.
+    """Return the library's functions, without starting SWI-Prolog.
 
     Raises:
-        UsageError: where SWI-Prolog is not installed, or is too old, or this is PyPy.
+        UsageError: if SWI-Prolog is not installed or too old, or on PyPy.
     """
     if PYPY:
         raise UsageError(ON_PYPY)
     too_old = ""
-    for name in (*NAMES, *(path for place in PLACES for path in sorted(glob(place)))):
+    for name in (*LIBRARY_NAMES, *(path for pattern in LIBRARY_PATTERNS for path in sorted(glob(pattern)))):
         try:
             return SwiLibrary(name)
-        except OSError:  # not there: the next one
+        except OSError:  # not installed under this name
             continue
-        except AttributeError as error:  # there may be a newer one
+        except AttributeError as error:  # a later name may be that of a newer version
             too_old = f"{name} is older, or another library: {error}"
     raise UsageError(f"use_swi needs SWI-Prolog {OLDEST} or later: {too_old}" if too_old else MISSING)
 
 
-_PAUSE = 0.02
-"""Seconds between two looks at what runs."""
+_CHECK_INTERVAL_SECONDS = 0.02
+"""Time between two checks of the running goals."""
 
-_AGAIN = 0.2
-"""Seconds after which a goal that goes on all the same is interrupted once more."""
+_REPEAT_INTERVAL_SECONDS = 0.2
+"""Time after which a goal that has not ended is interrupted again."""
 
-_IDLE = 50
-"""Looks without anything that runs, after which it waits to be woken."""
+_MAX_IDLE_CHECKS = 50
+"""Number of checks without a running goal after which the thread sleeps."""
 
-_SLACK = 100_000
-"""Inferences past the limit that SWI-Prolog counts by itself, for a program that catches what ends it there."""
+_EXTRA_INFERENCES = 100_000
+"""Inferences beyond the limit before an interrupt.
 
-_GENTLE = 2
-"""Interrupts that programs may catch."""
+SWI-Prolog checks the limit itself; the interrupt is for a program that catches that exception.
+"""
+
+_MAX_CATCHABLE_INTERRUPTS = 2
+"""Number of interrupts by an exception that a program may catch; later ones abort the goal."""
 
 
-class Watched:
-    """A goal that runs in SWI-Prolog and has limits.
+class LimitedGoal:
+    """A goal with limits that runs in SWI-Prolog.
 
     Args:
-        left: what it may use.
-        engine: SWI-Prolog's number of the engine.
-        done: inferences of that engine when the goal begins, where they are limited.
+        left: resources that it may still use.
+        engine: number of its engine in SWI-Prolog.
+        initial_inferences: inferences of that engine at the start of the goal, if they are limited.
 
     Attributes:
-        fired: what it has used up, once it has been interrupted for that.
+        fired: name of the resource for which it has been interrupted; empty before.
     """
 
-    __slots__ = ("left", "done", "engine", "thread", "fired", "again", "times")
+    __slots__ = ("left", "initial_inferences", "engine", "thread", "fired", "next_interrupt", "interrupts")
 
-    def __init__(self, left: Left, engine: int, done: int = 0):
+    def __init__(self, left: Left, engine: int, initial_inferences: int = 0):
         self.left = left
-        self.done = done
+        self.initial_inferences = initial_inferences
         self.engine = engine
         self.thread = get_ident()
         self.fired = ""
-        self.again = 0.0
-        self.times = 0
+        self.next_interrupt = 0.0
+        self.interrupts = 0
 
     def exceeded(self, now: float, inferences: Callable[[int], int]) -> str:
-        """Return what it has used up; nothing where it may go on."""
-        until, most, memory = self.left
-        if most is not None and inferences(self.engine) > self.done + most + _SLACK:
+        """Return the name of the exceeded resource, or an empty string."""
+        deadline, max_inferences, max_memory = self.left
+        if (
+            max_inferences is not None
+            and inferences(self.engine) > self.initial_inferences + max_inferences + _EXTRA_INFERENCES
+        ):
             return "inferences"
-        if until is not None and now > until:
+        if deadline is not None and now > deadline:
             return "seconds"
-        if memory is not None and resident_bytes() > memory:
+        if max_memory is not None and resident_bytes() > max_memory:
             return "memory"
         return self.fired
 
 
-class Interruptible(Protocol):
-    """Where goals run: the newest is ``watched``."""
-
-    watched: Optional[Watched]
-
-
 class Interrupter:
-    """A thread that looks once in a while at what runs, while anything does.
+    """A thread that checks the limits of running goals, and sleeps while no goal runs.
 
     Args:
         swi: the library.
 
     Attributes:
-        asleep: whether it has to be woken for a new goal.
+        asleep: whether `wake` has to be called for a new goal.
     """
 
     def __init__(self, swi: SwiLibrary):
         self._swi = swi
         self._lock = Lock()
         self._wake = Event()
-        self._all: List[ref[Interruptible]] = []
+        self._runners: List[ref[SwiEngine]] = []
         self._thread: Optional[Thread] = None
         self.asleep = True
 
-    def add(self, one: Interruptible) -> None:
-        """Look at it from now on, as long as anybody holds it."""
-        self._all = [*(known for known in self._all if known() is not None), ref(one)]
+    def add(self, runner: "SwiEngine") -> None:
+        """Check the goals of an object from now on; only a weak reference to it is held."""
+        self._runners = [*(reference for reference in self._runners if reference() is not None), ref(runner)]
 
     def wake(self) -> None:
-        """Begin to look: there is something new."""
+        """Start the thread, or end its sleep."""
         self.asleep = False
         if self._thread is None:
             self._thread = Thread(target=self._run, name="retalis guard of SWI-Prolog", daemon=True)
@@ -340,7 +350,8 @@ class Interrupter:
         self._wake.set()
 
     def settle(self) -> None:
-        """Wait until an interrupt is under way no more, and forget it; its goal is over."""
+        """Wait for the end of an interrupt in progress, and discard its effect, since its goal has ended."""
+        # An interrupt that arrives after its goal has ended would hit the next goal of the same engine.
         with self._lock:
             self._swi.handle_signals()
             self._swi.clear_exception()
@@ -350,43 +361,44 @@ class Interrupter:
             self._swi.attach_thread(None)
         idle = 0
         while True:
-            idle = 0 if self._look(monotonic()) else idle + 1
-            if idle > _IDLE:
+            idle = 0 if self._check_goals(monotonic()) else idle + 1
+            if idle > _MAX_IDLE_CHECKS:
                 self._wake.clear()
                 self.asleep = True
-                if not self._look(monotonic()):
+                # A goal that started before `asleep` was set did not call `wake`, so the goals are checked once more.
+                if not self._check_goals(monotonic()):
                     self._wake.wait()
                 self.asleep = False
                 idle = 0
-            sleep(_PAUSE)
+            sleep(_CHECK_INTERVAL_SECONDS)
 
-    def _look(self, now: float) -> bool:
-        """Interrupt what is past its limits; tell whether anything runs."""
+    def _check_goals(self, now: float) -> bool:
+        """Interrupt the goals that exceed a limit; return whether any goal runs."""
         runs = False
-        for known in self._all:
-            one = known()
-            watched = None if one is None else one.watched
-            if one is None or watched is None:
+        for reference in self._runners:
+            runner = reference()
+            watched = None if runner is None else runner.watched
+            if runner is None or watched is None:
                 continue
             runs = True
-            if now > watched.again:
-                what = watched.exceeded(now, self._inferences)
-                if what:
-                    self._fire(one, watched, what)
+            if now > watched.next_interrupt:
+                resource = watched.exceeded(now, self._inferences)
+                if resource:
+                    self._interrupt_once(runner, watched, resource)
         return runs
 
-    def _fire(self, one: Interruptible, watched: Watched, what: str) -> None:
+    def _interrupt_once(self, runner: "SwiEngine", watched: LimitedGoal, resource: str) -> None:
         with self._lock:
-            watched.again = monotonic() + _AGAIN
-            watched.times += 1
-            watched.fired = (
-                what  # before it is looked whether it still runs: who has ended it looks here after that
-            )
-            if one.watched is watched:
+            watched.next_interrupt = monotonic() + _REPEAT_INTERVAL_SECONDS
+            watched.interrupts += 1
+            # Set before the check whether the goal still runs: the engine resets `watched` at the end of the goal and
+            # reads `fired` after that, so one of the two sees the other's change.
+            watched.fired = resource
+            if runner.watched is watched:
                 self._interrupt(watched)
 
     def _inferences(self, engine: int) -> int:
-        """Return how many inferences an engine has done."""
+        """Return the number of inferences of an engine."""
         swi = self._swi
         frame = swi.open_frame()
         ref = swi.new_refs(2)
@@ -398,13 +410,13 @@ class Interrupter:
         swi.discard_frame(frame)
         return found.value
 
-    def _interrupt(self, watched: Watched) -> None:
-        """Have a thread's goal throw something, also where it waits for the system."""
+    def _interrupt(self, watched: LimitedGoal) -> None:
+        """Raise an exception in a thread's goal, and end a system call in which it blocks."""
         swi = self._swi
         frame = swi.open_frame()
         ref = swi.new_refs(2)
         swi.unify_integer(ref, watched.engine)
-        swi.unify_integer(ref + 1, 0 if watched.times <= _GENTLE else 1)
+        swi.unify_integer(ref + 1, 0 if watched.interrupts <= _MAX_CATCHABLE_INTERRUPTS else 1)
         swi.call_predicate(None, CATCH, swi.predicate(b"interrupt", 2, b"retalis_bridge"), ref)
         swi.clear_exception()
         swi.discard_frame(frame)

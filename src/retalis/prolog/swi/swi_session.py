@@ -1,6 +1,14 @@
-"""What an engine of SWI-Prolog's has open.
+"""Execution of goals in an engine of SWI-Prolog.
 
-Goals in SWI-Prolog: an engine of it, taken up for a call and left after it.
+An engine is attached to its thread for each call and detached after it. A goal that may have more solutions stays
+open as a query. SWI-Prolog requires that the innermost open query is used first. The machine of the program
+backtracks in the same order, except when solutions are dropped out of order, such as by Python's garbage collection:
+such a query is marked and closed as soon as it is the innermost one.
+
+Calls nest: a goal in SWI-Prolog may call back a goal of the program (`SwiEngine.answer`), which may call SWI-Prolog
+again. Each nesting is a `GoalLevel`. An exception at any point, also one of a signal handler, is followed by
+`_restore`, which returns the engine to the state at the start of the level: that state does not depend on how far the
+call had proceeded.
 """
 
 from contextlib import closing
@@ -18,20 +26,29 @@ from ..system.prolog_system import PrologSystem
 from ..terms.list_terms import make_list
 from ..terms.term_traversal import copy, variant_key
 from ..terms.types import Term, Values, atom, functor
-from .libswipl import ASK, FAILED, LAST_SOLVED, RAISED, SOLVED, SwiLibrary, Watched, signal_stack_kept
+from .libswipl import (
+    FAILED,
+    LAST_SOLVED,
+    QUERY_FLAGS,
+    RAISED,
+    SOLVED,
+    LimitedGoal,
+    SwiLibrary,
+    signal_stack_kept,
+)
 from .swi_startup import BRIDGE, Started
 from .swi_terms import Bindings, Refs, SwiTerms
 
 
 class OpenGoal:
-    """A goal that may have more solutions.
+    """An open query of a goal that may have more solutions.
 
     Attributes:
-        query: what SWI-Prolog calls it.
-        frame: what is given up with it.
-        refs: of its variables.
-        over: whether nobody wants the others.
-        closed: whether it is given up.
+        query: handle of the query.
+        frame: handle of the foreign frame to discard with it.
+        refs: term references of its variables.
+        over: whether its other solutions are not needed.
+        closed: whether it has been closed.
     """
 
     __slots__ = ("query", "frame", "refs", "over", "closed")
@@ -44,45 +61,44 @@ class OpenGoal:
 
 
 class GoalLevel(NamedTuple):
-    """Where goals begin that may be given up together: an engine's first ones, or those of what is asked back.
+    """A level of nested calls: the outermost goals of an engine, or the goals within a callback.
 
     Attributes:
-        base: how many goals were open before.
-        query: the one that asks back, 0 where none does.
-        depth: how often the engine has been taken up.
-        watched: the goal that runs.
+        base: number of goals that were open before.
+        query: query that has called back; 0 at the outermost level.
+        depth: number of nested attachments of the engine.
+        watched: running goal with limits.
     """
 
     base: int
     query: int
     depth: int
-    watched: Optional[Watched]
+    watched: Optional[LimitedGoal]
 
 
 _LIMITED = functor("limited", 2)
 _FAILURE = atom("$retalis_failure")
 
-_CLEANING = 1.0
-"""Seconds that the cleanup of a goal may take whose other solutions nobody wants."""
+_CLEANUP_TIMEOUT_SECONDS = 1.0
+"""Time limit for the cleanup of a goal whose other solutions are not needed."""
 
 _MAX_CALLBACK_SOLUTIONS = 100_000
-"""Solutions that a goal may have which SWI-Prolog asks back."""
+"""Limit for the solutions of a goal in a callback."""
 
 
 class SwiEngine:
-    """An engine of SWI-Prolog's that runs goals for a program in one thread.
+    """An engine of SWI-Prolog that runs goals of a program in one thread.
 
-    Goals that may have more solutions stay open in it, each above the one that was opened before; the machine of
-    the program has its choice points in the same order. What SWI-Prolog asks back runs on that machine, inside.
+    Callbacks run on the machine of the program, inside the goal that has called SWI-Prolog.
 
     Args:
-        logic: of the program.
-        started: SWI-Prolog.
+        logic: the program.
+        started: the running SWI-Prolog.
 
     Attributes:
-        watched: the goal that runs, where it has limits.
-        number: what SWI-Prolog calls the engine.
-        limited: the predicate that calls another with a limit of inferences.
+        watched: the running goal, if it has limits.
+        number: number of the engine in SWI-Prolog.
+        limited: handle of the predicate that calls a goal with a limit of inferences.
     """
 
     def __init__(self, logic: PrologSystem, started: Started):
@@ -91,7 +107,7 @@ class SwiEngine:
         self._started = started
         self._swi = swi = started.swi
         self._interrupter = started.interrupter
-        self.watched: Optional[Watched] = None
+        self.watched: Optional[LimitedGoal] = None
         self._thread = get_ident()
         self._depth = 0
         self._busy = False
@@ -99,7 +115,7 @@ class SwiEngine:
         self._to_before = byref(self._before)
         self._open: List[OpenGoal] = []
         self._level = GoalLevel(0, 0, 0, None)
-        self._failure: Optional[BaseException] = None
+        self._stored_error: Optional[BaseException] = None
         self._ended: List[bool] = []
         with signal_stack_kept():
             self._engine = swi.create_engine(None)
@@ -107,54 +123,57 @@ class SwiEngine:
         try:
             self.number: int = swi.thread_self()
             self._terms = SwiTerms(swi)
-            finalize(self, _end, swi, self._engine, self._terms, self._ended).atexit = False
+            finalize(self, _destroy, swi, self._engine, self._terms, self._ended).atexit = False
             self.limited: int = swi.predicate(b"limited", 2, BRIDGE.encode())
-            self._count = swi.predicate(b"statistics", 2, b"system")
+            self._statistics = swi.predicate(b"statistics", 2, b"system")
         finally:
             self._leave()
         started.engines[self.number] = self
         self._interrupter.add(self)
 
     def handle(self, module: str, name: str, arity: int) -> int:
-        """Return what SWI-Prolog knows a predicate by."""
+        """Return the handle of a predicate."""
         swi = self._swi
         level = self._level
         frame = 0
         try:
             self._enter()
             frame = swi.open_frame()
-            place = swi.new_module(self._terms.handle(atom(module)))
-            found: int = swi.predicate_of(swi.new_functor(self._terms.handle(atom(name)), arity), place)
+            module_handle = swi.new_module(self._terms.handle(atom(module)))
+            predicate: int = swi.predicate_of(
+                swi.new_functor(self._terms.handle(atom(name)), arity), module_handle
+            )
             swi.discard_frame(frame)
             self._leave()
         except BaseException as error:
-            self._mend(level, error, frame)
+            self._restore(level, error, frame)
             raise
-        return found
+        return predicate
 
     def _enter(self) -> None:
-        """Have this thread use the engine."""
-        if self._busy:  # something came in between when that was to be mended
-            self._mend(self._level, None)
+        """Attach the engine to this thread."""
+        if self._busy:  # an exception has interrupted `_restore`
+            self._restore(self._level, None)
         self._busy = True
         if not self._depth and self._swi.set_engine(self._engine, self._to_before):
             raise RetalisError("an engine of SWI-Prolog is in use elsewhere")
         self._depth += 1
 
     def _leave(self) -> None:
+        """Detach the engine from this thread, at the outermost level."""
         self._depth -= 1
         if not self._depth:
             self._swi.set_engine(self._before.value, None)
         self._busy = False
 
-    def _mend(self, level: GoalLevel, error: Optional[BaseException], frame: int = 0) -> None:
-        """Take back what has not been done to its end, wherever that was.
+    def _restore(self, level: GoalLevel, error: Optional[BaseException], frame: int = 0) -> None:
+        """Restore the state at the start of a level after an exception.
 
         Args:
-            level: where it began.
-            error: what came in between: where it is no error of a goal, as an interrupt is, nobody wants any goals
-                of this level that are open. None stands for that.
-            frame: what is given up with it, 0 where none is.
+            level: the level.
+            error: the exception, or None. If it is not an error of a goal, such as an interrupt, or is None, all
+                open goals of the level are closed.
+            frame: foreign frame to discard; 0 for none.
         """
         swi = self._swi
         self._busy = True
@@ -162,21 +181,22 @@ class SwiEngine:
         before = c_void_p()
         if swi.set_engine(self._engine, byref(before)):
             return
-        if before.value != self._engine:  # it had not been taken up yet
+        if before.value != self._engine:  # the exception came before the engine was attached
             self._before.value = before.value
         if self.watched is not level.watched:
             self.watched = level.watched
             self._interrupter.settle()
-        given_up = []
+        dropped = []
         if not isinstance(error, Exception):
-            given_up = self._open[level.base :]
+            dropped = self._open[level.base :]
             del self._open[level.base :]
+        # SWI-Prolog's own list of queries is authoritative: a query may have been opened without being recorded here.
         last = self._open[-1].query if len(self._open) > level.base else level.query
         while swi.current_query() not in (0, last):
             self._close(swi.current_query())
-        for opened in given_up:
+        for opened in dropped:
             opened.closed = True
-        frame = given_up[0].frame if given_up else frame
+        frame = dropped[0].frame if dropped else frame
         if frame:
             swi.discard_frame(frame)
         self._depth = level.depth
@@ -189,21 +209,28 @@ class SwiEngine:
     def call(
         self, machine: Machine, predicate: int, arguments: Values, left: Optional[Left]
     ) -> Union[bool, Iterator[object]]:
-        """Call a predicate: return whether it succeeds, or its solutions where there may be several."""
+        """Call a predicate; return whether it succeeds, or its solutions if there may be several.
+
+        Args:
+            machine: the machine of the program.
+            predicate: handle of the predicate.
+            arguments: arguments of the call.
+            left: resources that the goal may still use; None if it has no limits.
+        """
         swi, terms, level = self._swi, self._terms, self._level
         frame = 0
         try:
             self._enter()
             if self._open:
-                self._close_over()
+                self._close_finished()
             frame = swi.open_frame()
             refs: Refs = {}
             first = ref = swi.new_refs(len(arguments) or 1)
             for argument in arguments:
                 terms.put(ref, argument, refs)
                 ref += 1
-            query = swi.open_query(None, ASK, predicate, first)
-            status = self._next(query, left)
+            query = swi.open_query(None, QUERY_FLAGS, predicate, first)
+            status = self._next_status(query, left)
             if status == RAISED:
                 raise self._raised(query)
             bindings = [] if status == FAILED else terms.read_values(refs)
@@ -215,7 +242,7 @@ class SwiEngine:
                 swi.discard_frame(frame)
             self._leave()
         except BaseException as error:
-            self._mend(level, error, frame)
+            self._restore(level, error, frame)
             raise
         if status == SOLVED:
             return self._solutions(machine, opened, bindings)
@@ -228,16 +255,16 @@ class SwiEngine:
                     yield LAST if opened.closed else None
                 if opened.closed:
                     return
-                found = self._following(opened)
-                if found is None:
+                next_bindings = self._next_bindings(opened)
+                if next_bindings is None:
                     return
-                bindings = found
+                bindings = next_bindings
         finally:
             if not opened.closed:
-                self._drop(opened)
+                self._drop_goal(opened)
 
-    def _following(self, opened: OpenGoal) -> Optional[Bindings]:
-        """Return what the next solution makes of the variables; None where there is none."""
+    def _next_bindings(self, opened: OpenGoal) -> Optional[Bindings]:
+        """Return the bindings of the next solution, or None if there is none."""
         if self._thread != get_ident():
             raise RetalisError(
                 "solutions in SWI-Prolog were requested by another thread than the first of them"
@@ -247,37 +274,37 @@ class SwiEngine:
         try:
             self._enter()
             if self._open[-1:] != [opened]:
-                self._close_over()
+                self._close_finished()
             if self._open[-1:] != [opened]:
                 raise RetalisError(
                     "solutions of an outer goal were requested while an inner one is still open"
                 )
-            status = self._next(opened.query, left)
+            status = self._next_status(opened.query, left)
             if status == RAISED:
                 raise self._raised(opened.query)
-            found = None if status == FAILED else self._terms.read_values(opened.refs)
+            bindings = None if status == FAILED else self._terms.read_values(opened.refs)
             if status == LAST_SOLVED:
                 opened.over = True
-                self._close_over()
+                self._close_finished()
             self._leave()
         except BaseException as error:
-            self._mend(level, error)
+            self._restore(level, error)
             raise
-        return found
+        return bindings
 
-    def _next(self, query: int, left: Optional[Left]) -> int:
-        """Look for a solution; say what came of it.
+    def _next_status(self, query: int, left: Optional[Left]) -> int:
+        """Request the next solution of a query; return the status.
 
         Raises:
-            PrologError: where a limit has been passed.
+            PrologError: if a limit has been exceeded.
         """
-        self._failure = None
+        self._stored_error = None
         if left is None:
             status: int = self._swi.next_solution(query)
         else:
             before = 0 if left.inferences is None else self._inferences()
             outer = self.watched
-            watched = self.watched = Watched(left, self.number, before)
+            watched = self.watched = LimitedGoal(left, self.number, before)
             if self._interrupter.asleep:
                 self._interrupter.wake()
             try:
@@ -285,22 +312,23 @@ class SwiEngine:
             finally:
                 self.watched = outer
             if watched.fired:
+                # The interrupt may still be in progress. Without the wait it would hit the next goal.
                 self._interrupter.settle()
                 raise self._exceeded(watched.fired)
             if left.inferences is not None:
                 self._budget.look(self._inferences() - before)
-        failure = self._failure
+        failure = self._stored_error
         if failure is not None and not isinstance(failure, Exception):
-            self._failure = None
+            self._stored_error = None
             raise failure
         return status
 
-    def _exceeded(self, what: str) -> PrologError:
-        failure, self._failure = self._failure, None
+    def _exceeded(self, resource: str) -> PrologError:
+        failure, self._stored_error = self._stored_error, None
         if isinstance(failure, LimitError):
             return failure
-        self._budget.look(0)  # it has an error of its own, if it is past the limit too
-        return resource_error(what)
+        self._budget.look(0)  # raises the budget's own error if the limit is exceeded there too
+        return resource_error(resource)
 
     def _inferences(self) -> int:
         swi = self._swi
@@ -308,38 +336,39 @@ class SwiEngine:
         try:
             ref = swi.new_refs(2)
             self._terms.put(ref, atom("inferences"), {})
-            swi.call_predicate(None, ASK, self._count, ref)
+            swi.call_predicate(None, QUERY_FLAGS, self._statistics, ref)
             return self._terms.read(ref + 1)  # type: ignore
         finally:
             swi.discard_frame(frame)
 
     def _raised(self, query: int) -> BaseException:
-        """Return the error that a goal has ended with."""
+        """Return the error that has ended a goal."""
         terms = self._terms
+        # An error term may contain handles such as streams, which are read as text.
         terms.begin(lenient=True)
         ball = terms.read(self._swi.exception(query))
-        failure, self._failure = self._failure, None
-        if failure is not None and (ball is _FAILURE or _is_of(failure, ball)):
+        failure, self._stored_error = self._stored_error, None
+        if failure is not None and (ball is _FAILURE or _is_same_error(failure, ball)):
             return failure
         return PrologError(ball)
 
-    # The end of goals
+    # End of goals
 
-    def _drop(self, opened: OpenGoal) -> None:
-        """Give a goal up, at once or, where something else is under way, before the next one."""
+    def _drop_goal(self, opened: OpenGoal) -> None:
+        """Close a goal now, or before the next one if the engine is in use or this is another thread."""
         opened.over = True
         if self._busy or self._thread != get_ident() or self._ended:
             return
         level = self._level
         try:
             self._enter()
-            self._close_over()
+            self._close_finished()
             self._leave()
         except BaseException as error:
-            self._mend(level, error)
+            self._restore(level, error)
             raise
 
-    def _close_over(self) -> None:
+    def _close_finished(self) -> None:
         while len(self._open) > self._level.base and self._open[-1].over:
             self._close_last()
 
@@ -350,9 +379,11 @@ class SwiEngine:
         self._swi.discard_frame(opened.frame)
 
     def _close(self, query: int) -> None:
-        """Close a query; it may have cleanups to call, which are given a moment."""
+        """Close a query, with a time limit for its cleanup goals."""
         outer = self.watched
-        watched = self.watched = Watched(Left(monotonic() + _CLEANING, None, None), self.number)
+        watched = self.watched = LimitedGoal(
+            Left(monotonic() + _CLEANUP_TIMEOUT_SECONDS, None, None), self.number
+        )
         if self._interrupter.asleep:
             self._interrupter.wake()
         try:
@@ -362,23 +393,26 @@ class SwiEngine:
         if watched.fired:
             self._interrupter.settle()
 
-    # The way back
+    # Callbacks
 
     def answer(self, asked: int) -> bool:
-        """Have the second part of a term be the list of all solutions of its first one; errors are thrown there."""
+        """Unify the second argument of a term with the list of all solutions of its first one.
+
+        Errors are raised in SWI-Prolog. Returns whether it succeeds.
+        """
         swi, terms, outer = self._swi, self._terms, self._level
         try:
             level = GoalLevel(len(self._open), swi.current_query(), self._depth, self.watched)
             try:
                 self._level, self._busy = level, False
-                goal = self._asked(asked)
-                found = make_list(self._solved(goal))
+                goal = self._callback_goal(asked)
+                solutions = make_list(self._solved(goal))
                 self._close_all()
                 ref = swi.new_refs(1)
                 swi.get_argument(2, asked, ref)
-                terms.put(ref, found, {})
-            except BaseException as error:  # whatever it is: there is C between it and who has called
-                self._mend(level, error)
+                terms.put(ref, solutions, {})
+            except BaseException as error:  # no exception can be propagated through C
+                self._restore(level, error)
                 self._close_all()
                 self.fail(error)
                 return False
@@ -386,8 +420,8 @@ class SwiEngine:
         finally:
             self._level, self._busy = outer, True
 
-    def _asked(self, asked: int) -> Term:
-        """Return the goal that is asked."""
+    def _callback_goal(self, asked: int) -> Term:
+        """Return the goal of a callback."""
         swi, terms = self._swi, self._terms
         frame = swi.open_frame()
         try:
@@ -396,46 +430,50 @@ class SwiEngine:
             swi.get_argument(1, asked, ref)
             return terms.read(ref)
         finally:
-            swi.discard_frame(frame)  # which takes the marks back
+            swi.discard_frame(frame)  # also undoes the marks of variables
 
     def _close_all(self) -> None:
         while len(self._open) > self._level.base:
             self._close_last()
 
     def _solved(self, goal: Term) -> List[Term]:
-        found = []
+        instances = []
         with closing(self._logic.solutions(goal)) as solutions:
             for _ in solutions:
-                found.append(copy(goal))
-                if len(found) > _MAX_CALLBACK_SOLUTIONS:
+                instances.append(copy(goal))
+                if len(instances) > _MAX_CALLBACK_SOLUTIONS:
                     raise resource_error("solutions")
-        return found
+        return instances
 
     def fail(self, error: BaseException) -> None:
-        """Throw an error in SWI-Prolog; what is no error of a goal is thrown on when SWI-Prolog is left."""
-        known = from_python(error)
-        self._failure = error if known is None or isinstance(known, LimitError) else None
+        """Raise an error in SWI-Prolog.
+
+        An exception that is not an error of a goal, such as an interrupt, is stored, and raised again when SWI-Prolog
+        returns.
+        """
+        prolog_error = from_python(error)
+        self._stored_error = error if prolog_error is None or isinstance(prolog_error, LimitError) else None
         swi, terms = self._swi, self._terms
         ref = swi.new_refs(1)
         try:
-            terms.put(ref, _FAILURE if known is None else known.term, {})
-        except RetalisError:  # too large
-            self._failure = known
+            terms.put(ref, _FAILURE if prolog_error is None else prolog_error.term, {})
+        except RetalisError:  # the error term is too large
+            self._stored_error = prolog_error
             terms.put(ref := swi.new_refs(1), _FAILURE, {})
         swi.raise_exception(ref)
 
 
-def _end(swi: SwiLibrary, engine: int, terms: SwiTerms, ended: List[bool]) -> None:
-    """Give an engine up, and the atoms that were held for it; any thread may do that."""
-    ended.append(True)  # solutions of it may be let go after it
+def _destroy(swi: SwiLibrary, engine: int, terms: SwiTerms, ended: List[bool]) -> None:
+    """Destroy an engine and release its atoms; called from any thread."""
+    ended.append(True)  # its solutions may be dropped after it
     before = c_void_p()
     if not swi.set_engine(engine, byref(before)):
         try:
-            terms.let_go()
+            terms.release()
         finally:
             swi.set_engine(before.value, None)
     swi.destroy_engine(engine)
 
 
-def _is_of(failure: BaseException, ball: Term) -> bool:
+def _is_same_error(failure: BaseException, ball: Term) -> bool:
     return isinstance(failure, PrologError) and variant_key(failure.term) == variant_key(ball)

@@ -1,11 +1,14 @@
-"""What SWI-Prolog calls to ask back, in a way that a signal's handler may raise what it likes meanwhile.
+"""Start of SWI-Prolog in this process, and its callbacks into Python.
 
-An exception must not get out of a function that C has called: it would be forgotten, and C go on with an answer that
-nobody has given. A signal that has come while SWI-Prolog ran is handled where code in Python begins, which is before
-any ``try`` of a function. In a generator that goes on it is inside one. So generators that wait are kept ready, and
-C calls what gets one of them without any code in Python.
+SWI-Prolog is started once for all programs, and loads ``bridge.pl``. Its clauses call predicates of a program through
+the callback ``$retalis_ask/1``.
 
-The start of SWI-Prolog in this process, once for all programs.
+An exception must not leave a Python function that C has called: ctypes would discard it, and C would continue with an
+undefined result. Python handles a signal that has arrived in the meantime at the first instruction of such a
+function, before any ``try`` statement could be entered, and the signal handler may raise an exception. A suspended
+generator, however, is resumed inside its ``try`` statement. Therefore callbacks are executed by suspended generators
+that have been prepared in advance, and the object that C calls (`Callbacks`) obtains one and resumes it without
+executing any Python code.
 """
 
 from contextlib import suppress
@@ -13,114 +16,114 @@ from functools import lru_cache, partial
 from operator import methodcaller
 from pathlib import Path
 from threading import Lock
-from typing import Any, Callable, Generator, List, Mapping, MutableMapping, NamedTuple, Protocol, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Generator, List, Mapping, MutableMapping, NamedTuple, Tuple
 from weakref import WeakValueDictionary
 
 from ...foundation.errors import UsageError
 from ..terms.types import SLASH, Var, atom, functor
-from .libswipl import Answering, Interrupter, SwiLibrary, find_library, steps_of_keeping
+from .libswipl import Interrupter, SwiLibrary, UnaryCallback, find_library, signal_stack_predicates
 from .swi_terms import SwiTerms
 
-_READY = 64
-"""Generators that wait: as many threads may ask before one of them goes on."""
+if TYPE_CHECKING:
+    from .swi_session import SwiEngine
 
-_Waiting = Generator[int, int, None]
+_PREPARED_GENERATORS = 64
+"""Number of suspended generators, which limits the callbacks that may begin before one of them prepares more."""
 
-
-class AskedBack(Protocol):
-    """Whose program SWI-Prolog's clauses may ask."""
-
-    def answer(self, ref: int) -> bool:
-        """Have a variable be the list of a goal's solutions; tell whether it is."""
-
-    def fail(self, error: BaseException) -> None:
-        """Have the goal that asks end with an error."""
+_AnswerGenerator = Generator[int, int, None]
 
 
 class Callbacks(List[Callable[[int], int]]):
-    """Called with a reference, it has one of its items answer.
+    """List of prepared answer functions that is called by C with a term reference.
+
+    ``__call__`` is a property whose getter is ``pop``: a call removes an item and calls it, all in C code of Python.
 
     Args:
-        asked: by the numbers of SWI-Prolog's engines.
-        number: returns that of the engine that asks.
-        refuse: has a goal end that belongs to no program.
+        targets: engines by their numbers in SWI-Prolog.
+        number: returns the number of the calling engine.
+        refuse: raises an error in a goal that belongs to no program.
     """
 
-    __call__ = property(methodcaller("pop"))  # what it returns is called then
+    __call__ = property(methodcaller("pop"))
 
     def __init__(
-        self, asked: Mapping[int, AskedBack], number: Callable[[], int], refuse: Callable[[], object]
+        self, targets: Mapping[int, "SwiEngine"], number: Callable[[], int], refuse: Callable[[], object]
     ):
         super().__init__()
-        self._asked = asked
+        self._targets = targets
         self._number = number
         self._refuse = refuse
-        self._over: List[_Waiting] = []
+        self._finished: List[_AnswerGenerator] = []
         self.fill()
 
     def fill(self) -> None:
-        """Have enough ready."""
-        with suppress(IndexError):  # no more, or taken by another thread
+        """Prepare generators up to the required number, and close those that have answered."""
+        with suppress(IndexError):  # the list is empty, or another thread has taken the last one
             while True:
-                one: Any = self._over.pop()
-                if one.gi_running:  # in another thread, for a moment
-                    self._over.append(one)
+                generator: Any = self._finished.pop()
+                # Another thread may still be between the last two instructions of its callback.
+                if generator.gi_running:
+                    self._finished.append(generator)
                     break
-                one.close()
-        while len(self) < _READY:
-            found: List[_Waiting] = []
-            found.append(self._answering(found))
-            next(found[0])
-            self.append(found[0].send)
+                generator.close()
+        while len(self) < _PREPARED_GENERATORS:
+            own: List[_AnswerGenerator] = []
+            own.append(self._answering(own))
+            next(own[0])
+            self.append(own[0].send)
 
-    def _answering(self, found: List[_Waiting]) -> _Waiting:
-        """Wait for a reference, answer, and wait to be closed: else that would be done in Python as C goes on.
+    def _answering(self, own: List[_AnswerGenerator]) -> _AnswerGenerator:
+        """Wait for a reference, answer it, and wait to be closed.
+
+        The generator does not return after the answer, because its end would execute Python code when C has
+        continued.
 
         Args:
-            found: this generator.
+            own: a list with this generator.
         """
-        asked: Any = None
-        told, over = 0, False
+        target: Any = None
+        result, has_answered = 0, False
         try:
             ref = yield 0
             self.fill()
-            asked = self._asked.get(self._number())
-            if asked is None:
+            target = self._targets.get(self._number())
+            if target is None:
                 self._refuse()
             else:
-                told = int(asked.answer(ref))
-            self._over += found
-            over = True  # nothing is called from here on: Python looks for signals behind calls
-            yield told
+                result = int(target.answer(ref))
+            self._finished += own
+            # No call follows before the answer is returned: Python handles signals after calls.
+            has_answered = True
+            yield result
         except GeneratorExit:
             return
-        except BaseException as error:  # whatever it is: C waits
-            if over:  # it does not: who closes this waits
+        except BaseException as error:  # also an exception of a signal handler, since C needs an answer
+            if has_answered:  # the exception belongs to the code that closes the generator
                 raise
-            self._over += found
-            asked = self._asked.get(self._number())
-            if asked is not None:
-                asked.fail(error)
+            self._finished += own
+            target = self._targets.get(self._number())
+            if target is not None:
+                target.fail(error)
             yield 0
         finally:
-            del found[:]
+            del own[:]
 
 
 BRIDGE = "retalis_bridge"
 _FILE = Path(__file__).resolve().parent / "bridge.pl"
-"""What is loaded into SWI-Prolog at its start."""
+"""Prolog file that is loaded into SWI-Prolog at its start."""
 
 _LOCK = Lock()
 
 
 class Started(NamedTuple):
-    """SWI-Prolog as it runs in this process.
+    """The running SWI-Prolog of this process.
 
     Attributes:
-        swi: its functions.
-        interrupter: ends goals that are past a limit.
-        engines: by their numbers.
-        callbacks: what it calls of ours; they must not be forgotten.
+        swi: functions of the library.
+        interrupter: thread that interrupts goals that exceed a limit.
+        engines: engines by their numbers in SWI-Prolog.
+        callbacks: functions that C calls, which must not be freed.
     """
 
     swi: SwiLibrary
@@ -130,10 +133,10 @@ class Started(NamedTuple):
 
 
 def start() -> Started:
-    """Return SWI-Prolog, started if need be.
+    """Return SWI-Prolog, which is started by the first call.
 
     Raises:
-        UsageError: where it is not installed, or does not start.
+        UsageError: if it is not installed or does not start.
     """
     with _LOCK:
         return _started()
@@ -143,11 +146,11 @@ def start() -> Started:
 def _started() -> Started:
     swi = find_library()
     swi.start()
-    engines: MutableMapping[int, AskedBack] = WeakValueDictionary()
+    engines: MutableMapping[int, SwiEngine] = WeakValueDictionary()
 
     answerers: Any = Callbacks(engines, swi.thread_self, partial(_refuse, swi))
-    callbacks: List[Tuple[str, int, Any]] = [("$retalis_ask", 1, Answering(answerers))]
-    callbacks += [(name, 0, step) for name, step in steps_of_keeping()]
+    callbacks: List[Tuple[str, int, Any]] = [("$retalis_ask", 1, UnaryCallback(answerers))]
+    callbacks += [(name, 0, step) for name, step in signal_stack_predicates()]
     for name, arity, callback in callbacks:
         swi.register(BRIDGE.encode(), name.encode(), arity, callback, 0)
     ref = swi.new_refs(1)
@@ -159,7 +162,7 @@ def _started() -> Started:
 
 
 def _refuse(swi: SwiLibrary) -> None:
-    """Throw the error for a thread of SWI-Prolog's own, which belongs to no program."""
+    """Raise the error for a callback from a thread of SWI-Prolog, which belongs to no program."""
     ref = swi.new_refs(1)
     what = (functor("existence_error", 2), atom("retalis_engine"), (SLASH, atom("retalis"), 1))
     SwiTerms(swi).put(ref, (functor("error", 2), what, Var()), {})

@@ -1,8 +1,12 @@
-"""What SWI-Prolog and this package know each other's atoms and functors by.
+"""Conversion of terms between this package and SWI-Prolog through term references, without text.
 
-Compound terms of SWI-Prolog's that are being read, part by part.
+Terms are converted iteratively with an explicit stack, so their depth is not limited by recursion. Atoms and functors
+are mapped to SWI-Prolog's handles by bounded caches. An atom handle is registered with SWI-Prolog while a cache holds
+it, since SWI-Prolog frees unreferenced atoms.
 
-Terms as SWI-Prolog has them, and back: part by part, never as text.
+While a term is read, each of its variables is bound to a mark ``'$retalis_variable'(N)``, by which further
+occurrences of the variable are recognised. The caller undoes the marks, by the next solution of the query or by
+discarding a frame.
 """
 
 from ctypes import byref, c_double, c_int, c_int64, c_size_t, c_void_p, string_at
@@ -20,48 +24,50 @@ from .libswipl import ATOM_TEXT, INTEGER_TEXT, STRING_TEXT, SwiLibrary
 
 
 class Handles(Cache[Any, int]):
-    """What SWI-Prolog knows our atoms and functors by; it keeps them as long as they are held here."""
+    """Cache of SWI-Prolog's handles by atoms or functors of this package; it releases the handles that it drops."""
 
-    __slots__ = ("let_go",)
+    __slots__ = ("release",)
 
-    def __init__(self, let_go: Callable[[int], object]):
+    def __init__(self, release: Callable[[int], object]):
         super().__init__(4096, 1 << 20)
-        self.let_go = let_go
+        self.release = release
 
     def clear(self) -> None:
-        """Forget all."""
+        """Remove all entries."""
         while self:
-            _, handle = self.popitem()  # first: what is found in it must be there
-            self.let_go(handle)
+            # The entry is removed before its handle is released: every entry must have a valid handle, also if an
+            # exception of a signal handler comes in between.
+            _, handle = self.popitem()
+            self.release(handle)
         super().clear()
 
 
 class HeldHandles(Cache[int, Any]):
-    """The other way: our atoms and functors by what SWI-Prolog knows them by."""
+    """Cache of atoms or functors of this package by SWI-Prolog's handles; it releases the handles that it drops."""
 
-    __slots__ = ("let_go",)
+    __slots__ = ("release",)
 
-    def __init__(self, let_go: Callable[[int], object]):
+    def __init__(self, release: Callable[[int], object]):
         super().__init__(4096, 1 << 20)
-        self.let_go = let_go
+        self.release = release
 
     def clear(self) -> None:
-        """Forget all."""
+        """Remove all entries."""
         while self:
             handle, _ = self.popitem()
-            self.let_go(handle)
+            self.release(handle)
         super().clear()
 
 
-def kept(handle: int) -> None:
-    """Let a functor go: SWI-Prolog keeps those for ever."""
+def keep_functor(handle: int) -> None:
+    """Do nothing to release a functor handle: SWI-Prolog never frees functors."""
 
 
 class TermParts:
-    """What is being read of a compound term.
+    """Iterator over the parts of a compound term of SWI-Prolog that is being read.
 
     Attributes:
-        values: of the parts that have been read.
+        values: values of the parts that have been read.
     """
 
     __slots__ = ("values",)
@@ -69,20 +75,20 @@ class TermParts:
     def __init__(self) -> None:
         self.values: List[Term] = []
 
-    def following(self) -> Optional[int]:
-        """Return where the next part is, or None after the last."""
+    def next_part(self) -> Optional[int]:
+        """Return the reference of the next part, or None after the last one."""
         raise NotImplementedError
 
-    def made(self) -> Term:
-        """Return the term of all parts."""
+    def term(self) -> Term:
+        """Return the complete term."""
         raise NotImplementedError
 
 
 class ListParts(TermParts):
-    """A list, whose tail is read as what follows the last item.
+    """Parts of a list: its items, then its tail.
 
     Attributes:
-        pending: whether an item has been taken off it that is to be read.
+        pending: whether an item has been taken from the list but not been read.
     """
 
     __slots__ = ("_swi", "_item", "_ended", "pending")
@@ -94,8 +100,8 @@ class ListParts(TermParts):
         self._ended = False
         self.pending = False
 
-    def following(self) -> Optional[int]:
-        """Return where the next part is, see `TermParts`."""
+    def next_part(self) -> Optional[int]:
+        """Return the reference of the next part, see `TermParts`."""
         item = self._item
         if self._ended:
             return None
@@ -107,13 +113,13 @@ class ListParts(TermParts):
         self._ended = True
         return item + 1
 
-    def made(self) -> Term:
-        """Return the term of all parts, see `TermParts`."""
+    def term(self) -> Term:
+        """Return the complete term, see `TermParts`."""
         return make_list(self.values[:-1], self.values[-1])
 
 
 class ArgumentParts(TermParts):
-    """Another compound term."""
+    """Parts of a compound term that is not a list."""
 
     __slots__ = ("_swi", "_ref", "_argument", "_key")
 
@@ -124,21 +130,21 @@ class ArgumentParts(TermParts):
         self._argument = argument
         self._key = key
 
-    def following(self) -> Optional[int]:
-        """Return where the next part is, see `TermParts`."""
+    def next_part(self) -> Optional[int]:
+        """Return the reference of the next part, see `TermParts`."""
         number = len(self.values) + 1
         if number > self._key.arity:
             return None
         self._swi.get_argument(number, self._ref, self._argument)
         return self._argument
 
-    def made(self) -> Term:
-        """Return the term of all parts, see `TermParts`."""
+    def term(self) -> Term:
+        """Return the complete term, see `TermParts`."""
         return (self._key, *self.values)
 
 
 class SeenVariable(TermParts):
-    """A variable that has been read before."""
+    """A mark, which denotes a variable that has been read before; it has no parts."""
 
     __slots__ = ("_var",)
 
@@ -146,42 +152,46 @@ class SeenVariable(TermParts):
         super().__init__()
         self._var = var
 
-    def following(self) -> Optional[int]:
-        """Return where the next part is, see `TermParts`."""
+    def next_part(self) -> Optional[int]:
+        """Return None, since there are no parts."""
         return None
 
-    def made(self) -> Term:
-        """Return the term of all parts, see `TermParts`."""
+    def term(self) -> Term:
+        """Return the variable."""
         return self._var
 
 
-def require(done: int) -> int:
-    """Return what a function has returned: 0 means that there is no room."""
-    if not done:
+def require(result: int) -> int:
+    """Return the result of a function of SWI-Prolog.
+
+    Raises:
+        PrologError: a resource error if it is 0, which means that SWI-Prolog has no memory left.
+    """
+    if not result:
         raise resource_error("memory")
-    return done
+    return result
 
 
-_MASK = len(BULK) - 1
-_LEAST, _LARGEST = -(1 << 63), (1 << 63) - 1
+_CHECK_INTERVAL_MASK = len(BULK) - 1
+_MIN_INTEGER, _MAX_INTEGER = -(1 << 63), (1 << 63) - 1
 _MARK = "$retalis_variable"
 
 Refs = Dict[Var, int]
-"""Where variables of ours stand in SWI-Prolog."""
+"""References to terms of SWI-Prolog by variables of this package."""
 
 Bindings = List[Tuple[Var, Term]]
-"""What a solution makes of variables."""
+"""Values of variables in a solution."""
 
 
 class SwiTerms:
-    """Makes terms of SWI-Prolog of ours, and the other way; one thread uses it at a time, with an engine."""
+    """Converter of terms for one engine of SWI-Prolog. Not thread-safe."""
 
     def __init__(self, swi: SwiLibrary):
         self._swi = swi
         self._handles = Handles(swi.unregister_atom)
-        self._functors = Handles(kept)
+        self._functors = Handles(keep_functor)
         self._atoms = HeldHandles(swi.unregister_atom)
-        self._names = HeldHandles(kept)
+        self._names = HeldHandles(keep_functor)
         self._puts: Dict[type, Callable[[int, Any], int]] = {
             int: self._put_integer,
             float: swi.unify_float,
@@ -214,23 +224,23 @@ class SwiTerms:
         self._marked: List[Var] = []
         self._lenient = False
 
-    def let_go(self) -> None:
-        """Hold no atoms any more."""
+    def release(self) -> None:
+        """Release all atoms."""
         self._handles.clear()
         self._atoms.clear()
 
-    # Ours to SWI-Prolog's
+    # To SWI-Prolog
 
     def put(self, ref: int, term: Term, refs: Refs) -> None:
-        """Have a new variable of SWI-Prolog's be a term.
+        """Bind a new variable of SWI-Prolog to a term.
 
         Args:
-            ref: the variable.
+            ref: reference of the variable.
             term: the term.
-            refs: of the variables that have been put already; those of the term are added.
+            refs: references of variables that have been converted already; those of the term are added.
 
         Raises:
-            PrologError: where it has no room for the term, or no such term.
+            PrologError: if SWI-Prolog has no memory left, or cannot represent the term.
         """
         term = deref(term)
         put = self._puts.get(term.__class__)
@@ -247,14 +257,14 @@ class SwiTerms:
             require(self._swi.unify(ref, known))
 
     def _put_large(self, ref: int, whole: Term, refs: Refs) -> None:
-        """Put what may have parts: from the outside in, so that no depth is too much."""
+        """Bind a variable to a term that may be compound, from the outside to the inside."""
         swi, puts = self._swi, self._puts
         stack = [(ref, whole)]
         steps = 0
         while stack:
             ref, term = stack.pop()
             steps += 1
-            if not steps & _MASK:
+            if not steps & _CHECK_INTERVAL_MASK:
                 look()
                 if steps > MAX_STEPS:
                     raise TermTooLarge
@@ -280,8 +290,9 @@ class SwiTerms:
                 raise representation_error("term", f"SWI-Prolog has no {type(term).__name__}")
 
     def _put_integer(self, ref: int, value: int) -> int:
-        if _LEAST <= value <= _LARGEST:
+        if _MIN_INTEGER <= value <= _MAX_INTEGER:
             return self._swi.unify_integer(ref, value)  # type: ignore[no-any-return]
+        # The text is hexadecimal, because the conversion of a long integer to decimal takes quadratic time.
         read = require(self._swi.new_refs(1))
         require(self._swi.read_text(hex(value).encode(), read))
         return self._swi.unify(ref, read)  # type: ignore[no-any-return]
@@ -293,18 +304,19 @@ class SwiTerms:
         if handle is not None:
             return self._swi.unify_atom(ref, handle)  # type: ignore[no-any-return]
         text = _encoded(value.name)
-        done: int = self._swi.unify_text(ref, self._swi.atom | self._swi.utf8, len(text), text)
-        if done and self._swi.get_atom(ref, self._to_word):
-            self._keep(self._handles, value, self._word.value, len(text))
-        return done
+        result: int = self._swi.unify_text(ref, self._swi.atom | self._swi.utf8, len(text), text)
+        if result and self._swi.get_atom(ref, self._to_word):
+            self._cache_handle(self._handles, value, self._word.value, len(text))
+        return result
 
     def _put_string(self, ref: int, value: String) -> int:
         text = _encoded(value.text)
         swi = self._swi
         return swi.unify_text(ref, swi.kinds["string"] | swi.utf8, len(text), text)  # type: ignore[no-any-return]
 
-    def _keep(self, cache: Handles, key: Any, handle: int, size: int) -> None:
-        self._swi.register_atom(handle)  # first: what is found in it must be there
+    def _cache_handle(self, cache: Handles, key: Any, handle: int, size: int) -> None:
+        # Registered first: every entry of the cache must have a valid handle.
+        self._swi.register_atom(handle)
         cache.keep(key, handle, size)
         if key not in cache:
             self._swi.unregister_atom(handle)
@@ -317,69 +329,67 @@ class SwiTerms:
         return handle
 
     def handle(self, value: Atom) -> int:
-        """Return what SWI-Prolog knows an atom by, which a term has to hold, or the cache."""
+        """Return the handle of an atom. It is valid only while a term or the cache holds the atom."""
         ref = require(self._swi.new_refs(1))
-        if value is NIL:  # as a functor it is a name like others
+        if value is NIL:  # the empty list of SWI-Prolog is not the atom '[]', which is the name of a functor
             require(self._swi.unify_text(ref, self._swi.atom | self._swi.utf8, 2, b"[]"))
         else:
             require(self._put_atom(ref, value))
         require(self._swi.get_atom(ref, self._to_word))
         return self._word.value
 
-    # SWI-Prolog's to ours
-
-    # Variables of SWI-Prolog's are bound to marks meanwhile: who reads takes that back, by going on with the query
-    # or by discarding a frame.
+    # From SWI-Prolog
 
     def begin(self, lenient: bool = False) -> None:
-        """Begin to read: variables are the same in all that is read until the next `begin`.
+        """Begin to read: terms that are read until the next `begin` share variables.
 
         Args:
-            lenient: whether what has no term here is read as text.
+            lenient: whether terms that cannot be represented are read as text.
         """
         self._marked = []
         self._lenient = lenient
 
     def read_values(self, refs: Refs) -> Bindings:
-        """Return what variables of ours have become; without those that are still variables, and none seen before."""
+        """Return the values of variables, without those that are still unbound and differ from the others."""
         reads, kind_of, variable = self._reads, self._swi.term_type, self._variable
         self._marked = []
         self._lenient = False
-        found = []
+        values = []
         for var, ref in refs.items():
             kind = kind_of(ref)
             read = reads.get(kind)
             if read is not None:
-                found.append((var, read(ref)))
+                values.append((var, read(ref)))
             elif kind == variable:
-                self._note(ref, var)
+                self._mark_variable(ref, var)
             else:
-                found.append((var, self._read_other(ref, kind)))
-        return found
+                values.append((var, self._read_compound(ref, kind)))
+        return values
 
     def read(self, ref: int) -> Term:
-        """Return a term.
+        """Return the term of a reference.
 
         Raises:
-            PrologError: for what is no term here: rational numbers, streams and other handles, terms without
-                arguments, variables with constraints.
-            TermTooLarge: where it contains itself.
+            PrologError: if the term cannot be represented: rational numbers, streams and other handles, compound
+            terms
+                without arguments, variables with constraints.
+            TermTooLarge: if the term is cyclic.
         """
         kind = self._swi.term_type(ref)
         read = self._reads.get(kind)
         if read is not None:
             return read(ref)
-        return self._note(ref, Var()) if kind == self._variable else self._read_other(ref, kind)
+        return self._mark_variable(ref, Var()) if kind == self._variable else self._read_compound(ref, kind)
 
-    def _read_other(self, ref: int, kind: int) -> Term:
+    def _read_compound(self, ref: int, kind: int) -> Term:
         """Return a term that is neither a constant nor a variable."""
         if kind not in (self._compound, self._pair):
-            return self._other(ref, kind)
+            return self._read_unsupported(ref, kind)
         if not self._swi.is_acyclic(ref):
             raise TermTooLarge
         return self._read_large(ref, kind)
 
-    def _note(self, ref: int, var: Var) -> Var:
+    def _mark_variable(self, ref: int, var: Var) -> Var:
         swi = self._swi
         if swi.is_attributed(ref):
             if not self._lenient:
@@ -400,17 +410,17 @@ class SwiTerms:
         steps = 0
         while True:
             steps += 1
-            if not steps & _MASK:
+            if not steps & _CHECK_INTERVAL_MASK:
                 look()
                 if steps > MAX_STEPS:
                     raise TermTooLarge
-            part = top.following()
+            part = top.next_part()
             if part is None:
-                made = top.made()
+                term = top.term()
                 if not stack:
-                    return made
+                    return term
                 top = stack.pop()
-                top.values.append(made)
+                top.values.append(term)
                 continue
             kind = self._swi.term_type(part)
             read = self._reads.get(kind)
@@ -421,18 +431,20 @@ class SwiTerms:
                 top = self._parts(part, kind)
             else:
                 top.values.append(
-                    self._note(part, Var()) if kind == self._variable else self._other(part, kind)
+                    self._mark_variable(part, Var())
+                    if kind == self._variable
+                    else self._read_unsupported(part, kind)
                 )
 
     def _parts(self, ref: int, kind: int) -> "TermParts":
-        """Return the parts of a list or another compound term, to be read."""
+        """Return the iterator over the parts of a compound term."""
         swi = self._swi
         if kind == self._pair:
             items = require(swi.new_refs(2))
             swi.copy_ref(items + 1, ref)
-            found = ListParts(swi, items)
-            found.pending = self._read_constants(items, found.values)
-            return found
+            parts = ListParts(swi, items)
+            parts.pending = self._read_constants(items, parts.values)
+            return parts
         swi.get_functor(ref, self._to_word)
         handle = self._word.value
         argument = require(swi.new_refs(1))
@@ -442,12 +454,12 @@ class SwiTerms:
             return SeenVariable(self._marked[self._long.value])
         key = self._names.get(handle)
         if key is None:
-            key = self._named(ref)
+            key = self._read_functor(ref)
             self._names.keep(handle, key, len(key.name))
         return ArgumentParts(swi, ref, argument, key)
 
     def _read_constants(self, item: int, values: List[Term]) -> bool:
-        """Read the items with which a list begins as long as they are constants; tell whether another one follows."""
+        """Read the leading constants of a list; return whether an item follows that is not a constant."""
         reads, kind_of, get_list = self._reads, self._swi.term_type, self._swi.get_list
         tail = item + 1
         while len(values) <= MAX_STEPS:
@@ -461,7 +473,7 @@ class SwiTerms:
             look()
         raise TermTooLarge
 
-    def _named(self, ref: int) -> Functor:
+    def _read_functor(self, ref: int) -> Functor:
         self._swi.get_name(ref, self._to_word, self._to_arity)
         handle, arity = self._word.value, self._arity.value
         if not arity:
@@ -479,12 +491,12 @@ class SwiTerms:
         known: Optional[Atom] = self._atoms.get(handle)
         if known is not None:
             return known
-        made = atom(self._text(ref, ATOM_TEXT))
+        term = atom(self._text(ref, ATOM_TEXT))
         self._swi.register_atom(handle)
-        self._atoms.keep(handle, made, len(made.name))
+        self._atoms.keep(handle, term, len(term.name))
         if handle not in self._atoms:
             self._swi.unregister_atom(handle)
-        return made
+        return term
 
     def _read_integer(self, ref: int) -> Term:
         if self._swi.get_integer(ref, self._to_long):
@@ -506,8 +518,8 @@ class SwiTerms:
             raise resource_error("memory")
         return string_at(self._place.value or 0, self._length.value).decode("utf-8", "surrogatepass")
 
-    def _other(self, ref: int, kind: int) -> Term:
-        """Return what stands for something that is no term here, or raise what says so."""
+    def _read_unsupported(self, ref: int, kind: int) -> Term:
+        """Return the text of a term that cannot be represented, or raise an error, unless reading is lenient."""
         if self._lenient:
             return atom(self._text(ref, self._swi.written))
         names = {self._swi.kinds["rational"]: "a rational number", self._swi.kinds["dict"]: "a dict"}

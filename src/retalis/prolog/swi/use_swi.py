@@ -1,12 +1,12 @@
-"""What a program has of SWI-Prolog: an engine of it for each thread.
+"""``use_swi/1,2``: load a file into SWI-Prolog and define its exported predicates in a program.
 
-``use_swi/1,2``: files for SWI-Prolog, whose predicates a program calls as its own.
+Each such predicate is defined as a nondeterministic built-in that calls SWI-Prolog. A program has one engine of
+SWI-Prolog for each of its threads.
 """
 
 from contextlib import closing
-from pathlib import Path
 from threading import local
-from typing import TYPE_CHECKING, Any, Callable, Iterator, List, NamedTuple, Optional, Protocol, Tuple, Union
+from typing import TYPE_CHECKING, Any, Callable, Iterator, List, NamedTuple, Optional, Tuple, Union
 
 from ...foundation.errors import UsageError
 from ..machine.errors import existence_error, indicator, instantiation_error, permission_error, type_error
@@ -22,18 +22,18 @@ from .swi_session import SwiEngine
 from .swi_startup import BRIDGE, Started
 
 if TYPE_CHECKING:
-    pass  # import gone
+    from ...events.program.source_files import SourceFiles
 
 
 class SwiProgram:
-    """What a program has of SWI-Prolog: an engine for each thread that runs its goals.
+    """SWI-Prolog as used by one program, with an engine for each thread that runs its goals.
 
-    SWI-Prolog notes with an engine where the stack of its thread lies, and ends the process where that is elsewhere
-    later. So an engine goes with its thread.
+    SWI-Prolog stores the position of the C stack with an engine, and aborts the process if the engine is used by a
+    thread with another stack. So an engine cannot move between threads.
 
     Args:
-        logic: of the program.
-        started: SWI-Prolog.
+        logic: the program.
+        started: the running SWI-Prolog.
     """
 
     def __init__(self, logic: PrologSystem, started: Started):
@@ -42,11 +42,11 @@ class SwiProgram:
         self._threads = local()
 
     def predicate(self, module: str, name: str, arity: int) -> Callable[..., Union[bool, Iterator[object]]]:
-        """Return what calls a predicate of a module, for `PrologSystem.define_nondeterministic`."""
+        """Return the function that calls a predicate of a module, for `PrologSystem.define_nondeterministic`."""
         threads, budget = self._threads, self._logic.machine.budget
         handle = self.engine().handle(module, name, arity)
         key = functor(name, arity)
-        where = atom(module)
+        module_atom = atom(module)
 
         def call(machine: Machine, *arguments: Term) -> Union[bool, Iterator[object]]:
             try:
@@ -54,8 +54,10 @@ class SwiProgram:
             except AttributeError:
                 engine = self.engine()
             left = budget.left()
+            # SWI-Prolog counts inferences exactly. Its limit needs a wrapper goal, which is only used if there is
+            # one.
             if left is not None and left.inferences is not None:
-                goal = (COLON, where, (key, *arguments) if arguments else atom(name))
+                goal = (COLON, module_atom, (key, *arguments) if arguments else atom(name))
                 return engine.call(machine, engine.limited, (goal, max(left.inferences, 0)), left)
             return engine.call(machine, handle, arguments, left)
 
@@ -63,53 +65,36 @@ class SwiProgram:
 
     def engine(self) -> SwiEngine:
         """Return the engine of this thread."""
-        found: Optional[SwiEngine] = getattr(self._threads, "engine", None)
-        if found is None:
-            found = self._threads.engine = SwiEngine(self._logic, self._started)
+        engine: Optional[SwiEngine] = getattr(self._threads, "engine", None)
+        if engine is None:
+            engine = self._threads.engine = SwiEngine(self._logic, self._started)
             megabytes = self._logic.limits.megabytes
             if megabytes is not None:
                 self.ask("limit_stacks", int(megabytes * MEGABYTE))
-        return found
+        return engine
 
     def ask(self, name: str, *arguments: Term) -> bool:
-        """Call a predicate of the bridge once; its bindings stay."""
-        found = self.predicate(BRIDGE, name, len(arguments))(self._logic.machine, *arguments)
-        if isinstance(found, bool):
-            return found
-        with closing(found) as solutions:  # type: ignore[type-var]
+        """Call a predicate of the bridge once, and keep its bindings."""
+        outcome = self.predicate(BRIDGE, name, len(arguments))(self._logic.machine, *arguments)
+        if isinstance(outcome, bool):
+            return outcome
+        with closing(outcome) as solutions:  # type: ignore[type-var]
             return next(solutions, FAILED) is not FAILED
 
 
 _AS = functor("as", 2)
 _LIBRARY = functor("library", 1)
 _STATE = "swi"
-"""Where a logic has its `SwiProgram`."""
-
-
-class Loading(Protocol):
-    """What knows whether the program's own files are being loaded, a `Door`."""
-
-    is_loading: bool
-
-
-class FoundFiles(Protocol):
-    """The files that a program names, see `Files`."""
-
-    @property
-    def door(self) -> Loading:
-        """What opens them."""
-
-    def find(self, name: Term) -> Path:
-        """Return the path of a file that a program names."""
+"""Key of the `SwiProgram` in `PrologSystem.state`."""
 
 
 class SwiFile(NamedTuple):
-    """What SWI-Prolog is to load.
+    """A file or library to load into SWI-Prolog.
 
     Attributes:
-        name: the whole path, or how a library is called.
+        name: absolute path, or the text of the library term.
         source: the same as a term.
-        wanted: the list of predicates; the empty one stands for those that it exports.
+        wanted: list of predicate indicators; an empty list means all exported predicates.
     """
 
     name: str
@@ -118,12 +103,12 @@ class SwiFile(NamedTuple):
 
     @property
     def is_path(self) -> bool:
-        """Whether it is a file that the program names, and no library."""
+        """Whether it is a file of the program, not a library."""
         return isinstance(self.source, Atom)
 
 
-class Wanted(NamedTuple):
-    """A predicate that a program asks for, and what it calls it."""
+class ImportedPredicate(NamedTuple):
+    """A predicate of SWI-Prolog, with the functor under which the program calls it."""
 
     name: str
     arity: int
@@ -131,15 +116,15 @@ class Wanted(NamedTuple):
 
 
 def define_use_swi(
-    logic: PrologSystem, files: FoundFiles, allowed: bool, warn: Callable[[object], None]
+    logic: PrologSystem, files: "SourceFiles", allowed: bool, warn: Callable[[object], None]
 ) -> None:
     """Define ``use_swi(File)`` and ``use_swi(File, Predicates)``.
 
     Args:
-        logic: where they are defined.
-        files: of the program.
-        allowed: whether its own files may do that, while they are loaded; goals that run later never may.
-        warn: called with what is doubtful in a file.
+        logic: program in which they are defined.
+        files: files of the program.
+        allowed: whether files of the program may use them while they are loaded; goals that run later never may.
+        warn: called with each warning of SWI-Prolog about a file.
     """
 
     def use_all(machine: Machine, spec: Term) -> bool:
@@ -164,40 +149,46 @@ def use_swi(logic: PrologSystem, file: SwiFile, warn: Callable[[object], None]) 
     """Load a file into SWI-Prolog and define its predicates.
 
     Args:
-        logic: where they are defined.
-        file: what to load.
-        warn: called with what is doubtful in it.
+        logic: program in which they are defined.
+        file: the file or library.
+        warn: called with each warning of SWI-Prolog about it.
 
     Raises:
-        UsageError: where SWI-Prolog is not installed, or the file has errors.
-        PrologError: where there is no such predicate, or one of the system has its name.
+        UsageError: if SWI-Prolog is not installed, or the file has errors or exports nothing.
+        PrologError: if a predicate does not exist, or has the name of a built-in predicate.
     """
-    names = _wanted(file.wanted)
+    predicates = _imported_predicates(file.wanted)
     program = _program(logic)
     module, exported = _load(program, file, warn)
-    names = names or exported
-    if not names:
+    predicates = predicates or exported
+    if not predicates:
         raise UsageError(f"{file.name} exports nothing: name its predicates, as in use_swi(File, [near/2])")
-    for one in names:
-        _check(logic, program, module, one)
-    for one in names:
-        function = program.predicate(module, one.name, one.arity)
-        logic.define_nondeterministic(one.key.name, one.key.arity, function)
+    # All predicates are checked before the first one is defined, so that an error leaves the program unchanged.
+    for predicate in predicates:
+        _check_import(logic, program, module, predicate)
+    for predicate in predicates:
+        function = program.predicate(module, predicate.name, predicate.arity)
+        logic.define_nondeterministic(predicate.key.name, predicate.key.arity, function)
     logic.swi_files[file.name] = file
 
 
 def _program(logic: PrologSystem) -> "SwiProgram":
-    """Return what a program has of SWI-Prolog; only those that ask for it have SWI-Prolog loaded, and ctypes."""
+    """Return the `SwiProgram` of a program, and start SWI-Prolog if necessary."""
+    # Imported here, so that programs without `use_swi` load neither SWI-Prolog nor its interface.
     from .swi_startup import start  # noqa: PLC0415
 
-    found: Optional[SwiProgram] = logic.state.get(_STATE)
-    if found is None:
-        found = logic.state[_STATE] = SwiProgram(logic, start())
-    return found
+    program: Optional[SwiProgram] = logic.state.get(_STATE)
+    if program is None:
+        program = logic.state[_STATE] = SwiProgram(logic, start())
+    return program
 
 
-def _source(spec: Term, files: FoundFiles) -> Term:
-    """Return what SWI-Prolog is to load: a library of its own as it is, a file by its path."""
+def _source(spec: Term, files: "SourceFiles") -> Term:
+    """Return the term to load: a library term unchanged, or the absolute path of a file.
+
+    Raises:
+        PrologError: if the file does not exist.
+    """
     spec = deref(spec)
     if spec.__class__ is Var:
         raise instantiation_error()
@@ -209,33 +200,35 @@ def _source(spec: Term, files: FoundFiles) -> Term:
     return atom(str(path))
 
 
-def _wanted(term: Term) -> List[Wanted]:
-    """Return the predicates of a list."""
+def _imported_predicates(term: Term) -> List[ImportedPredicate]:
+    """Return the predicates of a list of predicate indicators."""
     items = list_items(deref(term))
     if items is None:
         raise type_error("list", deref(term))
-    return [_one(item) for item in items]
+    return [_imported_predicate(item) for item in items]
 
 
-def _one(indicator_of: Term) -> Wanted:
+def _imported_predicate(indicator_of: Term) -> ImportedPredicate:
     item: Any = deref(indicator_of)
-    new: Optional[Term] = None
+    local_name: Optional[Term] = None
     if item.__class__ is tuple and item[0] is _AS:
-        item, new = deref(item[1]), deref(item[2])
+        item, local_name = deref(item[1]), deref(item[2])
     parts: List[Any] = list(map(deref, item[1:])) if item.__class__ is tuple and item[0] is SLASH else []
     if not parts or not isinstance(parts[0], Atom) or not isinstance(parts[1], int) or parts[1] < 0:
         raise type_error("predicate_indicator", item)
-    if new is not None and not isinstance(new, Atom):
-        raise type_error("atom", new)
+    if local_name is not None and not isinstance(local_name, Atom):
+        raise type_error("atom", local_name)
     name, arity = parts[0].name, parts[1]
-    return Wanted(name, arity, functor(name if new is None else new.name, arity))
+    return ImportedPredicate(name, arity, functor(name if local_name is None else local_name.name, arity))
 
 
-def _load(program: "SwiProgram", file: SwiFile, warn: Callable[[object], None]) -> Tuple[str, List[Wanted]]:
-    """Load a file; return its module and what that exports.
+def _load(
+    program: "SwiProgram", file: SwiFile, warn: Callable[[object], None]
+) -> Tuple[str, List[ImportedPredicate]]:
+    """Load a file; return its module and the exported predicates.
 
     Raises:
-        UsageError: for what is wrong in it; what is doubtful is a warning.
+        UsageError: with all errors in the file; warnings are passed to ``warn``.
     """
     module, exports, problems = Var(), Var(), Var()
     if not program.ask("load", file.source, module, exports, problems):
@@ -249,13 +242,15 @@ def _load(program: "SwiProgram", file: SwiFile, warn: Callable[[object], None]) 
             warn(text)
     if errors:
         raise UsageError(f"SWI-Prolog cannot load {file.name}: {'; '.join(errors)}")
-    return to_python(module), [_one(item) for item in list_items(exports) or []]
+    return to_python(module), [_imported_predicate(item) for item in list_items(exports) or []]
 
 
-def _check(logic: PrologSystem, program: "SwiProgram", module: str, one: Wanted) -> None:
-    """Refuse a predicate that is not there, or whose name the system has."""
-    known = logic.database.predicates.get(one.key)
+def _check_import(
+    logic: PrologSystem, program: "SwiProgram", module: str, predicate: ImportedPredicate
+) -> None:
+    """Raise an error for a predicate that does not exist in SWI-Prolog or has the name of a built-in predicate."""
+    known = logic.database.predicates.get(predicate.key)
     if known is not None and known.locked:
-        raise permission_error("modify", "static_procedure", indicator(one.key))
-    if not program.ask("defined", atom(module), atom(one.name), one.arity):
-        raise existence_error("procedure", (SLASH, atom(one.name), one.arity))
+        raise permission_error("modify", "static_procedure", indicator(predicate.key))
+    if not program.ask("defined", atom(module), atom(predicate.name), predicate.arity):
+        raise existence_error("procedure", (SLASH, atom(predicate.name), predicate.arity))
