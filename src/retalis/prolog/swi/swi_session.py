@@ -13,19 +13,19 @@ call had proceeded.
 
 from contextlib import closing
 from ctypes import byref, c_void_p
-from threading import get_ident
+from threading import get_ident, local
 from time import monotonic
-from typing import Iterator, List, NamedTuple, Optional, Union
+from typing import Callable, Iterator, List, NamedTuple, Optional, Union
 from weakref import finalize
 
 from ...foundation.errors import RetalisError
 from ..machine.errors import PrologError, from_python, resource_error
 from ..machine.machine import LAST, Machine
-from ..machine.resource_limits import Left, LimitError
+from ..machine.resource_limits import MEGABYTE, Left, LimitError
 from ..system.prolog_system import PrologSystem
 from ..terms.list_terms import make_list
 from ..terms.term_traversal import copy, variant_key
-from ..terms.types import Term, Values, atom, functor
+from ..terms.types import COLON, Term, Values, atom, functor
 from .libswipl import (
     FAILED,
     LAST_SOLVED,
@@ -461,6 +461,63 @@ class SwiEngine:
             self._stored_error = prolog_error
             terms.put(ref := swi.new_refs(1), _FAILURE, {})
         swi.raise_exception(ref)
+
+
+class SwiProgram:
+    """SWI-Prolog as used by one program, with an engine for each thread that runs its goals.
+
+    SWI-Prolog stores the position of the C stack with an engine, and aborts the process if the engine is used by a
+    thread with another stack. So an engine cannot move between threads.
+
+    Args:
+        logic: the program.
+        started: the running SWI-Prolog.
+    """
+
+    def __init__(self, logic: PrologSystem, started: Started):
+        self._logic = logic
+        self._started = started
+        self._threads = local()
+
+    def predicate(self, module: str, name: str, arity: int) -> Callable[..., Union[bool, Iterator[object]]]:
+        """Return the function that calls a predicate of a module, for `PrologSystem.define_nondeterministic`."""
+        threads, budget = self._threads, self._logic.machine.budget
+        handle = self.engine().handle(module, name, arity)
+        key = functor(name, arity)
+        module_atom = atom(module)
+
+        def call(machine: Machine, *arguments: Term) -> Union[bool, Iterator[object]]:
+            try:
+                engine: SwiEngine = threads.engine
+            except AttributeError:
+                engine = self.engine()
+            left = budget.left()
+            # SWI-Prolog counts inferences exactly. Its limit needs a wrapper goal, which is only used if there is
+            # one.
+            if left is not None and left.inferences is not None:
+                goal = (COLON, module_atom, (key, *arguments) if arguments else atom(name))
+                return engine.call(machine, engine.limited, (goal, max(left.inferences, 0)), left)
+            return engine.call(machine, handle, arguments, left)
+
+        return call
+
+    def engine(self) -> SwiEngine:
+        """Return the engine of this thread."""
+        engine: Optional[SwiEngine] = getattr(self._threads, "engine", None)
+        if engine is None:
+            engine = self._threads.engine = SwiEngine(self._logic, self._started)
+            megabytes = self._logic.limits.megabytes
+            if megabytes is not None:
+                self.ask("limit_stacks", int(megabytes * MEGABYTE))
+        return engine
+
+    def ask(self, name: str, *arguments: Term) -> bool:
+        """Call a predicate of the bridge once, and keep its bindings."""
+        outcome = self.predicate(BRIDGE, name, len(arguments))(self._logic.machine, *arguments)
+        if isinstance(outcome, bool):
+            return outcome
+        with closing(outcome) as solutions:  # type: ignore[type-var]
+            return next(solutions, FAILED) is not FAILED
 
 
 def _destroy(swi: SwiLibrary, engine: int, terms: SwiTerms, ended: List[bool]) -> None:

@@ -4,82 +4,20 @@ Each such predicate is defined as a nondeterministic built-in that calls SWI-Pro
 SWI-Prolog for each of its threads.
 """
 
-from contextlib import closing
-from threading import local
-from typing import TYPE_CHECKING, Any, Callable, Iterator, List, NamedTuple, Optional, Tuple, Union
+from typing import TYPE_CHECKING, Any, Callable, List, NamedTuple, Optional, Tuple
 
 from ...foundation.errors import UsageError
 from ..machine.errors import existence_error, indicator, instantiation_error, permission_error, type_error
 from ..machine.machine import Machine
-from ..machine.resource_limits import MEGABYTE
 from ..system.prolog_system import PrologSystem
 from ..system.value_conversion import to_python
 from ..terms.list_terms import list_items
 from ..terms.term_traversal import copy
-from ..terms.types import COLON, NIL, SLASH, Atom, Functor, Term, Var, atom, deref, functor
-from .libswipl import FAILED
-from .swi_session import SwiEngine
-from .swi_startup import BRIDGE, Started
+from ..terms.types import NIL, SLASH, Atom, Functor, Term, Var, atom, deref, functor
 
 if TYPE_CHECKING:
     from ...events.program.source_files import SourceFiles
-
-
-class SwiProgram:
-    """SWI-Prolog as used by one program, with an engine for each thread that runs its goals.
-
-    SWI-Prolog stores the position of the C stack with an engine, and aborts the process if the engine is used by a
-    thread with another stack. So an engine cannot move between threads.
-
-    Args:
-        logic: the program.
-        started: the running SWI-Prolog.
-    """
-
-    def __init__(self, logic: PrologSystem, started: Started):
-        self._logic = logic
-        self._started = started
-        self._threads = local()
-
-    def predicate(self, module: str, name: str, arity: int) -> Callable[..., Union[bool, Iterator[object]]]:
-        """Return the function that calls a predicate of a module, for `PrologSystem.define_nondeterministic`."""
-        threads, budget = self._threads, self._logic.machine.budget
-        handle = self.engine().handle(module, name, arity)
-        key = functor(name, arity)
-        module_atom = atom(module)
-
-        def call(machine: Machine, *arguments: Term) -> Union[bool, Iterator[object]]:
-            try:
-                engine: SwiEngine = threads.engine
-            except AttributeError:
-                engine = self.engine()
-            left = budget.left()
-            # SWI-Prolog counts inferences exactly. Its limit needs a wrapper goal, which is only used if there is
-            # one.
-            if left is not None and left.inferences is not None:
-                goal = (COLON, module_atom, (key, *arguments) if arguments else atom(name))
-                return engine.call(machine, engine.limited, (goal, max(left.inferences, 0)), left)
-            return engine.call(machine, handle, arguments, left)
-
-        return call
-
-    def engine(self) -> SwiEngine:
-        """Return the engine of this thread."""
-        engine: Optional[SwiEngine] = getattr(self._threads, "engine", None)
-        if engine is None:
-            engine = self._threads.engine = SwiEngine(self._logic, self._started)
-            megabytes = self._logic.limits.megabytes
-            if megabytes is not None:
-                self.ask("limit_stacks", int(megabytes * MEGABYTE))
-        return engine
-
-    def ask(self, name: str, *arguments: Term) -> bool:
-        """Call a predicate of the bridge once, and keep its bindings."""
-        outcome = self.predicate(BRIDGE, name, len(arguments))(self._logic.machine, *arguments)
-        if isinstance(outcome, bool):
-            return outcome
-        with closing(outcome) as solutions:  # type: ignore[type-var]
-            return next(solutions, FAILED) is not FAILED
+    from .swi_session import SwiProgram
 
 
 _AS = functor("as", 2)
@@ -175,6 +113,7 @@ def use_swi(logic: PrologSystem, file: SwiFile, warn: Callable[[object], None]) 
 def _program(logic: PrologSystem) -> "SwiProgram":
     """Return the `SwiProgram` of a program, and start SWI-Prolog if necessary."""
     # Imported here, so that programs without `use_swi` load neither SWI-Prolog nor its interface.
+    from .swi_session import SwiProgram  # noqa: PLC0415
     from .swi_startup import start  # noqa: PLC0415
 
     program: Optional[SwiProgram] = logic.state.get(_STATE)
