@@ -14,9 +14,9 @@ from ..terms.types import Atom, CompoundTerm, Functor, Term, Var, deref, functor
 from .code_scope import Scope
 
 _PLUS, _MINUS, _TIMES = functor("+", 2), functor("-", 2), functor("*", 2)
-_DIRECT = {_PLUS: ("+", "add"), _MINUS: ("-", "subtract"), _TIMES: ("*", "multiply")}
-_BITS = {functor("/\\", 2): "&", functor("\\/", 2): "|", functor("xor", 2): "^"}
-_INTEGRAL = {
+_BASIC_OPERATORS = {_PLUS: ("+", "add"), _MINUS: ("-", "subtract"), _TIMES: ("*", "multiply")}
+_BIT_SYMBOLS = {functor("/\\", 2): "&", functor("\\/", 2): "|", functor("xor", 2): "^"}
+_INTEGER_OPERATIONS = {
     functor("//", 2),
     functor("mod", 2),
     functor("rem", 2),
@@ -24,11 +24,17 @@ _INTEGRAL = {
     functor(">>", 2),
     functor("<<", 2),
 }
-_FLOORED = {functor("mod", 2): "%", functor("div", 2): "//"}
-_TRUNCATED = functor("//", 2)
-_FUNCTIONS_OF_INTEGERS = {*_INTEGRAL, *_BITS, functor("\\", 1), functor("gcd", 2), functor("msb", 1)}
-_TO_INTEGER = {functor(name, 1) for name in ("integer", "truncate", "round", "floor", "ceiling")}
-_GIVING_AN_OPERAND = {
+_FLOOR_SYMBOLS = {functor("mod", 2): "%", functor("div", 2): "//"}
+_TRUNCATING_DIVISION = functor("//", 2)
+_INTEGER_FUNCTIONS = {
+    *_INTEGER_OPERATIONS,
+    *_BIT_SYMBOLS,
+    functor("\\", 1),
+    functor("gcd", 2),
+    functor("msb", 1),
+}
+_ROUNDING_FUNCTIONS = {functor(name, 1) for name in ("integer", "truncate", "round", "floor", "ceiling")}
+_INSTANT_FUNCTIONS = {
     *(functor(name, 1) for name in ("+", "eval", "rational", "rationalize")),
     *(functor(name, 2) for name in ("max", "min")),
     *(timestamps.DATIME6, timestamps.DATIME7),
@@ -44,7 +50,7 @@ within an evaluation and never become terms; see `arithmetic.instants`.
 """
 
 
-def number(scope: Scope, expression: Term, depth: int = 0) -> Operand:
+def evaluate(scope: Scope, expression: Term, depth: int = 0) -> Operand:
     """Write the evaluation of an arithmetic expression and return its operand."""
     expression = deref(expression)
     if expression.__class__ is int:
@@ -52,10 +58,10 @@ def number(scope: Scope, expression: Term, depth: int = 0) -> Operand:
     if expression.__class__ is float and expression - expression == 0:
         return scope.unit.constant(expression), "float"
     if expression.__class__ is Var:
-        return _variable(scope, expression)
+        return _write_variable(scope, expression)
     if depth < _MAX_EXPRESSION_DEPTH:
         if expression.__class__ is tuple and expression[0] in EVALUABLE:
-            return _operation(scope, expression, depth)
+            return _write_operation(scope, expression, depth)
         if expression.__class__ is Atom and expression.functor in EVALUABLE:
             target = scope.temp()
             scope.line(f"{target} = {scope.unit.constant(EVALUABLE[expression.functor])}()")
@@ -65,11 +71,11 @@ def number(scope: Scope, expression: Term, depth: int = 0) -> Operand:
     return target, "any"
 
 
-def number_of_program(scope: Scope, expression: Term) -> Operand:
+def evaluate_to_term(scope: Scope, expression: Term) -> Operand:
     """Write the evaluation of an expression whose value becomes a term, and return its operand."""
-    value, kind = number(scope, expression)
-    if kind != "any":
-        return value, kind
+    value, value_class = evaluate(scope, expression)
+    if value_class != "any":
+        return value, value_class
     target = scope.temp()
     scope.line(
         f"{target} = {value} if {value}.__class__ is int or {value}.__class__ is float else plain({value})"
@@ -77,7 +83,7 @@ def number_of_program(scope: Scope, expression: Term) -> Operand:
     return target, "num"
 
 
-def _variable(scope: Scope, var: Var) -> Operand:
+def _write_variable(scope: Scope, var: Var) -> Operand:
     known = scope.numbers.get(var)
     if known is not None:
         return known
@@ -88,89 +94,89 @@ def _variable(scope: Scope, var: Var) -> Operand:
         scope.line(f"    {target} = {name}")
         scope.line("else:")
         scope.depth += 1
-        _bound(scope, name, target)
+        _write_bound(scope, name, target)
         scope.depth -= 1
     else:
         # In a continuation the value is most often a variable that an earlier call has bound; at entry it is most
         # often the number itself. Testing the likely case first saves a dereference per operation.
-        _bound(scope, name, target)
+        _write_bound(scope, name, target)
     scope.numbers[var] = target, "any"
     return target, "any"
 
 
-def _bound(scope: Scope, name: str, target: str) -> None:
+def _write_bound(scope: Scope, name: str, target: str) -> None:
     """Write the evaluation of a local that is most likely a variable bound to a number."""
     scope.line(f"{target} = {name}.ref if {name}.__class__ is Var else {name}")
     scope.line(f"if {target}.__class__ is not int and {target}.__class__ is not float:")
     scope.line(f"    {target} = measure({name})")
 
 
-def _operation(scope: Scope, expression: CompoundTerm, depth: int) -> Operand:
+def _write_operation(scope: Scope, expression: CompoundTerm, depth: int) -> Operand:
     key: Functor = expression[0]
-    if key in _DIRECT:
-        return _direct(scope, key, expression, depth)
+    if key in _BASIC_OPERATORS:
+        return _write_basic(scope, key, expression, depth)
     # Operands are evaluated from the last to the first, as the interpreter does: an expression with two errors must
     # raise the same one in both.
-    operands = [number(scope, arg, depth + 1) for arg in expression[:0:-1]][::-1]
+    operands = [evaluate(scope, arg, depth + 1) for arg in expression[:0:-1]][::-1]
     names = ", ".join(name for name, _ in operands)
     call = f"{scope.unit.constant(EVALUABLE[key])}({names})"
     target = scope.temp()
-    symbol = "//" if key is _TRUNCATED else _BITS.get(key) or _FLOORED.get(key)
+    symbol = "//" if key is _TRUNCATING_DIVISION else _BIT_SYMBOLS.get(key) or _FLOOR_SYMBOLS.get(key)
     if symbol is not None:
-        unknown = [name for name, kind in operands if kind != "int"]
-        test = " and ".join(f"{name}.__class__ is int" for name in unknown) or "True"
-        if key in _FLOORED:
+        untyped = [name for name, kind in operands if kind != "int"]
+        test = " and ".join(f"{name}.__class__ is int" for name in untyped) or "True"
+        if key in _FLOOR_SYMBOLS:
             test = f"{operands[1][0]} and {test}"
-        elif key is _TRUNCATED:
+        elif key is _TRUNCATING_DIVISION:
             # Python's // rounds down; for non-negative operands that equals the truncation of ISO Prolog. Division by
             # longer integers may take long and is left to the evaluator.
             test += f" and {operands[0][0]} >= 0 < {operands[1][0]} < {1 << 64}"
         scope.line(f"{target} = {operands[0][0]} {symbol} {operands[1][0]} if {test} else {call}")
     else:
         scope.line(f"{target} = {call}")
-    if key in _GIVING_AN_OPERAND:
+    if key in _INSTANT_FUNCTIONS:
         return target, "any"
-    return target, "int" if key in _FUNCTIONS_OF_INTEGERS or key in _TO_INTEGER else "num"
+    return target, "int" if key in _INTEGER_FUNCTIONS or key in _ROUNDING_FUNCTIONS else "num"
 
 
-def _direct(scope: Scope, key: Functor, expression: CompoundTerm, depth: int) -> Operand:
-    symbol, slow = _DIRECT[key]
+def _write_basic(scope: Scope, key: Functor, expression: CompoundTerm, depth: int) -> Operand:
+    symbol, slow = _BASIC_OPERATORS[key]
     # A variable plus or minus an integer, the step of most loops, is one conditional expression without a temporary.
     left_term, right_term = deref(expression[1]), deref(expression[2])
     target = scope.temp()
-    unknown = _unknown_variable(scope, left_term), _unknown_variable(scope, right_term)
-    if unknown[0] is not None and right_term.__class__ is int:
-        left, right = unknown[0], scope.unit.constant(right_term)
+    untyped = _untyped_local(scope, left_term), _untyped_local(scope, right_term)
+    if untyped[0] is not None and right_term.__class__ is int:
+        left, right = untyped[0], scope.unit.constant(right_term)
         scope.line(
             f"{target} = {left} {symbol} {right} if {left}.__class__ is int else {slow}({left}, {right})"
         )
         return target, "num"
-    if unknown[1] is not None and left_term.__class__ is int:
-        left, right = scope.unit.constant(left_term), unknown[1]
+    if untyped[1] is not None and left_term.__class__ is int:
+        left, right = scope.unit.constant(left_term), untyped[1]
         scope.line(
             f"{target} = {left} {symbol} {right} if {right}.__class__ is int else {slow}({left}, {right})"
         )
         return target, "num"
-    right, right_kind = number(scope, right_term, depth + 1)
-    left, left_kind = number(scope, left_term, depth + 1)
+    right, right_class = evaluate(scope, right_term, depth + 1)
+    left, left_class = evaluate(scope, left_term, depth + 1)
     scope.line(f"{target} = {left} {symbol} {right}")
     if key is _TIMES:
         # Repeated multiplication grows integers exponentially, so each product is checked against the bounds at once.
         # The comparison is false for inf and nan as well, which `checked` then rejects.
         scope.line(f"if not LEAST < {target} < LARGEST:")
         scope.line(f"    checked({target})")
-        kinds = {left_kind, right_kind}
-        return target, "int" if kinds == {"int"} else "float" if "float" in kinds else "num"
+        classes = {left_class, right_class}
+        return target, "int" if classes == {"int"} else "float" if "float" in classes else "num"
     # A sum is at most one bit longer than its operands, so sums of integers need no check of their size.
-    if left_kind == right_kind == "int":
+    if left_class == right_class == "int":
         return target, "int"
     # x - x is 0 for finite numbers and nan (true) for inf and nan: one test for both.
     scope.line(f"if {target} - {target}:")
     scope.line(f"    checked({target})")
-    return target, "float" if "float" in (left_kind, right_kind) else "num"
+    return target, "float" if "float" in (left_class, right_class) else "num"
 
 
-def _unknown_variable(scope: Scope, term: Term) -> "str | None":
+def _untyped_local(scope: Scope, term: Term) -> "str | None":
     """Return the local of a variable whose numeric value is not known yet; None for other terms."""
     if term.__class__ is not Var or term in scope.numbers or not scope.entry:
         return None

@@ -42,8 +42,8 @@ _MAX_GROUND_TESTS = 16
 """Variables of an event that are tested for groundness; a term with more counts as not ground."""
 
 _OUTPUTS = functor("outputs", 0)
-_EMPTY: FrozenSet[Needed] = frozenset()
-_NO_VALUE = ("", "")
+_NONE_NEEDED: FrozenSet[Needed] = frozenset()
+_NO_OPERAND = ("", "")
 
 
 class BodyGenerator:
@@ -80,48 +80,48 @@ class BodyGenerator:
     def write(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
         """Write goals up to the end of the function; the last statement returns the next frame."""
         nodes = join(self.unit.database, self.clause.counts, nodes)
-        at = 0
-        while at < len(nodes):
-            node: GoalNode = nodes[at]
+        position = 0
+        while position < len(nodes):
+            node: GoalNode = nodes[position]
             if not node.inline:
-                if not self._is_known(scope, nodes, at):
+                if not self._is_deterministic_arg(scope, nodes, position):
                     break
-                node = self._known(scope, nodes[at:])
-            scope.later = needed_by(nodes[at + 1 :])
+                node = self._write_arg_test(scope, nodes[position:])
+            scope.later = needed_by(nodes[position + 1 :])
             write_inline(scope, node)
             # Goals after a failure are unreachable; code for them would only be dead text after a return.
-            if isinstance(nodes[at], Fail):
+            if isinstance(nodes[position], Fail):
                 return
-            at += 1
-        rest = nodes[at:]
+            position += 1
+        rest = nodes[position:]
         if not rest:
             self._flush(scope)
             scope.line(f"return {scope.after}")
         elif isinstance(rest[0], (CallNode, Interpret)):
-            self._calls(scope, rest)
+            self._write_calls(scope, rest)
         elif isinstance(rest[0], Disjunction):
-            self._either(scope, rest[0], rest[1:])
+            self._write_disjunction(scope, rest[0], rest[1:])
         elif isinstance(rest[0], IfThenElse):
-            self._condition(scope, rest[0], rest[1:])
+            self._write_condition(scope, rest[0], rest[1:])
         else:
             raise AssertionError(rest[0])
 
-    def _is_known(self, scope: Scope, nodes: Sequence[GoalNode], at: int) -> bool:
+    def _is_deterministic_arg(self, scope: Scope, nodes: Sequence[GoalNode], position: int) -> bool:
         """Return whether a goal is ``arg/3`` with an argument number that is most likely bound.
 
         If it is, ``arg/3`` is deterministic and can be written inline.
         """
-        node = nodes[at]
+        node = nodes[position]
         database = self.unit.database
         if not isinstance(node, CallNode) or node.key is not ARG or database.is_library:
             return False
         if not database.predicate(ARG).library:
             return False  # redefined by the program
         number = deref(node.args[0])
-        known = number.__class__ is Var and number in scope.names and number not in scope.fresh
-        return known and all(_is_callable(other.source) for other in nodes[at:])
+        is_bound = number.__class__ is Var and number in scope.names and number not in scope.fresh
+        return is_bound and all(_is_callable(remaining.source) for remaining in nodes[position:])
 
-    def _known(self, scope: Scope, nodes: Sequence[GoalNode]) -> CallNode:
+    def _write_arg_test(self, scope: Scope, nodes: Sequence[GoalNode]) -> CallNode:
         """Write the test whether the number of ``arg/3`` is unbound; if so, the remaining goals are interpreted.
 
         Returns:
@@ -132,9 +132,9 @@ class BodyGenerator:
         var = deref(goal.args[0])
         assert var.__class__ is Var
         number = scope.names[var]
-        found = CallNode("builtin", KNOWN_ARG, goal.args, True)
-        if scope.numbers.get(var, _NO_VALUE)[0] == number:
-            return found
+        inline_goal = CallNode("builtin", KNOWN_ARG, goal.args, True)
+        if scope.numbers.get(var, _NO_OPERAND)[0] == number:
+            return inline_goal
         scope.dereference(number)
         scope.line("if k is Var:")
         # The rare case enumerates arguments by backtracking. Interpreting the rest keeps one copy of its code: a
@@ -150,21 +150,21 @@ class BodyGenerator:
         scope.line(f"return ({scope.unit.constant(self.interpret)}, {rest}, {height}, {scope.after})")
         scope.depth -= 1
         scope.restore(before)
-        return found
+        return inline_goal
 
     # Leaving the function
 
-    def _flush(self, scope: Scope, needed: FrozenSet[Needed] = _EMPTY) -> None:
+    def _flush(self, scope: Scope, needed: FrozenSet[Needed] = _NONE_NEEDED) -> None:
         """Write the statements that must precede returning a frame or pushing a choice point."""
         # The height is read before the choice point of the other clauses is pushed: a cut removes that one, too.
         if self.entry in needed and self.entry not in scope.names:
-            self._enter(scope)
+            self._write_height(scope)
         if scope.pending is not None:
             scope.push(scope.pending)
             scope.pending = None
             scope.fail = "return None"
 
-    def _calls(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
+    def _write_calls(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
         count = 0
         while count < min(len(nodes), _MAX_FRAME_CALLS) and isinstance(nodes[count], (CallNode, Interpret)):
             if nodes[count].inline:
@@ -172,7 +172,7 @@ class BodyGenerator:
             count += 1
         calls, rest = nodes[:count], nodes[count:]
         self._flush(scope, needed_by(rest) | needed_by(calls))
-        if count == 1 and not rest and self._loops(scope, calls[0]):
+        if count == 1 and not rest and self._write_turn(scope, calls[0]):
             return
         # Variables are created in statements before the frame expression: two calls that share a variable must get
         # the same object.
@@ -180,53 +180,56 @@ class BodyGenerator:
             for var in sorted(call.vars, key=self.clause.number):
                 if isinstance(var, Var) and var not in scope.names and not self.clause.is_void(var):
                     scope.create(var)
-        frame = self._continuation(scope, rest, scope.after) if rest else scope.after
-        if self._at_once(calls[0]):
-            self._control(scope, calls, frame, not rest)
+        frame = self._continuation_frame(scope, rest, scope.after) if rest else scope.after
+        if self._is_called_inline(calls[0]):
+            self._write_inline_call(scope, calls, frame, not rest)
             return
         # Frames nest from the last call outwards, because each one holds its successor.
         for call in reversed(calls):
-            frame = self._frame(scope, call, frame)
+            frame = self._frame_expression(scope, call, frame)
         first = calls[0]
         if isinstance(first, CallNode) and first.key is scope.calls_at_once:
             frame = f"{self.unit.predicate(first.key)}.run({frame})"
         scope.line(f"return {frame}")
 
-    def _at_once(self, call: GoalNode) -> bool:
+    def _is_called_inline(self, call: GoalNode) -> bool:
         """Return whether a call is of a control predicate that most often finishes within the call."""
-        return isinstance(call, CallNode) and call.key is not _OUTPUTS and self.unit.at_once(call.key)
+        return (
+            isinstance(call, CallNode) and call.key is not _OUTPUTS and self.unit.is_called_inline(call.key)
+        )
 
-    def _control(self, scope: Scope, calls: Sequence[GoalNode], frame: str, last: bool) -> None:
+    def _write_inline_call(self, scope: Scope, calls: Sequence[GoalNode], frame: str, is_last: bool) -> None:
         """Write the first call inline; if it returns its continuation unchanged, no frame is run for it.
 
         A control predicate returns another frame only if it has left work to the machine.
         """
-        first, others = calls[0], calls[1:]
+        first, remaining = calls[0], calls[1:]
         assert isinstance(first, CallNode)
-        for other in reversed(others):
-            frame = self._frame(scope, other, frame)
+        for later_call in reversed(remaining):
+            frame = self._frame_expression(scope, later_call, frame)
         depth = scope.depth
-        gate = self._gate(scope, first)
-        if gate is not None:
-            scope.line(f"if {gate}:")
+        condition = self._filter_condition(scope, first)
+        if condition is not None:
+            scope.line(f"if {condition}:")
             scope.depth += 1
         args = "".join(f"{scope.build(arg)}, " for arg in first.args)
-        call = f"{self.unit.builtin(first.key)}(M, ({args}), "
-        plain = "" if gate is None else f", {self._plain(scope, first.args[0])}"
-        if others:
-            then, found = scope.temp("then"), scope.temp("r")
+        call_prefix = f"{self.unit.builtin(first.key)}(M, ({args}), "
+        ground_argument = "" if condition is None else f", {self._ground_condition(scope, first.args[0])}"
+        if remaining:
+            then, result = scope.temp("then"), scope.temp("r")
             scope.line(f"{then} = {frame}")
-            scope.line(f"{found} = {call}{then}{plain})")
-            scope.line(f"if {found} is not {then}:")
-            scope.line(f"    return {found}")
+            scope.line(f"{result} = {call_prefix}{then}{ground_argument})")
+            scope.line(f"if {result} is not {then}:")
+            scope.line(f"    return {result}")
         else:
-            scope.line(f"return {call}{frame}{plain})")
+            scope.line(f"return {call_prefix}{frame}{ground_argument})")
         scope.depth = depth
         # A recursive last call becomes a turn of the loop; without it the frame of the remaining calls is returned.
-        if not (last and len(others) == 1 and self._loops(scope, others[0])) and (others or gate is not None):
+        wrote_turn = is_last and len(remaining) == 1 and self._write_turn(scope, remaining[0])
+        if not wrote_turn and (remaining or condition is not None):
             scope.line(f"return {frame}")
 
-    def _gate(self, scope: Scope, call: CallNode) -> Optional[str]:
+    def _filter_condition(self, scope: Scope, call: CallNode) -> Optional[str]:
         """Return the condition under which a call can have an effect; None if every call may.
 
         This is predicate pushdown: for an event that no listener accepts, the event term is not even built.
@@ -235,36 +238,40 @@ class BodyGenerator:
             return None
         term = deref(call.args[0])
         positions: List[int] = []
-        known: List[str] = []
+        known_values: List[str] = []
         if term.__class__ is tuple:
             key: Functor = term[0]
-            for at, arg in enumerate(term[1:], 1):
+            for position, arg in enumerate(term[1:], 1):
                 arg = deref(arg)
                 # A fresh variable has no value to compare, and a compound argument would have to be built first.
                 is_known = arg.__class__ is Var and arg in scope.names and arg not in scope.fresh
                 if arg.__class__ is Atom or is_known:
-                    positions.append(at)
-                    known.append(scope.build(arg))
+                    positions.append(position)
+                    known_values.append(scope.build(arg))
         elif term.__class__ is Atom:
             key = term.functor
         else:
             return None
-        gate = self.unit.gate(call.key, key, tuple(positions[:_MAX_FILTERED_ARGUMENTS]))
-        if gate is None:
+        passes = self.unit.pushdown_filter(call.key, key, tuple(positions[:_MAX_FILTERED_ARGUMENTS]))
+        if passes is None:
             return None
-        values = [*[scope.build(arg) for arg in call.args[1:]], *known[:_MAX_FILTERED_ARGUMENTS]]
-        return f"{gate}({', '.join(values)})"
+        values = [*[scope.build(arg) for arg in call.args[1:]], *known_values[:_MAX_FILTERED_ARGUMENTS]]
+        return f"{passes}({', '.join(values)})"
 
     @staticmethod
-    def _plain(scope: Scope, term: Term) -> str:
+    def _ground_condition(scope: Scope, term: Term) -> str:
         """Return a condition that is true only if a term has no unbound variables."""
-        found = variables(term)
-        names = [scope.names.get(var) for var in found]
-        if len(names) > _MAX_GROUND_TESTS or None in names or any(var in scope.fresh for var in found):
+        term_variables = variables(term)
+        names = [scope.names.get(var) for var in term_variables]
+        if (
+            len(names) > _MAX_GROUND_TESTS
+            or None in names
+            or any(var in scope.fresh for var in term_variables)
+        ):
             return "False"
         return " and ".join(f"{name}.__class__ in PLAIN" for name in names) or "True"
 
-    def _frame(self, scope: Scope, call: GoalNode, after: str) -> str:
+    def _frame_expression(self, scope: Scope, call: GoalNode, after: str) -> str:
         if isinstance(call, Interpret):
             term = scope.build(call.term)
             return f"({scope.unit.constant(self.interpret)}, {term}, {scope.names[call.height]}, {after})"
@@ -276,7 +283,7 @@ class BodyGenerator:
         parts = [code, *[scope.build(arg) for arg in call.args], after]
         return f"({', '.join(parts)})"
 
-    def _loops(self, scope: Scope, call: GoalNode) -> bool:
+    def _write_turn(self, scope: Scope, call: GoalNode) -> bool:
         """Write a last call of the predicate itself as another turn of the loop around it.
 
         Returns:
@@ -284,15 +291,15 @@ class BodyGenerator:
         """
         if scope.loop is None or not isinstance(call, CallNode) or scope.after != "after":
             return False
-        key, locals_, statement, end = scope.loop
+        key, arguments, statement, base_case = scope.loop
         if call.key is not key:
             return False
         values = [scope.build(arg) for arg in call.args]
         # Another turn with the base case's constant would only succeed: return at once, without a turn for it.
-        if end is not None:
-            scope.line(f"if {values[end[0]]} is {end[1]}:")
+        if base_case is not None:
+            scope.line(f"if {values[base_case[0]]} is {base_case[1]}:")
             scope.line(f"    return {scope.after}")
-        changed = [(local, value) for local, value in zip(locals_, values) if local != value]
+        changed = [(argument, value) for argument, value in zip(arguments, values) if argument != value]
         # One tuple assignment, because a new argument may be computed from the old value of another one.
         if changed:
             targets, sources = zip(*changed)
@@ -304,10 +311,10 @@ class BodyGenerator:
 
     # Continuations
 
-    def _live(self, scope: Scope, needed: FrozenSet[Needed]) -> List[Needed]:
+    def _live_variables(self, scope: Scope, needed: FrozenSet[Needed]) -> List[Needed]:
         return sorted((var for var in needed if var in scope.names), key=self.clause.number)
 
-    def _continuation(
+    def _continuation_frame(
         self, scope: Scope, nodes: Sequence[GoalNode], after: str, retried: bool = False
     ) -> str:
         """Return an expression for the frame that runs ``nodes``; their function is written by a job of the unit.
@@ -318,9 +325,9 @@ class BodyGenerator:
             after: expression for the frame that follows them.
             retried: whether the frame is a choice point, which ends with the length of the trail.
         """
-        live = self._live(scope, needed_by(nodes))
-        code, function = self._code()
-        self._job(function, live, nodes, retried)
+        live = self._live_variables(scope, needed_by(nodes))
+        code, function = self._new_code()
+        self._add_job(function, live, nodes, retried)
         parts = [code, *[scope.names[var] for var in live], after]
         if retried:
             parts.append("len(trail)")
@@ -328,13 +335,13 @@ class BodyGenerator:
         scope.fresh.difference_update(live)
         return f"({', '.join(parts)})"
 
-    def _code(self) -> Tuple[str, str]:
+    def _new_code(self) -> Tuple[str, str]:
         function = self.unit.unique("then_")
         code = self.unit.code(self.title, function)
         code.functor = self.key
         return self.unit.constant(code), function
 
-    def _job(self, function: str, live: List[Needed], nodes: Sequence[GoalNode], retried: bool) -> None:
+    def _add_job(self, function: str, live: List[Needed], nodes: Sequence[GoalNode], retried: bool) -> None:
         def write() -> None:
             scope = Scope(self.unit, self.clause)
             scope.entry = False
@@ -347,97 +354,97 @@ class BodyGenerator:
 
         self.unit.jobs.append(write)
 
-    def _share(self, scope: Scope, groups: Sequence[Sequence[GoalNode]]) -> None:
+    def _create_shared(self, scope: Scope, groups: Sequence[Sequence[GoalNode]]) -> None:
         """Create the variables that several parts of a control construct need.
 
         Branches and continuation run in different functions and must refer to the same variable.
         """
-        seen: FrozenSet[Needed] = _EMPTY
-        twice: FrozenSet[Needed] = _EMPTY
+        seen: FrozenSet[Needed] = _NONE_NEEDED
+        shared: FrozenSet[Needed] = _NONE_NEEDED
         for group in groups:
             needed = needed_by(group)
-            twice |= seen & needed
+            shared |= seen & needed
             seen |= needed
-        for var in sorted(twice, key=self.clause.number):
+        for var in sorted(shared, key=self.clause.number):
             if isinstance(var, Var) and var not in scope.names:
                 scope.create(var)
                 scope.fresh.discard(var)
 
-    def _join(self, scope: Scope, rest: Sequence[GoalNode]) -> None:
+    def _write_joined_frame(self, scope: Scope, rest: Sequence[GoalNode]) -> None:
         """Write the frame of the goals after a control construct, which all of its branches continue with."""
         if rest:
-            frame = self._continuation(scope, rest, scope.after)
+            frame = self._continuation_frame(scope, rest, scope.after)
             scope.after = scope.temp("after")
             scope.line(f"{scope.after} = {frame}")
 
-    def _alternative(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
+    def _push_alternative(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
         """Write a statement that pushes a choice point which runs ``nodes``."""
         if nodes:
             # The choice point is needed even if it only fails: heights count it, and a cut removes it.
             if isinstance(nodes[0], Fail):
                 scope.push("choose((DEAD, len(trail)))")
             else:
-                scope.push(f"choose({self._continuation(scope, nodes, scope.after, True)})")
+                scope.push(f"choose({self._continuation_frame(scope, nodes, scope.after, True)})")
         else:
             scope.push(f"choose((RESUME, {scope.after}, len(trail)))")
 
     # Control
 
-    def _either(self, scope: Scope, node: Disjunction, rest: Sequence[GoalNode]) -> None:
-        self._share(scope, [*node.branches, rest])
+    def _write_disjunction(self, scope: Scope, node: Disjunction, rest: Sequence[GoalNode]) -> None:
+        self._create_shared(scope, [*node.branches, rest])
         self._flush(scope, needed_by([node, *rest]))
-        self._join(scope, rest)
+        self._write_joined_frame(scope, rest)
         first, *others = node.branches
         # The stack is last in, first out: the second branch must be on top.
         for branch in reversed(others):
-            self._alternative(scope, branch)
+            self._push_alternative(scope, branch)
         scope.fail = "return None"
         self.write(scope, first)
 
-    def _condition(self, scope: Scope, node: IfThenElse, rest: Sequence[GoalNode]) -> None:
-        self._share(scope, [[*node.test, *node.then], node.otherwise, rest])
+    def _write_condition(self, scope: Scope, node: IfThenElse, rest: Sequence[GoalNode]) -> None:
+        self._create_shared(scope, [[*node.test, *node.then], node.otherwise, rest])
         if all(goal.inline for goal in node.test) and node.inner is None and not node.soft:
-            self._if(scope, node, rest)
+            self._write_if(scope, node, rest)
             return
         self._flush(scope, needed_by([node, *rest]))
-        self._join(scope, rest)
+        self._write_joined_frame(scope, rest)
         # The height is taken below the choice point of the else branch, so that the cut after the test removes both
         # that one and the choice points of the test.
         height = Height(scope.temp("h"))
         height.name = f"g{self.clause.number(height)}"
         scope.push(f"{height.name} = len(choices)")
         scope.names[height] = height.name
-        self._alternative(scope, node.otherwise)
+        self._push_alternative(scope, node.otherwise)
         if node.inner is not None:
             scope.push(f"{node.inner.name} = len(choices)")
             scope.names[node.inner] = node.inner.name
         scope.fail = "return None"
         self.write(scope, [*node.test, Cut(height, node.soft), *node.then])
 
-    def _if(self, scope: Scope, node: IfThenElse, rest: Sequence[GoalNode]) -> None:
+    def _write_if(self, scope: Scope, node: IfThenElse, rest: Sequence[GoalNode]) -> None:
         """Write a condition with an inline test and calls in its branches as a Python ``if``."""
         scope.later = needed_by([*node.then, *rest])
         if rest:
             # Both branches use the joined frame, so what it needs is written before the test.
-            self._height(scope, rest)
-            self._join(scope, rest)
-        missed = write_test(scope, node.test)
+            self._require_height(scope, rest)
+            self._write_joined_frame(scope, rest)
+        unset = write_test(scope, node.test)
         before = scope.branch()
         scope.depth += 1
         self.write(scope, node.then)
         scope.depth -= 1
         scope.restore(before)
-        forget(scope, missed)
+        forget(scope, unset)
         scope.line("else:")
         scope.depth += 1
         self.write(scope, node.otherwise)
         scope.depth -= 1
 
-    def _height(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
+    def _require_height(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
         if self.entry in needed_by(nodes) and self.entry not in scope.names:
-            self._enter(scope)
+            self._write_height(scope)
 
-    def _enter(self, scope: Scope) -> None:
+    def _write_height(self, scope: Scope) -> None:
         """Write the assignment of the height at entry."""
         scope.push(f"{self.entry.name} = len(choices)")
         scope.names[self.entry] = self.entry.name

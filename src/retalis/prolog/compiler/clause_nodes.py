@@ -322,17 +322,17 @@ class BodyParser:
         cut = self.clause if cut is None else cut
         nodes: List[GoalNode] = []
         for goal in conjuncts(body):
-            node = self._node(goal, cut, depth)
+            node = self._goal_node(goal, cut, depth)
             if not isinstance(node, Succeed):
                 node.source = goal
                 nodes.append(node)
         return nodes
 
-    def _node(self, goal: Term, cut: Height, depth: int) -> GoalNode:
+    def _goal_node(self, goal: Term, cut: Height, depth: int) -> GoalNode:
         if goal.__class__ is Var:
             return CallNode("call", CALL, (goal,), False)
         if goal.__class__ is Atom:
-            return self._atom(goal, cut)
+            return self._atom_node(goal, cut)
         if goal.__class__ is Lazy:
             goal = goal.term()
         if goal.__class__ is not tuple:
@@ -341,19 +341,19 @@ class BodyParser:
         if key is COLON:
             if deref(goal[1]).__class__ is Var or deref(goal[2]).__class__ is Var:
                 return CallNode("call", CALL, (goal,), False)
-            inner = self._database.modules.goal(goal)
+            module_goal = self._database.modules.goal(goal)
             # A node stands for one goal, so a module call that expands to a conjunction is interpreted.
-            several = inner.__class__ is tuple and inner[0] is COMMA
-            return Interpret(inner, cut) if several else self._node(inner, cut, depth)
+            is_conjunction = module_goal.__class__ is tuple and module_goal[0] is COMMA
+            return Interpret(module_goal, cut) if is_conjunction else self._goal_node(module_goal, cut, depth)
         # ignore/1 is the only one of these that a program may redefine.
         if key in _STRUCTURES and (key is not IGNORE or self._database.predicate(IGNORE).library):
             # The compiler is recursive and Python limits the nesting of blocks.
             if depth > _MAX_CONTROL_DEPTH:
                 return Interpret(goal, cut)
-            return self._control(key, goal, cut, depth + 1)
-        return self._plain(key, goal[1:])
+            return self._control_node(key, goal, cut, depth + 1)
+        return self._call_node(key, goal[1:])
 
-    def _atom(self, goal: Atom, cut: Height) -> GoalNode:
+    def _atom_node(self, goal: Atom, cut: Height) -> GoalNode:
         if goal is TRUE:
             return Succeed(frozenset(), True)
         if goal is FALSE or goal.name == "fail":
@@ -362,9 +362,9 @@ class BodyParser:
             node = Cut(cut)
             node.cuts = cut is self.clause
             return node
-        return self._plain(goal.functor, ())
+        return self._call_node(goal.functor, ())
 
-    def _plain(self, key: Functor, args: Tuple[Term, ...]) -> GoalNode:
+    def _call_node(self, key: Functor, args: Tuple[Term, ...]) -> GoalNode:
         form = _FORMS.get(key)
         if form is not None:
             return CallNode(form, key, args, True)
@@ -381,50 +381,52 @@ class BodyParser:
         form = ("functor" if key is FUNCTOR else "builtin") if inline else "call"
         return CallNode(form, key, args, inline)
 
-    def _control(self, key: Functor, goal: CompoundTerm, cut: Height, depth: int) -> GoalNode:
+    def _control_node(self, key: Functor, goal: CompoundTerm, cut: Height, depth: int) -> GoalNode:
         if key is SEMICOLON or key is BAR:
-            return self._either(goal, cut, depth)
+            return self._disjunction_node(goal, cut, depth)
         if key is ARROW or key is SOFT_ARROW:
-            return self._condition(goal, None, cut, depth)
+            return self._condition_node(goal, None, cut, depth)
         argument = deref(goal[1])
         # A variable as a goal is opaque to cuts, which call/1 provides.
         if argument.__class__ is Var:
             argument = (CALL, argument)
-        inner = self.height()
-        test = self.parse(argument, inner, depth)
-        barrier = _used(inner, test)
+        inner_height = self.height()
+        test = self.parse(argument, inner_height, depth)
+        barrier = _if_needed(inner_height, test)
         if key is NOT:
             return IfThenElse(test, [Fail(frozenset(), True)], [], barrier)
         return IfThenElse(test, [], [] if key is IGNORE else [Fail(frozenset(), True)], barrier)
 
-    def _either(self, goal: CompoundTerm, cut: Height, depth: int) -> GoalNode:
-        left = deref(goal[1])
-        if left.__class__ is tuple and (left[0] is ARROW or left[0] is SOFT_ARROW):
-            return self._condition(left, goal[2], cut, depth)
+    def _disjunction_node(self, goal: CompoundTerm, cut: Height, depth: int) -> GoalNode:
+        branch = deref(goal[1])
+        if branch.__class__ is tuple and (branch[0] is ARROW or branch[0] is SOFT_ARROW):
+            return self._condition_node(branch, goal[2], cut, depth)
         # Right-nested disjunctions become one node with many branches, which keeps long ones from being nested too
         # deep.
-        branches = [self.parse(left, cut, depth)]
+        branches = [self.parse(branch, cut, depth)]
         rest = deref(goal[2])
         while rest.__class__ is tuple and rest[0] is SEMICOLON:
-            left = deref(rest[1])
-            if left.__class__ is tuple and (left[0] is ARROW or left[0] is SOFT_ARROW):
+            branch = deref(rest[1])
+            if branch.__class__ is tuple and (branch[0] is ARROW or branch[0] is SOFT_ARROW):
                 break
-            branches.append(self.parse(left, cut, depth))
+            branches.append(self.parse(branch, cut, depth))
             rest = deref(rest[2])
         branches.append(self.parse(rest, cut, depth))
         return Disjunction(branches)
 
-    def _condition(self, arrow: CompoundTerm, otherwise: Optional[Term], cut: Height, depth: int) -> GoalNode:
-        inner = self.height()
-        test = self.parse(arrow[1], inner, depth)
+    def _condition_node(
+        self, arrow: CompoundTerm, otherwise: Optional[Term], cut: Height, depth: int
+    ) -> GoalNode:
+        inner_height = self.height()
+        test = self.parse(arrow[1], inner_height, depth)
         then = self.parse(arrow[2], cut, depth)
-        rest: List[GoalNode] = (
+        else_nodes: List[GoalNode] = (
             [Fail(frozenset(), True)] if otherwise is None else self.parse(otherwise, cut, depth)
         )
-        return IfThenElse(test, then, rest, _used(inner, test), arrow[0] is SOFT_ARROW)
+        return IfThenElse(test, then, else_nodes, _if_needed(inner_height, test), arrow[0] is SOFT_ARROW)
 
 
-def _used(height: Height, nodes: List[GoalNode]) -> Optional[Height]:
+def _if_needed(height: Height, nodes: List[GoalNode]) -> Optional[Height]:
     return height if height in needed_by(nodes) else None
 
 

@@ -90,38 +90,38 @@ class Unit:
 
     def __init__(self, machine: Machine, database: PredicateResolver, repeats: bool = False):
         self.database = database
-        self._given = codegen.BoundNames(base_namespace(machine))
-        self.namespace = self._given.values
+        self._names = codegen.BoundNames(base_namespace(machine))
+        self.namespace = self._names.values
         self.repeats = repeats
         if repeats:
             self.namespace["compare"] = _compare_numbered
         self._functions: List[str] = []
         self._codes: List[Tuple[Code, str]] = []
         self.jobs: List[Callable[[], None]] = []
-        self._kept: Dict[Functor, Callable[..., Any]] = {}
+        self._builtins: Dict[Functor, Callable[..., Any]] = {}
 
     def constant(self, value: Any) -> str:
         """Return an expression for a value: a literal, or the name of a global."""
-        kind = value.__class__
+        value_class = value.__class__
         # Literals save a look-up of a global; longer integers become constants, because the source would grow with
         # them.
-        if kind is int and -(1 << 62) < value < 1 << 62:
+        if value_class is int and -(1 << 62) < value < 1 << 62:
             return str(value) if value >= 0 else f"({value})"
-        if kind is float and math.isfinite(value):
+        if value_class is float and math.isfinite(value):
             return repr(value) if math.copysign(1.0, value) > 0 else f"({value!r})"
         # The namespace keeps the value alive, so its id is not reused.
-        return self._given.constant(value, id(value))
+        return self._names.constant(value, id(value))
 
     def predicate(self, key: Functor) -> str:
         """Return the name of the constant for a predicate."""
         return self.constant(self.database.predicate(key))
 
-    def at_once(self, key: Functor) -> bool:
+    def is_called_inline(self, key: Functor) -> bool:
         """Return whether a predicate is called inline although it may return a frame."""
         predicate = self.database.predicate(key)
         return predicate.kind == "control" and predicate.function is not None
 
-    def gate(self, key: Functor, argument: Functor, positions: Tuple[int, ...]) -> Optional[str]:
+    def pushdown_filter(self, key: Functor, argument: Functor, positions: Tuple[int, ...]) -> Optional[str]:
         """Return an expression for the pushdown filter of a call, or None if the predicate has none.
 
         Args:
@@ -129,20 +129,20 @@ class Unit:
             argument: functor of the call's first argument.
             positions: positions in that argument whose values the filter compares.
         """
-        gate = self.database.predicate(key).gate
-        return None if gate is None else f"{self.constant(gate(argument, positions))}.passes"
+        make_filter = self.database.predicate(key).gate
+        return None if make_filter is None else f"{self.constant(make_filter(argument, positions))}.passes"
 
     def builtin(self, key: Functor) -> str:
         """Return the name of the Python function of a built-in that is called inline."""
         function = self.database.predicate(key).function
         assert function is not None
         if self.repeats and key is COMPARE:
-            function = self._kept.setdefault(key, partial(function, variables=by_number))
+            function = self._builtins.setdefault(key, partial(function, variables=by_number))
         return self.constant(function)
 
     def code(self, name: str, function: str) -> Code:
         """Return a code object that runs the generated function of this name once the unit is finished."""
-        code = Code(name, _unset)
+        code = Code(name, _not_generated)
         self._codes.append((code, function))
         return code
 
@@ -169,7 +169,7 @@ class Unit:
         return self.namespace
 
 
-def _unset(frame: Frame) -> Optional[Frame]:
+def _not_generated(frame: Frame) -> Optional[Frame]:
     raise AssertionError("code that was not generated")
 
 
@@ -236,7 +236,7 @@ class Scope:
         pending: the statement that pushes the choice point of the following clauses; None once it has been written.
         after: expression for the frame that follows the clause.
         entry: whether the code belongs to the entry function, whose arguments are most often bound.
-        at_one_go: whether the code is the fallback for a pattern whose unpacking as a whole has failed.
+        unpacking_failed: whether the code is the fallback for a pattern whose unpacking as a whole has failed.
         loop: the loop around the clause, or None.
         looped: whether a call has been written as a turn of that loop.
         calls_at_once: the predicate whose last call the function runs itself, returning the frame that it returns.
@@ -259,7 +259,7 @@ class Scope:
         self.pending: Optional[str] = None
         self.after = "after"
         self.entry = True
-        self.at_one_go = False
+        self.unpacking_failed = False
         self.loop: Optional[Loop] = None
         self.looped = False
         self.calls_at_once: Optional[Functor] = None
@@ -341,9 +341,11 @@ class Scope:
             return self.unit.constant(resolve(term))
         # Python limits the nesting of expressions, and its compiler is slow for long ones.
         if is_large(term):
-            found = variables(term)
-            parts = ", ".join(self.build(var) for var in found)
-            return f"fill({self.unit.constant(term)}, {self.unit.constant(tuple(found))}, {parts})"
+            template_variables = variables(term)
+            parts = ", ".join(self.build(var) for var in template_variables)
+            return (
+                f"fill({self.unit.constant(term)}, {self.unit.constant(tuple(template_variables))}, {parts})"
+            )
         parts = ", ".join([self.unit.constant(term[0]), *[self.build(arg) for arg in term[1:]]])
         return f"({parts})"
 

@@ -61,7 +61,7 @@ class FunctionCode:
         only: returns whether there is exactly one solution, and keeps its bindings; None if it cannot decide.
     """
 
-    __slots__ = ("first", "only", "_database", "_key", "_facts", "_missing")
+    __slots__ = ("first", "only", "_database", "_key", "_finds_facts", "_missing")
 
     first: Finder
     only: Finder
@@ -69,7 +69,7 @@ class FunctionCode:
     def __init__(self, database: PredicateResolver, key: Functor):
         self._database = database
         self._key = key
-        self._facts = False
+        self._finds_facts = False
         self.reset(None)
 
     def reset(self, predicate: "Optional[Predicate]") -> None:
@@ -80,33 +80,33 @@ class FunctionCode:
         Args:
             predicate: the changed predicate; None to discard the functions in any case.
         """
-        if not self._facts or predicate is None or not predicate.ground:
-            self._facts = False
+        if not self._finds_facts or predicate is None or not predicate.ground:
+            self._finds_facts = False
             self._missing = {True, False}
             # Generation is deferred to the first call: a predicate may change many times without being called.
-            self.first = lambda *args: self._make(True)(*args)
-            self.only = lambda *args: self._make(False)(*args)
+            self.first = lambda *args: self._generate(True)(*args)
+            self.only = lambda *args: self._generate(False)(*args)
 
     def prepare(self, once: bool) -> None:
         """Generate `first` (if ``once``) or `only` before it is called."""
         if once in self._missing:
-            self._make(once)
+            self._generate(once)
 
-    def _make(self, once: bool) -> Finder:
+    def _generate(self, once: bool) -> Finder:
         database, key = self._database, self._key
         # Marked as generated first: a caller that is compiled meanwhile must not generate it again.
         self._missing.discard(once)
         predicate = database.predicate(key)
         function: Finder
-        if work(database, key) is None:
-            function = _unknown
+        if call_cost(database, key) is None:
+            function = _cannot_decide
         elif is_facts(predicate):
-            self._facts = True
+            self._finds_facts = True
             self.first, self.only = predicate.fact_finder(True), predicate.fact_finder(False)
             self._missing.clear()
             return self.first if once else self.only
         else:
-            function = Functions(database, key, rules_of(predicate), predicate).function(once)
+            function = Functions(database, key, clause_parts(predicate), predicate).function(once)
         if once:
             self.first = function
         else:
@@ -114,7 +114,7 @@ class FunctionCode:
         return function
 
 
-def _unknown(*args: Term) -> None:
+def _cannot_decide(*args: Term) -> None:
     return None
 
 
@@ -123,7 +123,7 @@ def is_facts(predicate: "Predicate") -> bool:
     return predicate.ground and (predicate.dynamic or len(predicate) > _MAX_FUNCTION_CLAUSES)
 
 
-def rules_of(predicate: "Predicate") -> List[ClauseParts]:
+def clause_parts(predicate: "Predicate") -> List[ClauseParts]:
     """Return the clauses of a predicate for the generator."""
     return [
         ClauseParts(clause.head[1:] if clause.head.__class__ is tuple else (), clause.body, clause.place)
@@ -131,7 +131,7 @@ def rules_of(predicate: "Predicate") -> List[ClauseParts]:
     ]
 
 
-def work(database: PredicateResolver, key: Functor, path: Tuple[Functor, ...] = ()) -> Optional[int]:
+def call_cost(database: PredicateResolver, key: Functor, path: Tuple[Functor, ...] = ()) -> Optional[int]:
     """Return how many clauses a call of a predicate may try; None if it cannot be a function.
 
     Args:
@@ -149,27 +149,27 @@ def work(database: PredicateResolver, key: Functor, path: Tuple[Functor, ...] = 
         return 1
     if predicate.dynamic or not 0 < len(predicate) <= _MAX_FUNCTION_CLAUSES:
         return None
-    total = 0
+    cost = 0
     for clause in predicate.live():
         if clause.is_large:
             return None
         entry = Height("height")
-        nodes = parser(database, entry, (*path, key)).parse(clause.body)
-        inside = work_of(database, nodes, (*path, key))
-        if inside is None or any(not node.inline for node in nodes):
+        nodes = function_parser(database, entry, (*path, key)).parse(clause.body)
+        nested_cost = body_cost(database, nodes, (*path, key))
+        if nested_cost is None or any(not node.inline for node in nodes):
             return None
-        total += 1 + inside
-    return total if total <= _MAX_CLAUSES_VISITED else None
+        cost += 1 + nested_cost
+    return cost if cost <= _MAX_CLAUSES_VISITED else None
 
 
-def work_of(
+def body_cost(
     database: PredicateResolver, nodes: Sequence[GoalNode], path: Tuple[Functor, ...] = ()
 ) -> Optional[int]:
     """Return how many clauses the calls in a body may try; None if one of its goals cannot be in a function."""
     total = 0
     for goal in goals_of(nodes):
         if goal.form == "direct":
-            cost = work(database, goal.key, path)
+            cost = call_cost(database, goal.key, path)
             if cost is None:
                 return None
             total += cost
@@ -192,16 +192,16 @@ def goals_of(nodes: Sequence[GoalNode]) -> Iterator[CallNode]:
             yield from goals_of([*node.test, *node.then, *node.otherwise])
 
 
-def parser(database: PredicateResolver, entry: Height, path: Tuple[Functor, ...] = ()) -> BodyParser:
+def function_parser(database: PredicateResolver, entry: Height, path: Tuple[Functor, ...] = ()) -> BodyParser:
     """Return a parser that treats calls of predicates that can be functions as inline goals."""
-    known: Dict[Functor, bool] = {}
+    cached: Dict[Functor, bool] = {}
 
-    def direct(key: Functor) -> bool:
-        if key not in known:
-            known[key] = work(database, key, path) is not None
-        return known[key]
+    def can_be_function(key: Functor) -> bool:
+        if key not in cached:
+            cached[key] = call_cost(database, key, path) is not None
+        return cached[key]
 
-    return BodyParser(database, entry, direct)
+    return BodyParser(database, entry, can_be_function)
 
 
 def choose_functions(nodes: Sequence[GoalNode], once: bool) -> None:
@@ -211,14 +211,14 @@ def choose_functions(nodes: Sequence[GoalNode], once: bool) -> None:
         nodes: the goals.
         once: whether the first solution of the whole sequence is enough.
     """
-    for at, node in enumerate(nodes):
-        last = once if at == len(nodes) - 1 else isinstance(nodes[at + 1], Cut)
+    for position, node in enumerate(nodes):
+        first_is_enough = once if position == len(nodes) - 1 else isinstance(nodes[position + 1], Cut)
         if isinstance(node, CallNode):
-            node.once = last
+            node.once = first_is_enough
         elif isinstance(node, IfThenElse):
             choose_functions(node.test, True)
-            choose_functions(node.then, last)
-            choose_functions(node.otherwise, last)
+            choose_functions(node.then, first_is_enough)
+            choose_functions(node.otherwise, first_is_enough)
 
 
 class Functions(PredicateGenerator):
@@ -230,25 +230,25 @@ class Functions(PredicateGenerator):
         unit.namespace["key_of"] = key_of
         lines = ["    mark = len(trail)"]
         # Keys are read at entry: the head of a clause binds arguments, which must not influence the test for others.
-        keyed = [] if once else self._keyed()
-        lines += [f"    x{at + 1} = key_of({self.locals[at]})" for at in keyed]
+        positions = [] if once else self._selective_positions()
+        lines += [f"    x{position + 1} = key_of({self.locals[position]})" for position in positions]
         for index in range(len(self.rules)):
-            lines += self._block(unit, index, once, keyed)
+            lines += self._clause_block(unit, index, once, positions)
         unit.add([f"def main({', '.join(self.locals)}):", *lines, "    return False"])
         place = next((rule.place for rule in self.rules if rule.place is not None), None)
         source = unit.source()
-        name = f"{self.key} as a function"
-        found: Finder = unit.finish(source, title_of(place, name))["main"]
-        return found
+        title = f"{self.key} as a function"
+        finder: Finder = unit.finish(source, title_of(place, title))["main"]
+        return finder
 
-    def _keyed(self) -> List[int]:
+    def _selective_positions(self) -> List[int]:
         """Return the positions of arguments whose first-level keys distinguish clauses."""
         if len(self.rules) == 1:
             return []
-        keys = [[key_of(rule.args[at]) for rule in self.rules] for at in range(self.key.arity)]
-        return [at for at, found in enumerate(keys) if len(set(found)) > 1]
+        keys = [[key_of(rule.args[position]) for rule in self.rules] for position in range(self.key.arity)]
+        return [position for position, position_keys in enumerate(keys) if len(set(position_keys)) > 1]
 
-    def _block(self, unit: Unit, index: int, once: bool, keyed: List[int]) -> List[str]:
+    def _clause_block(self, unit: Unit, index: int, once: bool, positions: List[int]) -> List[str]:
         """Return the code of a clause, a block that ``break`` leaves to try the next clause."""
         rule = self.rules[index]
         rest = self.rules[index + 1 :]
@@ -256,15 +256,16 @@ class Functions(PredicateGenerator):
         scope = Scope(unit, ClauseVariables((*rule.args, rule.body)), "break")
         scope.depth = 2
         scope.cut = "return False"
-        nodes = parser(self.database, entry, (self.key,)).parse(rule.body)
+        nodes = function_parser(self.database, entry, (self.key,)).parse(rule.body)
         committed = any(isinstance(node, Cut) for node in nodes)
         choose_functions(nodes, once)
-        self._head(scope, rule, None, self._own_locals(scope, rule, None) if rest else self.locals)
+        self._write_head(scope, rule, None, self._copied_locals(scope, rule, None) if rest else self.locals)
         write_sequence(scope, nodes, frozenset())
         # After a cut no other clause can have a solution, so the solution is the only one.
-        others = [] if once or committed else [self._may_match(unit, other, keyed) for other in rest]
-        if others:
-            scope.line(f"return None if {' or '.join(others)} else True")
+        later_rules = () if once or committed else rest
+        conditions = [self._may_match(unit, later_rule, positions) for later_rule in later_rules]
+        if conditions:
+            scope.line(f"return None if {' or '.join(conditions)} else True")
         else:
             scope.line("return True")
         lines = ["    while True:", *scope.lines]
@@ -274,13 +275,13 @@ class Functions(PredicateGenerator):
         return lines
 
     @staticmethod
-    def _may_match(unit: Unit, rule: ClauseParts, keyed: List[int]) -> str:
+    def _may_match(unit: Unit, rule: ClauseParts, positions: List[int]) -> str:
         """Return the condition under which a clause may match the arguments at entry."""
         tests = []
-        for at in keyed:
-            key = key_of(rule.args[at])
+        for position in positions:
+            key = key_of(rule.args[position])
             if key is not None:
-                tests.append(f"(x{at + 1} is None or x{at + 1} == {unit.constant(key)})")
+                tests.append(f"(x{position + 1} is None or x{position + 1} == {unit.constant(key)})")
         return f"({' and '.join(tests)})" if tests else "True"
 
 

@@ -17,7 +17,7 @@ from ..terms.types import Frame, Step, Term, Var, deref, functor
 from .body_code import BodyGenerator
 from .clause_nodes import BodyParser, CallNode, GoalNode, Height, PredicateResolver, needed_by
 from .code_scope import ClauseVariables, Scope, Unit
-from .function_code import choose_functions, give_up, goals_of, parser, work_of
+from .function_code import body_cost, choose_functions, function_parser, give_up, goals_of
 from .inline_goals import write_sequence
 from .predicate_code import title_of
 
@@ -27,19 +27,19 @@ if TYPE_CHECKING:
 _OUTPUTS = functor("outputs", 0)
 
 
-class HandOver(CallNode):
+class OutputsNode(CallNode):
     """Goal node ``outputs`` at the end of a goal, which passes the outputs to the continuation."""
 
     __slots__ = ()
 
 
-def _hand_over(frame: Frame) -> Optional[Frame]:
+def _deliver_outputs(frame: Frame) -> Optional[Frame]:
     # Outputs are resolved: the bindings are undone before Python reads them.
     collector: Tuple[Takes, ...] = frame[-1]
     return collector[0].take(collector, tuple([resolve(value) for value in frame[1:-1]]))
 
 
-HAND_OVER = Code("outputs", _hand_over)
+OUTPUTS_CODE = Code("outputs", _deliver_outputs)
 
 
 class GoalGenerator:
@@ -98,8 +98,8 @@ class GoalGenerator:
     def _scope(self, unit: Unit) -> Scope:
         # Inputs are counted twice: a variable that occurs once is void, and its value would be dropped.
         scope = Scope(unit, ClauseVariables((*self._inputs, self._term, *self._outputs, *self._inputs)))
-        for at, var in enumerate(self._inputs):
-            scope.names[var] = f"a{at}"
+        for position, var in enumerate(self._inputs):
+            scope.names[var] = f"a{position}"
         return scope
 
     def _finish(self, unit: Unit) -> Callable[..., Any]:
@@ -116,26 +116,28 @@ class GoalGenerator:
         if self._interprets:
             return None
         entry = Height("height")
-        nodes = parser(self._database, entry).parse(self._term)
-        calls = any(goal.form == "direct" for goal in goals_of(nodes))
-        if any(not node.inline for node in nodes) or (calls and work_of(self._database, nodes) is None):
+        nodes = function_parser(self._database, entry).parse(self._term)
+        calls_functions = any(goal.form == "direct" for goal in goals_of(nodes))
+        if any(not node.inline for node in nodes) or (
+            calls_functions and body_cost(self._database, nodes) is None
+        ):
             return None
         choose_functions(nodes, True)
-        unit = Unit(self._database.machine, self._database, repeats=calls)
+        unit = Unit(self._database.machine, self._database, repeats=calls_functions)
         scope = self._scope(unit)
-        scope.fail = scope.cut = _FAIL
-        if calls:
+        scope.fail = scope.cut = _UNDO_AND_FAIL
+        if calls_functions:
             unit.namespace.update(give_up=give_up, LimitError=LimitError)
             scope.give_up = _GIVE_UP
         write_sequence(scope, nodes, frozenset(variables((_OUTPUTS, *self._outputs))))
-        values = [_resolved(scope, output) for output in self._outputs]
+        values = [_resolved_output(scope, output) for output in self._outputs]
         result = f"({', '.join(values)}{',' if len(values) == 1 else ''})"
         lines = scope.lines
         if scope.binds:
             lines = ["    mark = len(trail)", *lines, f"    result = {result}", "    undo(trail, mark)"]
             # A limit is exceeded only once: running the goal again would use the same time or memory a second time.
             # Any other exception is left to the machine, which adds the caller to it.
-            if calls:
+            if calls_functions:
                 lines = [lines[0], "    try:", *["    " + line for line in lines[1:]]]
                 lines += [
                     "    except LimitError:",
@@ -147,60 +149,60 @@ class GoalGenerator:
             result = "result"
         else:
             # Without bindings there is no mark to undo to.
-            lines = [line.replace(_FAIL, "return None") for line in lines]
-        parameters = ", ".join(f"a{at}" for at in range(len(self._inputs)))
+            lines = [line.replace(_UNDO_AND_FAIL, "return None") for line in lines]
+        parameters = ", ".join(f"a{position}" for position in range(len(self._inputs)))
         unit.add([f"def main({parameters}):", *lines, f"    return {result}"])
         return self._finish(unit)
 
-    def enter(self, hands_over: bool) -> Tuple[Step, bool]:
+    def enter(self, delivers_outputs: bool) -> Tuple[Step, bool]:
         """Return the function of the goal's frame, and whether it is steady (see `Code.steady`).
 
         Args:
-            hands_over: whether the frame passes its outputs to a collector instead of returning to a frame.
+            delivers_outputs: whether the frame passes its outputs to a collector instead of returning to a frame.
         """
         if self._interprets:
-            return self._interpreted(hands_over), False
+            return self._interpreted(delivers_outputs), False
         unit = Unit(self._database.machine, self._database)
         scope = self._scope(unit)
-        locals_ = [scope.names[var] for var in self._inputs]
+        input_names = [scope.names[var] for var in self._inputs]
         nodes: Sequence[GoalNode] = self._nodes
-        if hands_over:
-            nodes = [*nodes, HandOver("call", _OUTPUTS, self._outputs, False)]
+        if delivers_outputs:
+            nodes = [*nodes, OutputsNode("call", _OUTPUTS, self._outputs, False)]
         if self._entry in needed_by(nodes):
             scope.push("height = len(choices)")
             scope.names[self._entry] = "height"
         bodies = BodyGenerator(
-            unit, scope.clause, self._entry, self._database.interpret, self._name, None, HAND_OVER
+            unit, scope.clause, self._entry, self._database.interpret, self._name, None, OUTPUTS_CODE
         )
         bodies.write(scope, nodes)
-        unit.add(["def main(frame):", f"    {', '.join(['_', *locals_, 'after'])} = frame", *scope.lines])
+        unit.add(["def main(frame):", f"    {', '.join(['_', *input_names, 'after'])} = frame", *scope.lines])
         return self._finish(unit), not scope.pushes
 
-    def _interpreted(self, hands_over: bool) -> Step:
+    def _interpreted(self, delivers_outputs: bool) -> Step:
         """Return a function of the frame that interprets the goal."""
         call: Callable[[Term, Frame], Optional[Frame]] = self._database.machine.logic.control.call
         inputs, goal, outputs = self._inputs, self._term, self._outputs
 
         def run(frame: Frame) -> Optional[Frame]:
-            fresh: Dict[Var, Term] = dict(zip(inputs, frame[1:-1]))
-            body = copy(goal, fresh)
-            if not hands_over:
+            values: Dict[Var, Term] = dict(zip(inputs, frame[1:-1]))
+            body = copy(goal, values)
+            if not delivers_outputs:
                 return call(body, frame[-1])
-            return call(body, (HAND_OVER, *copy((_OUTPUTS, *outputs), fresh)[1:], frame[-1]))
+            return call(body, (OUTPUTS_CODE, *copy((_OUTPUTS, *outputs), values)[1:], frame[-1]))
 
         return run
 
 
-_FAIL = "return undo(trail, mark)"
+_UNDO_AND_FAIL = "return undo(trail, mark)"
 _GIVE_UP = "return give_up(trail, mark)"
 
 
-def _resolved(scope: Scope, output: Term) -> str:
+def _resolved_output(scope: Scope, output: Term) -> str:
     output = deref(output)
     if output.__class__ is not Var:
         return f"resolve({scope.build(output)})"
-    known = scope.numbers.get(output)
-    if known is not None and scope.names.get(output) == known[0]:
-        return known[0]
+    operand = scope.numbers.get(output)
+    if operand is not None and scope.names.get(output) == operand[0]:
+        return operand[0]
     name = scope.local(output)
     return name if output in scope.fresh else f"resolve({name})"

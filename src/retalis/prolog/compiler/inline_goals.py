@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Dict, FrozenSet, List, Mapping, Optional,
 from ..terms.list_terms import conjunction
 from ..terms.term_traversal import variables
 from ..terms.types import Atom, Term, Var, deref
-from .arithmetic_code import number, number_of_program
+from .arithmetic_code import evaluate, evaluate_to_term
 from .clause_nodes import (
     COMPARISONS,
     KNOWN_ARG,
@@ -31,7 +31,7 @@ from .clause_nodes import (
     needed_by,
 )
 from .code_scope import Scope, ScopeState
-from .unification_code import dereferenced, differs, forget_fresh, match, write_argument, write_functor
+from .unification_code import decoded_local, differs, forget_fresh, match, write_argument, write_functor
 
 if TYPE_CHECKING:
     from ..database.clause_index import FunctionalModes
@@ -49,9 +49,9 @@ class JoinedNode(CallNode):
 
     __slots__ = ("function",)
 
-    def __init__(self, goals: Sequence[CallNode], made: JoinedGoals):
-        super().__init__("joined", goals[0].key, (*made.inputs, made.output), True)
-        self.function = made.function
+    def __init__(self, goals: Sequence[CallNode], joined: JoinedGoals):
+        super().__init__("joined", goals[0].key, (*joined.inputs, joined.output), True)
+        self.function = joined.function
         self.source = conjunction([goal.source for goal in goals if goal.source is not None])
 
 
@@ -65,31 +65,31 @@ def join(
         counts: how often each variable occurs in the clause; an intermediate value occurs twice.
         nodes: the goals.
     """
-    found: List[GoalNode] = []
-    left = list(nodes)
-    while left:
-        goals = _row(database, left)
+    fused: List[GoalNode] = []
+    remaining = list(nodes)
+    while remaining:
+        goals = _leading_functions(database, remaining)
         functional = database.predicate(goals[0].key).functional if goals else None
         joins = None if functional is None else functional.joins
-        made = None if joins is None else joins([(goal.key, *goal.args) for goal in goals], counts)
-        if made is None:
-            found.append(left.pop(0))
+        joined = None if joins is None else joins([(goal.key, *goal.args) for goal in goals], counts)
+        if joined is None:
+            fused.append(remaining.pop(0))
         else:
-            found.append(JoinedNode(goals[: made.length], made))
-            del left[: made.length]
-    return found
+            fused.append(JoinedNode(goals[: joined.length], joined))
+            del remaining[: joined.length]
+    return fused
 
 
-def _row(database: PredicateResolver, nodes: Sequence[GoalNode]) -> List[CallNode]:
+def _leading_functions(database: PredicateResolver, nodes: Sequence[GoalNode]) -> List[CallNode]:
     """Return the leading goals that are built-in functions."""
-    found: List[CallNode] = []
+    functions: List[CallNode] = []
     for node in nodes[:_MAX_JOINED_GOALS]:
         if not isinstance(node, CallNode) or node.form != "builtin":
             break
         if database.predicate(node.key).functional is None:
             break
-        found.append(node)
-    return found
+        functions.append(node)
+    return functions
 
 
 def write_call(scope: Scope, node: CallNode) -> None:
@@ -97,12 +97,12 @@ def write_call(scope: Scope, node: CallNode) -> None:
     _WRITERS[node.form](scope, node)
 
 
-def _unify(scope: Scope, node: CallNode) -> None:
+def _write_unify(scope: Scope, node: CallNode) -> None:
     left, right = deref(node.args[0]), deref(node.args[1])
     if left.__class__ is not Var:
         left, right = right, left
     if left.__class__ is not Var:
-        _unify_terms(scope, left, right)
+        _write_unify_terms(scope, left, right)
         return
     # A variable without a value is not created: it becomes another name for the value.
     if left not in scope.names:
@@ -128,7 +128,7 @@ def _unify(scope: Scope, node: CallNode) -> None:
     match(scope, scope.local(left), right)
 
 
-def _unify_terms(scope: Scope, left: Term, right: Term) -> None:
+def _write_unify_terms(scope: Scope, left: Term, right: Term) -> None:
     """Write the unification of two terms that are not variables."""
     if left.__class__ is tuple and right.__class__ is tuple:
         if left[0] is not right[0]:
@@ -143,21 +143,21 @@ def _unify_terms(scope: Scope, left: Term, right: Term) -> None:
         scope.line(scope.fail)
 
 
-def _is(scope: Scope, node: CallNode) -> None:
+def _write_is(scope: Scope, node: CallNode) -> None:
     target = deref(node.args[0])
-    value, kind = number_of_program(scope, node.args[1])
+    value, value_class = evaluate_to_term(scope, node.args[1])
     if target.__class__ is Var and target not in scope.names:
         if target in variables(node.args[1]):
             scope.create(target)
         elif value[0] in "tn":
             scope.names[target] = value
-            scope.numbers[target] = value, kind
+            scope.numbers[target] = value, value_class
             return
         else:
             name = scope.clause.local(target)
             scope.line(f"{name} = {value}")
             scope.names[target] = name
-            scope.numbers[target] = name, kind
+            scope.numbers[target] = name, value_class
             return
     name = scope.temp("p")
     scope.line(f"{name} = {scope.build(target)}")
@@ -174,16 +174,16 @@ def _is(scope: Scope, node: CallNode) -> None:
     scope.line(f"    {scope.fail}")
 
 
-def _builtin(scope: Scope, node: CallNode) -> None:
+def _write_builtin(scope: Scope, node: CallNode) -> None:
     functional = scope.unit.database.predicate(node.key).functional
     if functional is not None:
-        _function(scope, node, functional)
+        _write_function(scope, node, functional)
         return
-    scope.line(f"if not {_builtin_call(scope, node)}:")
+    scope.line(f"if not {_builtin_expression(scope, node)}:")
     scope.line(f"    {scope.fail}")
 
 
-def _builtin_call(scope: Scope, node: CallNode) -> str:
+def _builtin_expression(scope: Scope, node: CallNode) -> str:
     scope.binds = True
     args = "".join(f", {scope.build(arg)}" for arg in node.args)
     # The built-in may bind its arguments or store them, so nothing is known of their variables afterwards.
@@ -192,7 +192,7 @@ def _builtin_call(scope: Scope, node: CallNode) -> str:
     return f"{scope.unit.builtin(node.key)}(M{args})"
 
 
-def _joined(scope: Scope, node: CallNode) -> None:
+def _write_joined(scope: Scope, node: CallNode) -> None:
     """Write the call of the function that evaluates joined goals."""
     assert isinstance(node, JoinedNode)
     *inputs, output = node.args
@@ -205,14 +205,14 @@ def _joined(scope: Scope, node: CallNode) -> None:
         forget_fresh(scope, arg)
     output = deref(output)
     if output.__class__ is Var and output in scope.names:
-        _bind_output(scope, output, result)
+        _write_output(scope, output, result)
     else:
         match(scope, result, output)
 
 
-def _function(scope: Scope, node: CallNode, functional: "FunctionalModes") -> None:
+def _write_function(scope: Scope, node: CallNode, functional: "FunctionalModes") -> None:
     """Write a call of a function and the unification of its outputs; outputs to void variables are skipped."""
-    inputs = [node.args[at] for at in functional.inputs]
+    inputs = [node.args[position] for position in functional.inputs]
     result = scope.temp()
     call = scope.unit.constant(functional.function)
     if node.key is KNOWN_ARG:
@@ -223,8 +223,8 @@ def _function(scope: Scope, node: CallNode, functional: "FunctionalModes") -> No
         scope.line(f"    {scope.fail}")
     for arg in inputs:
         forget_fresh(scope, arg)
-    for index, (at, show) in enumerate(zip(functional.outputs, functional.shows)):
-        arg = deref(node.args[at])
+    for index, (position, show) in enumerate(zip(functional.outputs, functional.shows)):
+        arg = deref(node.args[position])
         if arg.__class__ is Var and scope.clause.is_void(arg):
             continue
         value = result if functional.single else f"{result}[{index}]"
@@ -232,12 +232,12 @@ def _function(scope: Scope, node: CallNode, functional: "FunctionalModes") -> No
         scope.line(f"{name} = {value}" if show is None else f"{name} = {scope.unit.constant(show)}({value})")
         # arg/3 most often fills variables of a term that was just created, so the unbound case comes first.
         if node.key is KNOWN_ARG and arg.__class__ is Var and arg in scope.names:
-            _bind_output(scope, arg, name)
+            _write_output(scope, arg, name)
         else:
             match(scope, name, arg)
 
 
-def _bind_output(scope: Scope, var: Var, value: str) -> None:
+def _write_output(scope: Scope, var: Var, value: str) -> None:
     """Write the unification of a value with a variable that has a name and is most likely unbound."""
     name = scope.names[var]
     scope.binds = True
@@ -250,17 +250,17 @@ def _bind_output(scope: Scope, var: Var, value: str) -> None:
     scope.line(f"    {scope.fail}")
 
 
-def _direct(scope: Scope, node: CallNode) -> None:
+def _write_function_call(scope: Scope, node: CallNode) -> None:
     """Write a call of a predicate as a function; see `function_code`."""
     result = scope.temp()
     scope.binds = True
     args = ", ".join([scope.build(arg) for arg in node.args])
     for arg in node.args:
         forget_fresh(scope, arg)
-    direct = scope.unit.database.direct(node.key)
+    functions = scope.unit.database.direct(node.key)
     # The attribute is read at each call, because a change of the predicate replaces its functions.
-    direct.prepare(node.once)
-    function = scope.unit.constant(direct)
+    functions.prepare(node.once)
+    function = scope.unit.constant(functions)
     scope.line(f"{result} = {function}.{'first' if node.once else 'only'}({args})")
     scope.line(f"if not {result}:")
     scope.line(f"    if {result} is None:")
@@ -268,7 +268,7 @@ def _direct(scope: Scope, node: CallNode) -> None:
     scope.line(f"    {scope.fail}")
 
 
-def _test(scope: Scope, node: CallNode) -> None:
+def _write_simple_test(scope: Scope, node: CallNode) -> None:
     scope.line(f"if not ({simple_test(scope, node)}):")
     scope.line(f"    {scope.fail}")
 
@@ -278,17 +278,17 @@ def simple_test(scope: Scope, node: GoalNode) -> Optional[str]:
     if not isinstance(node, CallNode):
         return None
     if node.form == "arithmetic":
-        left, _ = number(scope, node.args[0])
-        right, _ = number(scope, node.args[1])
+        left, _ = evaluate(scope, node.args[0])
+        right, _ = evaluate(scope, node.args[1])
         return f"{left} {COMPARISONS[node.key]} {right}"
     if node.form == "type":
-        return TYPE_TESTS[node.key].format(dereferenced(scope, node.args[0]))
+        return TYPE_TESTS[node.key].format(decoded_local(scope, node.args[0]))
     if node.form == "order":
-        return _order(scope, node)
+        return _order_condition(scope, node)
     return None
 
 
-def _order(scope: Scope, node: CallNode) -> str:
+def _order_condition(scope: Scope, node: CallNode) -> str:
     left, right = deref(node.args[0]), deref(node.args[1])
     operator = ORDERS[node.key]
     if operator in ("== 0", "!= 0"):
@@ -296,18 +296,18 @@ def _order(scope: Scope, node: CallNode) -> str:
             left, right = right, left
         # Atoms are interned, so identity decides. Other terms may be equal without being the same object.
         if right.__class__ is Atom:
-            name, word = dereferenced(scope, left), "is" if operator == "== 0" else "is not"
-            return f"{name} {word} {scope.unit.constant(right)}"
-        one, other = dereferenced(scope, left), dereferenced(scope, right)
+            name, operator_word = decoded_local(scope, left), "is" if operator == "== 0" else "is not"
+            return f"{name} {operator_word} {scope.unit.constant(right)}"
+        left_name, right_name = decoded_local(scope, left), decoded_local(scope, right)
         is_same = (
-            f"({one} is {other} or {one}.__class__ is not Var and {one}.__class__ is not Atom"
-            f" and compare({one}, {other}, unlike) == 0)"
+            f"({left_name} is {right_name} or {left_name}.__class__ is not Var and {left_name}.__class__ is not Atom"
+            f" and compare({left_name}, {right_name}, unlike) == 0)"
         )
         return is_same if operator == "== 0" else f"not {is_same}"
     return f"compare({scope.build(left)}, {scope.build(right)}) {operator}"
 
 
-def _differ(scope: Scope, node: CallNode) -> None:
+def _write_differ(scope: Scope, node: CallNode) -> None:
     mark = scope.temp("m")
     scope.line(f"{mark} = len(trail)")
     scope.line(f"if unify({scope.build(node.args[0])}, {scope.build(node.args[1])}, trail):")
@@ -319,20 +319,20 @@ def _differ(scope: Scope, node: CallNode) -> None:
 
 
 _WRITERS = {
-    "unify": _unify,
-    "differ": _differ,
-    "is": _is,
-    "arithmetic": _test,
-    "order": _test,
-    "type": _test,
-    "builtin": _builtin,
+    "unify": _write_unify,
+    "differ": _write_differ,
+    "is": _write_is,
+    "arithmetic": _write_simple_test,
+    "order": _write_simple_test,
+    "type": _write_simple_test,
+    "builtin": _write_builtin,
     "functor": write_functor,
-    "direct": _direct,
-    "joined": _joined,
+    "direct": _write_function_call,
+    "joined": _write_joined,
 }
 
 
-Missed = Tuple[Set[Needed], Set[Var]]
+UnsetVariables = Tuple[Set[Needed], Set[Var]]
 
 
 def write_inline(scope: Scope, node: GoalNode) -> None:
@@ -340,34 +340,34 @@ def write_inline(scope: Scope, node: GoalNode) -> None:
     if isinstance(node, CallNode):
         write_call(scope, node)
     elif isinstance(node, Cut):
-        _cut(scope, node)
+        _write_cut(scope, node)
     elif isinstance(node, IfThenElse):
-        _condition(scope, node)
+        _write_condition(scope, node)
     else:
         scope.line(scope.fail)
 
 
-def _cut(scope: Scope, node: Cut) -> None:
+def _write_cut(scope: Scope, node: Cut) -> None:
     # A soft cut keeps the solutions of the test. The entry is replaced, not deleted: heights above it stay valid.
     if node.soft:
         height = scope.names[node.height]
         scope.line(f"choices[{height}] = (DEAD, choices[{height}][-1])")
         return
-    known = scope.names.get(node.height)
-    if known is None or (scope.pending is not None and node.cuts):
+    height_name = scope.names.get(node.height)
+    if height_name is None or (scope.pending is not None and node.cuts):
         # Nothing has been pushed since the clause was entered, so the cut only drops the pending choice point of the
         # following clauses, and no statement is needed.
         scope.pending = None
         scope.fail = scope.cut
         return
-    scope.line(f"del choices[{known}:]")
+    scope.line(f"del choices[{height_name}:]")
 
 
-def _condition(scope: Scope, node: IfThenElse) -> None:
+def _write_condition(scope: Scope, node: IfThenElse) -> None:
     """Write an if-then-else whose parts are all inline as a Python ``if``."""
     later = scope.later
     scope.later = later | needed_by(node.then)
-    missed = write_test(scope, node.test)
+    unset = write_test(scope, node.test)
     before = scope.branch()
     scope.depth += 1
     start = len(scope.lines)
@@ -375,7 +375,7 @@ def _condition(scope: Scope, node: IfThenElse) -> None:
     middle, then_state = len(scope.lines), scope.branch()
     scope.restore(before)
     # The else branch starts without the values that the test would have computed.
-    forget(scope, missed)
+    forget(scope, unset)
     scope.depth -= 1
     scope.line("else:")
     scope.depth += 1
@@ -390,29 +390,31 @@ def _condition(scope: Scope, node: IfThenElse) -> None:
         if start == middle:
             scope.lines.insert(middle, "    " * scope.depth + "pass")
     else:
-        _join(scope, then_state, later, start, middle)
+        _merge_branches(scope, then_state, later, start, middle)
     scope.depth -= 1
 
 
 def write_sequence(scope: Scope, nodes: Sequence[GoalNode], later: FrozenSet[Needed]) -> None:
     """Write consecutive inline goals; ``later`` are the variables and heights needed after them."""
     nodes = join(scope.unit.database, scope.clause.counts, nodes)
-    for at, node in enumerate(nodes):
-        scope.later = later | needed_by(nodes[at + 1 :])
+    for position, node in enumerate(nodes):
+        scope.later = later | needed_by(nodes[position + 1 :])
         write_inline(scope, node)
     scope.later = later
 
 
-def forget(scope: Scope, missed: Missed) -> None:
+def forget(scope: Scope, unset: UnsetVariables) -> None:
     """Remove the knowledge of values that a failed test may not have set."""
-    names, numbers = missed
+    names, numbers = unset
     for var in names:
         scope.names.pop(var, None)
     for var in numbers:
         scope.numbers.pop(var, None)
 
 
-def _join(scope: Scope, then_state: ScopeState, later: FrozenSet[Needed], start: int, middle: int) -> None:
+def _merge_branches(
+    scope: Scope, then_state: ScopeState, later: FrozenSet[Needed], start: int, middle: int
+) -> None:
     """Give each variable that is needed later the same name at the ends of both branches.
 
     This is the merge of two control flow paths: names that differ are assigned to the variable's canonical name in
@@ -453,7 +455,7 @@ def _join(scope: Scope, then_state: ScopeState, later: FrozenSet[Needed], start:
     }
 
 
-def write_test(scope: Scope, test: List[GoalNode]) -> Missed:
+def write_test(scope: Scope, test: List[GoalNode]) -> UnsetVariables:
     """Write an ``if`` line whose condition is true if a test (a list of inline goals) succeeds.
 
     Bindings of a failed test are undone.
@@ -461,7 +463,7 @@ def write_test(scope: Scope, test: List[GoalNode]) -> Missed:
     Returns:
         Variables that may lack a name or a number if the test fails, for `forget`.
     """
-    known, numbers = set(scope.names), dict(scope.numbers)
+    named_before, numbers_before = set(scope.names), dict(scope.numbers)
     if len(test) == 1:
         condition = simple_test(scope, test[0])
         if condition is not None:
@@ -469,18 +471,18 @@ def write_test(scope: Scope, test: List[GoalNode]) -> Missed:
             return set(), set()
     # Python has no labelled exit: the test is the body of a loop that runs once, and ``break`` is its failure.
     flag, mark = scope.temp("ok"), scope.temp("m")
-    fail, scope.fail = scope.fail, "break"
+    outer_fail, scope.fail = scope.fail, "break"
     scope.line(f"{flag} = False")
     # The test works on copies of the locals: dereferencing replaces a local by its value, which must not outlive a
     # binding that the failed test undoes.
-    outer = scope.names
-    scope.names = dict(outer)
+    outer_names = scope.names
+    scope.names = dict(outer_names)
     for var in sorted(needed_by(test), key=scope.clause.number):
-        if var.__class__ is Var and var in outer:
+        if var.__class__ is Var and var in outer_names:
             scope.names[var] = scope.temp("w")
-            scope.line(f"{scope.names[var]} = {outer[var]}")
-    at = len(scope.lines)
-    binds, scope.binds = scope.binds, False
+            scope.line(f"{scope.names[var]} = {outer_names[var]}")
+    loop_start = len(scope.lines)
+    outer_binds, scope.binds = scope.binds, False
     scope.line("while True:")
     scope.depth += 1
     write_sequence(scope, test, scope.later)
@@ -489,13 +491,13 @@ def write_test(scope: Scope, test: List[GoalNode]) -> Missed:
     scope.depth -= 1
     # Only now is it known whether the test binds anything that needs a mark.
     if scope.binds:
-        scope.lines.insert(at, "    " * scope.depth + f"{mark} = len(trail)")
+        scope.lines.insert(loop_start, "    " * scope.depth + f"{mark} = len(trail)")
         scope.line(f"if not {flag}:")
         scope.line(f"    undo(trail, {mark})")
-    scope.binds |= binds
-    scope.fail = fail
-    scope.names.update(outer)
+    scope.binds |= outer_binds
+    scope.fail = outer_fail
+    scope.names.update(outer_names)
     scope.line(f"if {flag}:")
-    return set(scope.names) - known, {
-        var for var, value in scope.numbers.items() if numbers.get(var) != value
+    return set(scope.names) - named_before, {
+        var for var, value in scope.numbers.items() if numbers_before.get(var) != value
     }

@@ -26,24 +26,24 @@ from .body_code import BodyGenerator
 from .clause_nodes import BodyParser, CallNode, GoalNode, Height, PredicateResolver, needed_by
 from .code_scope import ClauseVariables, Loop, Scope, Unit
 from .inline_goals import write_inline
-from .unification_code import match, take_apart
+from .unification_code import match, write_read_mode
 
 
 def key_of(term: Any) -> object:
     """Return the first-level key of a term for indexes: its constant or functor; None for a variable."""
-    kind = term.__class__
-    if kind is tuple:
+    term_class = term.__class__
+    if term_class is tuple:
         return term[0]
-    if kind is Atom or kind is int:
+    if term_class is Atom or term_class is int:
         return term
-    if kind is Var:
+    if term_class is Var:
         term = deref(term)
         return None if term.__class__ is Var else key_of(term)
-    if kind is Lazy:
-        found = term.functor
-        return found if found.arity else key_of(term.term())
+    if term_class is Lazy:
+        lazy_functor = term.functor
+        return lazy_functor if lazy_functor.arity else key_of(term.term())
     # As keys of a dictionary, 1.0 would equal 1, and 0.0 would equal -0.0; the text tells them apart.
-    if kind is float:
+    if term_class is float:
         return float, term.hex()
     return term
 
@@ -61,21 +61,28 @@ def fact_search(
         namespace: global names of the search: ``Var``, ``Code``, ``unify``, ``undo``, ``trail``, ``push``,
             ``choose``, ``may_match``.
     """
-    source = "\n".join(_search(arity, indexed)) + "\n"
-    found: Callable[..., Optional[Frame]] = codegen.shared_function(
+    source = "\n".join(_search_lines(arity, indexed)) + "\n"
+    search: Callable[..., Optional[Frame]] = codegen.shared_function(
         source, namespace, f"facts of {arity} arguments"
     )
-    return found
+    return search
 
 
-def _search(arity: int, indexed: Optional[int]) -> List[str]:
-    begin = ["def again(entry):", "    _, frame, clauses, at, end, generation, keys, mark = entry"]
-    made = ["def made(frame, clauses, at, end, generation, keys):", "    mark = len(trail)"]
-    tries = _tries(arity, indexed)
-    return [*begin, *tries, 'retry = Code("facts", again)', *made, *_next("    "), *tries]
+def _search_lines(arity: int, indexed: Optional[int]) -> List[str]:
+    retry_lines = ["def again(entry):", "    _, frame, clauses, at, end, generation, keys, mark = entry"]
+    search_lines = ["def made(frame, clauses, at, end, generation, keys):", "    mark = len(trail)"]
+    try_lines = _try_lines(arity, indexed)
+    return [
+        *retry_lines,
+        *try_lines,
+        'retry = Code("facts", again)',
+        *search_lines,
+        *_skip_lines("    "),
+        *try_lines,
+    ]
 
 
-def _next(indent: str) -> List[str]:
+def _skip_lines(indent: str) -> List[str]:
     """Return the lines that advance to the next fact that is not retracted and may match."""
     lines = [
         "while at < end:",
@@ -87,19 +94,19 @@ def _next(indent: str) -> List[str]:
     return [indent + line for line in lines]
 
 
-def _tries(arity: int, indexed: Optional[int]) -> List[str]:
+def _try_lines(arity: int, indexed: Optional[int]) -> List[str]:
     """Return the lines that try facts, beginning with one that may match."""
     lines = [
-        f"    _, {''.join(f'a{at}, ' for at in range(arity))}after = frame",
+        f"    _, {''.join(f'a{position}, ' for position in range(arity))}after = frame",
         "    while at < end:",
-        f"        _, {''.join(f'c{at}, ' for at in range(arity))[:-2]} = clauses[at].head",
+        f"        _, {''.join(f'c{position}, ' for position in range(arity))[:-2]} = clauses[at].head",
         "        at += 1",
-        *_next("        "),
+        *_skip_lines("        "),
     ]
     # The next candidate is found before the current fact is unified: if there is none, no choice point is left
     # behind, and the caller stays deterministic.
-    for at in range(arity):
-        lines += _argument(at, at == indexed)
+    for position in range(arity):
+        lines += _unify_lines(position, position == indexed)
     return [
         *lines,
         "        if at < end:",
@@ -109,11 +116,11 @@ def _tries(arity: int, indexed: Optional[int]) -> List[str]:
     ]
 
 
-def _argument(at: int, indexed: bool) -> List[str]:
+def _unify_lines(position: int, indexed: bool) -> List[str]:
     """Return the lines that unify the argument at a position with that of the fact."""
     lines = [
-        f"        b = a{at}",
-        f"        if b is not c{at}:",
+        f"        b = a{position}",
+        f"        if b is not c{position}:",
         "            k = b.__class__",
         "            while k is Var:",
         "                r = b.ref",
@@ -122,15 +129,15 @@ def _argument(at: int, indexed: bool) -> List[str]:
         "                b = r",
         "                k = r.__class__",
         "            if k is Var:",
-        f"                b.ref = c{at}",
+        f"                b.ref = c{position}",
         "                push(b)",
-        f"            elif b is not c{at} and not unify(b, c{at}, trail):",
+        f"            elif b is not c{position} and not unify(b, c{position}, trail):",
         "                undo(trail, mark)",
         "                continue",
     ]
     # The index has compared constants completely, and of compounds the functor only.
     if indexed:
-        return [f"        if c{at}.__class__ is tuple:", *["    " + line for line in lines]]
+        return [f"        if c{position}.__class__ is tuple:", *["    " + line for line in lines]]
     return lines
 
 
@@ -164,18 +171,18 @@ def shape_of(
         return None
     if any(not isinstance(node, CallNode) or node.form not in ("is", "arithmetic") for node in nodes[:-1]):
         return None
-    found = None
-    for at, arg in enumerate(args):
+    shape = None
+    for position, arg in enumerate(args):
         arg = deref(arg)
-        if arg.__class__ is not tuple or at == switch:
+        if arg.__class__ is not tuple or position == switch:
             continue
         # The hole must occur once in the cell and once in the call: any other goal could observe it unbound.
-        hole = deref(call.args[at])
-        places = [number for number, item in enumerate(arg) if number and deref(item) is hole]
-        if found is not None or hole.__class__ is not Var or len(places) != 1 or clause.counts[hole] != 2:
+        hole = deref(call.args[position])
+        holes = [number for number, item in enumerate(arg) if number and deref(item) is hole]
+        if shape is not None or hole.__class__ is not Var or len(holes) != 1 or clause.counts[hole] != 2:
             return None
-        found = Shape(at, places[0])
-    return found
+        shape = Shape(position, holes[0])
+    return shape
 
 
 def write_building(
@@ -189,12 +196,12 @@ def write_building(
     """Write the loop for an unbound argument; the general code of the clause follows it."""
     call = nodes[-1]
     assert isinstance(call, CallNode)
-    source, built = locals_[switch], locals_[shape.position]
+    source_local, built_local = locals_[switch], locals_[shape.position]
     pattern, cell = deref(args[switch]), deref(args[shape.position])
     assert pattern.__class__ is tuple
     assert cell.__class__ is tuple
     before = scope.branch()
-    scope.dereference(built)
+    scope.dereference(built_local)
     scope.line("if k is Var:")
     scope.depth += 1
     scope.line("items = []")
@@ -202,63 +209,65 @@ def write_building(
     scope.depth += 1
     # No choice point exists within the loop, so a failure in any turn fails the whole call, and the items are
     # dropped.
-    for at, arg in enumerate(args):
+    for position, arg in enumerate(args):
         arg = deref(arg)
-        if arg.__class__ is Var and at != shape.position:
-            scope.names.setdefault(arg, locals_[at])
-    take_apart(scope, source, pattern, 0, check=False)
-    for at, arg in enumerate(args):
+        if arg.__class__ is Var and position != shape.position:
+            scope.names.setdefault(arg, locals_[position])
+    write_read_mode(scope, source_local, pattern, 0, check=False)
+    for position, arg in enumerate(args):
         arg = deref(arg)
-        if at not in (switch, shape.position) and not (arg.__class__ is Var and scope.clause.is_void(arg)):
-            match(scope, locals_[at], arg)
-    for at, node in enumerate(nodes[:-1]):
-        scope.later = needed_by(nodes[at + 1 :])
+        if position not in (switch, shape.position) and not (
+            arg.__class__ is Var and scope.clause.is_void(arg)
+        ):
+            match(scope, locals_[position], arg)
+    for position, node in enumerate(nodes[:-1]):
+        scope.later = needed_by(nodes[position + 1 :])
         write_inline(scope, node)
     items = [scope.build(item) for number, item in enumerate(cell) if number not in (0, shape.hole)]
     scope.line(f"items.append({', '.join(items) if len(items) == 1 else '(' + ', '.join(items) + ')'})")
-    _advance(scope, locals_, call, shape)
-    scope.dereference(source)
-    scope.line(f"if k is not tuple or {source}[0] is not {scope.unit.constant(pattern[0])}:")
+    _write_next_turn(scope, locals_, call, shape)
+    scope.dereference(source_local)
+    scope.line(f"if k is not tuple or {source_local}[0] is not {scope.unit.constant(pattern[0])}:")
     scope.line("    break")
     scope.depth -= 1
     scope.line("else:")
     scope.line("    BUDGET.turned()")
     scope.line("last = hole = Var()")
-    _cells(scope, cell, shape)
-    scope.line(f"{built}.ref = last")
-    scope.line(f"push({built})")
+    _write_cells(scope, cell, shape)
+    scope.line(f"{built_local}.ref = last")
+    scope.line(f"push({built_local})")
     # After a long list the machine gets control, so that it can check limits and interrupts.
-    again = [*locals_]
-    again[shape.position] = "hole"
+    continued = [*locals_]
+    continued[shape.position] = "hole"
     scope.line("if len(items) > 255:")
-    scope.line(f"    return ({', '.join([scope.unit.predicate(call.key), *again, 'after'])})")
-    scope.line(f"{built} = hole")
+    scope.line(f"    return ({', '.join([scope.unit.predicate(call.key), *continued, 'after'])})")
+    scope.line(f"{built_local} = hole")
     scope.line("continue")
     scope.depth -= 1
     scope.restore(before)
     scope.looped = True
 
 
-def _advance(scope: Scope, locals_: Sequence[str], call: CallNode, shape: Shape) -> None:
+def _write_next_turn(scope: Scope, locals_: Sequence[str], call: CallNode, shape: Shape) -> None:
     """Write the assignment of the arguments of the next turn."""
     changed: List[Tuple[str, str]] = []
-    for at, arg in enumerate(call.args):
-        if at != shape.position:
+    for position, arg in enumerate(call.args):
+        if position != shape.position:
             value = scope.build(arg)
-            if value != locals_[at]:
-                changed.append((locals_[at], value))
+            if value != locals_[position]:
+                changed.append((locals_[position], value))
     if changed:
         targets, sources = zip(*changed)
         scope.line(f"{', '.join(targets)} = {', '.join(sources)}")
 
 
-def _cells(scope: Scope, cell: CompoundTerm, shape: Shape) -> None:
+def _write_cells(scope: Scope, cell: CompoundTerm, shape: Shape) -> None:
     """Write the construction of the cells, from the last to the first."""
     count = len(cell) - 2
     parts = []
     number = 0
-    for at in range(1, len(cell)):
-        if at == shape.hole:
+    for position in range(1, len(cell)):
+        if position == shape.hole:
             parts.append("last")
         else:
             parts.append("item" if count == 1 else f"item[{number}]")
@@ -268,7 +277,7 @@ def _cells(scope: Scope, cell: CompoundTerm, shape: Shape) -> None:
     scope.line(f"    last = ({', '.join([scope.unit.constant(cell[0]), *parts])})")
 
 
-_TOGETHER = 4
+_MAX_CHAIN_CLAUSES = 4
 """Clauses of a chain in one function; the following ones are in another function, generated on demand."""
 
 
@@ -315,14 +324,14 @@ class PredicateGenerator:
     def main(self) -> Step:
         """Return the function of the predicate, and set `steady` (see `Code.steady`)."""
         unit = Unit(self.database.machine, self.database)
-        body = self._switch(unit)
+        body = self._write_switch(unit)
         self.steady = not body.pushes
-        head = self._unpack("")
+        head = self._unpacking("")
         # LOOP bounds the turns. When it is exhausted the budget is charged, and a new frame continues the call.
         if body.looped:
             loop = ["    for _ in LOOP:", *["    " + line for line in body.lines]]
-            again = ", ".join([unit.constant(self.code), *self.locals, "after"])
-            lines = [head, *loop, "    BUDGET.turned()", f"    return ({again})"]
+            arguments = ", ".join([unit.constant(self.code), *self.locals, "after"])
+            lines = [head, *loop, "    BUDGET.turned()", f"    return ({arguments})"]
         else:
             lines = [head, *body.lines]
         unit.add(["def main(frame):", *lines])
@@ -331,8 +340,8 @@ class PredicateGenerator:
     def single(self, index: int) -> Step:
         """Return the function of one clause; the last item of its frame is the height that its cuts restore."""
         unit = Unit(self.database.machine, self.database)
-        scope = self._clause(unit, index, None, height="height")
-        unit.add(["def main(frame):", self._unpack(", height"), *scope.lines])
+        scope = self._clause_scope(unit, index, None, height="height")
+        unit.add(["def main(frame):", self._unpacking(", height"), *scope.lines])
         return self._finish(unit, "main", f" clause {index + 1}")
 
     def _finish(self, unit: Unit, name: str, part: str) -> Step:
@@ -341,45 +350,48 @@ class PredicateGenerator:
         function: Step = unit.finish(source, title_of(place, f"{self.key}{part}"))[name]
         return function
 
-    def _unpack(self, last: str) -> str:
+    def _unpacking(self, last: str) -> str:
         return f"    {', '.join(['_', *self.locals, 'after'])}{last} = frame"
 
     # The switch
 
-    def _switch(self, unit: Unit) -> Scope:
+    def _write_switch(self, unit: Unit) -> Scope:
         everything = tuple(range(len(self.rules)))
-        out = Scope(unit, ClauseVariables(()))
+        scope = Scope(unit, ClauseVariables(()))
         if self.position is None:
-            self._chain(out, everything, None)
-            return out
+            self._write_chain(scope, everything, None)
+            return scope
         groups = self._groups(self.position)
         local = self.locals[self.position]
-        out.dereference(local)
-        self._tuple_case(out, groups, local)
+        scope.dereference(local)
+        self._write_tuple_case(scope, groups, local)
         # An unbound argument distinguishes nothing: switch on another one, or try all clauses.
-        out.line("elif k is Var:")
-        other = self._other(self.position)
-        if other is not None:
-            out.push(f"    return {unit.constant(other)}.run(({', '.join(['None', *self.locals, 'after'])}))")
+        scope.line("elif k is Var:")
+        unbound_code = self._unbound_code(self.position)
+        if unbound_code is not None:
+            frame = ", ".join(["None", *self.locals, "after"])
+            scope.push(f"    return {unit.constant(unbound_code)}.run(({frame}))")
         else:
-            retry = ", ".join([unit.constant(self._retry(everything)), *self.locals, "after", "len(trail)"])
-            out.line(f"    return ({retry})")
-        self._atomic_case(out, groups, local, Atom, "is")
-        self._atomic_case(out, groups, local, int, "==")
+            retry = ", ".join(
+                [unit.constant(self._retry_code(everything)), *self.locals, "after", "len(trail)"]
+            )
+            scope.line(f"    return ({retry})")
+        self._write_atomic_case(scope, groups, local, Atom, "is")
+        self._write_atomic_case(scope, groups, local, int, "==")
         # A lazy term is decoded and dispatched again; it is neither an atom nor an integer before.
-        out.line("elif k is Lazy:")
-        again = ["None", *self.locals, "after"]
-        again[self.position + 1] = f"{local}.term()"
-        out.line(f"    return {unit.constant(self.code)}.run(({', '.join(again)}))")
-        others = [key for key in groups if key.__class__ not in (Atom, int, Functor)]
-        rest = tuple(sorted({*groups[None], *[at for key in others for at in groups[key]]}))
-        if rest:
-            out.line("else:")
-            self._case(out, rest, None)
-        out.line("return None")
-        return out
+        scope.line("elif k is Lazy:")
+        arguments = ["None", *self.locals, "after"]
+        arguments[self.position + 1] = f"{local}.term()"
+        scope.line(f"    return {unit.constant(self.code)}.run(({', '.join(arguments)}))")
+        other_keys = [key for key in groups if key.__class__ not in (Atom, int, Functor)]
+        others = tuple(sorted({*groups[None], *[index for key in other_keys for index in groups[key]]}))
+        if others:
+            scope.line("else:")
+            self._write_case(scope, others, None)
+        scope.line("return None")
+        return scope
 
-    def _other(self, position: int) -> Optional[Code]:
+    def _unbound_code(self, position: int) -> Optional[Code]:
         """Return code for calls whose argument at ``position`` is unbound, or None if no other argument is selective.
 
         Its function is generated when it is first run.
@@ -388,11 +400,11 @@ class PredicateGenerator:
         if _switch_position(self.rules, self.key.arity, unbound) is None:
             return None
 
-        def first(frame: Frame) -> Optional[Frame]:
+        def generate(frame: Frame) -> Optional[Frame]:
             code.run = PredicateGenerator(self.database, self.key, self.rules, self.code, unbound).main()
             return code.run(frame)
 
-        code = Code(str(self.key), first)
+        code = Code(str(self.key), generate)
         code.functor = self.key
         return code
 
@@ -403,113 +415,113 @@ class PredicateGenerator:
         group, in the order of the program.
         """
         groups: Dict[object, List[int]] = {None: []}
-        for at, rule in enumerate(self.rules):
+        for index, rule in enumerate(self.rules):
             key = key_of(rule.args[position])
             if key is None:
-                for clauses in groups.values():
-                    clauses.append(at)
+                for group in groups.values():
+                    group.append(index)
             else:
-                groups.setdefault(key, list(groups[None])).append(at)
+                groups.setdefault(key, list(groups[None])).append(index)
         return groups
 
-    def _tuple_case(self, out: Scope, groups: Dict[object, List[int]], local: str) -> None:
+    def _write_tuple_case(self, scope: Scope, groups: Dict[object, List[int]], local: str) -> None:
         keys = [key for key in groups if key.__class__ is Functor]
-        out.line("if k is tuple:")
-        out.depth += 1
-        word = "if"
+        scope.line("if k is tuple:")
+        scope.depth += 1
+        keyword = "if"
         for key in keys:
-            out.line(f"{word} {local}[0] is {out.unit.constant(key)}:")
-            self._case(out, tuple(groups[key]), key)
-            word = "elif"
+            scope.line(f"{keyword} {local}[0] is {scope.unit.constant(key)}:")
+            self._write_case(scope, tuple(groups[key]), key)
+            keyword = "elif"
         if groups[None]:
             if keys:
-                out.line("else:")
-                self._case(out, tuple(groups[None]), None)
+                scope.line("else:")
+                self._write_case(scope, tuple(groups[None]), None)
             else:
-                self._chain(out, tuple(groups[None]), None)
+                self._write_chain(scope, tuple(groups[None]), None)
         else:
             if keys:
-                out.line("else:")
-                out.depth += 1
-            out.line("return None")
+                scope.line("else:")
+                scope.depth += 1
+            scope.line("return None")
             if keys:
-                out.depth -= 1
-        out.depth -= 1
+                scope.depth -= 1
+        scope.depth -= 1
 
-    def _atomic_case(
-        self, out: Scope, groups: Dict[object, List[int]], local: str, kind: type, test: str
+    def _write_atomic_case(
+        self, scope: Scope, groups: Dict[object, List[int]], local: str, key_class: type, test: str
     ) -> None:
-        keys = [key for key in groups if key.__class__ is kind]
+        keys = [key for key in groups if key.__class__ is key_class]
         if not keys:
             return
-        out.line(f"elif k is {kind.__name__}:")
-        out.depth += 1
-        word = "if"
+        scope.line(f"elif k is {key_class.__name__}:")
+        scope.depth += 1
+        keyword = "if"
         for key in keys:
-            out.line(f"{word} {local} {test} {out.unit.constant(key)}:")
-            self._case(out, tuple(groups[key]), key)
-            word = "elif"
+            scope.line(f"{keyword} {local} {test} {scope.unit.constant(key)}:")
+            self._write_case(scope, tuple(groups[key]), key)
+            keyword = "elif"
         if groups[None]:
-            out.line("else:")
-            self._case(out, tuple(groups[None]), None)
+            scope.line("else:")
+            self._write_case(scope, tuple(groups[None]), None)
         else:
-            out.line("else:")
-            out.line("    return None")
-        out.depth -= 1
+            scope.line("else:")
+            scope.line("    return None")
+        scope.depth -= 1
 
-    def _case(self, out: Scope, chain: Tuple[int, ...], key: object) -> None:
-        out.depth += 1
-        self._chain(out, chain, key)
-        out.depth -= 1
+    def _write_case(self, scope: Scope, chain: Tuple[int, ...], key: object) -> None:
+        scope.depth += 1
+        self._write_chain(scope, chain, key)
+        scope.depth -= 1
 
     # Chains of clauses
 
-    def _chain(self, out: Scope, chain: Tuple[int, ...], key: object, retried: bool = False) -> None:
+    def _write_chain(self, outer: Scope, chain: Tuple[int, ...], key: object, retried: bool = False) -> None:
         """Write the clauses of a chain in order.
 
         Args:
-            out: the function that is written.
+            outer: the function that is written.
             chain: indexes of the clauses.
             key: functor or constant of the switched argument, if known.
             retried: whether the function runs on backtracking, where ``mark`` is set.
         """
-        unit = out.unit
+        unit = outer.unit
         if len(chain) > 1 and not retried:
-            out.line("mark = len(trail)")
-        for at, index in enumerate(chain[:_TOGETHER]):
-            rest = chain[at + 1 :]
-            scope = self._clause(unit, index, rest, key, out.depth, not retried, len(chain) == 1)
-            out.looped |= scope.looped
-            out.pushes |= scope.pushes
-            out.lines += scope.lines
+            outer.line("mark = len(trail)")
+        for offset, index in enumerate(chain[:_MAX_CHAIN_CLAUSES]):
+            rest = chain[offset + 1 :]
+            scope = self._clause_scope(unit, index, rest, key, outer.depth, not retried, len(chain) == 1)
+            outer.looped |= scope.looped
+            outer.pushes |= scope.pushes
+            outer.lines += scope.lines
             if rest and scope.binds:
-                out.line("while len(trail) > mark:")
-                out.line("    pop().ref = None")
-        rest = chain[_TOGETHER:]
+                outer.line("while len(trail) > mark:")
+                outer.line("    pop().ref = None")
+        rest = chain[_MAX_CHAIN_CLAUSES:]
         if rest:
-            frame = ", ".join([unit.constant(self._retry(rest)), *self.locals, "after", "mark"])
-            out.line(f"return ({frame})")
+            frame = ", ".join([unit.constant(self._retry_code(rest)), *self.locals, "after", "mark"])
+            outer.line(f"return ({frame})")
 
-    def _retry(self, chain: Tuple[int, ...]) -> Code:
+    def _retry_code(self, chain: Tuple[int, ...]) -> Code:
         """Return the code of a choice point for a chain; the function is generated when it first runs."""
-        known = self._retries.get(chain)
-        if known is not None:
-            return known
+        existing = self._retries.get(chain)
+        if existing is not None:
+            return existing
 
         # Most choice points are cut or never retried, so their code would be generated in vain.
-        def first(frame: Frame) -> Optional[Frame]:
+        def generate(frame: Frame) -> Optional[Frame]:
             unit = Unit(self.database.machine, self.database)
-            out = Scope(unit, ClauseVariables(()))
-            self._chain(out, chain, None, retried=True)
-            unit.add(["def main(frame):", self._unpack(", mark"), *out.lines])
+            scope = Scope(unit, ClauseVariables(()))
+            self._write_chain(scope, chain, None, retried=True)
+            unit.add(["def main(frame):", self._unpacking(", mark"), *scope.lines])
             code.run = self._finish(unit, "main", f" from clause {chain[0] + 1}")
             return code.run(frame)
 
-        code = self._retries[chain] = Code(str(self.key), first)
+        code = self._retries[chain] = Code(str(self.key), generate)
         code.functor = self.key
         return code
 
-    def _clause(
+    def _clause_scope(
         self,
         unit: Unit,
         index: int,
@@ -542,7 +554,7 @@ class PredicateGenerator:
             scope.fail = "break"
             scope.depth += 1
         if loops:
-            scope.loop = Loop(self.key, self.locals, "" if rest else "continue", self._end(unit))
+            scope.loop = Loop(self.key, self.locals, "" if rest else "continue", self._base_case(unit))
         elif rest == ():
             # Backtracking runs the last clause. Running a call of the predicate itself directly saves a step for each
             # solution. Such calls do not nest, because only backtracking runs this code.
@@ -550,12 +562,12 @@ class PredicateGenerator:
         if height is not None:
             scope.names[entry] = height
         if loops and alone and key.__class__ is Functor and self.position is not None:
-            self._build(scope, rule, entry, self.position)
-        locals_ = self._own_locals(scope, rule, key) if rest else self.locals
+            self._write_building_loop(scope, rule, entry, self.position)
+        locals_ = self._copied_locals(scope, rule, key) if rest else self.locals
         if rest:
-            frame = ", ".join([unit.constant(self._retry(rest)), *self.locals, "after", "mark"])
-            scope.pending = f"{self._guard(scope, index, rest, locals_)}choose(({frame}))"
-        self._head(scope, rule, key, locals_)
+            frame = ", ".join([unit.constant(self._retry_code(rest)), *self.locals, "after", "mark"])
+            scope.pending = f"{self._choice_point_test(scope, index, rest, locals_)}choose(({frame}))"
+        self._write_head(scope, rule, key, locals_)
         nodes = BodyParser(self.database, entry).parse(rule.body)
         bodies = BodyGenerator(unit, clause, entry, self.database.interpret, str(self.key), self.key)
         bodies.write(scope, nodes)
@@ -574,78 +586,87 @@ class PredicateGenerator:
                 scope.lines = [f"{indent}while True:", *scope.lines]
         return scope
 
-    def _guard(self, scope: Scope, index: int, rest: Tuple[int, ...], locals_: Sequence[str]) -> str:
+    def _choice_point_test(
+        self, scope: Scope, index: int, rest: Tuple[int, ...], locals_: Sequence[str]
+    ) -> str:
         """Return ``if test: `` for pushing the choice point of the following clauses; "" if it is always pushed.
 
         Following clauses cannot match if an argument that is bound at the call has the key of this clause, and they
         all have other keys for it. The test is evaluated before the head, which binds variables.
         """
         tests = []
-        for at, (local, arg) in enumerate(zip(locals_, self.rules[index].args)):
+        for position, (local, arg) in enumerate(zip(locals_, self.rules[index].args)):
             key = key_of(arg)
-            others = [key_of(self.rules[other].args[at]) for other in rest]
-            if at != self.position and key is not None and None not in others and key not in others:
+            later_keys = [key_of(self.rules[later].args[position]) for later in rest]
+            if (
+                position != self.position
+                and key is not None
+                and None not in later_keys
+                and key not in later_keys
+            ):
                 scope.dereference(local)
                 tests.append(f"{local}.__class__ is Var")
         if not tests:
             return ""
-        unknown = scope.temp("u")
-        scope.line(f"{unknown} = {' and '.join(tests)}")
-        return f"if {unknown}: "
+        may_match = scope.temp("u")
+        scope.line(f"{may_match} = {' and '.join(tests)}")
+        return f"if {may_match}: "
 
-    def _end(self, unit: Unit) -> Optional[Tuple[int, str]]:
+    def _base_case(self, unit: Unit) -> Optional[Tuple[int, str]]:
         """Return the position of the switched argument and an atom for which the predicate is true; None if none."""
         if self.position is None:
             return None
-        for key, clauses in self._groups(self.position).items():
-            rule = self.rules[clauses[0]] if clauses else None
-            if key.__class__ is not Atom or rule is None or len(clauses) > 1 or rule.body is not TRUE:
+        for key, group in self._groups(self.position).items():
+            rule = self.rules[group[0]] if group else None
+            if key.__class__ is not Atom or rule is None or len(group) > 1 or rule.body is not TRUE:
                 continue
-            others = [deref(arg) for at, arg in enumerate(rule.args) if at != self.position]
+            others = [deref(arg) for position, arg in enumerate(rule.args) if position != self.position]
             if len(set(others)) == len(others) and all(arg.__class__ is Var for arg in others):
                 return self.position, unit.constant(key)
         return None
 
-    def _build(self, scope: Scope, rule: ClauseParts, entry: Height, position: int) -> None:
+    def _write_building_loop(self, scope: Scope, rule: ClauseParts, entry: Height, position: int) -> None:
         """Write the loop of a clause that builds a list while it recurses; see `write_building`."""
         nodes = BodyParser(self.database, entry).parse(rule.body)
         shape = shape_of(scope.clause, rule.args, nodes, self.key, position)
         if shape is not None:
             write_building(scope, self.locals, rule.args, nodes, shape, position)
 
-    def _own_locals(self, scope: Scope, rule: ClauseParts, key: object) -> List[str]:
+    def _copied_locals(self, scope: Scope, rule: ClauseParts, key: object) -> List[str]:
         """Copy the arguments for a clause that others follow, and return the names of the copies.
 
         Dereferencing replaces a local by its value. If the clause itself has bound the variable, the following
         clauses must not see that value.
         """
-        found = []
-        for at, (local, arg) in enumerate(zip(self.locals, rule.args)):
+        names = []
+        for position, (local, arg) in enumerate(zip(self.locals, rule.args)):
             arg = deref(arg)
-            is_known = key is not None and at == self.position
-            if is_known or (arg.__class__ is Var and scope.clause.is_void(arg)):
-                found.append(local)
+            needs_no_test = key is not None and position == self.position
+            if needs_no_test or (arg.__class__ is Var and scope.clause.is_void(arg)):
+                names.append(local)
             else:
-                found.append(f"b{at + 1}")
-        copies = [(own, local) for own, local in zip(found, self.locals) if own != local]
+                names.append(f"b{position + 1}")
+        copies = [(name, local) for name, local in zip(names, self.locals) if name != local]
         if copies:
-            owns, locals_ = zip(*copies)
-            scope.line(f"{', '.join(owns)} = {', '.join(locals_)}")
-        return found
+            targets, sources = zip(*copies)
+            scope.line(f"{', '.join(targets)} = {', '.join(sources)}")
+        return names
 
-    def _head(self, scope: Scope, rule: ClauseParts, key: object, locals_: Sequence[str]) -> None:
+    def _write_head(self, scope: Scope, rule: ClauseParts, key: object, locals_: Sequence[str]) -> None:
         """Write the unification of the head: first constants, then variables, then compound terms."""
-        patterns = [(local, deref(arg), at) for at, (local, arg) in enumerate(zip(locals_, rule.args))]
+        patterns = [
+            (local, deref(arg), position) for position, (local, arg) in enumerate(zip(locals_, rule.args))
+        ]
         for local, arg, _ in patterns:
             if arg.__class__ is Var and arg not in scope.names:
                 scope.names[arg] = local
-        for rank in (0, 1, 2):
-            for local, arg, at in patterns:
-                if rank != (2 if arg.__class__ is tuple else 1 if arg.__class__ is Var else 0):
+        for stage in (0, 1, 2):
+            for local, arg, position in patterns:
+                if stage != (2 if arg.__class__ is tuple else 1 if arg.__class__ is Var else 0):
                     continue
-                if key is not None and at == self.position:
+                if key is not None and position == self.position:
                     if arg.__class__ is tuple:
-                        take_apart(scope, local, arg, 0, check=False)
+                        write_read_mode(scope, local, arg, 0, check=False)
                         continue
                     if arg.__class__ is not Var:
                         continue
@@ -666,17 +687,17 @@ def _switch_position(
 
     The first argument is taken whenever it distinguishes clauses: programmers rely on first-argument indexing.
     """
-    best, position = 0, None
-    for at in range(min(arity, 8) if len(rules) > 1 else 0):
-        if at in unbound:
+    best_score, position = 0, None
+    for candidate in range(min(arity, 8) if len(rules) > 1 else 0):
+        if candidate in unbound:
             continue
-        keys = [key_of(rule.args[at]) for rule in rules]
-        known = [key for key in keys if key is not None]
-        distinct = len(set(known))
+        keys = [key_of(rule.args[candidate]) for rule in rules]
+        bound_keys = [key for key in keys if key is not None]
+        distinct = len(set(bound_keys))
         # A clause with a variable belongs to every case, which makes the switch less selective.
-        score = distinct * 4 - (len(keys) - len(known)) * 3
-        if known and score > best:
-            best, position = score, at
-        if at == 0 and distinct > 1 and position == 0:
+        score = distinct * 4 - (len(keys) - len(bound_keys)) * 3
+        if bound_keys and score > best_score:
+            best_score, position = score, candidate
+        if candidate == 0 and distinct > 1 and position == 0:
             break
     return position
