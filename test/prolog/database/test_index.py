@@ -12,7 +12,7 @@ from retalis.prolog.database.clause_index import Index
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("most", [3, 1_000_000])
 def test_gives_what_may_match_in_its_order(seed, most, monkeypatch):
-    monkeypatch.setattr(clause_index, "_MAX_COPIES", most)
+    monkeypatch.setattr(clause_index, "_MAX_MERGED_COPIES", most)
     random = Random(seed)
     found, added = Index(), []
     for number in range(60):
@@ -21,7 +21,7 @@ def test_gives_what_may_match_in_its_order(seed, most, monkeypatch):
         added.append((key, number))
         if found.others and random.random() < 0.5:
             asked = random.choice("abcd")
-            assert found.joined(asked) == [clause for key, clause in added if key in (None, asked)]
+            assert found.merged(asked) == [clause for key, clause in added if key in (None, asked)]
 
 
 def test_what_has_a_variable_is_not_entered_under_keys_that_nobody_asks_for():
@@ -31,7 +31,7 @@ def test_what_has_a_variable_is_not_entered_under_keys_that_nobody_asks_for():
     for number in range(1000):
         found.add(None, 1000 + number)
         found.add(1000 + number, 2000 + number)
-        assert len(found.joined(7)) == number + 2
+        assert len(found.merged(7)) == number + 2
     assert len(found) - len(found.others) < 5000
 
 

@@ -66,10 +66,10 @@ class Clause:
         return is_larger((None, self.head, self.body), MAX_TERM_ARGUMENTS)
 
 
-def may_match(keys: Sequence[object], others: Tuple[object, ...]) -> bool:
+def may_match(keys: Sequence[object], head_keys: Tuple[object, ...]) -> bool:
     """Return whether the first-level keys of a call and of a clause's head agree; None agrees with any key."""
-    for key, other in zip(keys, others):
-        if key is not other and key is not None and other is not None and key != other:
+    for key, head_key in zip(keys, head_keys):
+        if key is not head_key and key is not None and head_key is not None and key != head_key:
             return False
     return True
 
@@ -81,8 +81,8 @@ def keys_of(frame: Frame, position: Optional[int]) -> Optional[List[object]]:
         frame: the call.
         position: position of the argument that an index has compared, or None.
     """
-    for at in range(1, len(frame) - 1):
-        if at - 1 != position and key_of(frame[at]) is not None:
+    for index in range(1, len(frame) - 1):
+        if index - 1 != position and key_of(frame[index]) is not None:
             return [key_of(arg) for arg in frame[1:-1]]
     return None
 
@@ -100,28 +100,28 @@ def match_head(frame: Frame, clause: Clause, fresh: Dict[Var, Term], trail: Trai
         trail: receives the variables that are bound.
     """
     head: Any = clause.head
-    for at in range(1, len(frame) - 1):
-        pattern: Term = head[at]
+    for index in range(1, len(frame) - 1):
+        pattern: Term = head[index]
         if pattern.__class__ is Var:
-            known = fresh.get(pattern)
-            if known is None:
-                fresh[pattern] = frame[at]
+            value = fresh.get(pattern)
+            if value is None:
+                fresh[pattern] = frame[index]
                 continue
-            pattern = known
+            pattern = value
         elif pattern.__class__ is tuple and not clause.ground:
             pattern = copy(pattern, fresh)
-        if not unify(pattern, frame[at], trail):
+        if not unify(pattern, frame[index], trail):
             return False
     return True
 
 
-_FROM = 8
+_MIN_INDEXED_CLAUSES = 8
 """Clauses from which on a predicate is indexed; a scan of fewer is faster."""
 
-_ARGUMENTS = 4
+_MAX_INDEXED_ARGUMENTS = 4
 """Number of leading arguments that may be indexed."""
 
-_MAX_COPIES = 1_000_000
+_MAX_MERGED_COPIES = 1_000_000
 """Limit for copies of clauses with a variable in all merged lists; past it the merged lists are dropped."""
 
 
@@ -136,13 +136,13 @@ class Index:
         others: the clauses with a variable.
     """
 
-    __slots__ = ("own", "others", "_before", "_joined", "_copies")
+    __slots__ = ("own", "others", "_before", "_merged", "_copies")
 
     def __init__(self) -> None:
         self.own: Dict[object, List[Clause]] = {}
         self.others: List[Clause] = []
         self._before: Dict[object, List[int]] = {}
-        self._joined: Dict[object, Tuple[List[Clause], int, int]] = {}
+        self._merged: Dict[object, Tuple[List[Clause], int, int]] = {}
         self._copies = 0
 
     def add(self, key: object, clause: Clause) -> None:
@@ -154,13 +154,13 @@ class Index:
         # For each clause with a key, the number of clauses with a variable before it: enough to merge both lists in
         # the order of the program, and nothing is stored as long as there are no variables.
         if self.others:
-            before = self._before.get(key)
-            if before is None:
-                before = self._before[key] = [0] * len(own)
-            before.append(len(self.others))
+            counts_before = self._before.get(key)
+            if counts_before is None:
+                counts_before = self._before[key] = [0] * len(own)
+            counts_before.append(len(self.others))
         own.append(clause)
 
-    def joined(self, key: object) -> List[Clause]:
+    def merged(self, key: object) -> List[Clause]:
         """Return all clauses that may match a key, in order. Call it only if there are `others`.
 
         The list is never shortened, so a choice point may keep a position in it.
@@ -168,29 +168,29 @@ class Index:
         own, others = self.own.get(key), self.others
         if own is None:
             return others
-        found, of_own, of_others = self._joined.get(key) or ([], 0, 0)
-        if of_own == len(own) and of_others == len(others):
-            return found
+        clauses, own_count, others_count = self._merged.get(key) or ([], 0, 0)
+        if own_count == len(own) and others_count == len(others):
+            return clauses
         # The merged list is extended by the clauses that were added since the last look-up.
-        before = self._before.get(key, ())
-        self._copies += len(others) - of_others
-        for at in range(of_own, len(own)):
-            least = before[at] if at < len(before) else 0
-            if least > of_others:
-                found += others[of_others:least]
-                of_others = least
-            found.append(own[at])
-        found += others[of_others:]
-        if self._copies > _MAX_COPIES:
-            self._joined.clear()
+        counts_before = self._before.get(key, ())
+        self._copies += len(others) - others_count
+        for position in range(own_count, len(own)):
+            others_before = counts_before[position] if position < len(counts_before) else 0
+            if others_before > others_count:
+                clauses += others[others_count:others_before]
+                others_count = others_before
+            clauses.append(own[position])
+        clauses += others[others_count:]
+        if self._copies > _MAX_MERGED_COPIES:
+            self._merged.clear()
             self._copies = len(others)
-        self._joined[key] = found, len(own), len(others)
-        return found
+        self._merged[key] = clauses, len(own), len(others)
+        return clauses
 
     def __len__(self) -> int:
         """Return the number of stored references to clauses, including those of merged lists."""
-        joined = sum(len(found) for found, _, _ in self._joined.values())
-        return sum(map(len, self.own.values())) + len(self.others) + joined
+        copies = sum(len(clauses) for clauses, _, _ in self._merged.values())
+        return sum(map(len, self.own.values())) + len(self.others) + copies
 
 
 class Indexes:
@@ -200,12 +200,12 @@ class Indexes:
     only after the predicate has doubled.
     """
 
-    __slots__ = ("_positions", "_made", "_poor")
+    __slots__ = ("_positions", "_by_position", "_unselective")
 
     def __init__(self, arity: int) -> None:
-        self._positions = range(min(arity, _ARGUMENTS))
-        self._made: Dict[int, Index] = {}
-        self._poor: Dict[int, int] = {}
+        self._positions = range(min(arity, _MAX_INDEXED_ARGUMENTS))
+        self._by_position: Dict[int, Index] = {}
+        self._unselective: Dict[int, int] = {}
 
     def select(self, clauses: List[Clause], frame: Frame) -> Tuple[List[Clause], Optional[int]]:
         """Return a list of clauses that contains all that a call may match, and the position of the index used.
@@ -215,71 +215,73 @@ class Indexes:
             frame: the call.
         """
         size = len(clauses)
-        if size < _FROM:
+        if size < _MIN_INDEXED_CLAUSES:
             return clauses, None
-        best, by = clauses, None
+        best, best_position = clauses, None
         for position in self._positions:
             arg = frame[position + 1]
             key = arg if arg.__class__ is Atom else key_of(arg)
             if key is None:
                 continue
-            found = self._made.get(position)
-            if found is None:
-                if self._poor.get(position, 0) * 2 > size:
+            index = self._by_position.get(position)
+            if index is None:
+                if self._unselective.get(position, 0) * 2 > size:
                     continue
-                found = self._make(position, clauses)
-                if found is None:
+                index = self._build(position, clauses)
+                if index is None:
                     continue
-            others = found.others
-            candidates = found.joined(key) if others else found.own.get(key, others)
+            others = index.others
+            candidates = index.merged(key) if others else index.own.get(key, others)
             if len(candidates) < len(best):
-                best, by = candidates, position
+                best, best_position = candidates, position
                 # A better index would not save more than the search for it costs.
                 if len(best) <= 2:
                     break
-        return best, by
+        return best, best_position
 
-    def _make(self, position: int, clauses: Iterable[Clause]) -> Optional[Index]:
+    def _build(self, position: int, clauses: Iterable[Clause]) -> Optional[Index]:
         # An index is useless if most clauses match any key, or if there is one key only.
         index = Index()
         clauses = [clause for clause in clauses if clause.died == NEVER]
         keys = [clause.keys[position] for clause in clauses]
-        variables = keys.count(None)
-        if variables * 2 <= len(clauses):
+        variable_count = keys.count(None)
+        if variable_count * 2 <= len(clauses):
             for clause in clauses:
                 index.add(clause.keys[position], clause)
         if len(index.own) < 2:
-            self._poor[position] = len(clauses)
+            self._unselective[position] = len(clauses)
             return None
-        self._made[position] = index
+        self._by_position[position] = index
         return index
 
     def add(self, clause: Clause) -> None:
         """Append a clause."""
-        for position, index in self._made.items():
+        for position, index in self._by_position.items():
             index.add(clause.keys[position], clause)
 
     def clear(self) -> None:
         """Drop all indexes, after clauses were removed or added in front."""
-        self._made.clear()
+        self._by_position.clear()
 
-    def make_anew(self, clauses: Iterable[Clause]) -> None:
+    def rebuild(self, clauses: Iterable[Clause]) -> None:
         """Rebuild the existing indexes from the given clauses."""
-        positions = list(self._made)
-        self._made.clear()
+        positions = list(self._by_position)
+        self._by_position.clear()
         for position in positions:
-            self._make(position, clauses)
+            self._build(position, clauses)
 
-    def complete(self) -> List[Tuple[int, Index]]:
+    def without_variables(self) -> List[Tuple[int, Index]]:
         """Return the positions and indexes of arguments in which no clause has a variable, in order."""
-        return [(position, index) for position, index in sorted(self._made.items()) if not index.others]
+        return [
+            (position, index) for position, index in sorted(self._by_position.items()) if not index.others
+        ]
 
     def __len__(self) -> int:
         """Return the number of stored references to clauses."""
-        return sum(map(len, self._made.values()))
+        return sum(map(len, self._by_position.values()))
 
 
-def by_key(
+def indexed_step(
     position: int,
     own: Dict[object, List[Clause]],
     choices: List[Frame],
@@ -298,25 +300,27 @@ def by_key(
         search: finds a ground fact; see `fact_search`.
         otherwise: step for calls that leave several clauses, or one that has not been compiled yet.
     """
-    at = position + 1
+    item = position + 1
 
     # Dereferencing and the key are written inline: the step is the hot path of every call of the predicate.
     def run(frame: Frame) -> Optional[Frame]:
-        arg: Any = frame[at]
-        kind = arg.__class__
-        while kind is Var:
+        arg: Any = frame[item]
+        arg_class = arg.__class__
+        while arg_class is Var:
             ref = arg.ref
             if ref is None:
                 return otherwise(frame)
             arg = ref
-            kind = ref.__class__
-        found = own.get(arg if kind is Atom or kind is int else arg[0] if kind is tuple else key_of(arg))
-        if found is None:
+            arg_class = ref.__class__
+        candidates = own.get(
+            arg if arg_class is Atom or arg_class is int else arg[0] if arg_class is tuple else key_of(arg)
+        )
+        if candidates is None:
             return None
-        if len(found) == 1:
-            clause = found[0]
+        if len(candidates) == 1:
+            clause = candidates[0]
             if clause.ground:
-                return search(frame, found, 0, 1, 0, None)
+                return search(frame, candidates, 0, 1, 0, None)
             if clause.code is not None:
                 return clause.code((*frame, len(choices)))
         return otherwise(frame)
@@ -352,11 +356,11 @@ class FunctionalModes(NamedTuple):
         outputs = tuple(zip(self.outputs, self.shows))
 
         def call(machine: Machine, *args: Term) -> bool:
-            found = function(*[args[at] for at in inputs])
-            if found is None:
+            result = function(*[args[position] for position in inputs])
+            if result is None:
                 return False
-            for value, (at, show) in zip((found,) if single else found, outputs):
-                if not unify(args[at], value if show is None else show(value), machine.trail):
+            for value, (position, show) in zip((result,) if single else result, outputs):
+                if not unify(args[position], value if show is None else show(value), machine.trail):
                     return False
             return True
 
@@ -372,5 +376,5 @@ def functional(
     """Return the modes of a function; without ``outputs`` the last argument is the only output."""
     single = not outputs
     outputs = outputs or (arity - 1,)
-    inputs = tuple(at for at in range(arity) if at not in outputs)
+    inputs = tuple(position for position in range(arity) if position not in outputs)
     return FunctionalModes(function, inputs, outputs, shows or (None,) * len(outputs), single)

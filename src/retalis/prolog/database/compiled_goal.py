@@ -57,60 +57,62 @@ class CompiledGoal:
         self._machine = database.machine
         self._inputs = tuple(inputs)
         self._outputs = tuple(outputs)
-        self._source = GoalGenerator(database, term, self._inputs, self._outputs, place, name)
-        self._source.parse()
-        self._compile()
+        self._generator = GoalGenerator(database, term, self._inputs, self._outputs, place, name)
+        self._generator.parse()
+        self._install_stubs()
         database.goals.add(self)
 
-    def _compile(self) -> None:
+    def _install_stubs(self) -> None:
         """Install stubs that generate the code when they first run."""
-        source = self._source
-        self.straight: Any = self._first_straight
-        self._bailed = 0
-        self._handing_over = Code(self.name, self._first_enter)
-        called = source.call()
-        self.code: Union[Code, Predicate] = Code(self.name, self._first_plain) if called is None else called
+        generator = self._generator
+        self.straight: Any = self._generate_straight
+        self._bails = 0
+        self._output_code = Code(self.name, self._generate_output_code)
+        predicate = generator.call()
+        self.code: Union[Code, Predicate] = (
+            Code(self.name, self._generate_code) if predicate is None else predicate
+        )
 
     def forget(self) -> None:
         """Drop generated code, whose references to predicates are out of date."""
-        self._source.parse()
-        self.straight = self._first_straight
-        self._handing_over.run = self._first_enter
+        self._generator.parse()
+        self.straight = self._generate_straight
+        self._output_code.run = self._generate_output_code
         code: Any = self.code
         # Frames and compiled clauses may hold the code object, so it is reset and not replaced.
         if code.__class__ is Code:
-            code.run, code.steady = self._first_plain, False
+            code.run, code.steady = self._generate_code, False
         else:
-            self.code = self._source.call() or Code(self.name, self._first_plain)
+            self.code = self._generator.call() or Code(self.name, self._generate_code)
 
-    def _first_straight(self, *values: Term) -> Any:
+    def _generate_straight(self, *values: Term) -> Any:
         # Generated at the first call, because the predicates that the goal calls may be defined after it. A goal from
         # a client has no function: while a function runs, the budget does not know which goal it belongs to.
-        self.straight = None if self.from_outside else self._source.straight()
+        self.straight = None if self.from_outside else self._generator.straight()
         return BAIL if self.straight is None else self.straight(*values)
 
     def prepare(self) -> None:
         """Generate the function before the first call, if all predicates that it calls are defined."""
-        if self.straight != self._first_straight or self.from_outside:
+        if self.straight != self._generate_straight or self.from_outside:
             return
         try:
-            self.straight = self._source.straight() or self._first_straight
+            self.straight = self._generator.straight() or self._generate_straight
         except (PrologError, RecursionError):
             # The first call raises the same error, with its caller as context.
             return
 
     def bail(self) -> None:
         """Count an attempt in which the function could not decide; after `_MAX_BAILS` of them drop the function."""
-        self._bailed += 1
-        if self._bailed > _MAX_BAILS:
+        self._bails += 1
+        if self._bails > _MAX_BAILS:
             self.straight = None
 
-    def _first_enter(self, frame: Frame) -> Optional[Frame]:
-        self._handing_over.run, _ = self._source.enter(True)
-        return self._handing_over.run(frame)
+    def _generate_output_code(self, frame: Frame) -> Optional[Frame]:
+        self._output_code.run, _ = self._generator.enter(True)
+        return self._output_code.run(frame)
 
-    def _first_plain(self, frame: Frame) -> Optional[Frame]:
-        run, steady = self._source.enter(False)
+    def _generate_code(self, frame: Frame) -> Optional[Frame]:
+        run, steady = self._generator.enter(False)
         code: Any = self.code  # not a predicate here: those run themselves
         code.run, code.steady = run, steady
         return self.code.run(frame)
@@ -120,7 +122,7 @@ class CompiledGoal:
 
         For each solution it calls ``collector[0].take(collector, outputs)``, which returns the next frame.
         """
-        return (self._handing_over, *values, collector)
+        return (self._output_code, *values, collector)
 
     def test(self, values: Values) -> Optional[Values]:
         """Run the goal for its first solution.
@@ -138,17 +140,17 @@ class CompiledGoal:
         if budget.closed:
             budget.admit()
         # The budget names the goal in errors about limits; a nested goal must not stay named after it has ended.
-        asked = budget.goal
+        outer_goal = budget.goal
         budget.goal = self
         try:
             if self.straight is not None:
-                result: Any = self._ask_straight(values)
+                result: Any = self._call_straight(values)
                 if result is not BAIL:
                     return result  # type: ignore[no-any-return]
                 self.bail()
             return self._run(values)
         finally:
-            budget.goal = asked
+            budget.goal = outer_goal
 
     def _run(self, values: Values) -> Optional[Values]:
         machine = self._machine
@@ -161,13 +163,13 @@ class CompiledGoal:
             succeeded = machine.run(frame)
             undo(machine.trail, mark)
             return () if succeeded else None
-        found: List[Values] = []
-        if not machine.run((self._handing_over, *values, (_STORE, found, machine.done))):
+        solutions: List[Values] = []
+        if not machine.run((self._output_code, *values, (_STORE, solutions, machine.done))):
             return None
         undo(machine.trail, mark)
-        return found[0]
+        return solutions[0]
 
-    def _ask_straight(self, values: Values) -> Any:
+    def _call_straight(self, values: Values) -> Any:
         """Return the result of the function, with the errors and limits of a run on the machine."""
         machine = self._machine
         budget = machine.budget
@@ -190,16 +192,16 @@ class CompiledGoal:
         """Return the resolved outputs of all solutions."""
         machine = self._machine
         mark = len(machine.trail)
-        found: List[Values] = []
-        machine.run((self._handing_over, *values, (_STORE_ALL, found)))
+        solutions: List[Values] = []
+        machine.run((self._output_code, *values, (_STORE_ALL, solutions)))
         undo(machine.trail, mark)
-        return found
+        return solutions
 
     def __repr__(self) -> str:
         return f"<Goal {self.name}>"
 
 
-class _KeepOne:
+class _FirstSolution:
     """Collector that stores the outputs and continues with the next frame."""
 
     def take(self, frame: Frame, outputs: Values) -> Frame:
@@ -207,12 +209,12 @@ class _KeepOne:
         return frame[2]  # type: ignore[no-any-return]
 
 
-class _KeepAll:
+class _AllSolutions:
     """Collector that stores the outputs and fails, so that the machine backtracks into the next solution."""
 
     def take(self, frame: Frame, outputs: Values) -> None:
         frame[1].append(outputs)
 
 
-_STORE = _KeepOne()
-_STORE_ALL = _KeepAll()
+_STORE = _FirstSolution()
+_STORE_ALL = _AllSolutions()

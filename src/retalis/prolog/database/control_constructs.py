@@ -60,17 +60,17 @@ class JustInTimeBodies:
     def __init__(self, database: Database):
         self._database = database
         self.compiled: Dict[int, Tuple[Step, Tuple[Var, ...], Term]] = {}
-        self._met: Dict[int, Term] = {}
+        self._reported: Dict[int, Term] = {}
         self._refused: Set[int] = set()
 
     def __len__(self) -> int:
         """Return the number of stored bodies."""
-        return len(self._met) + len(self.compiled)
+        return len(self._reported) + len(self.compiled)
 
     def clear(self) -> None:
         """Drop all bodies, at the end of a goal or after a redefinition of a predicate."""
         self.compiled.clear()
-        self._met.clear()
+        self._reported.clear()
         self._refused.clear()
 
     def meet(self, body: Term) -> None:
@@ -80,57 +80,57 @@ class JustInTimeBodies:
         if body[0] not in STRUCTURES and not self._database.is_inline(body[0]):
             return
         # An id may be reused by another term, so the identity is compared as well.
-        if self._met.get(id(body)) is not body:
-            if len(self._met) >= _MAX_BODIES:
-                self._forget(next(iter(self._met)))
-            self._met[id(body)] = body
+        if self._reported.get(id(body)) is not body:
+            if len(self._reported) >= _MAX_BODIES:
+                self._drop(next(iter(self._reported)))
+            self._reported[id(body)] = body
         elif id(body) not in self.compiled and id(body) not in self._refused:
-            made = None if _calls_what_is_bound(body) else self._compile(body)
-            if made is None:
+            entry = None if _has_bound_goal(body) else self._compile(body)
+            if entry is None:
                 self._refused.add(id(body))
             else:
-                self.compiled[id(body)] = made
+                self.compiled[id(body)] = entry
 
-    def _forget(self, oldest: int) -> None:
-        del self._met[oldest]
+    def _drop(self, oldest: int) -> None:
+        del self._reported[oldest]
         self.compiled.pop(oldest, None)
         self._refused.discard(oldest)
 
     def _compile(self, body: Term) -> Optional[Tuple[Step, Tuple[Var, ...], Term]]:
-        names: Dict[Var, Term] = {}
+        copies: Dict[Var, Term] = {}
         try:
-            source = _Copied(names).term(body)
+            source = _BodyCopier(copies).term(body)
             if source is None:
                 return None
-            key = functor("$body", len(names))
-            rule = ClauseParts(tuple(names.values()), source)
-            step = PredicateGenerator(self._database, key, [rule], Code("body", _unused)).single(0)
+            key = functor("$body", len(copies))
+            rule = ClauseParts(tuple(copies.values()), source)
+            step = PredicateGenerator(self._database, key, [rule], Code("body", _never_called)).single(0)
         except (PrologError, RecursionError):
             # The interpreter raises the error when it reaches the goal, or never if it does not.
             return None
-        return step, tuple(names), body
+        return step, tuple(copies), body
 
 
-def _unused(frame: Frame) -> Optional[Frame]:
+def _never_called(frame: Frame) -> Optional[Frame]:
     raise AssertionError("a body does not call itself")
 
 
-def _calls_what_is_bound(body: Term) -> bool:
+def _has_bound_goal(body: Term) -> bool:
     """Return whether a bound variable occurs as a goal of a body.
 
     A cut in its value cuts the body, which compiled code (``call/1`` of the variable) would not do.
     """
-    left = [body]
-    while left:
-        goal = left.pop()
+    stack = [body]
+    while stack:
+        goal = stack.pop()
         if goal.__class__ is Var and goal.ref is not None:
             return True
         if goal.__class__ is tuple and goal[0] in STRUCTURES:
-            left += goal[1:]
+            stack += goal[1:]
     return False
 
 
-class _Copied:
+class _BodyCopier:
     """Copier of a body as it was written.
 
     Bound variables are copied as variables, because they may have other values the next time.
@@ -138,7 +138,7 @@ class _Copied:
 
     def __init__(self, names: Dict[Var, Term]):
         self._names = names
-        self._left = _MAX_BODY_PARTS
+        self._parts_left = _MAX_BODY_PARTS
 
     def term(self, term: Any) -> Optional[Term]:
         """Return the copy; None if the body is too large or contains a term that has not been decoded."""
@@ -149,8 +149,8 @@ class _Copied:
         if term.__class__ is not tuple:
             return term  # type: ignore[no-any-return]
         parts: List[Any] = [term[0]]
-        self._left -= len(term)
-        if self._left < 0:
+        self._parts_left -= len(term)
+        if self._parts_left < 0:
             return None
         for part in term[1:]:
             copied = self.term(part)
@@ -166,7 +166,7 @@ _COLON = functor(":", 2)
 _NECK = functor(":-", 2)
 
 
-Controls = Callable[[Machine, Values, Frame], Optional[Frame]]
+ControlFunction = Callable[[Machine, Values, Frame], Optional[Frame]]
 """Control built-in: takes the machine, the arguments and the next frame; returns the frame to run."""
 
 
@@ -191,14 +191,14 @@ class Control:
         self._exit_code = Code("catch exit", self._exit_run)
         self._collect_code = Code("collect", self._collect_run)
         self._collected_code = Code("collected", lambda frame: frame[1](frame[2]), True)
-        self._plain: Dict[Functor, Callable[..., Optional[Frame]]] = {
-            SEMICOLON: self._either,
-            BAR: self._either,
-            ARROW: self._then,
-            SOFT_ARROW: self._soft,
-            NOT: self._not,
-            ONCE: self._once,
-            IGNORE: self._ignore,
+        self._constructs: Dict[Functor, Callable[..., Optional[Frame]]] = {
+            SEMICOLON: self._solve_disjunction,
+            BAR: self._solve_disjunction,
+            ARROW: self._solve_if_then,
+            SOFT_ARROW: self._solve_soft_if_then,
+            NOT: self._solve_negation,
+            ONCE: self._solve_once,
+            IGNORE: self._solve_ignore,
         }
         self.bodies = JustInTimeBodies(database)
         self._compiled = self.bodies.compiled
@@ -218,24 +218,24 @@ class Control:
             after: the next frame.
         """
         while True:
-            kind = goal.__class__
-            if kind is Var or kind is Lazy:
+            goal_class = goal.__class__
+            if goal_class is Var or goal_class is Lazy:
                 goal = deref(goal)
-                kind = goal.__class__
-            if kind is tuple:
+                goal_class = goal.__class__
+            if goal_class is tuple:
                 key = goal[0]
                 if key is COMMA:
                     after = (self.code, goal[2], height, after)
                     goal = goal[1]
                     continue
-                control = self._plain.get(key)
-                if control is not None:
-                    return control(goal, height, after)
+                construct = self._constructs.get(key)
+                if construct is not None:
+                    return construct(goal, height, after)
                 if key is _COLON:
                     goal = self._database.modules.goal(goal)
                     continue
                 return (self._database.predicate(key), *goal[1:], after)
-            if kind is Atom:
+            if goal_class is Atom:
                 if goal is TRUE:
                     return after
                 key = goal.functor
@@ -245,7 +245,7 @@ class Control:
                 if key is _FAIL or goal is FALSE:
                     return None
                 return (self._database.predicate(key), after)
-            if kind is Var:
+            if goal_class is Var:
                 raise instantiation_error()
             raise type_error("callable", goal)
 
@@ -276,72 +276,74 @@ class Control:
 
     # Control constructs
 
-    def _either(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
-        left = deref(goal[1])
-        if left.__class__ is tuple and left[0] is ARROW:
-            return self._test(left[1], left[2], goal[2], height, after)
-        if left.__class__ is tuple and left[0] is SOFT_ARROW:
-            here = len(self._choices)
+    def _solve_disjunction(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
+        first = deref(goal[1])
+        if first.__class__ is tuple and first[0] is ARROW:
+            return self._solve_condition(first[1], first[2], goal[2], height, after)
+        if first.__class__ is tuple and first[0] is SOFT_ARROW:
+            base = len(self._choices)
             self._choices.append((self.code, goal[2], height, after, len(self._trail)))
             # The first solution of the test disables the else branch; the choice points of the test stay.
-            then = (self._soft_code, here, (self.code, left[2], height, after))
-            return self.solve(left[1], here + 1, then)
+            then = (self._soft_code, base, (self.code, first[2], height, after))
+            return self.solve(first[1], base + 1, then)
         self._choices.append((self.code, goal[2], height, after, len(self._trail)))
-        return self.solve(left, height, after)
+        return self.solve(first, height, after)
 
-    def _test(self, test: Term, then: Term, otherwise: Term, height: int, after: Frame) -> Optional[Frame]:
-        here = len(self._choices)
+    def _solve_condition(
+        self, test: Term, then: Term, otherwise: Term, height: int, after: Frame
+    ) -> Optional[Frame]:
+        base = len(self._choices)
         self._choices.append((self.code, otherwise, height, after, len(self._trail)))
-        return self.solve(test, here + 1, (self._cut_code, here, (self.code, then, height, after)))
+        return self.solve(test, base + 1, (self._cut_code, base, (self.code, then, height, after)))
 
-    def _then(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
+    def _solve_if_then(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
         # Without an else branch no choice point is needed: if the test fails, the goal fails.
-        here = len(self._choices)
-        return self.solve(goal[1], here, (self._cut_code, here, (self.code, goal[2], height, after)))
+        base = len(self._choices)
+        return self.solve(goal[1], base, (self._cut_code, base, (self.code, goal[2], height, after)))
 
-    def _soft(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
+    def _solve_soft_if_then(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
         return self.solve(goal[1], len(self._choices), (self.code, goal[2], height, after))
 
     def _soft_run(self, frame: Frame) -> Frame:
         # Replaced by an entry that fails, because entries above it cannot move.
-        here = frame[1]
-        self._choices[here] = (DEAD, self._choices[here][-1])
+        base = frame[1]
+        self._choices[base] = (DEAD, self._choices[base][-1])
         return frame[2]  # type: ignore[no-any-return]
 
-    def _not(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
+    def _solve_negation(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
         # If the goal fails, its failure resumes ``after``; if it succeeds, the rejection removes that choice point.
-        here = len(self._choices)
+        base = len(self._choices)
         self._choices.append((RESUME, after, len(self._trail)))
-        return self.solve(goal[1], here + 1, (self._reject_code, here, after))
+        return self.solve(goal[1], base + 1, (self._reject_code, base, after))
 
     def _reject_run(self, frame: Frame) -> None:
         del self._choices[frame[1] :]
 
-    def _once(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
+    def _solve_once(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
         return self.once(goal[1], after)
 
-    def _ignore(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
+    def _solve_ignore(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
         predicate = self._database.predicate(IGNORE)
         if not predicate.library:
             return (predicate, goal[1], after)
-        here = len(self._choices)
+        base = len(self._choices)
         self._choices.append((RESUME, after, len(self._trail)))
-        return self.call(goal[1], (self._cut_code, here, after))
+        return self.call(goal[1], (self._cut_code, base, after))
 
     # Exceptions
 
     def catch(self, goal: Term, catcher: Term, recovery: Term, after: Frame) -> Optional[Frame]:
         """Return the frame of ``catch/3``."""
         mark = CatchMark()
-        here = len(self._choices)
+        base = len(self._choices)
         recover = (self._database.predicate(CALL), recovery, after)
         self._choices.append((self.machine.catch_code, mark, catcher, recover, len(self._trail)))
-        return (self._database.predicate(CALL), goal, (self._exit_code, mark, here, after))
+        return (self._database.predicate(CALL), goal, (self._exit_code, mark, base, after))
 
     def _exit_run(self, frame: Frame) -> Frame:
         after: Frame
-        _, mark, here, after = frame
-        if len(self._choices) == here + 1:
+        _, mark, base, after = frame
+        if len(self._choices) == base + 1:
             self._choices.pop()  # the goal left no choice points
         else:
             # The goal may be retried, so its entry must stay but be inactive outside. The mark is on the trail:
@@ -363,9 +365,9 @@ class Control:
             then: takes the copies, in order of the solutions, after all bindings are undone; returns the next frame.
         """
         # The choice point runs after the last solution, when backtracking has undone all bindings.
-        found: List[Term] = []
-        self._choices.append((self._collected_code, then, found, len(self._trail)))
-        return self.call(goal, (self._collect_code, found, template, (RESUME, None)))
+        copies: List[Term] = []
+        self._choices.append((self._collected_code, then, copies, len(self._trail)))
+        return self.call(goal, (self._collect_code, copies, template, (RESUME, None)))
 
     @staticmethod
     def _collect_run(frame: Frame) -> None:
@@ -388,38 +390,38 @@ def check_body(goal: Term) -> Term:
     # Rounds of bounded loops: between them the work can be cancelled, and after many of them the term is tested for
     # cycles, in which the traversal would not end.
     stack = [goal]
-    open_goals = False
-    for done in ROUNDS:
+    has_variables = False
+    for round_number in ROUNDS:
         for _ in BULK:
             if not stack:
-                return _called(goal) if open_goals else goal
+                return _wrap_variables(goal) if has_variables else goal
             item = deref(stack.pop())
             if item.__class__ is tuple:
                 if item[0] in STRUCTURES:
                     stack.extend(item[1:])
             elif item.__class__ is Var:
-                open_goals = True
+                has_variables = True
             elif item.__class__ is not Atom:
                 raise type_error("callable", goal)
         look()
-        if done == LATE_ROUND:
+        if round_number == LATE_ROUND:
             refuse_cycles(goal)
     raise TermTooLarge
 
 
-def _called(goal: Term) -> Term:
+def _wrap_variables(goal: Term) -> Term:
     """Return a body with its variables wrapped in ``call/1``; conjunctions are traversed without recursion."""
-    before = []
+    conjuncts = []
     goal = deref(goal)
     while goal.__class__ is tuple and goal[0] in STRUCTURES and len(goal) == 3:
-        before.append((goal[0], _called(goal[1])))
+        conjuncts.append((goal[0], _wrap_variables(goal[1])))
         goal = deref(goal[2])
     if goal.__class__ is Var:
         goal = (CALL, goal)
     elif goal.__class__ is tuple and goal[0] is NOT:
-        goal = (NOT, _called(goal[1]))
-    for key, left in reversed(before):
-        goal = (key, left, goal)
+        goal = (NOT, _wrap_variables(goal[1]))
+    for key, conjunct in reversed(conjuncts):
+        goal = (key, conjunct, goal)
     return goal
 
 
@@ -436,18 +438,18 @@ def check_partial_list(term: Term) -> None:
 
 def add_arguments(goal: Term, extra: Values, modules: Optional[Modules] = None) -> Term:
     """Return a closure with the arguments of ``call/N`` appended."""
-    found: Any = deref(goal)
-    kind = found.__class__
-    if kind is tuple:
-        if found[0] is _COLON:
-            inner = deref(found[2]) if modules is None else modules.closure_of(found, len(extra))
+    closure: Any = deref(goal)
+    closure_class = closure.__class__
+    if closure_class is tuple:
+        if closure[0] is _COLON:
+            inner = deref(closure[2]) if modules is None else modules.closure_of(closure, len(extra))
             return add_arguments(inner, extra, modules)
-        return (functor(found[0].name, len(found) - 1 + len(extra)), *found[1:], *extra)
-    if kind is Atom:
-        return (functor(found.name, len(extra)), *extra)
-    if kind is Var:
+        return (functor(closure[0].name, len(closure) - 1 + len(extra)), *closure[1:], *extra)
+    if closure_class is Atom:
+        return (functor(closure.name, len(extra)), *extra)
+    if closure_class is Var:
         raise instantiation_error()
-    raise type_error("callable", found)
+    raise type_error("callable", closure)
 
 
 def thrown(ball: Term) -> PrologError:
@@ -462,7 +464,7 @@ def thrown(ball: Term) -> PrologError:
     return PrologError(ball if is_ground(ball) else copy(ball))
 
 
-def control_predicates(control: Control) -> Dict[Tuple[str, int], Controls]:
+def control_predicates(control: Control) -> Dict[Tuple[str, int], ControlFunction]:
     """Return the control built-ins, functions ``(machine, args, next) -> frame``, by name and arity."""
 
     def call(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
@@ -482,30 +484,32 @@ def control_predicates(control: Control) -> Dict[Tuple[str, int], Controls]:
         if machine.logic.flags["iso"] is TRUE:
             check_partial_list(result)
 
-        def then(found: List[Term]) -> Optional[Frame]:
-            return after if machine.unify(result, make_list(found, tail)) else None
+        def then(solutions: List[Term]) -> Optional[Frame]:
+            return after if machine.unify(result, make_list(solutions, tail)) else None
 
         return control.collect(goal, template, then)
 
     def forall(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
         return control.forall(args[0], args[1], after)
 
-    found: Dict[Tuple[str, int], Controls] = {("call", arity): call for arity in range(1, 9)}
-    found.update({("catch", 3): catch, ("throw", 1): throw, ("findall", 3): findall, ("findall", 4): findall})
-    found.update({("forall", 2): forall, ("repeat", 0): _repeat(control.machine)})
+    predicates: Dict[Tuple[str, int], ControlFunction] = {("call", arity): call for arity in range(1, 9)}
+    predicates.update(
+        {("catch", 3): catch, ("throw", 1): throw, ("findall", 3): findall, ("findall", 4): findall}
+    )
+    predicates.update({("forall", 2): forall, ("repeat", 0): _repeat(control.machine)})
     for key in (*STRUCTURES, ONCE, IGNORE):
-        found[key.name, key.arity] = _structure(control, key)
-    return found
+        predicates[key.name, key.arity] = _construct(control, key)
+    return predicates
 
 
-def _structure(control: Control, key: Functor) -> Controls:
+def _construct(control: Control, key: Functor) -> ControlFunction:
     def run(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
         return control.call((key, *args), after)
 
     return run
 
 
-def _repeat(machine: Machine) -> Controls:
+def _repeat(machine: Machine) -> ControlFunction:
     def repeat(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
         machine.choices.append((again, args, after, len(machine.trail)))
         return after
@@ -536,10 +540,10 @@ def split_clause(term: Term) -> Tuple[Term, Term]:
         head, body = deref(term[1]), deref(term[2])
     if head.__class__ is tuple and head[0].name == ":" and len(head) == 3:
         head = deref(head[2])
-    kind = head.__class__
-    if kind is Var:
+    head_class = head.__class__
+    if head_class is Var:
         raise instantiation_error()
-    if kind is not tuple and kind is not Atom:
+    if head_class is not tuple and head_class is not Atom:
         raise type_error("callable", head)
     if body.__class__ is Var:
         body = (CALL, body)

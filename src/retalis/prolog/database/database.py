@@ -22,7 +22,7 @@ from .module_system import Modules
 from .predicate import COMPILE_AFTER, Predicate
 
 
-def _key(text: str) -> Functor:
+def _functor_of(text: str) -> Functor:
     name, _, arity = text.rpartition("/")
     return functor(name, int(arity))
 
@@ -42,11 +42,11 @@ _NAMES = (
     "write_term/3 writeq/1 writeq/2 =../2 "
 )
 
-STANDARD = frozenset(map(_key, _NAMES.split()))
+STANDARD = frozenset(map(_functor_of, _NAMES.split()))
 """Predicates of ISO Prolog that a program may redefine in a file but not by asserting a clause."""
 
 
-_SPARE = 1000
+_MAX_SPARE_PREDICATES = 1000
 """Predicates beyond twice those in use after which undefined ones are moved to the weak dictionary."""
 
 
@@ -82,9 +82,9 @@ class Database:
         self.predicates: Dict[Functor, Predicate] = {}
         self._unused: WeakValueDictionary[Functor, Predicate] = WeakValueDictionary()
         """Undefined predicates that live only as long as something refers to them."""
-        self._many = _SPARE
+        self._put_aside_at = _MAX_SPARE_PREDICATES
         self.modules = Modules()
-        self.modules.is_there = self._is_there
+        self.modules.is_there = self._exists
         self.modules.on_change = self.forget
         self.library = Library(self)
         self.goals: WeakSet[Any] = WeakSet()
@@ -96,25 +96,25 @@ class Database:
 
     def predicate(self, key: Functor) -> Predicate:
         """Return the predicate of a functor, creating an undefined one if there is none."""
-        found = self.predicates.get(key)
-        if found is None:
-            if len(self.predicates) >= self._many:
+        predicate = self.predicates.get(key)
+        if predicate is None:
+            if len(self.predicates) >= self._put_aside_at:
                 self.put_aside()
             # A frame may still refer to the predicate that was put aside; a second one of the name would split its
             # calls.
-            found = self.predicates[key] = self._unused.get(key) or Predicate(self, key)
-        return found
+            predicate = self.predicates[key] = self._unused.get(key) or Predicate(self, key)
+        return predicate
 
-    def _is_there(self, key: Functor) -> bool:
-        found = self.predicates.get(key)
-        return found is not None and not found.is_blank
+    def _exists(self, key: Functor) -> bool:
+        predicate = self.predicates.get(key)
+        return predicate is not None and not predicate.is_blank
 
     def put_aside(self) -> None:
         """Move undefined predicates to the weak dictionary."""
         for key, predicate in list(self.predicates.items()):
             if predicate.is_blank:
                 self._unused[key] = self.predicates.pop(key)
-        self._many = 2 * len(self.predicates) + _SPARE
+        self._put_aside_at = 2 * len(self.predicates) + _MAX_SPARE_PREDICATES
 
     def compile_named(self, terms: Iterable[Term]) -> None:
         """Compile the program's predicates that occur in terms, and those that their clauses refer to.
@@ -143,8 +143,8 @@ class Database:
 
     def is_inline(self, key: Functor) -> bool:
         """Return whether a predicate is a deterministic built-in, which compiled clauses call inline."""
-        found = self.predicates.get(key)
-        return found is not None and found.kind == "builtin"
+        predicate = self.predicates.get(key)
+        return predicate is not None and predicate.kind == "builtin"
 
     def define(self, key: Functor, function: Optional[Callable[..., Any]], run: Step, kind: str) -> Predicate:
         """Define a predicate in Python, replacing any earlier definition.
@@ -205,9 +205,9 @@ class Database:
     def take_back(self, own: Predicate) -> None:
         """Undo `give_back`: replace the library's version of a predicate by the program's own."""
         key = own.functor
-        other = self.predicates.get(key)
-        if other is not None and other.library:
-            self.library.kept[key] = other
+        current = self.predicates.get(key)
+        if current is not None and current.library:
+            self.library.kept[key] = current
             self.predicates[key] = own
             self.forget()
 
@@ -266,8 +266,8 @@ class Library:
     def predicate(self, key: Functor) -> Predicate:
         """Return the library's version of a predicate, else the program's."""
         # Compared with None: a predicate without clauses, such as one in Python, has length 0 and is false.
-        found = self.kept.get(key)
-        return self._database.predicate(key) if found is None else found
+        kept = self.kept.get(key)
+        return self._database.predicate(key) if kept is None else kept
 
     def is_inline(self, key: Functor) -> bool:
         """Return whether the library's predicate is a deterministic built-in."""

@@ -45,16 +45,16 @@ ArgumentKinds = Tuple[ArgumentKind, ...]
 PLAIN: ArgumentKind = "?"
 
 
-def _kinds(text: str) -> Dict[Functor, ArgumentKinds]:
-    found: Dict[Functor, ArgumentKinds] = {}
+def _parse_kinds(text: str) -> Dict[Functor, ArgumentKinds]:
+    kinds_of: Dict[Functor, ArgumentKinds] = {}
     for entry in text.split():
         name, _, rest = entry.rpartition("(")
-        kinds = tuple(int(one) if one.isdigit() else one for one in rest.rstrip(")").split("|"))
-        found[functor(name, len(kinds))] = kinds
-    return found
+        argument_kinds = tuple(int(kind) if kind.isdigit() else kind for kind in rest.rstrip(")").split("|"))
+        kinds_of[functor(name, len(argument_kinds))] = argument_kinds
+    return kinds_of
 
 
-METAS: Dict[Functor, ArgumentKinds] = _kinds(
+METAS: Dict[Functor, ArgumentKinds] = _parse_kinds(
     """
     ,(0|0) ;(0|0) |(0|0) ->(0|0) *->(0|0) \\+(0) not(0) once(0) ignore(0) forall(0|0) catch(0|?|0)
     call(0) call(1|?) call(2|?|?) call(3|?|?|?) call(4|?|?|?|?) call(5|?|?|?|?|?) call(6|?|?|?|?|?|?)
@@ -93,7 +93,7 @@ def declared_kinds(args: Tuple[object, ...]) -> ArgumentKinds:
 
 GRAMMAR_NAME = functor("//", 2)
 
-_EVERYBODYS = FIXED | {
+_GLOBAL_PREDICATES = FIXED | {
     *(functor(name, 2) for name in ("term_expansion", "goal_expansion")),
     *(functor("portray", 1), functor("message_hook", 3)),
 }
@@ -130,7 +130,7 @@ class Module:
         self.imports: Dict[Functor, Functor] = {}
 
 
-EVERYBODY = Module("user")
+NO_MODULE = Module("user")
 """Context of terms outside of any module."""
 
 
@@ -165,23 +165,23 @@ class ModuleNames:
         self._plain: Dict[str, str] = {}
 
     @contextmanager
-    def of_file(self, may_be_one: bool = True) -> Iterator[None]:
+    def of_file(self, may_be_module: bool = True) -> Iterator[None]:
         """Return a context in which a file is loaded; a module that the file declares ends with it.
 
         Args:
-            may_be_one: whether the file may declare a module, and belongs to the module of the file that loads it
+            may_be_module: whether the file may declare a module, and belongs to the module of the file that loads it
                 otherwise. False for files of event rules, whose goals belong to no module.
         """
-        before = self.loading
-        if not may_be_one:
+        outer = self.loading
+        if not may_be_module:
             self.loading = None
-        self._files.append(may_be_one)
+        self._files.append(may_be_module)
         depth = len(self._files)
         try:
             yield
-            self.last = "" if self.loading is None or self.loading is before else self.loading.name
+            self.last = "" if self.loading is None or self.loading is outer else self.loading.name
         finally:
-            self.loading = before
+            self.loading = outer
             del self._files[depth - 1 :]
 
     def begin(self, name: str, exports: Iterable[Functor]) -> bool:
@@ -197,46 +197,46 @@ class ModuleNames:
             raise permission_error("load", "module", atom(name), "module/2 is a directive of a file")
         if not self._files[-1]:
             return False
-        new = name not in self.table
+        is_new = name not in self.table
         module = self.table.setdefault(name, Module(name))
         module.exports = set(exports)
         # The first module keeps the plain name. A silent replacement would change the meaning of files loaded before.
-        module.hidden = module.exports & self._taken(module)
+        module.hidden = module.exports & self._exported_elsewhere(module)
         for key in sorted(module.hidden, key=str):
-            self._clash(module, key, "user", key)
+            self._warn_of_clash(module, key, "user", key)
         self.loading = module
         self.on_begin(name)
-        if new:
+        if is_new:
             # Code compiled so far calls the plain names.
             self.on_change()
         return True
 
     def bring_in(self, name: str) -> None:
         """Import the exports of a module into the module of the file that is being loaded."""
-        found = self.table.get(name)
-        if found is not None and self.loading is not None and found is not self.loading:
-            for key in sorted(found.exports, key=str):
-                target = self.own(found, key)
+        module = self.table.get(name)
+        if module is not None and self.loading is not None and module is not self.loading:
+            for key in sorted(module.exports, key=str):
+                target = self.own(module, key)
                 if self.loading.imports.setdefault(key, target) is not target:
-                    self._clash(found, key, self.loading.name, self.loading.imports[key])
+                    self._warn_of_clash(module, key, self.loading.name, self.loading.imports[key])
 
-    def _taken(self, module: Module) -> Set[Functor]:
+    def _exported_elsewhere(self, module: Module) -> Set[Functor]:
         """Return the plain names that other modules export."""
-        others = (other for other in self.table.values() if other is not module)
-        return {key for other in others for key in other.exports - other.hidden}
+        other_modules = (other for other in self.table.values() if other is not module)
+        return {key for other in other_modules for key in other.exports - other.hidden}
 
-    def _clash(self, module: Module, key: Functor, importer: str, there: Functor) -> None:
-        before = next(
+    def _warn_of_clash(self, module: Module, key: Functor, importer: str, current: Functor) -> None:
+        exporter = next(
             (
-                one.name
-                for one in self.table.values()
-                if one is not module and key in one.exports and self.own(one, key) is there
+                other.name
+                for other in self.table.values()
+                if other is not module and key in other.exports and self.own(other, key) is current
             ),
             "user",
         )
-        what = f"{module.name}:{key}"
+        qualified = f"{module.name}:{key}"
         self.on_clash(
-            f"Warning: no permission to import {what} into {importer}: already imported from {before}; "
+            f"Warning: no permission to import {qualified} into {importer}: already imported from {exporter}; "
             f"{module.name}:{key.name}(...) calls it\n"
         )
 
@@ -265,14 +265,14 @@ class ModuleNames:
             return None
         return (COLON, atom(key.name[: -len(name) - 1]), (SLASH, atom(name), key.arity))
 
-    def _is_plain(self, module: Module, key: Functor) -> bool:
+    def _has_plain_name(self, module: Module, key: Functor) -> bool:
         if key in module.exports and key not in module.hidden:
             return True
-        return key in _EVERYBODYS or key in self.shared or key.name in self._plain
+        return key in _GLOBAL_PREDICATES or key in self.shared or key.name in self._plain
 
     def own(self, module: Module, key: Functor) -> Functor:
         """Return the functor under which a predicate that a module defines is stored."""
-        if self._is_plain(module, key):
+        if self._has_plain_name(module, key):
             return key
         name = f"{module.name}:{key.name}"
         self._plain[name] = key.name
@@ -285,7 +285,7 @@ class ModuleNames:
 
     def resolve(self, module: Module, key: Functor) -> Functor:
         """Return the functor of the predicate that a name refers to in a module."""
-        if self._is_plain(module, key):
+        if self._has_plain_name(module, key):
             return key
         # Own definitions take precedence over imported and system predicates, as in SWI-Prolog.
         if (key in module.imports or self.is_of_system(key)) and not self.is_there(
@@ -297,13 +297,13 @@ class ModuleNames:
     def restore(self, table: Dict[str, KeptModule]) -> None:
         """Add the modules that `kept` returned."""
         # Older states lack the names of imported predicates, which were the plain ones then.
-        for name, (exports, imports, own, *called) in table.items():
+        for name, (exports, imports, own, *import_names) in table.items():
             module = self.table.setdefault(name, Module(name))
             module.exports.update(exports)
-            module.hidden = module.exports & self._taken(module)
-            names = called[0] if called else [key.name for key in imports]
-            module.imports.update({key: functor(one, key.arity) for key, one in zip(imports, names)})
-            self._plain.update({f"{name}:{one}": one for one in own})
+            module.hidden = module.exports & self._exported_elsewhere(module)
+            names = import_names[0] if import_names else [key.name for key in imports]
+            module.imports.update({key: functor(plain, key.arity) for key, plain in zip(imports, names)})
+            self._plain.update({f"{name}:{plain}": plain for plain in own})
 
     def kept(self) -> Dict[str, KeptModule]:
         """Return all modules as plain data, for `restore`."""
@@ -319,13 +319,13 @@ class ModuleNames:
 
     def kinds(self, key: Functor) -> Optional[ArgumentKinds]:
         """Return the argument kinds of a predicate; None if all arguments are plain."""
-        found = self.metas.get(key)
-        if found is None:
+        argument_kinds = self.metas.get(key)
+        if argument_kinds is None:
             plain = self.plain_of(key)
             if plain is not None and not self.is_there(key):
                 key = plain
-            found = self.metas.get(key) or METAS.get(key)
-        return found
+            argument_kinds = self.metas.get(key) or METAS.get(key)
+        return argument_kinds
 
 
 _NECK, _GRAMMAR = functor(":-", 2), functor("-->", 2)
@@ -333,7 +333,7 @@ _SINGLE_SIDED = functor("=>", 2)
 _HAT, _LAMBDA = functor("^", 2), functor(">>", 2)
 _CHAINS = frozenset(functor(name, 2) for name in (",", ";", "|", "->", "*->"))
 _AS = functor("as", 2)
-_NOTHING: FrozenSet[Var] = frozenset()
+_NO_VARIABLES: FrozenSet[Var] = frozenset()
 
 
 class Modules(ModuleNames):
@@ -363,7 +363,7 @@ class Modules(ModuleNames):
         return (
             inner
             if module is None or inner.__class__ is Var
-            else self._argument(module, "^", inner, _NOTHING)
+            else self._resolved_argument(module, "^", inner, _NO_VARIABLES)
         )
 
     def closure_of(self, goal: CompoundTerm, more: int) -> Term:
@@ -372,7 +372,7 @@ class Modules(ModuleNames):
         inner = deref(goal[2])
         return inner if module is None or inner.__class__ is Var else self.closure(module, inner, more)
 
-    def body(self, module: Module, goal: Term, held: FrozenSet[Var] = _NOTHING) -> Term:
+    def body(self, module: Module, goal: Term, held: FrozenSet[Var] = _NO_VARIABLES) -> Term:
         """Return a goal of a module with all names resolved, so that it has the same meaning anywhere.
 
         Args:
@@ -386,12 +386,12 @@ class Modules(ModuleNames):
         while goal.__class__ is tuple and goal[0] in _CHAINS:
             chain.append((goal[0], self.body(module, goal[1], held)))
             goal = deref(goal[2])
-        found = self._goal(module, goal, held)
-        for key, left in reversed(chain):
-            found = (key, left, found)
-        return found
+        resolved = self._resolved_goal(module, goal, held)
+        for key, conjunct in reversed(chain):
+            resolved = (key, conjunct, resolved)
+        return resolved
 
-    def _goal(self, module: Module, goal: Term, held: FrozenSet[Var]) -> Term:
+    def _resolved_goal(self, module: Module, goal: Term, held: FrozenSet[Var]) -> Term:
         # The goal is known only at run time, so the module travels with it.
         if goal.__class__ is Var:
             return goal if goal in held else (COLON, module.mark, goal)
@@ -404,17 +404,17 @@ class Modules(ModuleNames):
             other = self.named(goal[1])
             return goal if other is None else self.body(other, goal[2], held)
         key = self.resolve(module, goal[0])
-        return (key, *self._arguments(module, key, goal[1:], held))
+        return (key, *self._resolved_arguments(module, key, goal[1:], held))
 
-    def _arguments(
+    def _resolved_arguments(
         self, module: Module, key: Functor, args: Tuple[Term, ...], held: FrozenSet[Var]
     ) -> Sequence[Term]:
         kinds = self.kinds(key)
         if kinds is None:
             return args
-        return [self._argument(module, kind, arg, held) for kind, arg in zip(kinds, args)]
+        return [self._resolved_argument(module, kind, arg, held) for kind, arg in zip(kinds, args)]
 
-    def _argument(self, module: Module, kind: ArgumentKind, arg: Term, held: FrozenSet[Var]) -> Term:
+    def _resolved_argument(self, module: Module, kind: ArgumentKind, arg: Term, held: FrozenSet[Var]) -> Term:
         if kind is PLAIN or kind == PLAIN:
             return arg
         if isinstance(kind, int):
@@ -426,17 +426,17 @@ class Modules(ModuleNames):
             return arg if arg in held else (COLON, module.mark, arg)
         if kind == "^":
             if arg.__class__ is tuple and arg[0] is _HAT:
-                return (_HAT, arg[1], self._argument(module, kind, arg[2], held))
+                return (_HAT, arg[1], self._resolved_argument(module, kind, arg[2], held))
             return self.body(module, arg, held)
         if kind == "clause":
             return self.clause(module, arg, held, self.stored)
         if kind == "match":
-            return self._matched(module, arg)
+            return self._searched_clause(module, arg)
         if kind == "head":
-            return self._head(module, arg, self.resolve)
+            return self._resolved_head(module, arg, self.resolve)
         return arg if arg.__class__ is tuple and arg[0] is COLON else (COLON, module.mark, arg)
 
-    def closure(self, module: Module, goal: Term, more: int, held: FrozenSet[Var] = _NOTHING) -> Term:
+    def closure(self, module: Module, goal: Term, more: int, held: FrozenSet[Var] = _NO_VARIABLES) -> Term:
         """Return a closure, to which ``more`` arguments are added, with all names resolved; see `body`."""
         goal = deref(goal)
         if goal.__class__ is Var:
@@ -450,21 +450,23 @@ class Modules(ModuleNames):
             other = self.named(goal[1])
             return goal if other is None else self.closure(other, goal[2], more, held)
         if goal[0] is _LAMBDA:
-            return self._lambda(module, goal, more, held)
+            return self._resolved_lambda(module, goal, more, held)
         inner: Term = deref(goal[-1])
         if goal[0] is SLASH and inner.__class__ is tuple and inner[0] is _LAMBDA:
             return (SLASH, goal[1], self.closure(module, inner, more, held))
         # The name is resolved with the arity of the call, and the closure keeps its own arity.
         whole = self.resolve(module, functor(goal[0].name, len(goal) - 1 + more))
         key = goal[0] if whole.name == goal[0].name else functor(whole.name, len(goal) - 1)
-        return (key, *self._arguments(module, whole, goal[1:], held))
+        return (key, *self._resolved_arguments(module, whole, goal[1:], held))
 
-    def _lambda(self, module: Module, goal: CompoundTerm, more: int, held: FrozenSet[Var]) -> Term:
+    def _resolved_lambda(self, module: Module, goal: CompoundTerm, more: int, held: FrozenSet[Var]) -> Term:
         parameters = deref(goal[1])
         if parameters.__class__ is tuple and parameters[0] is SLASH:
             parameters = deref(parameters[2])
-        left = more - len(list_items(parameters) or ())
-        body = self.closure(module, goal[2], left, held) if left > 0 else self.body(module, goal[2], held)
+        missing = more - len(list_items(parameters) or ())
+        body = (
+            self.closure(module, goal[2], missing, held) if missing > 0 else self.body(module, goal[2], held)
+        )
         return (_LAMBDA, goal[1], body)
 
     # Clauses
@@ -473,7 +475,7 @@ class Modules(ModuleNames):
         self,
         module: Module,
         term: Term,
-        held: FrozenSet[Var] = _NOTHING,
+        held: FrozenSet[Var] = _NO_VARIABLES,
         name: Optional[Callable[[Module, Functor], Functor]] = None,
     ) -> Term:
         """Return a clause of a module with all names resolved.
@@ -487,35 +489,35 @@ class Modules(ModuleNames):
         name = name or self.own
         term = deref(term)
         if term.__class__ is not tuple or term[0] not in (_NECK, _SINGLE_SIDED, _GRAMMAR, COLON):
-            return self._head(module, term, name)
+            return self._resolved_head(module, term, name)
         # A grammar rule is rewritten after its translation, which adds the arguments that its names are resolved
         # with.
         if term[0] is _GRAMMAR:
             return (COLON, module.mark, term)
         if term[0] is COLON:
-            inner, other = deref(term[2]), self.named(term[1])
-            if other is not None and inner.__class__ is not Var:
-                return self.clause(other, inner, held, name)
+            inner, named_module = deref(term[2]), self.named(term[1])
+            if named_module is not None and inner.__class__ is not Var:
+                return self.clause(named_module, inner, held, name)
             return term
-        left = deref(term[1])
+        head_term = deref(term[1])
         guard: Optional[Term] = None
-        if term[0] is _SINGLE_SIDED and isinstance(left, tuple) and left[0] is COMMA:
-            guard, left = left[2], deref(left[1])
-        head = self._head(module, left, name)
-        held = held | self._held(head)
+        if term[0] is _SINGLE_SIDED and isinstance(head_term, tuple) and head_term[0] is COMMA:
+            guard, head_term = head_term[2], deref(head_term[1])
+        head = self._resolved_head(module, head_term, name)
+        held = held | self._goal_variables(head)
         if guard is not None:
             head = (COMMA, head, self.body(module, guard, held))
         return (term[0], head, self.body(module, term[2], held))
 
-    def _held(self, head: Term) -> FrozenSet[Var]:
+    def _goal_variables(self, head: Term) -> FrozenSet[Var]:
         """Return the variables of a head in arguments that are goals: callers pass these with their modules."""
         if head.__class__ is not tuple:
-            return _NOTHING
+            return _NO_VARIABLES
         kinds = self.metas.get(head[0])
-        found = [deref(arg) for kind, arg in zip(kinds or (), head[1:]) if kind != PLAIN]
-        return frozenset(arg for arg in found if isinstance(arg, Var))
+        goals = [deref(arg) for kind, arg in zip(kinds or (), head[1:]) if kind != PLAIN]
+        return frozenset(arg for arg in goals if isinstance(arg, Var))
 
-    def _head(self, module: Module, head: Term, name: Callable[[Module, Functor], Functor]) -> Term:
+    def _resolved_head(self, module: Module, head: Term, name: Callable[[Module, Functor], Functor]) -> Term:
         if head.__class__ is Atom:
             key = name(module, head.functor)
             return head if key is head.functor else atom(key.name)
@@ -527,13 +529,13 @@ class Modules(ModuleNames):
         inner = deref(head[2])
         if other is None or inner.__class__ is Var:
             return head if inner.__class__ is Var else inner
-        return self._head(other, inner, name)
+        return self._resolved_head(other, inner, name)
 
     def of_another(self, term: CompoundTerm) -> Term:
         """Return a clause outside of modules with a module in its head resolved."""
         head = deref(term[1])
         if head.__class__ is tuple and head[0] is COLON:
-            return (term[0], self._head(EVERYBODY, head, self.own), term[2])
+            return (term[0], self._resolved_head(NO_MODULE, head, self.own), term[2])
         return term
 
     def looked_for(self, term: Term) -> Term:
@@ -542,7 +544,7 @@ class Modules(ModuleNames):
         while term.__class__ is tuple and term[0] is COLON:
             module, inner = self.named(term[1]), deref(term[2])
             if module is not None and (inner.__class__ is tuple or inner.__class__ is Atom):
-                inner = self._matched(module, inner)
+                inner = self._searched_clause(module, inner)
             term = inner
         return term
 
@@ -551,14 +553,17 @@ class Modules(ModuleNames):
         if not self.table:
             return term
         return self.indicators(
-            EVERYBODY, term, lambda module, key: key if module is EVERYBODY else self.own(module, key)
+            NO_MODULE, term, lambda module, key: key if module is NO_MODULE else self.own(module, key)
         )
 
-    def _matched(self, module: Module, term: Term) -> Term:
+    def _searched_clause(self, module: Module, term: Term) -> Term:
         if term.__class__ is not tuple or term[0] is not _NECK:
-            return self._head(module, term, self.resolve)
+            return self._resolved_head(module, term, self.resolve)
         head, body = deref(term[1]), deref(term[2])
-        head = (COLON, module.mark, head) if head.__class__ is Var else self._head(module, head, self.resolve)
+        if head.__class__ is Var:
+            head = (COLON, module.mark, head)
+        else:
+            head = self._resolved_head(module, head, self.resolve)
         return (_NECK, head, body if body.__class__ is Var else self.body(module, body))
 
     def indicators(self, module: Module, term: Term, name: Callable[[Module, Functor], Functor]) -> Term:
@@ -586,12 +591,12 @@ class Modules(ModuleNames):
         if not self._plain:
             return term
         try:
-            return self._shown(term)
+            return self._display_form(term)
         except RecursionError:
             # For display only: a term that is nested too deeply is shown with its qualified names.
             return term
 
-    def _shown(self, term: Term) -> Term:
+    def _display_form(self, term: Term) -> Term:
         term = deref(term)
         if isinstance(term, Atom):
             name = self._plain.get(term.name)
@@ -600,4 +605,4 @@ class Modules(ModuleNames):
             return term
         if term[0] is COLON and deref(term[2]).__class__ is Var and self.named(term[1]) is not None:
             return deref(term[2])
-        return (self.plain_of(term[0]) or term[0], *[self._shown(arg) for arg in term[1:]])
+        return (self.plain_of(term[0]) or term[0], *[self._display_form(arg) for arg in term[1:]])

@@ -21,7 +21,16 @@ from ..machine.machine import Code, Machine
 from ..terms.term_traversal import copy
 from ..terms.types import Frame, Functor, Step, Term, Trail, Values, Var
 from ..terms.unification import undo, unify
-from .clause_index import NEVER, Clause, FunctionalModes, Indexes, by_key, keys_of, match_head, may_match
+from .clause_index import (
+    NEVER,
+    Clause,
+    FunctionalModes,
+    Indexes,
+    indexed_step,
+    keys_of,
+    match_head,
+    may_match,
+)
 
 if TYPE_CHECKING:
     from .database import Database
@@ -97,9 +106,9 @@ class Predicate:
         self.calls = 0
         self.compile_after = database.compile_after
         self.indexes = Indexes(functor.arity)
-        self.run: Step = self._call
+        self.run: Step = self._run_interpreted
         self.steady = False
-        self._retry = Code(str(functor), self._next)
+        self._retry = Code(str(functor), self._retry_call)
         self._retry.functor = functor
 
     def __repr__(self) -> str:
@@ -140,7 +149,7 @@ class Predicate:
         self.changed()
         # Running calls hold positions in the list, so a clause in front makes a new list.
         if first:
-            self.clauses = [clause, *[old for old in self.clauses if old.died == NEVER]]
+            self.clauses = [clause, *[existing for existing in self.clauses if existing.died == NEVER]]
             self.kind = "user"
             self.dead = 0
             self.indexes.clear()
@@ -192,7 +201,7 @@ class Predicate:
         self._revision += 1
         if self.compiled:
             self.compiled = self.steady = False
-            self._run_by(self._call)
+            self._set_step(self._run_interpreted)
             self.compile_after *= 2
         self.calls = 0
         if self.direct is not None:
@@ -223,7 +232,7 @@ class Predicate:
             self.direct.reset(None)
         if self.kind == "user":
             self.compiled = self.steady = False
-            self._run_by(self._call)
+            self._set_step(self._run_interpreted)
             self.calls = 0
             for clause in self.clauses:
                 clause.code = None
@@ -240,7 +249,7 @@ class Predicate:
         self.incremental = True
         self._on_read = on_read
         self.database.changes += 1
-        self._run_by(self.run)
+        self._set_step(self.run)
 
     def note_read(self) -> None:
         """Report an access to the clauses to the observer."""
@@ -251,7 +260,7 @@ class Predicate:
         """Return a number that differs after each change of the clauses."""
         return self._revision
 
-    def _run_by(self, step: Step) -> None:
+    def _set_step(self, step: Step) -> None:
         """Set the step that runs calls, preceded by the report of a read if the predicate is observed."""
         on_read = self._on_read
         if on_read is None:
@@ -266,7 +275,7 @@ class Predicate:
 
     # Calls of interpreted clauses
 
-    def _call(self, frame: Frame) -> Optional[Frame]:
+    def _run_interpreted(self, frame: Frame) -> Optional[Frame]:
         if self.kind == "undefined":
             return self.database.undefined(self, frame)
         self.calls += 1
@@ -320,7 +329,7 @@ class Predicate:
         """Return a list with all clauses that a call may match, and the position of the index used, or None."""
         return self.indexes.select(self.clauses, frame)
 
-    def _next(self, entry: Frame) -> Optional[Frame]:
+    def _retry_call(self, entry: Frame) -> Optional[Frame]:
         return self._advance(*entry[1:7])
 
     def _advance(  # noqa: C901 -- the loop of all interpreted calls; a call per clause would slow it
@@ -352,8 +361,8 @@ class Predicate:
             # The next candidate is searched first: without one no choice point is pushed, and the call is
             # deterministic.
             while at < end:
-                other = clauses[at]
-                if other.died > generation and (keys is None or may_match(keys, other.keys)):
+                next_clause = clauses[at]
+                if next_clause.died > generation and (keys is None or may_match(keys, next_clause.keys)):
                     break
                 at += 1
             height = len(machine.choices)
@@ -402,36 +411,36 @@ class Predicate:
         """Compile the predicate as a whole, or let calls go through its indexes; return whether either was done."""
         self.calls = 0
         clauses = list(self.live())
-        size = len(clauses)
-        facts = all(clause.fact for clause in clauses)
-        too_many = size > (_MAX_COMPILED_FACTS if facts else _MAX_COMPILED_CLAUSES)
-        if not size or any(clause.is_large for clause in clauses):
+        count = len(clauses)
+        is_facts = all(clause.fact for clause in clauses)
+        too_many = count > (_MAX_COMPILED_FACTS if is_facts else _MAX_COMPILED_CLAUSES)
+        if not count or any(clause.is_large for clause in clauses):
             self.compile_after = NEVER
             return False
         if too_many:
-            return self._go_by_keys()
-        rules = [ClauseParts(_args(clause.head), clause.body, clause.place) for clause in clauses]
-        generator = PredicateGenerator(self._view(), self.functor, rules, self)
-        self._run_by(generator.main())
+            return self._call_through_indexes()
+        rules = [ClauseParts(_arguments_of(clause.head), clause.body, clause.place) for clause in clauses]
+        generator = PredicateGenerator(self._resolver(), self.functor, rules, self)
+        self._set_step(generator.main())
         self.steady = generator.steady
         self.compiled = True
         return True
 
-    def _go_by_keys(self) -> bool:
+    def _call_through_indexes(self) -> bool:
         """Let calls go through the existing indexes that have no variables; return whether there are any."""
         if self.dead:
             self._sweep()
-            self.indexes.make_anew(self.clauses)
+            self.indexes.rebuild(self.clauses)
         choices = self.database.machine.choices
         # Indexes are tried in order of their arguments; each step falls back to the next, the last one to
         # interpretation.
-        run: Step = self._call
-        for position, index in reversed(self.indexes.complete()):
-            run = by_key(position, index.own, choices, self._search(position), run)
-        if run == self._call:
+        run: Step = self._run_interpreted
+        for position, index in reversed(self.indexes.without_variables()):
+            run = indexed_step(position, index.own, choices, self._search(position), run)
+        if run == self._run_interpreted:
             self.compile_after *= 2
             return False
-        self._run_by(run)
+        self._set_step(run)
         self.compiled = True
         return True
 
@@ -439,11 +448,11 @@ class Predicate:
         if clause.is_large:
             clause.uses = -NEVER
             return None
-        rule = ClauseParts(_args(clause.head), clause.body, clause.place)
-        clause.code = PredicateGenerator(self._view(), self.functor, [rule], self).single(0)
+        rule = ClauseParts(_arguments_of(clause.head), clause.body, clause.place)
+        clause.code = PredicateGenerator(self._resolver(), self.functor, [rule], self).single(0)
         return clause.code
 
-    def _view(self) -> PredicateResolver:
+    def _resolver(self) -> PredicateResolver:
         return self.database.library if self.library else self.database
 
 
@@ -461,5 +470,5 @@ def fact_names(machine: Machine) -> Dict[str, object]:
     }
 
 
-def _args(head: Term) -> Values:
+def _arguments_of(head: Term) -> Values:
     return head[1:] if head.__class__ is tuple else ()

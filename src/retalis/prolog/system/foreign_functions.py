@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 
 _ERROR = functor("error", 2)
 _PYTHON_ERROR = functor("python_error", 2)
-_MARK = "__retalis_foreign__"
+_SPEC_ATTRIBUTE = "__retalis_foreign__"
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -126,9 +126,9 @@ def foreign(
         count = outputs
         if count is None:
             count = 0 if hints.get("return", 1) in (bool, type(None)) else 1
-        readers = [reader_of(hints.get(one.name)) for one in _parameters(function)]
+        readers = [reader_of(hints.get(parameter.name)) for parameter in _parameters(function)]
         spec = _Spec(name or function.__name__, count, readers, isgeneratorfunction(function))
-        setattr(function, _MARK, spec)
+        setattr(function, _SPEC_ATTRIBUTE, spec)
         return function
 
     return mark if function is None else mark(function)
@@ -137,13 +137,13 @@ def foreign(
 def _parameters(function: Callable[..., object]) -> "List[Parameter]":
     from inspect import signature  # noqa: PLC0415 - see `foreign`
 
-    found = list(signature(function).parameters.values())
-    for one in found:
-        if one.kind not in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD):
+    parameters = list(signature(function).parameters.values())
+    for parameter in parameters:
+        if parameter.kind not in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD):
             raise UsageError(
                 f"{function.__name__} takes *args or **kwargs; a predicate has a fixed number of arguments"
             )
-    return found
+    return parameters
 
 
 def define_foreign(logic: PrologSystem, runner: "SerialExecutor", *sources: object) -> List[Functor]:
@@ -158,94 +158,96 @@ def define_foreign(logic: PrologSystem, runner: "SerialExecutor", *sources: obje
         UsageError: if a function is not marked, or a module has no marked function.
         PrologError: if a predicate of the system has that name and arity.
     """
-    done = []
+    keys = []
     for source in sources:
         functions = (
             [source]
             if callable(source)
-            else [one for one in getattr(source, "__dict__", {}).values() if _is_marked(one)]
+            else [value for value in getattr(source, "__dict__", {}).values() if _is_marked(value)]
         )
-        if not functions or not all(_is_marked(one) for one in functions):
+        if not functions or not all(_is_marked(value) for value in functions):
             raise UsageError(f"{getattr(source, '__name__', source)} has no function decorated with @foreign")
         for function in functions:
-            done.append(_define(logic, runner, function, getattr(function, _MARK)))
-    return done
+            keys.append(_define(logic, runner, function, getattr(function, _SPEC_ATTRIBUTE)))
+    return keys
 
 
 def _is_marked(value: object) -> bool:
-    return isinstance(getattr(value, _MARK, None), _Spec)
+    return isinstance(getattr(value, _SPEC_ATTRIBUTE, None), _Spec)
 
 
 def _define(
     logic: PrologSystem, runner: "SerialExecutor", function: Callable[..., Any], spec: _Spec
 ) -> Functor:
     key = functor(spec.name, spec.arity)
-    known = logic.database.predicates.get(key)
-    if known is not None and (known.locked or known.library and known.system):
+    existing = logic.database.predicates.get(key)
+    if existing is not None and (existing.locked or existing.library and existing.system):
         raise permission_error("modify", "static_procedure", _indicator(key))
     if spec.many:
-        logic.define_nondeterministic(spec.name, spec.arity, _generator(runner, function, spec, key))
+        logic.define_nondeterministic(
+            spec.name, spec.arity, _nondeterministic_step(runner, function, spec, key)
+        )
     else:
-        logic.define(spec.name, spec.arity, _function(runner, function, spec, key))
+        logic.define(spec.name, spec.arity, _deterministic_step(runner, function, spec, key))
     return key
 
 
-def _function(
+def _deterministic_step(
     runner: "SerialExecutor", function: Callable[..., object], spec: _Spec, key: Functor
 ) -> Callable[..., bool]:
     count = len(spec.readers)
-    what = f"the foreign predicate {key}"
+    description = f"the foreign predicate {key}"
 
     def run(machine: Machine, *arguments: Term) -> bool:
         values = [read(term) for read, term in zip(spec.readers, arguments)]
-        outer = runner.callback
-        runner.callback = (what,)
+        outer_callback = runner.callback
+        runner.callback = (description,)
         try:
             result = function(*values)
             if not spec.outputs:
                 return result is not False
-            return result is not None and _unify(machine, arguments[count:], result)
+            return result is not None and _unify_outputs(machine, arguments[count:], result)
         except Exception as error:
             # Any exception of a user's function is an error of the goal and must not end the program.
-            raise _raised(error, key) from error
+            raise _goal_error(error, key) from error
         finally:
-            runner.callback = outer
+            runner.callback = outer_callback
 
     return run
 
 
-def _generator(
+def _nondeterministic_step(
     runner: "SerialExecutor",
     function: Callable[..., Generator[object, None, None]],
     spec: _Spec,
     key: Functor,
 ) -> Callable[..., Iterator[None]]:
     count = len(spec.readers)
-    what = f"the foreign predicate {key}"
+    description = f"the foreign predicate {key}"
 
     def run(machine: Machine, *arguments: Term) -> Iterator[None]:
         values = [read(term) for read, term in zip(spec.readers, arguments)]
         # A cut drops the generator of solutions; closing it then runs the function's finally blocks.
         with closing(function(*values)) as solutions:
             while True:
-                outer = runner.callback
-                runner.callback = (what,)
+                outer_callback = runner.callback
+                runner.callback = (description,)
                 try:
                     result = next(solutions)
-                    solved = not spec.outputs or _unify(machine, arguments[count:], result)
+                    solved = not spec.outputs or _unify_outputs(machine, arguments[count:], result)
                 except StopIteration:
                     return
-                except Exception as error:  # an error of the goal, see `_function`
-                    raise _raised(error, key) from error
+                except Exception as error:  # an error of the goal, see `_deterministic_step`
+                    raise _goal_error(error, key) from error
                 finally:
-                    runner.callback = outer
+                    runner.callback = outer_callback
                 if solved:
                     yield None
 
     return run
 
 
-def _unify(machine: Machine, outputs: Sequence[Term], result: Any) -> bool:
+def _unify_outputs(machine: Machine, outputs: Sequence[Term], result: Any) -> bool:
     if len(outputs) == 1:
         return machine.unify(outputs[0], to_term(result))
     if len(result) != len(outputs):
@@ -255,7 +257,7 @@ def _unify(machine: Machine, outputs: Sequence[Term], result: Any) -> bool:
     return machine.unify_all(*[(output, to_term(value)) for output, value in zip(outputs, result)])
 
 
-def _raised(error: Exception, key: Functor) -> RetalisError:
+def _goal_error(error: Exception, key: Functor) -> RetalisError:
     if isinstance(error, RetalisError):
         return error
     context = (functor("context", 2), _indicator(key), Var())
@@ -293,8 +295,8 @@ def define_use_foreign(
             raise permission_error("load", "foreign_module", module, reason)
         name = module.name if isinstance(module, Atom) else module.text
         define_foreign(logic, runner, load_module(name, files))
-        found = files.resolve(name if name.endswith(".py") else f"{name}.py")
-        logic.foreign_modules[str(found) if files.is_file(found) else name] = None
+        path = files.resolve(name if name.endswith(".py") else f"{name}.py")
+        logic.foreign_modules[str(path) if files.is_file(path) else name] = None
         return True
 
     logic.define("use_foreign", 1, use_foreign).locked = True

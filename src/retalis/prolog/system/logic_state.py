@@ -70,8 +70,8 @@ def keep_logic(logic: PrologSystem) -> KeptLogic:
     return KeptLogic(
         (priorities, types, names),
         tables.declarations(),
-        [_kept(one) for one in predicates],
-        [one.functor for one in predicates if one.incremental],
+        [_kept(predicate) for predicate in predicates],
+        [predicate.functor for predicate in predicates if predicate.incremental],
     )
 
 
@@ -93,13 +93,21 @@ def keep_values(logic: PrologSystem) -> KeptValues:
 
 def program_predicates(logic: PrologSystem) -> List[Predicate]:
     """Return the program's predicates, in the order of their definition."""
-    every = logic.database.predicates.values()
-    return [one for one in every if not one.library and one.tabled is None and not one.is_blank]
+    predicates = logic.database.predicates.values()
+    return [
+        predicate
+        for predicate in predicates
+        if not predicate.library and predicate.tabled is None and not predicate.is_blank
+    ]
 
 
-def _kept(one: Predicate) -> KeptClauses:
-    clauses = [(clause.head, clause.body, clause.place) for clause in one.live()]
-    return one.functor, (one.dynamic, one.discontiguous, one.multifile, one.kind == "user"), clauses
+def _kept(predicate: Predicate) -> KeptClauses:
+    clauses = [(clause.head, clause.body, clause.place) for clause in predicate.live()]
+    return (
+        predicate.functor,
+        (predicate.dynamic, predicate.discontiguous, predicate.multifile, predicate.kind == "user"),
+        clauses,
+    )
 
 
 def restore_logic(logic: PrologSystem, kept: KeptLogic) -> None:
@@ -117,8 +125,8 @@ def restore_logic(logic: PrologSystem, kept: KeptLogic) -> None:
         tables.observe(logic.database.writable(functor, "modify"))
     for functor, marks, clauses in kept.predicates:
         predicate = logic.database.writable(functor, "modify")
-        predicate.dynamic, predicate.discontiguous, predicate.multifile, there = marks
-        predicate.kind = "user" if there else predicate.kind
+        predicate.dynamic, predicate.discontiguous, predicate.multifile, is_user = marks
+        predicate.kind = "user" if is_user else predicate.kind
         for head, body, place in clauses:
             predicate.add(Clause(predicate, head, body, place))
 
@@ -145,10 +153,10 @@ def _restore_operators(
     priorities, types, names = kept
     # Only differences are applied: each change of the table invalidates what depends on it.
     wanted = dict(zip(zip(types, names), priorities))
-    there = {(kind, name): priority for priority, kind, name in operators}
-    for kind, name in there:
-        if (kind, name) not in wanted:
-            operators.add(0, kind, name)
-    for (kind, name), priority in wanted.items():
-        if there.get((kind, name)) != priority:
-            operators.add(priority, kind, name)
+    current = {(op_type, name): priority for priority, op_type, name in operators}
+    for op_type, name in current:
+        if (op_type, name) not in wanted:
+            operators.add(0, op_type, name)
+    for (op_type, name), priority in wanted.items():
+        if current.get((op_type, name)) != priority:
+            operators.add(priority, op_type, name)

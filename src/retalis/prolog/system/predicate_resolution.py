@@ -28,38 +28,38 @@ from ..syntax.operators import Operators
 from ..syntax.term_reader import read_program
 from ..terms.types import Frame, Functor, Step, Term, Values, Var, deref, functor
 
-FOLDER = Path(__file__).resolve().parent.parent / "library"
+LIBRARY_FOLDER = Path(__file__).resolve().parent.parent / "library"
 
-_EXPORTS = re.compile(r"^% defines: (.*)$", re.MULTILINE)
+_DEFINES_LINE = re.compile(r"^% defines: (.*)$", re.MULTILINE)
 
 
 @lru_cache(maxsize=1)
 def library_index() -> Dict[Tuple[str, int], str]:
     """Return the library file of each predicate, as declared in lines ``% defines: name/arity ...``."""
-    found = {}
-    for path in sorted(FOLDER.glob("*.pl")):
-        for line in _EXPORTS.findall(path.read_text(encoding="utf-8")):
+    index = {}
+    for path in sorted(LIBRARY_FOLDER.glob("*.pl")):
+        for line in _DEFINES_LINE.findall(path.read_text(encoding="utf-8")):
             for text in line.split():
                 name, _, arity = text.rpartition("/")
-                found[name, int(arity)] = path.stem
-    return found
+                index[name, int(arity)] = path.stem
+    return index
 
 
 def load_library(database: Database, part: str) -> None:
     """Load a file of the library. The goal that needs it is not charged for the loading."""
-    before = watched_by(unwatched)
+    outer_watch = watched_by(unwatched)
     try:
         _load(database, part)
     finally:
-        watched_by(before)
+        watched_by(outer_watch)
 
 
 def _load(database: Database, part: str) -> None:
-    path = FOLDER / f"{part}.pl"
-    for read in read_program(path.read_text(encoding="utf-8"), Operators.prolog(), f"library({part})"):
-        if isinstance(read, SyntaxFault):
-            raise read
-        term = deref(read.term)
+    path = LIBRARY_FOLDER / f"{part}.pl"
+    for clause_read in read_program(path.read_text(encoding="utf-8"), Operators.prolog(), f"library({part})"):
+        if isinstance(clause_read, SyntaxFault):
+            raise clause_read
+        term = deref(clause_read.term)
         if term.__class__ is tuple and term[0].name == "-->":
             term = translate_rule(term)
         head, body = split_clause(term)
@@ -71,10 +71,10 @@ def _load(database: Database, part: str) -> None:
             if predicate.kind == "user" or predicate.dynamic:
                 predicate = database.library.kept[key] = Predicate(database, key)
             predicate.library = True
-        predicate.add(Clause(predicate, head, body, read.place))
+        predicate.add(Clause(predicate, head, body, clause_read.place))
 
 
-_END = object()
+_NO_SOLUTION = object()
 
 
 def is_replaceable(key: Functor) -> bool:
@@ -82,7 +82,7 @@ def is_replaceable(key: Functor) -> bool:
     return (key.name, key.arity) in ENTRIES and key not in STANDARD and key not in FIXED
 
 
-def _close(entry: Frame) -> None:
+def _close_generator(entry: Frame) -> None:
     """Close the generator of a choice point."""
     close = getattr(entry[1], "close", None)  # it may be another iterator
     if close is not None:
@@ -115,22 +115,22 @@ class PredicateTable:
         self.control = Control(self.database)
         self.flags: Dict[str, Term] = default_flags()
         for (name, arity), function in control_predicates(self.control).items():
-            self._of_system(self.define_control(name, arity, function))
-        ways: Dict[str, Callable[..., Predicate]] = {
+            self._mark_as_system(self.define_control(name, arity, function))
+        definers: Dict[str, Callable[..., Predicate]] = {
             "deterministic": self.define,
             "function": self.define_function,
             "nondeterministic": self.define_nondeterministic,
             "control": self.define_control,
         }
         for (name, arity), entry in ENTRIES.items():
-            predicate = ways[entry.kind](name, arity, entry.function)
+            predicate = definers[entry.kind](name, arity, entry.function)
             if entry.locked:
-                self._of_system(predicate)
+                self._mark_as_system(predicate)
         self._library = library_index()
         self.database.modules.is_of_system = self.is_of_system
 
     @staticmethod
-    def _of_system(predicate: Predicate) -> None:
+    def _mark_as_system(predicate: Predicate) -> None:
         predicate.system = True
         predicate.locked = predicate.functor in FIXED
 
@@ -166,9 +166,9 @@ class PredicateTable:
                 argument is the only output, and its value is returned without a tuple.
             shows: for each output, the conversion of its value to a term; None if the value is a term.
         """
-        form = functional(function, arity, outputs, shows)
-        predicate = self.define(name, arity, form.predicate())
-        predicate.functional = form
+        modes = functional(function, arity, outputs, shows)
+        predicate = self.define(name, arity, modes.predicate())
+        predicate.functional = modes
         return predicate
 
     def define_nondeterministic(
@@ -200,36 +200,38 @@ class PredicateTable:
             after: Frame
             _, solutions, after, _ = entry
             mark = len(trail)
-            value = next(solutions, _END)
-            if value is _END:
+            yielded = next(solutions, _NO_SOLUTION)
+            if yielded is _NO_SOLUTION:
                 return None
             # After LAST no choice point is pushed: the call ends deterministically, and its generator is released.
-            if value is not LAST:
+            if yielded is not LAST:
                 choices.append((retry, solutions, after, mark))
             return after
 
         retry = Code(str(key), resume)
         retry.functor = key
-        retry.dropped = _close
+        retry.dropped = _close_generator
 
         def call(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-            found: Any = function(machine, *args)
-            if found is True:
+            solutions: Any = function(machine, *args)
+            if solutions is True:
                 return after
-            return resume((retry, iter(found), after, 0)) if found else None
+            return resume((retry, iter(solutions), after, 0)) if solutions else None
 
         def run(frame: Frame) -> Optional[Frame]:
             return call(machine, frame[1:-1], frame[-1])
 
         if known is None:
             return self.database.define(key, call, run, "control")
-        alone = self.define_function(f"${name}", arity, known)
+        bound_form = self.define_function(f"${name}", arity, known)
 
         def run_known(frame: Frame) -> Optional[Frame]:
-            return run(frame) if deref(frame[1]).__class__ is Var else alone.run((alone, *frame[1:]))
+            return (
+                run(frame) if deref(frame[1]).__class__ is Var else bound_form.run((bound_form, *frame[1:]))
+            )
 
         predicate = self.database.define(key, None, run_known, "control")
-        predicate.known = alone.functor
+        predicate.known = bound_form.functor
         return predicate
 
     def define_control(
@@ -284,8 +286,10 @@ class PredicateTable:
 
     def is_added(self, key: Functor) -> bool:
         """Return whether a predicate belongs to the system but not to Prolog, such as those of the event language."""
-        known = (key.name, key.arity)
-        return self.is_of_system(key) and known not in ENTRIES and known not in self._library
+        name_and_arity = (key.name, key.arity)
+        return (
+            self.is_of_system(key) and name_and_arity not in ENTRIES and name_and_arity not in self._library
+        )
 
     def names(self) -> Iterator[Functor]:
         """Yield the functors of all defined predicates."""

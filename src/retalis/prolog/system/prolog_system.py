@@ -96,17 +96,17 @@ class Tracer:
         tell: called with a line for each port.
     """
 
-    def __init__(self, logic: PredicateTable, tell: Callable[[str], None]):
+    def __init__(self, logic: PredicateTable, write_line: Callable[[str], None]):
         self._logic = logic
-        self._tell = tell
+        self._write_line = write_line
         self._control = logic.control
         self._choices = logic.machine.choices
         self._trail = logic.machine.trail
         self._depth = 0
-        self._guard = Guard("trace", self._unwound)
-        self._guard.run = self._failed
-        self._exit = Code("trace exit", self._exited)
-        self._again = Code("trace redo", self._redone)
+        self._guard = Guard("trace", self._on_unwind)
+        self._guard.run = self._on_failure
+        self._exit = Code("trace exit", self._on_exit)
+        self._redo = Code("trace redo", self._on_redo)
         self._next = Code("trace clause", self._next_clause)
 
     @contextmanager
@@ -122,7 +122,7 @@ class Tracer:
         """Start tracing."""
         # An instance attribute hides the method, so that without tracing no call pays for a test.
         control = self._control
-        self._plain = control.solve
+        self._untraced_solve = control.solve
         control.solve = self._logic.database.solve = self.solve  # type: ignore[method-assign]
 
     def stop(self) -> None:
@@ -140,84 +140,84 @@ class Tracer:
             goal = deref(goal[1])
         if goal.__class__ is tuple and goal[0] is COLON:
             return self.solve(self._logic.database.modules.goal(goal), height, after)
-        key = _key(goal)
+        key = _functor_of(goal)
         if key is None or key in _SILENT or key in _CONTROL:
-            return self._plain(goal, height, after)
+            return self._untraced_solve(goal, height, after)
         return self._call(goal, key, after)
 
     def _call(self, goal: Term, key: Functor, after: Frame) -> Optional[Frame]:
         self._depth += 1
         call = _TracedCall(goal, self._depth)
-        self._port("Call", call)
+        self._report_port("Call", call)
         # The guard lies below the choice points of the call: backtracking reaches it when the call has failed, and an
         # exception unwinds it.
-        here = len(self._choices)
+        base = len(self._choices)
         self._choices.append((self._guard, call, len(self._trail)))
-        leave = (self._exit, call, here, after)
+        exit_frame = (self._exit, call, base, after)
         predicate = self._logic.lookup(key) or self._logic.database.predicate(key)
         if predicate.kind == "user" and not predicate.library:
             arguments = goal[1:] if goal.__class__ is tuple else ()
             clauses = list(predicate.live())
-            return self._next_clause((self._next, arguments, clauses, 0, leave, call, None))
-        return self._plain(goal, here + 1, leave)
+            return self._next_clause((self._next, arguments, clauses, 0, exit_frame, call, None))
+        return self._untraced_solve(goal, base + 1, exit_frame)
 
     def _next_clause(self, entry: Frame) -> Optional[Frame]:
         """Try the remaining clauses of a call."""
-        _, arguments, clauses, at, leave, call, _ = entry
+        _, arguments, clauses, start, exit_frame, call, _ = entry
         self._depth = call.depth
         trail = self._trail
         mark = len(trail)
         height = len(self._choices)
-        for number in range(at, len(clauses)):
-            clause = clauses[number]
+        for index in range(start, len(clauses)):
+            clause = clauses[index]
             fresh: Dict[Var, Term] = {}
             head = copy(clause.head, fresh)
-            others = head[1:] if head.__class__ is tuple else ()
-            if all(unify(one, other, trail) for one, other in zip(arguments, others)):
-                if number + 1 < len(clauses):
-                    rest = (self._next, arguments, clauses, number + 1, leave, call, mark)
+            head_args = head[1:] if head.__class__ is tuple else ()
+            if all(unify(argument, head_arg, trail) for argument, head_arg in zip(arguments, head_args)):
+                if index + 1 < len(clauses):
+                    rest = (self._next, arguments, clauses, index + 1, exit_frame, call, mark)
                     self._choices.append(rest)
-                return self._control.solve(copy(clause.body, fresh), height, leave)
+                return self._control.solve(copy(clause.body, fresh), height, exit_frame)
             undo(trail, mark)
         return None
 
-    def _exited(self, frame: Frame) -> Frame:
+    def _on_exit(self, frame: Frame) -> Frame:
         after: Frame
-        _, call, here, after = frame
-        self._port("Exit", call)
+        _, call, base, after = frame
+        self._report_port("Exit", call)
         self._depth = call.depth - 1
-        if len(self._choices) == here + 1:
+        if len(self._choices) == base + 1:
             self._choices.pop()
         else:
             # On top of the call's choice points: backtracking into the call passes its redo port first.
             call.exited = True
-            self._choices.append((self._again, call, len(self._trail)))
+            self._choices.append((self._redo, call, len(self._trail)))
         return after
 
-    def _redone(self, entry: Frame) -> None:
+    def _on_redo(self, entry: Frame) -> None:
         call = entry[1]
         call.exited = False
         self._depth = call.depth
-        self._port("Redo", call)
+        self._report_port("Redo", call)
 
-    def _failed(self, entry: Frame) -> None:
-        self._port("Fail", entry[1])
+    def _on_failure(self, entry: Frame) -> None:
+        self._report_port("Fail", entry[1])
         self._depth = entry[1].depth - 1
 
-    def _unwound(self, entry: Frame) -> None:
+    def _on_unwind(self, entry: Frame) -> None:
         call = entry[1]
         if not call.exited:
-            self._port("Exception", call)
+            self._report_port("Exception", call)
         self._depth = call.depth - 1
 
-    def _port(self, port: str, call: _TracedCall) -> None:
+    def _report_port(self, port: str, call: _TracedCall) -> None:
         text = write_term(
             call.goal, self._logic.operators, quoted=True, numbervars=True, spacing=True, priority=999
         )
-        self._tell(f"{port:>9}: ({call.depth}) {text}")
+        self._write_line(f"{port:>9}: ({call.depth}) {text}")
 
 
-def _key(goal: Term) -> Optional[Functor]:
+def _functor_of(goal: Term) -> Optional[Functor]:
     if goal.__class__ is tuple:
         key: Functor = goal[0]
         return key
@@ -233,11 +233,11 @@ def trace(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     # Tracing must stop when the goal fails, exits or raises, and start again when it is retried: the guard and the
     # codes below do that at the corresponding points of the choice point stack.
     height = len(machine.choices)
-    machine.choices.append((_TRACED, tracer, len(machine.trail)))
-    return tracer.solve(args[0], height + 1, (_LEFT, machine, tracer, height, after))
+    machine.choices.append((_TRACE_GUARD, tracer, len(machine.trail)))
+    return tracer.solve(args[0], height + 1, (_LEAVE, machine, tracer, height, after))
 
 
-def _left(frame: Frame) -> Frame:
+def _leave(frame: Frame) -> Frame:
     machine: Machine
     tracer: Tracer
     after: Frame
@@ -246,16 +246,16 @@ def _left(frame: Frame) -> Frame:
     if len(machine.choices) == height + 1:
         machine.choices.pop()
     else:
-        machine.choices.append((_AGAIN, tracer, len(machine.trail)))
+        machine.choices.append((_RESUME_TRACE, tracer, len(machine.trail)))
     return after
 
 
-_TRACED = Guard("trace", lambda entry: entry[1].stop())
-_LEFT = Code("trace", _left)
-_AGAIN = Code("trace", lambda entry: entry[1].start())
+_TRACE_GUARD = Guard("trace", lambda entry: entry[1].stop())
+_LEAVE = Code("trace", _leave)
+_RESUME_TRACE = Code("trace", lambda entry: entry[1].start())
 
 
-_COMPARED = 200
+_MAX_COMPARED_CHARACTERS = 200
 """Characters of a name that are compared with other names; the comparison is quadratic."""
 
 
@@ -278,18 +278,18 @@ def undefined(logic: PredicateTable, predicate: Predicate, frame: Frame) -> Opti
             logic.message("warning", f"Unknown procedure: {key}")
         return None
     notes = []
-    callers = _callers(logic, predicate, frame)
+    callers = _possible_callers(logic, predicate, frame)
     if callers:
         notes.append(f"called from {', '.join(callers)}")
-    meant = similar(logic, logic.database.modules.plain_of(key) or key)
-    if meant:
-        notes.append(f"did you mean {' or '.join(meant)}?")
+    suggestions = similar(logic, logic.database.modules.plain_of(key) or key)
+    if suggestions:
+        notes.append(f"did you mean {' or '.join(suggestions)}?")
     shown = logic.database.modules.shown(key) or indicator(key)
     context = (CONTEXT, shown, atom("; ".join(notes))) if notes else shown
     raise existence_error("procedure", shown, context)
 
 
-def _callers(logic: PredicateTable, predicate: Predicate, frame: Frame) -> List[str]:
+def _possible_callers(logic: PredicateTable, predicate: Predicate, frame: Frame) -> List[str]:
     """Return descriptions of the clauses that may have made a call, at most three.
 
     A last call leaves no frame of its clause. The candidates are therefore the clauses with a goal that the call is
@@ -301,20 +301,20 @@ def _callers(logic: PredicateTable, predicate: Predicate, frame: Frame) -> List[
     after = getattr(frame[-1][0], "functor", None)
     clauses = [
         clause
-        for other in list(logic.database.predicates.values())
-        if not other.library
-        for clause in other.live()
+        for candidate in list(logic.database.predicates.values())
+        if not candidate.library
+        for clause in candidate.live()
         if not clause.fact
     ]
-    found = [clause for clause in clauses if _may_call(clause, call, len(call))]
+    matching = [clause for clause in clauses if _may_call(clause, call, len(call))]
     # A closure, to which maplist/3 and others add arguments, has fewer of them in the clause.
-    if not found:
-        found = [clause for clause in clauses if _may_call(clause, call, 1)]
-    returned_to = [clause for clause in found if clause.predicate.functor is after]
-    return [_described(clause) for clause in (returned_to or found)[:3]]
+    if not matching:
+        matching = [clause for clause in clauses if _may_call(clause, call, 1)]
+    returned_to = [clause for clause in matching if clause.predicate.functor is after]
+    return [_describe(clause) for clause in (returned_to or matching)[:3]]
 
 
-def _described(clause: Clause) -> str:
+def _describe(clause: Clause) -> str:
     where = f" ({clause.place})" if clause.place is not None else ""
     return f"{clause.predicate.functor}{where}".split("\n")[0]
 
@@ -333,29 +333,31 @@ def _may_call(clause: Clause, call: CompoundTerm, least: int) -> bool:
         if item.__class__ is Atom:
             item = (item.functor,)
         if item.__class__ is tuple:
-            if item[0].name == call[0].name and least <= len(item) <= len(call) and _agree(item, call):
+            if item[0].name == call[0].name and least <= len(item) <= len(call) and _may_unify(item, call):
                 return True
             stack.extend(item[1:])
     return False
 
 
-def _agree(goal: CompoundTerm, call: CompoundTerm) -> bool:
+def _may_unify(goal: CompoundTerm, call: CompoundTerm) -> bool:
     """Return whether a goal, which may lack the last arguments, unifies with a call."""
     trail: Trail = []
     pairs = zip(copy(goal)[1:], call[1:])
-    agree = all(unify(one, other, trail) for one, other in pairs)
+    unifies = all(unify(left, right, trail) for left, right in pairs)
     undo(trail, 0)
-    return agree
+    return unifies
 
 
 def similar(logic: PredicateTable, key: Functor) -> List[str]:
     """Return indicators of defined procedures with the same name or a similar one, at most three."""
     names: Dict[str, List[Functor]] = {}
-    for other in logic.names():
-        if other is not key and not other.name.startswith("$"):
-            names.setdefault(other.name, []).append(other)
-    close = [key.name] if key.name in names else get_close_matches(key.name[:_COMPARED], names, 1, 0.8)
-    return [str(other) for name in close for other in sorted(names[name], key=lambda found: found.arity)][:3]
+    for candidate in logic.names():
+        if candidate is not key and not candidate.name.startswith("$"):
+            names.setdefault(candidate.name, []).append(candidate)
+    compared = key.name[:_MAX_COMPARED_CHARACTERS]
+    close_names = [key.name] if key.name in names else get_close_matches(compared, names, 1, 0.8)
+    matches = [match for name in close_names for match in sorted(names[name], key=lambda match: match.arity)]
+    return [str(match) for match in matches[:3]]
 
 
 class MachineState(NamedTuple):
@@ -401,9 +403,9 @@ def mend(logic: Any) -> None:
     logic.database.solve = logic.control.solve
     for predicate in list(logic.database.predicates.values()):
         predicate.mend()
-    for part in list(logic.state.values()):
-        if hasattr(part, "mend"):
-            part.mend()
+    for stored in list(logic.state.values()):
+        if hasattr(stored, "mend"):
+            stored.mend()
 
 
 _DIRECTIVE = functor(":-", 1)
@@ -433,11 +435,11 @@ class UserStream:
         # Counted before it is processed, so that a text that is too long costs nothing. Escapes and multibyte
         # characters are added once they are known.
         self._budget.count_output(len(text))
-        shown = printable(text)
-        more = len(shown.encode()) - len(text)
-        if more:
-            self._budget.count_output(more)
-        self._write(shown)
+        escaped = printable(text)
+        extra = len(escaped.encode()) - len(text)
+        if extra:
+            self._budget.count_output(extra)
+        self._write(escaped)
 
 
 class PrologSystem(PredicateTable):
@@ -471,7 +473,7 @@ class PrologSystem(PredicateTable):
         self.column = 0
         self.output: Callable[[str], None]
         self.error_output: Callable[[str], None]
-        self.print_to(_print, _print_error)
+        self.print_to(_write_stdout, _write_stderr)
         self.message = self._to_error_output
         self.database.modules.on_clash = lambda text: self.message("warning", text)
         self.files: Optional[StreamFiles] = None
@@ -501,11 +503,11 @@ class PrologSystem(PredicateTable):
     @contextmanager
     def for_others(self) -> Iterator[None]:
         """Return a context in which work is done for clients: services and the dashboard."""
-        before, self.from_outside = self.from_outside, True
+        outer, self.from_outside = self.from_outside, True
         try:
             yield
         finally:
-            self.from_outside = before
+            self.from_outside = outer
 
     def require_flags(self, flag: Term) -> None:
         """Require that the running goal may change a flag.
@@ -536,10 +538,10 @@ class PrologSystem(PredicateTable):
         Raises:
             PrologError: if the term is not a clause, or the predicate belongs to the system.
         """
-        term = self._of_module(deref(term), asserted)
+        term = self._resolve_in_module(deref(term), asserted)
         if term.__class__ is tuple and term[0] is SINGLE_SIDED:
             return self._add_single_sided(term, place, first, asserted)
-        return self._add(term, place, first, asserted)
+        return self._add_to_predicate(term, place, first, asserted)
 
     def _add_single_sided(
         self, rule: CompoundTerm, place: Optional[Place], first: bool, asserted: bool
@@ -550,30 +552,30 @@ class PrologSystem(PredicateTable):
         rules.
         """
         term, behind = translate_single_sided(rule)
-        clause = self._add(term, place, first, asserted)
+        clause = self._add_to_predicate(term, place, first, asserted)
         predicate = self.database.writable(clause.predicate.functor, "modify")
         last = predicate.clauses[-1]
         if not is_behind(last.body):
-            for other in list(predicate.live())[-2:]:
-                if is_behind(other.body):
-                    predicate.remove(other)
-            self._add(behind, None, False, asserted)
+            for earlier in list(predicate.live())[-2:]:
+                if is_behind(earlier.body):
+                    predicate.remove(earlier)
+            self._add_to_predicate(behind, None, False, asserted)
         return clause
 
-    def _add(self, term: Term, place: Optional[Place], first: bool, asserted: bool) -> Clause:
+    def _add_to_predicate(self, term: Term, place: Optional[Place], first: bool, asserted: bool) -> Clause:
         head, body = split_clause(copy(term))
         predicate = self.database.writable(functor_of(head), "modify", asserted)
         clause = Clause(predicate, head, body, place)
         predicate.add(clause, first)
         return clause
 
-    def _of_module(self, term: Term, asserted: bool) -> Term:
+    def _resolve_in_module(self, term: Term, asserted: bool) -> Term:
         """Return a clause with names resolved in the module that it names, or in the one that is being loaded."""
         modules = self.database.modules
         module = None if asserted else modules.loading
         while term.__class__ is tuple and term[0] is COLON:
-            named = modules.named(term[1])
-            module, term = (module if named is None else named), deref(term[2])
+            named_module = modules.named(term[1])
+            module, term = (module if named_module is None else named_module), deref(term[2])
         if term.__class__ is tuple and term[0] is _ARROW:
             term = translate_rule(term)
         if module is not None and term.__class__ is not Var:
@@ -597,13 +599,13 @@ class PrologSystem(PredicateTable):
             problem: called with message and position of each directive that fails or raises, and of each invalid
                 clause.
         """
-        late: List[Tuple[Term, Optional[Place]]] = []
+        initializations: List[Tuple[Term, Optional[Place]]] = []
         for term, place in terms:
             term = deref(term)
             if term.__class__ is tuple and (term[0] is _DIRECTIVE or term[0] is _QUERY):
                 goal = deref(term[1])
                 if goal.__class__ is tuple and goal[0].name == "initialization":
-                    late.append((goal[1], place))
+                    initializations.append((goal[1], place))
                 else:
                     self.run_directive(goal, place, problem)
                 continue
@@ -611,7 +613,7 @@ class PrologSystem(PredicateTable):
                 self.add_clause(term, place)
             except PrologError as error:
                 problem(error.message, place)
-        for goal, place in late:
+        for goal, place in initializations:
             self.run_directive(goal, place, problem)
 
     def run_directive(
@@ -672,13 +674,13 @@ class PrologSystem(PredicateTable):
             terms: called at the end; returns the terms whose predicates will be called.
         """
         outer = self.new_goals
-        new = self.new_goals = []
+        goals = self.new_goals = []
         try:
             yield
         finally:
             self.new_goals = outer
         self.database.compile_named(terms())
-        for goal in new:
+        for goal in goals:
             goal.prepare()
 
     def once(self, goal: Term, asked_for: Optional[Term] = None) -> bool:
@@ -699,13 +701,13 @@ class PrologSystem(PredicateTable):
         budget.ended(1)
         if budget.closed:
             budget.admit()
-        asked = budget.goal
-        if asked is None:
+        outer_goal = budget.goal
+        if outer_goal is None:
             budget.goal = goal if asked_for is None else asked_for
         try:
             return self.machine.run((self.control.code, (CALL, goal), 0, self.machine.done))
         finally:
-            budget.goal = asked
+            budget.goal = outer_goal
 
     def solutions(self, goal: Term) -> Generator[None, None, None]:
         """Run a goal and yield at each solution with its bindings in place; closing the generator ends the goal."""
@@ -759,12 +761,12 @@ class PrologSystem(PredicateTable):
         if predicate.dynamic:
             return None
         plain = self.database.modules.plain_of(key)
-        found = None if plain is None else self.lookup(plain)
-        if found is not None:
-            return found.run((found, *frame[1:]))
-        part = self._library.get((key.name, key.arity))
-        if part is not None:
-            self._load_library(part)
+        plain_predicate = None if plain is None else self.lookup(plain)
+        if plain_predicate is not None:
+            return plain_predicate.run((plain_predicate, *frame[1:]))
+        library_file = self._library.get((key.name, key.arity))
+        if library_file is not None:
+            self._load_library(library_file)
             return self.database.predicate(key).run(frame)
         return undefined(self, predicate, frame)
 
@@ -773,9 +775,9 @@ class PrologSystem(PredicateTable):
         return similar(self, key)
 
 
-def _print(text: str) -> None:
+def _write_stdout(text: str) -> None:
     sys.stdout.write(text)
 
 
-def _print_error(text: str) -> None:
+def _write_stderr(text: str) -> None:
     sys.stderr.write(text)

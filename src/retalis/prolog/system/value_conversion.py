@@ -34,7 +34,7 @@ from ..terms.types import (
     functor,
 )
 
-_MASK = len(BULK) - 1
+_CHECK_MASK = len(BULK) - 1
 
 
 class Compound(NamedTuple):
@@ -79,7 +79,7 @@ def to_python(term: Term) -> Any:
     steps = 0
     while stack:
         steps += 1
-        if not steps & _MASK:
+        if not steps & _CHECK_MASK:
             look()
             if steps > MAX_STEPS:
                 raise TermTooLarge
@@ -95,7 +95,7 @@ def to_python(term: Term) -> Any:
             stack.append(_PendingParts(len(parts), None if items is not None else item[0].name))
             stack.extend(reversed(parts))
         else:
-            values.append(_constant(item))
+            values.append(_python_constant(item))
     return values[0]
 
 
@@ -113,7 +113,7 @@ class _PendingParts:
         return values if self.name is None else Compound(self.name, values)
 
 
-def _constant(item: Term) -> object:
+def _python_constant(item: Term) -> object:
     if item.__class__ is Var:
         raise instantiation_error()
     if item is TRUE or item is FALSE:
@@ -168,14 +168,14 @@ def _to_compound(value: Any) -> Term:
         items = iter(value)
     except TypeError:
         raise UsageError(f"a {type(value).__name__} is not a term: {value!r}") from None
-    found = []
+    terms = []
     for count, item in enumerate(items, 1):
-        found.append(to_term(item))
-        if not count & _MASK:
+        terms.append(to_term(item))
+        if not count & _CHECK_MASK:
             look()
             if count > MAX_STEPS:
                 raise TermTooLarge
-    return make_list(found)
+    return make_list(terms)
 
 
 def reader_of(hint: object) -> Callable[[Term], object]:
@@ -215,7 +215,7 @@ class _ReadyText(str):
     __slots__ = ()
 
 
-def to_json(term: Term, names: Dict[Var, str], most: int) -> str:
+def to_json(term: Term, names: Dict[Var, str], max_length: int) -> str:
     """Return a term as JSON.
 
     ========================  ==========================================
@@ -232,7 +232,7 @@ def to_json(term: Term, names: Dict[Var, str], most: int) -> str:
     Args:
         term: the term.
         names: names of variables; missing ones are added.
-        most: maximum length in characters.
+        max_length: maximum length in characters.
 
     Raises:
         UsageError: if the text would be longer.
@@ -242,7 +242,7 @@ def to_json(term: Term, names: Dict[Var, str], most: int) -> str:
     length = steps = 0
     while stack:
         steps += 1
-        if not steps & _MASK:
+        if not steps & _CHECK_MASK:
             look()
         top = stack.pop()
         if isinstance(top, _ReadyText):
@@ -251,40 +251,40 @@ def to_json(term: Term, names: Dict[Var, str], most: int) -> str:
             item = deref(top)
             if item.__class__ is tuple:
                 # Each entry of the stack becomes at least one character.
-                if length + len(stack) > most:
-                    raise _too_long(most)
-                stack.extend(_parts(item, most))
+                if length + len(stack) > max_length:
+                    raise _too_long(max_length)
+                stack.extend(_json_parts(item, max_length))
                 continue
-            text = _json_constant(item, names, most)
+            text = _json_constant(item, names, max_length)
         length += len(text)
-        if length > most:
-            raise _too_long(most)
+        if length > max_length:
+            raise _too_long(max_length)
         written.append(text)
     return "".join(written)
 
 
-def _too_long(most: int) -> UsageError:
+def _too_long(max_length: int) -> UsageError:
     """Return the error for a solution whose JSON is too long."""
-    return UsageError(f"a solution has more than {most} characters")
+    return UsageError(f"a solution has more than {max_length} characters")
 
 
-def _parts(item: CompoundTerm, most: int) -> List[Union[Term, _ReadyText]]:
+def _json_parts(item: CompoundTerm, max_length: int) -> List[Union[Term, _ReadyText]]:
     """Return the parts and punctuation of a list or compound term, in reverse order."""
     items = list_items(item) if item[0] is CONS else None
     parts = list(item[1:]) if items is None else items
-    if len(parts) > most:
-        raise _too_long(most)
-    found: List[Union[Term, _ReadyText]] = [_ReadyText("]" if items is not None else "]}")]
-    for at, part in enumerate(reversed(parts)):
-        if at:
-            found.append(_ReadyText(", "))
-        found.append(part)
+    if len(parts) > max_length:
+        raise _too_long(max_length)
+    entries: List[Union[Term, _ReadyText]] = [_ReadyText("]" if items is not None else "]}")]
+    for index, part in enumerate(reversed(parts)):
+        if index:
+            entries.append(_ReadyText(", "))
+        entries.append(part)
     functor = "" if items is not None else f'{{"functor": {json.dumps(item[0].name)}, "args": '
-    found.append(_ReadyText(f"{functor}["))
-    return found
+    entries.append(_ReadyText(f"{functor}["))
+    return entries
 
 
-def _json_constant(item: Term, names: Dict[Var, str], most: int) -> str:
+def _json_constant(item: Term, names: Dict[Var, str], max_length: int) -> str:
     if isinstance(item, Var):
         return json.dumps({"variable": names.setdefault(item, f"_{len(names) + 1}")})
     if item is TRUE or item is FALSE:
@@ -293,12 +293,12 @@ def _json_constant(item: Term, names: Dict[Var, str], most: int) -> str:
         return "[]"
     if isinstance(item, (Atom, String)):
         text = item.name if isinstance(item, Atom) else item.text
-        if len(text) > most:
-            raise _too_long(most)
+        if len(text) > max_length:
+            raise _too_long(max_length)
         return json.dumps(text, ensure_ascii=False)
     if isinstance(item, float) and not math.isfinite(item):
         return f'"{item}"'
     # Conversion of a long integer to decimal takes quadratic time, so its length is estimated from its bits.
-    if isinstance(item, int) and item.bit_length() > 4 * most:
-        raise _too_long(most)
+    if isinstance(item, int) and item.bit_length() > 4 * max_length:
+        raise _too_long(max_length)
     return writeq(item)
