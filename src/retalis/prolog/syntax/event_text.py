@@ -180,6 +180,7 @@ class TemplateCompiler:
         result = self._expression(term)
         if result is None or any(count != 1 for count in self._used.values()):
             return None
+        # Every call creates new variables, so they are the first lines of the function.
         self._lines[:0] = [f"{name} = Var()" for name in self._variables.values()]
         self._lines.append(f"return {result}")
         lines = ["def build(n, q, s):", *(" " + line for line in (*self._unpacking(), *self._lines))]
@@ -255,6 +256,7 @@ class TemplateCompiler:
         return f"n[{mark[1:]}]" if mark[0] == "n" and len(self._marks) > _MAX_LOCALS else mark
 
     def _constant(self, value: Union[Term, Functor]) -> str:
+        # 1, 1.0 and True are one key of a dictionary, as are 0.0 and -0.0; as terms they differ.
         key = (value.__class__, value.hex() if isinstance(value, float) else value)
         return self._given.constant(value, key)
 
@@ -263,6 +265,8 @@ class TemplateCompiler:
         if key is not CONS:
             return self._temporary(f"({self._constant(key)}, {', '.join(arguments)})")
         *items, tail = arguments
+        # The parser of Python limits the nesting of expressions. A long list of consecutive numbers is a slice of the
+        # list of numbers, which needs no expression for each item.
         if len(items) > _MAX_UNROLLED_ITEMS:
             first = items[0]
             run = [f"n[{index}]" for index in range(_index(first), _index(first) + len(items))]
@@ -282,9 +286,9 @@ class TemplateCompiler:
 def _extraction_lines(template: TextTemplate) -> List[str]:
     """Return the lines that extract numbers and atoms from a text, and return None if it does not match."""
     groups = [f"g{index}" for index in range(len(template.groups))]
-    lines = ["found = match(text)", "if found is None: return None"]
+    lines = ["whole = match(text)", "if whole is None: return None"]
     if groups:
-        lines.append(f"{', '.join(groups)}, = found.groups()")
+        lines.append(f"{', '.join(groups)}, = whole.groups()")
     runs: List[List[str]] = []
     numbers: List[str] = []
     atoms = 0
@@ -427,6 +431,7 @@ class EventReader:
             builder = self._compile_builder(skeleton)
         if builder is None:
             return self._read_fully(text)
+        # The JSON decoder converts all numbers in one call in C.
         try:
             values, _ = scan("[" + ",".join(numbers) + "]", 0)
         except (ValueError, StopIteration):  # nan, inf or leading zeros

@@ -143,6 +143,8 @@ def made_in(term: Term) -> Iterator[Term]:
     stack: List[Term] = [term]
     while stack:
         part = deref(stack.pop())
+        # Iterative, because a clause may be nested deeper than Python's stack. Each constructed part is yielded
+        # once and is not searched again.
         if part.__class__ is not tuple or part[0] in _MATCHING_GOALS:
             continue
         if part[0] is _ARROW:
@@ -242,6 +244,7 @@ def _with_elements(value: Term, change: Callable[[Term], Term]) -> Term:
     while rest.__class__ is tuple and rest[0] is CONS:
         elements.append(deref(rest[1]))
         rest = deref(rest[2])
+    # The old list is returned if nothing changes: positions are recorded by the identity of terms.
     changed = [change(element) for element in elements]
     if all(new is old for new, old in zip(changed, elements)):
         return value

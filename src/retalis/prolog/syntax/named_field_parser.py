@@ -141,6 +141,7 @@ class NamedFieldParser(ParserStack):
         token, following = self.tokens[self.at], self.tokens[self.at + 1]
         if token[0] not in (NAME, QUOTED) or following[0] != NAME or following[1] != ":":
             raise self._field_name_error()
+        # Fields may be named in any order, each at most once.
         name, slots = token[1], bracket[_SLOTS]
         names = [slot.name for slot in slots]
         if name not in names:
@@ -208,6 +209,7 @@ class NamedFieldParser(ParserStack):
                 zeros[value] = slot.zero
             elif slot.real:
                 written, value = value, as_floats(value, slot.array)
+                # Recorded, so that listings show `{x: 0}` as written and not as `{x: 0.0}`.
                 if value is not written:
                     integer_slots.append(number)
                     self._move_positions(written, value)

@@ -69,11 +69,14 @@ _SWI = """
 """
 """Further operators of SWI-Prolog 9."""
 
-_SIGNS = {sign: one.name for one in EVENT_OPERATORS for sign in one.signs}
-"""What these stand for in patterns; elsewhere they are Prolog's."""
+_SIGNS = {sign: operator.name for operator in EVENT_OPERATORS for sign in operator.signs}
+"""Event operators denoted by signs within patterns; elsewhere the signs are Prolog's operators."""
 
 CANONICAL: Dict[str, str] = {
-    spelling: one.meant for one in EVENT_OPERATORS if one.priority for spelling in one.spellings
+    spelling: operator.meant
+    for operator in EVENT_OPERATORS
+    if operator.priority
+    for spelling in operator.spellings
 }
 """Spelling of an event operator -> its canonical name."""
 
@@ -147,6 +150,7 @@ class Operators:
         >>> "seq" in operators
         False
         """
+        # In place, because the readers and writers of a program refer to this object.
         self.prefix, self.infix, self.postfix = dict(other.prefix), dict(other.infix), dict(other.postfix)
         self._patterns = None
 
@@ -195,6 +199,7 @@ class Operators:
         table = self._patterns
         if table is None:
             table = self._patterns = dict(self.infix)
+            # A program may have changed the priority of the event operator; its sign has the same one.
             for sign, name in _SIGNS.items():
                 standard = _standard().infix[name]
                 table[sign] = self.infix.get(name, standard)._replace(functor=standard.functor)

@@ -197,6 +197,7 @@ class _TermWriter:
     def _atom_term(self, name: str, is_operand: bool) -> None:
         if len(name) > _LARGE_TEXT_CHARACTERS:
             self._measure(len(name))
+        # An operator as an operand is put in brackets: `- = x` would be read differently with other operators.
         if is_operand and (name in self.operators or name == "."):
             self._put("(")
             self._put(self.atom(name))
@@ -210,6 +211,7 @@ class _TermWriter:
             self._list(term)
             return
         options = self.options
+        # ISO 13211-1, 7.10.5: '$VAR'(N), curly terms and operators have their own notation; all else is canonical.
         if key is _VAR_FUNCTOR and options.numbervars and self._numbered(deref(term[1])):
             return
         if key is _BRACES and options.brace_terms:
@@ -268,6 +270,7 @@ class _TermWriter:
                 priority = postfix.priority
             else:
                 return False
+        # The opening bracket is a token, so `- (1)` gets its space from `_PrefixOperator.needs_blank`.
         if priority > limit:
             entries = ["(", *entries, ")"]
         entries.reverse()  # the first piece must be on top of the stack
@@ -420,6 +423,7 @@ def _would_merge(last: str, first: str) -> bool:
     """Return whether two tokens would be read as one, from the last and first character."""
     if first in _SYMBOLS:
         return last in _SYMBOLS
+    # A quote after a quote is a doubled quote, and one after a digit begins a number such as 0'c or 16'FF.
     if first == "'":
         return last == "'" or last.isdigit()
     if _is_word(first):
@@ -447,6 +451,7 @@ def writeq(term: Term, operators: Optional[Operators] = None) -> str:
 
 def canonical_text(term: Term) -> str:
     """Return quoted text in functional notation, which reads back with any operators; variables are A, B, ..."""
+    # Variable names of the program are ignored: the text must not depend on where the term was read.
     names = {
         var: f"{chr(65 + number % 26)}{number // 26 or ''}" for number, var in enumerate(variables(term))
     }

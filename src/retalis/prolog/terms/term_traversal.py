@@ -418,6 +418,7 @@ def freeze(term: Term) -> Hashable:
                 return flat[0] if len(flat) == 1 else tuple(flat)
             item: Any = stack.pop()
             kind = item.__class__
+            # A lazy term is built here: its key must equal that of the same term built elsewhere.
             if kind is Var or kind is Lazy:
                 item = deref(item)
                 kind = item.__class__

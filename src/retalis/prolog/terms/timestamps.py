@@ -144,6 +144,7 @@ def fields(instant: int) -> Tuple[int, int, int, int, int, int, int]:
         raise UsageError(f"{instant} ns since the epoch is outside the years 1 to 9999")
     seconds, nanoseconds = divmod(instant, SECOND)
     day, rest = divmod(seconds, _DAY)
+    # `datetime` would not do: it has no nanoseconds.
     minutes, second = divmod(rest, 60)
     hour, minute = divmod(minutes, 60)
     return (*_day_fields(day), hour, minute, second, nanoseconds)

@@ -198,14 +198,14 @@ if not TYPE_CHECKING or sys.version_info >= (3, 9):
     Term = Union[int, float, Atom, String, Var, Lazy, CompoundTerm]
 else:  # the last mypy for Python 3.8 cannot narrow a term by its class
     Term = Any
-"""What programs, events and messages are made of.
+"""Any term: what programs, events and messages consist of.
 
 >>> def is_hot(term: Term) -> bool:
 ...     return isinstance(term, tuple) and term[0].name == "fire"
 >>> is_hot(functor("fire", 1)(atom("kitchen"))), is_hot(atom("kitchen"))
 (True, False)
 
-What callbacks and queries get is looked at through `deref`, which makes what is made only when somebody asks.
+Callbacks and solutions may contain lazy terms and bound variables; `deref` resolves them.
 """
 
 Values = Tuple[Term, ...]
