@@ -2,6 +2,7 @@
 
 from typing import Dict, List, Tuple
 
+import retalis.events.language.event_operators  # noqa: F401 -- adds its operators to those of Prolog
 from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_program
 from retalis.prolog.syntax.term_writer import write_term

@@ -12,6 +12,7 @@ import os
 
 import pytest
 
+import retalis.events.language.event_operators  # noqa: F401 -- adds its operators to those of Prolog
 from retalis.foundation.python_interpreter import PYPY
 from retalis.messages.type_registry import Definitions
 

@@ -11,7 +11,7 @@ import re
 from pathlib import Path
 from typing import Dict, List
 
-from retalis.prolog.syntax.event_operators import EVENT_OPERATORS, OperatorKind
+from retalis.events.language.event_operators import EVENT_OPERATORS, OperatorKind
 from retalis.prolog.syntax.operators import Operators
 
 HERE = Path(__file__).resolve().parent

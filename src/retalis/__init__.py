@@ -205,6 +205,9 @@ def __getattr__(name: str) -> Any:
     was_enabled = gc.isenabled()
     gc.disable()
     try:
+        if name == "Operators":
+            # `Operators.prolog()` includes the operators of the event language, which registers them when imported.
+            import_module(f"{__name__}.events.language.event_operators")
         value = globals()[name] = getattr(import_module(f"{__name__}.{module}"), name)
         return value
     finally:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from retalis.cli.command_line import main
-from retalis.events.language.pattern_operators import OPERATORS
+from retalis.events.language.event_operators import OPERATORS
 from retalis.events.matches.partial_matches import ConsumptionPolicy
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "events"

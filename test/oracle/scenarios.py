@@ -9,6 +9,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
 
+import retalis.events.language.event_operators  # noqa: F401 -- adds its operators to those of Prolog
 from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_program, read_term
 from retalis.prolog.terms.list_terms import conjuncts, list_items

@@ -26,7 +26,7 @@ from typing import (
 )
 
 from ..events.language.aggregate_functions import Collector
-from ..events.language.pattern_operators import OPERATORS, names_of_kind
+from ..events.language.event_operators import OPERATORS, EventOperator, OperatorKind, names_of_kind
 from ..events.language.pattern_tree import (
     Absent,
     Action,
@@ -56,7 +56,6 @@ from ..events.streams.stream_elements import StreamElement, StreamOutput
 from ..foundation import codegen
 from ..foundation.cancellation import look
 from ..foundation.errors import RetalisError, RuleError
-from ..prolog.syntax.event_operators import EventOperator, OperatorKind
 from ..prolog.syntax.operators import Operators
 from ..prolog.syntax.term_writer import by_name, write_term
 from ..prolog.system.prolog_system import PrologSystem

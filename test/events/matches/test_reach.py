@@ -4,7 +4,7 @@ from itertools import product
 
 import pytest
 
-from retalis.events.language.pattern_operators import OPERATORS
+from retalis.events.language.event_operators import OPERATORS
 from retalis.events.matches.interval_index import BEFORE, BETWEEN, LEAST, MOST, reach_of
 
 INTERVALS = [(start, end) for start, end in product(range(6), repeat=2) if start <= end]

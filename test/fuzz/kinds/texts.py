@@ -1,5 +1,6 @@
 """Texts for the reader: a term or a syntax fault."""
 
+import retalis.events.language.event_operators  # noqa: F401 -- adds its operators to those of Prolog
 from retalis.foundation.errors import SyntaxFault
 from retalis.prolog.syntax.event_text import EventReader
 from retalis.prolog.syntax.operators import Operators

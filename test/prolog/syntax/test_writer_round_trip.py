@@ -3,7 +3,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sample_terms import names, shape, terms
 
-from retalis.prolog.syntax.event_operators import EVENT_OPERATORS
+from retalis.events.language.event_operators import EVENT_OPERATORS
 from retalis.prolog.syntax.event_text import to_text
 from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_program, read_term

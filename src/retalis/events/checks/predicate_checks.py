@@ -11,8 +11,8 @@ from typing import Any, Dict, Iterator, List, Optional, Set
 from ...foundation.errors import RuleError, UsageError
 from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, Functor, Term, Var, deref, functor
+from ..language.event_operators import SPELLINGS
 from ..language.goal_analysis import calls
-from ..language.pattern_operators import SPELLINGS
 from ..language.state_parser import asked_state
 from ..program.program_folder import GOALS, RULES, read_text
 from .program_model import (

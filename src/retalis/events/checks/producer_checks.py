@@ -19,8 +19,8 @@ from ..language.event_declarations import (
     query_goals,
     slot_kind,
 )
+from ..language.event_operators import ARROWS, SPELLINGS
 from ..language.goal_analysis import calls
-from ..language.pattern_operators import ARROWS, SPELLINGS
 from ..language.pattern_parser import EventTerm, PatternReader
 from ..language.pattern_tree import Action
 from ..language.rule_parser import made_by, makes_event

@@ -21,8 +21,8 @@ from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.types import TRUE, Atom, CompoundTerm, Functor, String, Term, Var, deref, functor
 from ..knowledge.knowledge_base import KnowledgeBase
 from ..knowledge.memory import is_whole
+from ..language.event_operators import SPELLINGS
 from ..language.goal_analysis import calls
-from ..language.pattern_operators import SPELLINGS
 from ..language.pattern_parser import Spot
 from ..language.pattern_tree import Occurs, RuleDefinition, own_terms, walk
 from ..language.state_parser import StateForm, declares_state, state_form

@@ -14,7 +14,7 @@ from ...foundation.errors import Place, RuleError
 from ...prolog.terms.term_traversal import copy, term_key, variables
 from ...prolog.terms.types import Functor, Term, Trail, atom, deref, functor
 from ...prolog.terms.unification import undo, unify
-from ..language.pattern_operators import OPERATORS, SPELLINGS
+from ..language.event_operators import OPERATORS, SPELLINGS
 from ..language.pattern_tree import (
     Absent,
     Action,

@@ -12,11 +12,10 @@ from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Set
 
 from ...foundation.errors import RuleError
 from ...messages.type_definition import Definition, Field
-from ...prolog.syntax.event_operators import OperatorKind
 from ...prolog.terms.types import Atom, CompoundTerm, Functor, String, Term, Var, deref, functor
 from ..language.aggregate_functions import AGGREGATES
 from ..language.event_declarations import ValueType, slot_kind
-from ..language.pattern_operators import names_of_kind
+from ..language.event_operators import OperatorKind, names_of_kind
 from ..language.pattern_parser import EventTerm, Spot
 from ..language.pattern_tree import Occurs, walk
 from ..language.rule_parser import NEW_EVENT, made_by, makes_event

@@ -12,9 +12,9 @@ partner, compare intervals, run conditions and absences, then emit the pair or s
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...foundation.codegen import Block, Statement, shared_function, source_of, tuple_source
-from ...prolog.syntax.event_operators import EventOperator
 from ...prolog.terms.term_traversal import PLAIN
 from ...prolog.terms.types import EventAction, Frame, Var
+from ..language.event_operators import EventOperator
 from ..matches.consumption_policy import Emit, MatchSide
 from ..matches.match_buffer import MatchBuffer
 from ..matches.negation import NegationBuffer

@@ -29,7 +29,6 @@ from typing import (
 from ...foundation.errors import Place, RuleError, UsageError, counted
 from ...foundation.ros_names import plain_fault
 from ...messages.type_definition import Field, type_name
-from ...prolog.syntax.event_operators import OperatorKind
 from ...prolog.terms.list_terms import list_parts
 from ...prolog.terms.term_traversal import is_ground
 from ...prolog.terms.timestamps import DATIME6, DATIME7, from_any
@@ -48,8 +47,8 @@ from ...prolog.terms.types import (
     deref,
     functor,
 )
+from .event_operators import NO_EVENTS, OPERATORS, SPELLINGS, OperatorKind, names_of_kind
 from .goal_analysis import Subgoal, calls
-from .pattern_operators import NO_EVENTS, OPERATORS, SPELLINGS, names_of_kind
 from .pattern_parser import EventTerm, Spot
 from .rule_parser import ALARMS, SYNCHRONIZED, makes_event
 from .state_parser import declares_state

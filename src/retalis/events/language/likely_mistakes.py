@@ -12,12 +12,21 @@ from difflib import SequenceMatcher, get_close_matches
 from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, Tuple
 
 from ...foundation.errors import beginning
-from ...prolog.syntax.event_operators import EVENT_OPERATOR, OperatorKind
 from ...prolog.syntax.term_writer import write_term
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.types import CONS, Atom, CompoundTerm, Term, Var, deref, functor
-from .pattern_operators import ARROWS, FORMS, NO_EVENTS, RUNS, SPELLINGS, WRITTEN, names_of_kind
+from .event_operators import (
+    ARROWS,
+    EVENT_OPERATOR,
+    FORMS,
+    NO_EVENTS,
+    RUNS,
+    SPELLINGS,
+    WRITTEN,
+    OperatorKind,
+    names_of_kind,
+)
 
 _COMPARISONS = [
     "=",

@@ -13,15 +13,22 @@ from typing import Any, Callable, Dict, FrozenSet, List, Mapping, NamedTuple, Op
 
 from ...foundation.errors import Place, RuleError
 from ...prolog.machine.arithmetic import EVALUABLE
-from ...prolog.syntax.event_operators import EVENT_OPERATOR, EventOperator, OperatorKind
 from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import CONS, Atom, CompoundTerm, String, Term, Var, deref, functor
 from ..streams.accumulators import MEASURES
 from .aggregate_functions import AGGREGATES
+from .event_operators import (
+    ARROWS,
+    EVENT_OPERATOR,
+    RUNS,
+    SPELLINGS,
+    EventOperator,
+    OperatorKind,
+    names_of_kind,
+)
 from .goal_analysis import Subgoal, asking_interval, calls
 from .likely_mistakes import bracketed, doubt
-from .pattern_operators import ARROWS, RUNS, SPELLINGS, names_of_kind
 from .pattern_tree import (
     MAX_COMPOSED_REPETITIONS,
     MAX_REPETITIONS,

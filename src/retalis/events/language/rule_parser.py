@@ -18,9 +18,9 @@ from ...prolog.terms.list_terms import list_items, list_parts, make_list
 from ...prolog.terms.term_traversal import is_ground
 from ...prolog.terms.timestamps import DATIME6, DATIME7, SECOND, WholeSeconds, from_any, from_seconds
 from ...prolog.terms.types import COLON, CONS, NIL, Atom, CompoundTerm, Term, Var, atom, deref, functor
+from .event_operators import ARROWS, SPELLINGS
 from .goal_analysis import calls
 from .likely_mistakes import head_doubt, head_error, near
-from .pattern_operators import ARROWS, SPELLINGS
 from .pattern_parser import Spot
 
 RULE = functor("rule:", 2)

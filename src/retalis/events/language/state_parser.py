@@ -11,7 +11,7 @@ from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.term_traversal import term_key, variables
 from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import COMMA, Atom, Functor, Term, Var, deref, functor
-from .pattern_operators import SPELLINGS
+from .event_operators import SPELLINGS
 
 STATE = frozenset((functor("state", 3), functor("state", 4)))
 """Goals that declare a state."""

@@ -17,8 +17,8 @@ from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import Atom, CompoundTerm, Term, Var, atom, deref, functor
 from ..streams.accumulators import MEASURES
+from .event_operators import SPELLINGS
 from .likely_mistakes import bracketed, near
-from .pattern_operators import SPELLINGS
 from .pattern_tree import Occurs, Pattern, Shaped, Windowed, WindowForm, bound_by
 from .row_pattern_parser import read_steps, steps_term
 

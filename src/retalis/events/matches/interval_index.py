@@ -20,8 +20,7 @@ from functools import lru_cache
 from typing import Any, Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Tuple
 
 from ...foundation.codegen import shared_function
-from ...prolog.syntax.event_operators import EventOperator
-from ..language.pattern_operators import OPERATORS
+from ..language.event_operators import OPERATORS, EventOperator
 from .partial_matches import PartialMatch
 
 TimeBounds = Tuple[int, int, int, int]

@@ -20,10 +20,10 @@ Right operands are stored only if the left one may be late (``out_of_order``) or
 from typing import TYPE_CHECKING, AbstractSet, Any, Callable, Dict, Hashable, List, Optional, Sequence, Tuple
 
 from ...foundation.codegen import shared_function
-from ...prolog.syntax.event_operators import EventOperator
 from ...prolog.terms.term_traversal import positions
 from ...prolog.terms.types import Frame, Var
 from ..fused.fused_join import FusedPair, PartnerChoice, fused_absence, fused_side
+from ..language.event_operators import EventOperator
 from ..matches.consumption_policy import (
     Emit,
     MatchSide,

@@ -30,7 +30,7 @@ from typing import (
 
 from ...prolog.terms.term_traversal import positions
 from ...prolog.terms.types import Frame, Values, Var
-from ..language.pattern_operators import OPERATORS
+from ..language.event_operators import OPERATORS
 from ..language.pattern_tree import SEQ
 from ..matches.consumption_policy import Emit, counted, emit_each
 from ..matches.interval_index import reach_of

@@ -22,7 +22,7 @@ from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.types import NIL, Term, Var
 from ..dispatch.matcher_compiler import compile_builder
 from ..language.aggregate_functions import Collector
-from ..language.pattern_operators import OPERATORS
+from ..language.event_operators import OPERATORS
 from ..language.pattern_tree import (
     Absent,
     Action,

@@ -1,11 +1,14 @@
-"""Operator tables: Prolog's operators, those of the event language, and those that programs declare."""
+"""Operator tables: Prolog's operators, those of the event language, and those that programs declare.
+
+The reader knows no event operator by itself. The event language registers them in `EVENT_SYNTAX` when its module
+`event_operators` is imported; a Prolog system without the event language has Prolog's operators only.
+"""
 
 from functools import lru_cache
-from typing import Dict, Iterator, List, NamedTuple, Optional, Tuple
+from typing import AbstractSet, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 from ...foundation.errors import UsageError
 from ..terms.types import Functor, functor
-from .event_operators import EVENT_OPERATORS
 from .message_fields import Slots
 
 
@@ -69,19 +72,79 @@ _SWI = """
 """
 """Further operators of SWI-Prolog 9."""
 
-_SIGNS = {sign: operator.name for operator in EVENT_OPERATORS for sign in operator.signs}
-"""Event operators denoted by signs within patterns; elsewhere the signs are Prolog's operators."""
 
-CANONICAL: Dict[str, str] = {
-    spelling: operator.meant
-    for operator in EVENT_OPERATORS
-    if operator.priority
-    for spelling in operator.spellings
-}
-"""Spelling of an event operator -> its canonical name."""
+class EventSyntax:
+    """Syntax of the operators of the event language; empty until they are registered.
 
-CANONICAL_IN_PATTERNS: Dict[str, str] = {**CANONICAL, **_SIGNS}
-"""The same with the signs that are event operators within patterns only."""
+    Attributes:
+        canonical: spelling of an operator -> its canonical name.
+        signs: event operators denoted by signs within patterns; elsewhere the signs are Prolog's operators.
+        canonical_in_patterns: `canonical` and `signs` together.
+        markers: names without which a clause contains no event rule, so that most clauses are not analysed.
+        arrows: names of the operators between the head and the pattern of a rule.
+        goal_right: operators of patterns whose right argument is a goal or a number; Prolog's operators apply in it.
+        pattern_arguments: for operators in functional notation within a pattern, which arguments are patterns.
+        joining: names of the operators between two patterns, for error messages.
+        advice: words that users mistake for event operators, with the notation to use.
+    """
+
+    def __init__(self) -> None:
+        self.canonical: Mapping[str, str] = {}
+        self.signs: Mapping[str, str] = {}
+        self.canonical_in_patterns: Mapping[str, str] = {}
+        self.markers: AbstractSet[str] = frozenset()
+        self.arrows: AbstractSet[str] = frozenset()
+        self.goal_right: AbstractSet[Functor] = frozenset()
+        self.pattern_arguments: Mapping[Functor, Tuple[bool, ...]] = {}
+        self.joining: Sequence[str] = ()
+        self.advice: Mapping[str, str] = {}
+
+    def register(
+        self,
+        operators: Iterable[Tuple[int, str, str]],
+        *,
+        canonical: Mapping[str, str],
+        signs: Mapping[str, str],
+        arrows: AbstractSet[str],
+        goal_right: AbstractSet[Functor],
+        pattern_arguments: Mapping[Functor, Tuple[bool, ...]],
+        joining: Sequence[str],
+        advice: Mapping[str, str],
+    ) -> None:
+        """Set the syntax, and add the operators to the standard table.
+
+        Tables that were copied from the standard table before do not change.
+
+        Args:
+            operators: priority, type and canonical name of each operator.
+            canonical: see `EventSyntax`, as for the other arguments.
+            signs: see `EventSyntax`.
+            arrows: see `EventSyntax`.
+            goal_right: see `EventSyntax`.
+            pattern_arguments: see `EventSyntax`.
+            joining: see `EventSyntax`.
+            advice: see `EventSyntax`.
+        """
+        self.canonical = canonical
+        self.signs = signs
+        self.canonical_in_patterns = {**canonical, **signs}
+        self.markers = frozenset(name for name, same in canonical.items() if same in ("<-", "do", "rule:"))
+        self.arrows = arrows
+        self.goal_right = goal_right
+        self.pattern_arguments = pattern_arguments
+        self.joining = joining
+        self.advice = advice
+        table = standard_operators()
+        for priority, kind, name in operators:
+            table.add(priority, kind, name)
+        for spelling, name in canonical.items():
+            for definitions in (table.infix, table.postfix):
+                if name in definitions:
+                    definitions[spelling] = definitions[name]
+
+
+EVENT_SYNTAX = EventSyntax()
+"""The syntax of the event language in this process."""
 
 
 class Operators:
@@ -111,12 +174,12 @@ class Operators:
 
     @classmethod
     def prolog(cls) -> "Operators":
-        """Return a table with the operators of ISO Prolog, SWI-Prolog 9 and the event language.
+        """Return a table with the operators of ISO Prolog, SWI-Prolog 9 and, if it is loaded, the event language.
 
         >>> "seq" in Operators.prolog()
         True
         """
-        return _standard().copy()
+        return standard_operators().copy()
 
     @classmethod
     def iso(cls) -> "Operators":
@@ -183,7 +246,9 @@ class Operators:
         place = kind.index("f")
         left = 0 if place == 0 else priority - (kind[0] == "x")
         right = 0 if place == len(kind) - 1 else priority - (kind[-1] == "x")
-        table[name] = Operator(priority, left, right, functor(CANONICAL.get(name, name), arity), kind)
+        table[name] = Operator(
+            priority, left, right, functor(EVENT_SYNTAX.canonical.get(name, name), arity), kind
+        )
 
     def _table(self, kind: str) -> Tuple[Dict[str, Operator], int]:
         if kind in _INFIX:
@@ -200,8 +265,8 @@ class Operators:
         if table is None:
             table = self._patterns = dict(self.infix)
             # A program may have changed the priority of the event operator; its sign has the same one.
-            for sign, name in _SIGNS.items():
-                standard = _standard().infix[name]
+            for sign, name in EVENT_SYNTAX.signs.items():
+                standard = standard_operators().infix[name]
                 table[sign] = self.infix.get(name, standard)._replace(functor=standard.functor)
         return table
 
@@ -234,13 +299,6 @@ def _read_table(text: str) -> Operators:
 
 
 @lru_cache(maxsize=1)
-def _standard() -> Operators:
-    operators = _read_table(_ISO + _SWI.strip())
-    for operator in EVENT_OPERATORS:
-        if operator.priority:
-            operators.add(operator.priority, operator.type, operator.name)
-    for spelling, name in CANONICAL.items():
-        for table in (operators.infix, operators.postfix):
-            if name in table:
-                table[spelling] = table[name]
-    return operators
+def standard_operators() -> Operators:
+    """Return the shared table behind `Operators.prolog`, which must not be changed."""
+    return _read_table(_ISO + _SWI.strip())

@@ -14,9 +14,8 @@ from ..terms.types import FALSE, TRUE, Term, Var, atom, functor
 from . import parser_stack
 from .message_fields import complete
 from .named_field_parser import NamedFieldParser
-from .operators import CANONICAL_IN_PATTERNS, DECLARING
+from .operators import DECLARING, EVENT_SYNTAX
 from .parser_stack import ARGUMENTS, LABEL, LIST
-from .rule_detection import PATTERN_ARGUMENTS
 from .tokenizer import END, NAME, NUMBER, OPEN_CT, QUOTED, TEXT, VARIABLE, AnyToken
 
 _BEFORE_GOALS = ((NAME, ":-"), (NAME, "?-"))
@@ -110,8 +109,8 @@ class Parser(NamedFieldParser):
         # know which arguments these are, so `rule_detection` has counted the commas.
         if self.table is self.patterns:
             arity = self.rules.commas.get(position, 0) + 1
-            canonical = functor(CANONICAL_IN_PATTERNS.get(name, name), arity)
-            modes = PATTERN_ARGUMENTS.get(canonical, ())
+            canonical = functor(EVENT_SYNTAX.canonical_in_patterns.get(name, name), arity)
+            modes = EVENT_SYNTAX.pattern_arguments.get(canonical, ())
             if modes:
                 name = canonical.name
         self._push_bracket([self.argument_limit, ARGUMENTS, position, self.table, [], [], name, start, modes])

@@ -18,10 +18,9 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 from ...foundation.errors import SyntaxFault
 from ..terms.types import COMMA, CONS, NIL, Term, Var, functor
-from .event_operators import EVENT_OPERATORS, OperatorKind
 from .message_fields import Expanded
-from .operators import CANONICAL, Operator, Operators
-from .rule_detection import ARROW, GOAL_RIGHT, NO_RULES, Layout
+from .operators import EVENT_SYNTAX, Operator, Operators
+from .rule_detection import ARROW, NO_RULES, Layout
 from .tokenizer import END, NAME, NUMBER, OPEN_CT, QUOTED, VARIABLE, AnyToken, ReadFlags, Source, shown
 
 # Kinds of stack entries. Operators come first: `kind <= PREFIX` means an operator that waits for an argument.
@@ -83,10 +82,9 @@ class ParserState:
 
 CLOSER = {"(": ")", OPEN_CT: ")", "[": "]", "{": "}"}
 """Closing bracket of each opening one."""
-_NECKS = frozenset(
-    (":-", "-->", *(operator.meant for operator in EVENT_OPERATORS if operator.kind is OperatorKind.RULE))
-)
-"""Names of operators between the head and the body of a clause or rule."""
+_PROLOG_NECKS = frozenset((":-", "-->"))
+"""Operators between the head and the body of a Prolog clause."""
+
 _FOREIGN_OPERATORS = {
     "<=": '"less or equal" is written =<',
     "=>": '"greater or equal" is written >=, a rule\'s arrow <-',
@@ -102,15 +100,6 @@ _FOREIGN_OPERATORS = {
     " sides of its point",
 }
 """Operators of other languages, and the notation to use instead."""
-
-_ADVICE = {word: operator.advice for operator in EVENT_OPERATORS for word in operator.taken_for}
-"""Words that users mistake for event operators, with the notation to use."""
-_JOINING = [
-    f'"{operator.name}"'
-    for operator in EVENT_OPERATORS
-    if operator.kind in (OperatorKind.ALTERNATIVES, OperatorKind.PAIR)
-]
-"""Quoted names of the operators between two patterns."""
 
 
 def no_operand(parser: ParserState, innermost: List[Any]) -> SyntaxFault:
@@ -162,8 +151,10 @@ def _operator_hint(parser: ParserState, token: AnyToken, opened: Optional[int]) 
     text = parser.source.text
     before = _previous_token(parser)
     assert before is not None
-    if kind == VARIABLE and value in CANONICAL:
-        return f"{value} is a variable here; as an operator write {CANONICAL[value]} or '{value}'"
+    if kind == VARIABLE and value in EVENT_SYNTAX.canonical:
+        return (
+            f"{value} is a variable here; as an operator write {EVENT_SYNTAX.canonical[value]} or '{value}'"
+        )
     # Clauses usually begin at the start of a line: a missing full stop or bracket is then more likely than an
     # unknown operator.
     if starts_line(text, start):
@@ -207,10 +198,10 @@ def _unknown_operator(parser: ParserState, name: str) -> str:
         return f'did you mean "{close[0]}"?'
     if parser.table is not parser.patterns:
         return f'"{name}" is not an operator here; is a comma missing?'
-    if name in _ADVICE:
-        return _ADVICE[name]
-    joining = f"{', '.join(_JOINING[:-1])} or {_JOINING[-1]}"
-    return f'"{name}" is not an operator; two patterns are joined with {joining}'
+    if name in EVENT_SYNTAX.advice:
+        return EVENT_SYNTAX.advice[name]
+    *quoted, last = [f'"{joining}"' for joining in EVENT_SYNTAX.joining]
+    return f'"{name}" is not an operator; two patterns are joined with {", ".join(quoted)} or {last}'
 
 
 def unbalanced(parser: ParserState, opened: Optional[int]) -> SyntaxFault:
@@ -238,7 +229,8 @@ def clash(parser: ParserState, operator: Operator, start: int, outer: Optional[O
     """
     name = parser.text_at(start)
     left = parser.left[0].name if parser.left.__class__ is tuple else ""
-    if operator.functor.name in _NECKS and (outer or left in _NECKS):
+    necks = _PROLOG_NECKS | EVENT_SYNTAX.arrows
+    if operator.functor.name in necks and (outer or left in necks):
         first = outer.functor.name if outer else left
         message = f'expected one arrow in a clause, not "{first}" and "{name}"'
         hint = "an event rule has <-, a Prolog clause :-; is a full stop missing between two clauses?"
@@ -380,7 +372,7 @@ class ParserStack(ParserState):
             self.table = self.patterns if label is False and self.patterns else self.operators.infix
         elif operator.functor is ARROW:
             self.table = self.patterns or self.table
-        elif self.table is self.patterns and operator.functor in GOAL_RIGHT:
+        elif self.table is self.patterns and operator.functor in EVENT_SYNTAX.goal_right:
             self.table = self.operators.infix
 
     def _reduce(self) -> None:

@@ -12,11 +12,10 @@ at its own level (outside of inner brackets) determine its kind:
 A ``:`` or ``'rule:'`` before the rest of a rule belongs to its label; any other ``:`` is Prolog's.
 """
 
-from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Dict, List, NamedTuple, Optional, Sequence
 
-from ..terms.types import Functor, functor
-from .event_operators import EVENT_OPERATORS, OperatorKind
-from .operators import CANONICAL, Operators
+from ..terms.types import functor
+from .operators import EVENT_SYNTAX, Operators
 from .tokenizer import END, NAME, OPEN_CT, QUOTED, AnyToken
 
 _NECKS = frozenset((":-", "-->", "?-", "=>"))
@@ -25,24 +24,7 @@ _OPENING = frozenset(("(", OPEN_CT, "[", "{"))
 _CLOSING = frozenset((")", "]", "}"))
 _CANNOT_START = frozenset((")", "]", "}", ",", "|", END, "eof"))
 """Kinds of tokens with which a term cannot begin."""
-MARKERS = frozenset(name for name, same in CANONICAL.items() if same in ("<-", "do", "rule:"))
-"""Names without which a clause contains no event rule, so that most clauses are not analysed."""
-
 ARROW = functor("<-", 2)
-
-GOAL_RIGHT = frozenset(
-    functor(operator.name, 2)
-    for operator in EVENT_OPERATORS
-    if operator.kind in (OperatorKind.ACTION, OperatorKind.CONDITION, OperatorKind.LIMIT)
-)
-"""Operators of patterns whose right argument is a goal or a number, in which Prolog's operators apply."""
-
-PATTERN_ARGUMENTS: Dict[Functor, Tuple[bool, ...]] = {
-    functor(operator.name, len(operator.patterns)): operator.patterns
-    for operator in EVENT_OPERATORS
-    if operator.kind is not OperatorKind.RULE or operator.name == "<-"
-}
-"""For operators in functional notation within a pattern, which of their arguments are patterns."""
 
 
 class Segment:
@@ -134,7 +116,7 @@ def _record_name(segment: Segment, tokens: Sequence[AnyToken], at: int, operator
         if tokens[at][0] == NAME and tokens[at + 1][0] not in _CANNOT_START:
             segment.neck = True
         return
-    canonical = ":" if name == ":" else CANONICAL.get(name)
+    canonical = ":" if name == ":" else EVENT_SYNTAX.canonical.get(name)
     if canonical not in ("<-", "do", "rule:", ":") or not _is_infix(segment, tokens, at, operators):
         return
     if canonical == "<-":

@@ -16,11 +16,11 @@ from typing import Any, Dict, Iterator, List, Optional, Tuple, Union
 
 from ...foundation.errors import Place, SyntaxFault
 from ..terms.types import Term, Var
-from .operators import Operators
+from .operators import EVENT_SYNTAX, Operators
 from .parser import Parser
 from .parser_stack import starts_line
 from .quoted_text import closing, unclosed_end
-from .rule_detection import MARKERS, NO_RULES, layout
+from .rule_detection import NO_RULES, layout
 from .tokenizer import END, NAME, QUOTED, TEXT, VARIABLE, AnyToken, ReadFlags, Source, tokens, unclosed
 
 DEFAULT = ReadFlags()
@@ -263,10 +263,11 @@ def _parser(
     """
     # Only clauses that contain an arrow or `do` can be event rules; the analysis of rules is skipped for all others.
     marked = False
+    markers = EVENT_SYNTAX.markers
     for kind, value, start, _ in clause:
         if kind == "bad":
             raise source.fault(value, start)
-        if (kind in (NAME, QUOTED)) and value in MARKERS:
+        if (kind in (NAME, QUOTED)) and value in markers:
             marked = True
     end = ("eof", None, clause[-1][3], clause[-1][3])
     clause = [*clause, end, end, end]  # the parser looks ahead without testing for the end

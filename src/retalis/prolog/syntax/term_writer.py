@@ -43,7 +43,7 @@ from ..terms.types import (
 )
 from .literals import atom_text, float_text, integer_text, quote
 from .message_fields import MessageSlot, NamedForm, as_integers, made_in, parts_in
-from .operators import Operator, Operators
+from .operators import Operator, Operators, standard_operators
 
 _BRACES = functor("{}", 1)
 _VAR_FUNCTOR = functor("$VAR", 1)
@@ -441,12 +441,12 @@ def write_term(term: Term, operators: Optional[Operators] = None, **options: Any
     """
     write_options = WriteOptions(**options)
     writer = _TermWriter if write_options.longest is None else _BeginningWriter
-    return writer(operators or _standard_operators(), write_options).write(term)
+    return writer(operators or standard_operators(), write_options).write(term)
 
 
 def writeq(term: Term, operators: Optional[Operators] = None) -> str:
     """Return the text of a term as ``writeq/1`` writes it: quoted, with operators and ``'$VAR'``."""
-    return _TermWriter(operators or _standard_operators(), _QUOTED).write(term)
+    return _TermWriter(operators or standard_operators(), _QUOTED).write(term)
 
 
 def canonical_text(term: Term) -> str:
@@ -460,7 +460,7 @@ def canonical_text(term: Term) -> str:
 
 def beginning_of(term: Term, longest: int) -> str:
     """Return the result of `writeq`, or its first characters and ``...``, as errors can contain terms of any size."""
-    return _BeginningWriter(_standard_operators(), _QUOTED._replace(longest=longest)).write(term)
+    return _BeginningWriter(standard_operators(), _QUOTED._replace(longest=longest)).write(term)
 
 
 def add_full_stop(text: str) -> str:
@@ -470,14 +470,6 @@ def add_full_stop(text: str) -> str:
 
 
 _QUOTED = WriteOptions(numbervars=True)
-_tables: List[Operators] = []
-
-
-def _standard_operators() -> Operators:
-    if not _tables:
-        _tables.append(Operators.prolog())
-    return _tables[0]
-
 
 Portray = Callable[[Term], Optional[str]]
 """Returns the text of a term with a notation of its own, and None for other terms."""

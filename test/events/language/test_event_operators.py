@@ -13,8 +13,7 @@ from oracle import patterns
 
 import retalis
 from retalis.events.language.aggregate_functions import AGGREGATES
-from retalis.events.language.pattern_operators import OPERATORS
-from retalis.prolog.syntax.event_operators import EVENT_OPERATORS, OperatorKind
+from retalis.events.language.event_operators import EVENT_OPERATORS, OPERATORS, OperatorKind
 
 SOURCE = Path(retalis.__file__).parent
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "language.md").read_text(encoding="utf-8")
@@ -157,3 +156,18 @@ def test_a_two_sided_operator_is_one_entry(tmp_path):
     )
     assert result.stderr == ""
     assert result.stdout == PRINTED
+
+
+def test_a_reader_without_the_event_language_has_the_operators_of_prolog_only():
+    program = (
+        "from retalis.prolog.syntax.operators import Operators\n"
+        "print('seq' in Operators.prolog(), 'mod' in Operators.prolog())\n"
+        "import retalis\n"
+        "print('seq' in retalis.Operators.prolog())\n"
+    )
+    env = {"PYTHONPATH": str(SOURCE.parent), "PATH": "/usr/bin:/bin"}
+    result = subprocess.run(
+        [sys.executable, "-c", program], env=env, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert result.stderr == ""
+    assert result.stdout == "False True\nTrue\n"

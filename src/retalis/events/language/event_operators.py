@@ -1,8 +1,8 @@
 """The table of event operators: the only list of the operators of the event language.
 
-Each entry tells the reader how the operator is written, the compiler of patterns what it means, explanations why a
-pair did not match, and `docs/language.md` its rows. A further operator between two patterns needs one more entry
-here.
+This module registers the syntax of the operators with the Prolog reader (`EventSyntax`). The compiler of patterns
+takes their meaning from the table, explanations the reason why a pair did not match, and `docs/language.md` its rows.
+A further operator between two patterns needs one more entry here.
 
 ``comparisons`` define when the intervals of a pair match. They are Python expressions over ``s1, e1, s2, e2``, the
 start and end of the left and the right side, with the relations of Allen's interval algebra (CACM 26, 1983). They are
@@ -13,7 +13,9 @@ partners are searched.
 from enum import Enum
 from typing import Dict, NamedTuple, Optional, Tuple
 
-from ..terms.types import Functor, functor
+from ...foundation.errors import counted
+from ...prolog.syntax.operators import EVENT_SYNTAX
+from ...prolog.terms.types import Functor, functor
 
 
 class OperatorKind(Enum):
@@ -384,3 +386,102 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
 
 EVENT_OPERATOR: Dict[str, EventOperator] = {operator.name: operator for operator in EVENT_OPERATORS}
 """Event operators by name."""
+
+OPERATORS: Dict[str, EventOperator] = {
+    operator.name: operator for operator in EVENT_OPERATORS if operator.kind is OperatorKind.PAIR
+}
+"""Operators between two patterns, by name."""
+
+_RUN_KINDS = (OperatorKind.RUN, OperatorKind.AGGREGATE, OperatorKind.DEADLINE)
+
+SPELLINGS: Dict[Functor, str] = {
+    key: operator.name
+    for operator in EVENT_OPERATORS
+    if operator.kind not in (OperatorKind.RULE, *_RUN_KINDS)
+    for key in operator.keys
+}
+"""Functor of a term -> the name of the operator that it denotes within a pattern."""
+
+RUNS: Dict[Functor, EventOperator] = {
+    key: operator for operator in EVENT_OPERATORS if operator.kind in _RUN_KINDS for key in operator.keys
+}
+"""Functor of a term -> the operator that it denotes as the right side of a sequence, and only there."""
+
+ARROWS = frozenset(key for operator in EVENT_OPERATORS if operator.meant == "<-" for key in operator.keys)
+"""Functors of rules with a head and a pattern."""
+
+NO_EVENTS = {
+    operator.name: len(operator.patterns) for operator in EVENT_OPERATORS if not operator.names_events
+}
+"""Names that events cannot have with this number of arguments; with another number, they are events."""
+
+WRITTEN = tuple(
+    (name, len(operator.patterns), operator.form)
+    for operator in EVENT_OPERATORS
+    if operator.form
+    for name in operator.functors or (operator.name,)
+)
+"""Name, number of arguments and notation of the operators in functional notation only."""
+
+
+def _forms() -> Dict[str, str]:
+    forms: Dict[str, str] = {}
+    for name, count, form in WRITTEN:
+        before = f"{forms[name]}, or {count}" if name in forms else f"takes {counted(count, 'argument')}"
+        forms[name] = f"{before}: {form}"
+    return forms
+
+
+FORMS = _forms()
+"""Notation of the operators in functional notation only, in words, by name."""
+
+NO_FACTS = frozenset(
+    key for operator in EVENT_OPERATORS if not operator.names_facts for key in operator.keys[:1]
+)
+"""Functors of facts that were meant as rules, because no fact can have the name."""
+
+
+def names_of_kind(kind: OperatorKind, **facts: bool) -> Tuple[str, ...]:
+    """Return the names of the operators of a kind, in the order of the table.
+
+    Args:
+        kind: the kind.
+        **facts: required values of attributes of `EventOperator`.
+    """
+    return tuple(
+        [
+            operator.name
+            for operator in EVENT_OPERATORS
+            if operator.kind is kind
+            and all(getattr(operator, fact) == value for fact, value in facts.items())
+        ]
+    )
+
+
+EVENT_SYNTAX.register(
+    [(operator.priority, operator.type, operator.name) for operator in EVENT_OPERATORS if operator.priority],
+    canonical={
+        spelling: operator.meant
+        for operator in EVENT_OPERATORS
+        if operator.priority
+        for spelling in operator.spellings
+    },
+    signs={sign: operator.name for operator in EVENT_OPERATORS for sign in operator.signs},
+    arrows=frozenset(operator.meant for operator in EVENT_OPERATORS if operator.kind is OperatorKind.RULE),
+    goal_right=frozenset(
+        functor(operator.name, 2)
+        for operator in EVENT_OPERATORS
+        if operator.kind in (OperatorKind.ACTION, OperatorKind.CONDITION, OperatorKind.LIMIT)
+    ),
+    pattern_arguments={
+        functor(operator.name, len(operator.patterns)): operator.patterns
+        for operator in EVENT_OPERATORS
+        if operator.kind is not OperatorKind.RULE or operator.name == "<-"
+    },
+    joining=[
+        operator.name
+        for operator in EVENT_OPERATORS
+        if operator.kind in (OperatorKind.ALTERNATIVES, OperatorKind.PAIR)
+    ],
+    advice={word: operator.advice for operator in EVENT_OPERATORS for word in operator.taken_for},
+)
