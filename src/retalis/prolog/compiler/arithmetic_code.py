@@ -66,6 +66,7 @@ def evaluate(scope: Scope, expression: Term, depth: int = 0) -> Operand:
             target = scope.temp()
             scope.line(f"{target} = {scope.unit.constant(EVALUABLE[expression.functor])}()")
             return target, "num"
+    # Unknown functions and deep expressions are evaluated from their term, which raises the errors as well.
     target = scope.temp()
     scope.line(f"{target} = measure({scope.build(expression)})")
     return target, "any"

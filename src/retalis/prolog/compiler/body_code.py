@@ -352,6 +352,7 @@ class BodyGenerator:
             self.write(scope, nodes)
             self.unit.add([f"def {function}(frame):", *scope.lines])
 
+        # Deferred: writing continuations within continuations would recurse as deep as the body is long.
         self.unit.jobs.append(write)
 
     def _create_shared(self, scope: Scope, groups: Sequence[Sequence[GoalNode]]) -> None:

@@ -373,9 +373,9 @@ class BodyParser:
         inline = self._database.is_inline(key)
         # A nondeterministic built-in may be a function if its first argument is bound at compile time.
         if not inline and args and deref(args[0]).__class__ is not Var:
-            known = self._database.predicate(key).known
-            if known is not None:
-                key, inline = known, True
+            bound_form = self._database.predicate(key).bound_form
+            if bound_form is not None:
+                key, inline = bound_form, True
         if not inline and self._direct is not None and self._direct(key):
             return CallNode("direct", key, args, True)
         form = ("functor" if key is FUNCTOR else "builtin") if inline else "call"

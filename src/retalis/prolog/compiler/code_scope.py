@@ -129,7 +129,7 @@ class Unit:
             argument: functor of the call's first argument.
             positions: positions in that argument whose values the filter compares.
         """
-        make_filter = self.database.predicate(key).gate
+        make_filter = self.database.predicate(key).make_filter
         return None if make_filter is None else f"{self.constant(make_filter(argument, positions))}.passes"
 
     def builtin(self, key: Functor) -> str:
@@ -296,6 +296,7 @@ class Scope:
 
     def restore(self, state: ScopeState) -> None:
         """Replace the knowledge by a state that `branch` returned."""
+        # Copied again: both branches of a condition may be restored from one state.
         names, fresh, numbers, self.fail, self.pending, self.after, self.entry = state
         self.names, self.fresh, self.numbers = dict(names), set(fresh), dict(numbers)
 

@@ -232,10 +232,10 @@ class Functions(PredicateGenerator):
         # Keys are read at entry: the head of a clause binds arguments, which must not influence the test for others.
         positions = [] if once else self._selective_positions()
         lines += [f"    x{position + 1} = key_of({self.locals[position]})" for position in positions]
-        for index in range(len(self.rules)):
+        for index in range(len(self.clauses)):
             lines += self._clause_block(unit, index, once, positions)
         unit.add([f"def main({', '.join(self.locals)}):", *lines, "    return False"])
-        place = next((rule.place for rule in self.rules if rule.place is not None), None)
+        place = next((clause.place for clause in self.clauses if clause.place is not None), None)
         source = unit.source()
         title = f"{self.key} as a function"
         finder: Finder = unit.finish(source, title_of(place, title))["main"]
@@ -243,27 +243,31 @@ class Functions(PredicateGenerator):
 
     def _selective_positions(self) -> List[int]:
         """Return the positions of arguments whose first-level keys distinguish clauses."""
-        if len(self.rules) == 1:
+        if len(self.clauses) == 1:
             return []
-        keys = [[key_of(rule.args[position]) for rule in self.rules] for position in range(self.key.arity)]
+        keys = [
+            [key_of(clause.args[position]) for clause in self.clauses] for position in range(self.key.arity)
+        ]
         return [position for position, position_keys in enumerate(keys) if len(set(position_keys)) > 1]
 
     def _clause_block(self, unit: Unit, index: int, once: bool, positions: List[int]) -> List[str]:
         """Return the code of a clause, a block that ``break`` leaves to try the next clause."""
-        rule = self.rules[index]
-        rest = self.rules[index + 1 :]
+        clause = self.clauses[index]
+        rest = self.clauses[index + 1 :]
         entry = Height("height")
-        scope = Scope(unit, ClauseVariables((*rule.args, rule.body)), "break")
+        scope = Scope(unit, ClauseVariables((*clause.args, clause.body)), "break")
         scope.depth = 2
         scope.cut = "return False"
-        nodes = function_parser(self.database, entry, (self.key,)).parse(rule.body)
+        nodes = function_parser(self.database, entry, (self.key,)).parse(clause.body)
         committed = any(isinstance(node, Cut) for node in nodes)
         choose_functions(nodes, once)
-        self._write_head(scope, rule, None, self._copied_locals(scope, rule, None) if rest else self.locals)
+        self._write_head(
+            scope, clause, None, self._copied_locals(scope, clause, None) if rest else self.locals
+        )
         write_sequence(scope, nodes, frozenset())
         # After a cut no other clause can have a solution, so the solution is the only one.
-        later_rules = () if once or committed else rest
-        conditions = [self._may_match(unit, later_rule, positions) for later_rule in later_rules]
+        later_clauses = () if once or committed else rest
+        conditions = [self._may_match(unit, later_clause, positions) for later_clause in later_clauses]
         if conditions:
             scope.line(f"return None if {' or '.join(conditions)} else True")
         else:
@@ -275,11 +279,11 @@ class Functions(PredicateGenerator):
         return lines
 
     @staticmethod
-    def _may_match(unit: Unit, rule: ClauseParts, positions: List[int]) -> str:
+    def _may_match(unit: Unit, clause: ClauseParts, positions: List[int]) -> str:
         """Return the condition under which a clause may match the arguments at entry."""
         tests = []
         for position in positions:
-            key = key_of(rule.args[position])
+            key = key_of(clause.args[position])
             if key is not None:
                 tests.append(f"(x{position + 1} is None or x{position + 1} == {unit.constant(key)})")
         return f"({' and '.join(tests)})" if tests else "True"

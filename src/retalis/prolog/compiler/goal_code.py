@@ -123,6 +123,7 @@ class GoalGenerator:
         ):
             return None
         choose_functions(nodes, True)
+        # Without calls the function always decides; only with calls must it be repeatable.
         unit = Unit(self._database.machine, self._database, repeats=calls_functions)
         scope = self._scope(unit)
         scope.fail = scope.cut = _UNDO_AND_FAIL

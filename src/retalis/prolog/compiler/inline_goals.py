@@ -308,6 +308,7 @@ def _order_condition(scope: Scope, node: CallNode) -> str:
 
 
 def _write_differ(scope: Scope, node: CallNode) -> None:
+    # The bindings are undone in either case: only the result of the unification counts.
     mark = scope.temp("m")
     scope.line(f"{mark} = len(trail)")
     scope.line(f"if unify({scope.build(node.args[0])}, {scope.build(node.args[1])}, trail):")

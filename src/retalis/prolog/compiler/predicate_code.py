@@ -154,12 +154,12 @@ class Shape(NamedTuple):
 
 
 def shape_of(
-    clause: ClauseVariables, args: Sequence[Term], nodes: Sequence[GoalNode], key: Functor, switch: int
+    variables: ClauseVariables, args: Sequence[Term], nodes: Sequence[GoalNode], key: Functor, switch: int
 ) -> Optional[Shape]:
     """Return the shape of a clause that builds cells while it recurses, or None for other clauses.
 
     Args:
-        clause: variables of the clause.
+        variables: variables of the clause.
         args: arguments of its head.
         nodes: its body. Inline goals before the recursive call may be arithmetic only, which cannot observe that a
             cell is built later.
@@ -179,7 +179,7 @@ def shape_of(
         # The hole must occur once in the cell and once in the call: any other goal could observe it unbound.
         hole = deref(call.args[position])
         holes = [number for number, item in enumerate(arg) if number and deref(item) is hole]
-        if shape is not None or hole.__class__ is not Var or len(holes) != 1 or clause.counts[hole] != 2:
+        if shape is not None or hole.__class__ is not Var or len(holes) != 1 or variables.counts[hole] != 2:
             return None
         shape = Shape(position, holes[0])
     return shape
@@ -298,7 +298,7 @@ class PredicateGenerator:
     Args:
         database: the predicates, with their machine.
         key: functor of the predicate.
-        rules: its clauses in order.
+        clauses: its clauses in order.
         code: the code object that runs its calls.
         unbound: positions of arguments that are known to be unbound.
     """
@@ -307,17 +307,17 @@ class PredicateGenerator:
         self,
         database: PredicateResolver,
         key: Functor,
-        rules: Sequence[ClauseParts],
+        clauses: Sequence[ClauseParts],
         code: Runs,
         unbound: FrozenSet[int] = frozenset(),
     ):
         self.database = database
         self.key = key
-        self.rules = rules
+        self.clauses = clauses
         self.code = code
         self.locals = [f"a{at}" for at in range(1, key.arity + 1)]
         self._unbound = unbound
-        self.position = _switch_position(rules, key.arity, unbound)
+        self.position = _selective_position(clauses, key.arity, unbound)
         self._retries: Dict[Tuple[int, ...], Code] = {}
         self.steady = False
 
@@ -346,7 +346,7 @@ class PredicateGenerator:
 
     def _finish(self, unit: Unit, name: str, part: str) -> Step:
         source = unit.source()
-        place = next((rule.place for rule in self.rules if rule.place is not None), None)
+        place = next((clause.place for clause in self.clauses if clause.place is not None), None)
         function: Step = unit.finish(source, title_of(place, f"{self.key}{part}"))[name]
         return function
 
@@ -356,7 +356,7 @@ class PredicateGenerator:
     # The switch
 
     def _write_switch(self, unit: Unit) -> Scope:
-        everything = tuple(range(len(self.rules)))
+        everything = tuple(range(len(self.clauses)))
         scope = Scope(unit, ClauseVariables(()))
         if self.position is None:
             self._write_chain(scope, everything, None)
@@ -397,11 +397,11 @@ class PredicateGenerator:
         Its function is generated when it is first run.
         """
         unbound = self._unbound | {position}
-        if _switch_position(self.rules, self.key.arity, unbound) is None:
+        if _selective_position(self.clauses, self.key.arity, unbound) is None:
             return None
 
         def generate(frame: Frame) -> Optional[Frame]:
-            code.run = PredicateGenerator(self.database, self.key, self.rules, self.code, unbound).main()
+            code.run = PredicateGenerator(self.database, self.key, self.clauses, self.code, unbound).main()
             return code.run(frame)
 
         code = Code(str(self.key), generate)
@@ -415,12 +415,13 @@ class PredicateGenerator:
         group, in the order of the program.
         """
         groups: Dict[object, List[int]] = {None: []}
-        for index, rule in enumerate(self.rules):
-            key = key_of(rule.args[position])
+        for index, clause in enumerate(self.clauses):
+            key = key_of(clause.args[position])
             if key is None:
                 for group in groups.values():
                     group.append(index)
             else:
+                # A new group begins with the earlier clauses that match any key.
                 groups.setdefault(key, list(groups[None])).append(index)
         return groups
 
@@ -545,10 +546,10 @@ class PredicateGenerator:
             alone: whether the chain has no other clause.
             height: local that holds the height at entry, if the frame carries it.
         """
-        rule = self.rules[index]
-        clause = ClauseVariables((*rule.args, rule.body))
+        clause = self.clauses[index]
+        variables = ClauseVariables((*clause.args, clause.body))
         entry = Height("height")
-        scope = Scope(unit, clause)
+        scope = Scope(unit, variables)
         scope.depth = depth
         if rest:
             scope.fail = "break"
@@ -562,14 +563,14 @@ class PredicateGenerator:
         if height is not None:
             scope.names[entry] = height
         if loops and alone and key.__class__ is Functor and self.position is not None:
-            self._write_building_loop(scope, rule, entry, self.position)
-        locals_ = self._copied_locals(scope, rule, key) if rest else self.locals
+            self._write_building_loop(scope, clause, entry, self.position)
+        locals_ = self._copied_locals(scope, clause, key) if rest else self.locals
         if rest:
             frame = ", ".join([unit.constant(self._retry_code(rest)), *self.locals, "after", "mark"])
             scope.pending = f"{self._choice_point_test(scope, index, rest, locals_)}choose(({frame}))"
-        self._write_head(scope, rule, key, locals_)
-        nodes = BodyParser(self.database, entry).parse(rule.body)
-        bodies = BodyGenerator(unit, clause, entry, self.database.interpret, str(self.key), self.key)
+        self._write_head(scope, clause, key, locals_)
+        nodes = BodyParser(self.database, entry).parse(clause.body)
+        bodies = BodyGenerator(unit, variables, entry, self.database.interpret, str(self.key), self.key)
         bodies.write(scope, nodes)
         if rest:
             indent = "    " * depth
@@ -595,9 +596,9 @@ class PredicateGenerator:
         all have other keys for it. The test is evaluated before the head, which binds variables.
         """
         tests = []
-        for position, (local, arg) in enumerate(zip(locals_, self.rules[index].args)):
+        for position, (local, arg) in enumerate(zip(locals_, self.clauses[index].args)):
             key = key_of(arg)
-            later_keys = [key_of(self.rules[later].args[position]) for later in rest]
+            later_keys = [key_of(self.clauses[later].args[position]) for later in rest]
             if (
                 position != self.position
                 and key is not None
@@ -617,29 +618,29 @@ class PredicateGenerator:
         if self.position is None:
             return None
         for key, group in self._groups(self.position).items():
-            rule = self.rules[group[0]] if group else None
-            if key.__class__ is not Atom or rule is None or len(group) > 1 or rule.body is not TRUE:
+            clause = self.clauses[group[0]] if group else None
+            if key.__class__ is not Atom or clause is None or len(group) > 1 or clause.body is not TRUE:
                 continue
-            others = [deref(arg) for position, arg in enumerate(rule.args) if position != self.position]
+            others = [deref(arg) for position, arg in enumerate(clause.args) if position != self.position]
             if len(set(others)) == len(others) and all(arg.__class__ is Var for arg in others):
                 return self.position, unit.constant(key)
         return None
 
-    def _write_building_loop(self, scope: Scope, rule: ClauseParts, entry: Height, position: int) -> None:
+    def _write_building_loop(self, scope: Scope, clause: ClauseParts, entry: Height, position: int) -> None:
         """Write the loop of a clause that builds a list while it recurses; see `write_building`."""
-        nodes = BodyParser(self.database, entry).parse(rule.body)
-        shape = shape_of(scope.clause, rule.args, nodes, self.key, position)
+        nodes = BodyParser(self.database, entry).parse(clause.body)
+        shape = shape_of(scope.clause, clause.args, nodes, self.key, position)
         if shape is not None:
-            write_building(scope, self.locals, rule.args, nodes, shape, position)
+            write_building(scope, self.locals, clause.args, nodes, shape, position)
 
-    def _copied_locals(self, scope: Scope, rule: ClauseParts, key: object) -> List[str]:
+    def _copied_locals(self, scope: Scope, clause: ClauseParts, key: object) -> List[str]:
         """Copy the arguments for a clause that others follow, and return the names of the copies.
 
         Dereferencing replaces a local by its value. If the clause itself has bound the variable, the following
         clauses must not see that value.
         """
         names = []
-        for position, (local, arg) in enumerate(zip(self.locals, rule.args)):
+        for position, (local, arg) in enumerate(zip(self.locals, clause.args)):
             arg = deref(arg)
             needs_no_test = key is not None and position == self.position
             if needs_no_test or (arg.__class__ is Var and scope.clause.is_void(arg)):
@@ -652,10 +653,10 @@ class PredicateGenerator:
             scope.line(f"{', '.join(targets)} = {', '.join(sources)}")
         return names
 
-    def _write_head(self, scope: Scope, rule: ClauseParts, key: object, locals_: Sequence[str]) -> None:
+    def _write_head(self, scope: Scope, clause: ClauseParts, key: object, locals_: Sequence[str]) -> None:
         """Write the unification of the head: first constants, then variables, then compound terms."""
         patterns = [
-            (local, deref(arg), position) for position, (local, arg) in enumerate(zip(locals_, rule.args))
+            (local, deref(arg), position) for position, (local, arg) in enumerate(zip(locals_, clause.args))
         ]
         for local, arg, _ in patterns:
             if arg.__class__ is Var and arg not in scope.names:
@@ -680,18 +681,18 @@ def title_of(place: Optional[Place], name: str) -> str:
     return name if place is None else f"{place.source}:{place.line} {name}"
 
 
-def _switch_position(
-    rules: Sequence[ClauseParts], arity: int, unbound: FrozenSet[int] = frozenset()
+def _selective_position(
+    clauses: Sequence[ClauseParts], arity: int, unbound: FrozenSet[int] = frozenset()
 ) -> Optional[int]:
     """Return the position of the argument whose keys distinguish the clauses best; None if none does.
 
     The first argument is taken whenever it distinguishes clauses: programmers rely on first-argument indexing.
     """
     best_score, position = 0, None
-    for candidate in range(min(arity, 8) if len(rules) > 1 else 0):
+    for candidate in range(min(arity, 8) if len(clauses) > 1 else 0):
         if candidate in unbound:
             continue
-        keys = [key_of(rule.args[candidate]) for rule in rules]
+        keys = [key_of(clause.args[candidate]) for clause in clauses]
         bound_keys = [key for key in keys if key is not None]
         distinct = len(set(bound_keys))
         # A clause with a variable belongs to every case, which makes the switch less selective.

@@ -68,6 +68,7 @@ def _unify_compound(scope: Scope, name: str, pattern: CompoundTerm, depth: int) 
 
 def _is_unpackable(scope: Scope, pattern: Term) -> bool:
     """Return whether a pattern has several compounds and otherwise only atoms and distinct new variables."""
+    # A repeated variable would need a unification, and numbers and strings are compared by value, not by identity.
     compounds = 0
     seen = set()
     stack = [pattern]

@@ -181,6 +181,7 @@ class Index:
                 others_count = others_before
             clauses.append(own[position])
         clauses += others[others_count:]
+        # The lists are dropped and not shortened, because running calls hold them.
         if self._copies > _MAX_MERGED_COPIES:
             self._merged.clear()
             self._copies = len(others)

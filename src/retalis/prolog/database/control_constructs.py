@@ -103,8 +103,8 @@ class JustInTimeBodies:
             if source is None:
                 return None
             key = functor("$body", len(copies))
-            rule = ClauseParts(tuple(copies.values()), source)
-            step = PredicateGenerator(self._database, key, [rule], Code("body", _never_called)).single(0)
+            clause = ClauseParts(tuple(copies.values()), source)
+            step = PredicateGenerator(self._database, key, [clause], Code("body", _never_called)).single(0)
         except (PrologError, RecursionError):
             # The interpreter raises the error when it reaches the goal, or never if it does not.
             return None
@@ -224,6 +224,7 @@ class Control:
                 goal_class = goal.__class__
             if goal_class is tuple:
                 key = goal[0]
+                # The first goal continues in this loop; only the second one needs a frame.
                 if key is COMMA:
                     after = (self.code, goal[2], height, after)
                     goal = goal[1]

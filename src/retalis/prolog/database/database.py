@@ -162,8 +162,8 @@ class Database:
         predicate.kind = kind
         predicate.function = function
         predicate.functional = None
-        predicate.known = None
-        predicate.gate = None
+        predicate.bound_form = None
+        predicate.make_filter = None
         predicate.run = run
         predicate.steady = False
         predicate.library = True
@@ -221,6 +221,7 @@ class Database:
         predicate = self.predicate(key)
         if not predicate.library:
             return predicate if predicate.tabled is None else predicate.tabled
+        # Code compiled so far calls the library's version, hence the `forget` afterwards.
         self.library.kept[key] = predicate
         own = self.predicates[key] = Predicate(self, key)
         self.forget()

@@ -182,6 +182,7 @@ class ModuleNames:
             self.last = "" if self.loading is None or self.loading is outer else self.loading.name
         finally:
             self.loading = outer
+            # An exception may have left entries of files that this one was loading.
             del self._files[depth - 1 :]
 
     def begin(self, name: str, exports: Iterable[Functor]) -> bool:
@@ -321,6 +322,7 @@ class ModuleNames:
         """Return the argument kinds of a predicate; None if all arguments are plain."""
         argument_kinds = self.metas.get(key)
         if argument_kinds is None:
+            # A qualified predicate without a definition stands for the plain one.
             plain = self.plain_of(key)
             if plain is not None and not self.is_there(key):
                 key = plain

@@ -59,12 +59,12 @@ class Predicate:
         kind: "user", "builtin" (deterministic Python), "control" (other Python), or "undefined".
         function: Python function that compiled clauses call inline, for a built-in.
         direct: its functions, if it is called as a function.
-        gate: returns the pushdown filter of calls; see `PredicateTable.define_control`.
+        make_filter: returns the pushdown filter of calls; see `PredicateTable.define_control`.
         functional: its modes, if it is a function of some of its arguments.
-        known: functor of the deterministic built-in for calls with a bound first argument, or None.
+        bound_form: functor of the deterministic built-in for calls with a bound first argument, or None.
         dynamic: whether the program may assert and retract clauses.
         library: whether it belongs to the system; programs may redefine it unless it is ``locked``.
-        missed: whether a warning about calls of the undefined predicate has been issued.
+        warned_undefined: whether a warning about calls of the undefined predicate has been issued.
         compiled: whether `run` is compiled code.
         tabled: the hidden predicate that owns the clauses, if calls are answered by tables.
         incremental: whether tables that depend on it are reevaluated after a change: of its clauses (see `observe`),
@@ -83,16 +83,16 @@ class Predicate:
         self.functor = functor
         self.kind = "undefined"
         self.function: Optional[Callable[..., Any]] = None
-        self.gate: Optional[Callable[[Functor, Tuple[int, ...]], object]] = None
+        self.make_filter: Optional[Callable[[Functor, Tuple[int, ...]], object]] = None
         self.functional: Optional[FunctionalModes] = None
-        self.known: Optional[Functor] = None
+        self.bound_form: Optional[Functor] = None
         self.dynamic = False
         self.discontiguous = False
         self.multifile = False
         self.locked = False
         self.system = False
         self.library = False
-        self.missed = False
+        self.warned_undefined = False
         self.compiled = False
         self.tabled: Optional[Predicate] = None
         self.incremental = False
@@ -202,6 +202,7 @@ class Predicate:
         if self.compiled:
             self.compiled = self.steady = False
             self._set_step(self._run_interpreted)
+            # A predicate that alternates between calls and changes is compiled ever more rarely.
             self.compile_after *= 2
         self.calls = 0
         if self.direct is not None:
@@ -419,8 +420,8 @@ class Predicate:
             return False
         if too_many:
             return self._call_through_indexes()
-        rules = [ClauseParts(_arguments_of(clause.head), clause.body, clause.place) for clause in clauses]
-        generator = PredicateGenerator(self._resolver(), self.functor, rules, self)
+        parts = [ClauseParts(_arguments_of(clause.head), clause.body, clause.place) for clause in clauses]
+        generator = PredicateGenerator(self._resolver(), self.functor, parts, self)
         self._set_step(generator.main())
         self.steady = generator.steady
         self.compiled = True
@@ -448,8 +449,8 @@ class Predicate:
         if clause.is_large:
             clause.uses = -NEVER
             return None
-        rule = ClauseParts(_arguments_of(clause.head), clause.body, clause.place)
-        clause.code = PredicateGenerator(self._resolver(), self.functor, [rule], self).single(0)
+        parts = ClauseParts(_arguments_of(clause.head), clause.body, clause.place)
+        clause.code = PredicateGenerator(self._resolver(), self.functor, [parts], self).single(0)
         return clause.code
 
     def _resolver(self) -> PredicateResolver:

@@ -166,7 +166,8 @@ def define_foreign(logic: PrologSystem, runner: "SerialExecutor", *sources: obje
             else [value for value in getattr(source, "__dict__", {}).values() if _is_marked(value)]
         )
         if not functions or not all(_is_marked(value) for value in functions):
-            raise UsageError(f"{getattr(source, '__name__', source)} has no function decorated with @foreign")
+            name = getattr(source, "__name__", source)
+            raise UsageError(f"'{name}' has no function decorated with @foreign")
         for function in functions:
             keys.append(_define(logic, runner, function, getattr(function, _SPEC_ATTRIBUTE)))
     return keys
@@ -326,4 +327,4 @@ def load_module(name: str, files: "SourceFiles") -> ModuleType:
         return importlib.import_module(name)
     except Exception as error:
         # A module may raise any exception while it is imported.
-        raise UsageError(f"cannot load {name}: {type(error).__name__}: {error}") from error
+        raise UsageError(f"cannot load '{name}': {type(error).__name__}: {error}") from error

@@ -199,6 +199,7 @@ class PredicateTable:
         def resume(entry: Frame) -> Optional[Frame]:
             after: Frame
             _, solutions, after, _ = entry
+            # Taken before the generator binds anything, so that backtracking undoes its bindings.
             mark = len(trail)
             yielded = next(solutions, _NO_SOLUTION)
             if yielded is _NO_SOLUTION:
@@ -214,6 +215,7 @@ class PredicateTable:
 
         def call(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
             solutions: Any = function(machine, *args)
+            # A bool needs neither a generator nor a choice point.
             if solutions is True:
                 return after
             return resume((retry, iter(solutions), after, 0)) if solutions else None
@@ -231,7 +233,7 @@ class PredicateTable:
             )
 
         predicate = self.database.define(key, None, run_known, "control")
-        predicate.known = bound_form.functor
+        predicate.bound_form = bound_form.functor
         return predicate
 
     def define_control(
@@ -261,7 +263,7 @@ class PredicateTable:
             return function(machine, frame[1:-1], frame[-1])
 
         predicate = self.database.define(functor(name, arity), function if at_once else None, run, "control")
-        predicate.gate = gate
+        predicate.make_filter = gate
         return predicate
 
     def lookup(self, key: Functor) -> Optional[Predicate]:

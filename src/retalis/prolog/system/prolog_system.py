@@ -273,8 +273,8 @@ def undefined(logic: PredicateTable, predicate: Predicate, frame: Frame) -> Opti
         return None
     key = predicate.functor
     if flag is atom("warning"):
-        if not predicate.missed:
-            predicate.missed = True
+        if not predicate.warned_undefined:
+            predicate.warned_undefined = True
             logic.message("warning", f"Unknown procedure: {key}")
         return None
     notes = []
@@ -399,7 +399,8 @@ def mend(logic: Any) -> None:
     end_captures(logic)
     logic.new_goals = None
     logic.database.modules.mend()
-    vars(logic.control).pop("solve", None)  # a tracer's
+    # An interrupted trace leaves its method on the instance; see `Tracer.start`.
+    vars(logic.control).pop("solve", None)
     logic.database.solve = logic.control.solve
     for predicate in list(logic.database.predicates.values()):
         predicate.mend()

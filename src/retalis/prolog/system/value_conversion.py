@@ -84,6 +84,7 @@ def to_python(term: Term) -> Any:
             if steps > MAX_STEPS:
                 raise TermTooLarge
         top = stack.pop()
+        # The values of its parts are the last ones, and are replaced by the value of the whole.
         if isinstance(top, _PendingParts):
             values[len(values) - top.count :] = [top.join(values[len(values) - top.count :])]
             continue
