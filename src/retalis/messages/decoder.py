@@ -130,6 +130,7 @@ class DecoderSource:
             return "blob(b'')" if slot.is_bytes else "N"
         if slot.is_bytes:
             return f"blob({self.fixed(f'{number}s')})"
+        # Short arrays (colours, positions) are decoded with the run around them: one `struct` call covers both.
         if number <= SMALL and slot.definition is None:
             parts = [self.single(slot._replace(length=None)) for _ in range(number)]
             return "".join(f"(C, {part}, " for part in parts) + "N" + ")" * number
@@ -139,6 +140,8 @@ class DecoderSource:
         if not size:
             return self.alike(slot, str(number))
         value = self.fixed(f"{number * size}s")
+        # The functor of a list is known before its elements are, so that patterns can reject the term without
+        # decoding it.
         return f"Lazy(C, {self.name('make', _maker(slot))}, {value})"
 
     def variable(self, slot: Field) -> str:
@@ -154,6 +157,8 @@ class DecoderSource:
             return self.alike(slot, number)
         value = self.name("t")
         make = self.name("make", _maker(slot))
+        # The count is not compared with the message's size here: slices beyond the end are empty, and the final
+        # comparison of offset and length fails.
         self.move(f"{number} * {size}")
         self.lines += [
             f"if not {number}: {value} = N",
@@ -184,6 +189,7 @@ class DecoderSource:
         self.move(number)
         value = self.name("t")
         self.lines += [
+            # A hit costs no function call.
             f"{value} = known(data[s:o])",
             f"if {value} is None: {value} = read_text(data, s, o)",
         ]
@@ -215,6 +221,8 @@ class DecoderSource:
         layout = Struct("<" + self.format)
         unpack = self.name("S", layout.unpack_from)
         self.lines.append(f"{', '.join(self.targets)}, = {unpack}(data, {self.place()})")
+        # The variable `o` stays where it is: a constant added at compile time is cheaper than an assignment at run
+        # time.
         self.shift += layout.size
         self.format, self.targets = "", []
 
@@ -239,6 +247,7 @@ def _compile_records(slot: Field) -> Callable[[bytes], Term]:
     """Return the function that decodes an array of elements of equal size into a list."""
     code = DecoderSource()
     result = code.single(slot._replace(length=None))
+    # All elements have the same layout, so the run is never flushed and its format covers a whole element.
     layout = Struct("<" + code.format)
     return record_maker(slot.describe(), layout, code.targets, result, code.names)
 
@@ -306,6 +315,7 @@ class FrameSource(DecoderSource):
 
     def string(self) -> str:
         """Add a string; all strings of the message must be adjacent."""
+        # Numbers between strings would move the strings that follow, so the key could not be one slice.
         if self.texts and self.format:
             raise Unsuited
         if not self.texts:
@@ -316,6 +326,7 @@ class FrameSource(DecoderSource):
 
     def variable(self, slot: Field) -> str:
         """Add the array of messages, if it is the only array and precedes all strings."""
+        # After a string, the array's count would not be at a fixed offset.
         if slot.definition is None or self.texts or self.count:
             raise Unsuited
         self.count = self.fixed("I")
@@ -354,6 +365,8 @@ class FrameSource(DecoderSource):
         if self.before[1]:
             lines.append(f"    {', '.join(self.before[1])}, = head(data)")
         if self.count:
+            # Checked before the lookup: with another count, the key would contain the elements' numbers and fill the
+            # cache.
             lines.append(f"    if {self.count} != 1: return general(data)")
         # The strings' bytes are those between the two runs of numbers. A key of other lengths is parsed by `learn`,
         # which returns None if the counts in it do not add up, for example in a truncated message.
@@ -480,6 +493,7 @@ class Decoder:
         self.functor = functor(definition.functor_name, len(definition.fields))
         self.decode: Decode = _compile_decode(definition, bare)
         self.stamp: Callable[[bytes], Optional[int]] = _compile_stamp(definition)
+        # Set by `watching_decoder` on a copy.
         self.watch: Optional[Watch] = None
         self.plain: Optional[Decoder] = None
 
@@ -493,6 +507,7 @@ class Decoder:
         >>> Engine().show(decoder.lazy(bytes([1])))
         'my_robot__0__Bumper(true)'
         """
+        # The term of an empty message is an atom, and only compound terms and strings can be lazy.
         if not self.definition.fields:
             return self.decode(data)
         return Lazy(self.functor, self.decode, data)
@@ -510,6 +525,7 @@ def watching_decoder(decoder: Decoder, watch: Watch) -> Decoder:
         watch.look_all(data)
         return plain(data)
 
+    # The original decoder stays as it is: it is shared by all subscribers to topics of this type.
     watching = copy(decoder)
     watching.decode = _compile_frames(decoder.definition, general, watch)
     watching.watch = watch
@@ -578,6 +594,7 @@ def _compile_stamp(definition: Definition) -> Callable[[bytes], Optional[int]]:
             seconds, nanoseconds = unpack(data, 4)
         except StructError:
             fail(data)
+        # A zero stamp means "not set" in ROS, not 1970.
         return seconds * 1_000_000_000 + nanoseconds or None
 
     return stamp

@@ -64,6 +64,8 @@ class _PackedTexts(Cache[Atom, bytes]):
 
 
 _packed = _PackedTexts(2048, 1 << 20, 1024)
+# Unpacking a term of the wrong form raises any of these. They only select the slow encoder, which reports the real
+# problem.
 _ERRORS = (_Unusual, MessageError, ValueError, TypeError, KeyError, StructError, OverflowError)
 
 
@@ -107,6 +109,7 @@ class _EncoderSource:
             self.single(slot, value)
         elif slot.is_bytes:
             self.blob(slot, value)
+        # Short arrays are unpacked in the generated code and packed with the numbers around them.
         elif 0 < slot.length <= SMALL and slot.definition is None and slot.type != "string":
             for item in self.items(value, slot.length):
                 self.single(slot, item)
@@ -117,6 +120,7 @@ class _EncoderSource:
         if slot.definition is not None:
             self.message(slot.definition, value)
         elif slot.type == "string":
+            # A cached string is at least the four bytes of its length, so a false value means a miss.
             self.chunk(f"(packed({value}) or read({value}))")
         elif slot.type in TIMES:
             for item in self.items(value, 2):
@@ -145,6 +149,7 @@ class _EncoderSource:
             self.chunk(packed)
             return
         raw = self.name("v")
+        # The cache includes the length, which an array of fixed length does not have on the wire.
         self.lines.append(f"{raw} = {packed}[4:]")
         self.checks.append(f"len({raw}) != {slot.length}")
         self.chunk(raw)
@@ -170,6 +175,8 @@ class _EncoderSource:
         return f"join(({', '.join(self.chunks)}))" if self.chunks else "b''"
 
     def body(self) -> List[str]:
+        # All conditions are tested in one statement after unpacking: a term that fails any of them goes to the slow
+        # encoder.
         result = self.result()
         check = [f"if {' or '.join(self.checks)}: raise Unusual"] if self.checks else []
         return [*self.lines, *check, f"return {result}"]
@@ -197,6 +204,7 @@ def _array_packer(slot: Field) -> Callable[[Term], bytes]:
 
     def encode(term: Term) -> bytes:
         items = _list_items(term)
+        # The count precedes the elements only if the definition does not fix it.
         if length == VARIABLE:
             return pack("<I", len(items)) + b"".join(map(element, items))
         if len(items) != length:

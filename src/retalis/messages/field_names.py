@@ -33,6 +33,7 @@ class TypeNotations:
 
     def __init__(self, names: Iterable[Tuple[str, str]]):
         self._names: Dict[str, List[str]] = {}
+        # `difflib` is slow, so candidates are restricted to names with the same first letter.
         self._by_first: Dict[str, List[str]] = {}
         for name, message_type in names:
             for letters in dict.fromkeys(map(_letters, (message_type, message_type.rpartition("/")[2]))):
@@ -97,6 +98,7 @@ class SlotNames:
         try:
             definition = self.definitions.find(message_type)
         except MessageError as error:
+            # A misspelt type is more likely than one that is not installed, so it is suggested first.
             meant = self.definitions.misspelt(message_type)
             if meant:
                 raise UsageError(f"there is no message type {message_type}; did you mean {meant}?") from error
@@ -105,6 +107,7 @@ class SlotNames:
                 "put its folder on ROS_PACKAGE_PATH, or write all slots in their order: what only publishers "
                 "bring comes too late"
             ) from error
+        # Each omitted slot gets its zero value in the term, which must stay small.
         if definition.measure.least > MAX_ZERO_BYTES:
             raise UsageError(
                 f"messages of {message_type} have {counted(definition.measure.least, 'byte')} at least: "
@@ -120,6 +123,7 @@ class SlotNames:
             )
         own = TypeNotations((event, event) for event in self.events)
         added = TypeNotations((functor_name(notation), notation) for notation in self.definitions.added())
+        # The program's own names first: they are what its author most likely meant.
         notations = (own, added, self._installed)
         same = [match for notation in notations for match in notation.same(name)]
         if same:
@@ -260,6 +264,7 @@ class _Template:
             if variable not in self.used:
                 break
         number, stem = 1, variable
+        # Several slots can have the same full path of capitalised names, for example `a_b` and `aB`.
         while variable in self.used:
             number += 1
             variable = f"{stem}_{number}"

@@ -89,6 +89,7 @@ def text_bytes(term: Term) -> Optional[bytes]:
         MessageError: for malformed base64, and for text that cannot be encoded (an unpaired surrogate).
     """
     if term.__class__ is Atom:
+        # The empty list is an atom in Prolog, but never a string.
         if term is NIL:
             return None
         name = term.name
@@ -119,6 +120,7 @@ def _decode_base64(text: str) -> bytes:
 
     Lines are split by position, because the characters of a line end are also in the base64 alphabet.
     """
+    # `/` is a base64 digit, so searching for the line end could find data.
     step = _LINE + len(_BREAK)
     lines = [text[start : start + step] for start in range(0, len(text), step)]
     if any(not line.endswith(_BREAK) for line in lines):
@@ -167,6 +169,7 @@ def read_texts(key: bytes, number: int) -> Optional[Tuple[Term, ...]]:
     for _ in range(number):
         size = int.from_bytes(key[offset : offset + 4], "little")
         raw = key[offset + 4 : offset + 4 + size]
+        # The counts do not fit the key, so the message does not have the assumed layout.
         if len(raw) != size:
             return None
         terms.append(text_term(raw))
@@ -187,6 +190,7 @@ def array_maker(code: str) -> Make:
 
     def make(source: bytes) -> Term:
         term: Term = NIL
+        # A list is built from its end, because each cell contains the rest.
         for value in reversed(unpack(f"<{len(source) // size}{code}", source)):
             term = (CONS, value, term)
         return term

@@ -65,6 +65,7 @@ def watched(decoder: Decoder, known: Mapping[bytes, Any], look: Look) -> Decoder
         look: observer; receives all stamps of a message with a new second. Its exceptions propagate.
     """
     definition, stamp, get = decoder.definition, decoder.stamp, known.get
+    # Types without stamps keep their decoder, so that monitoring costs nothing for them.
     read = stamp_reader(definition)
     if read is None:
         return decoder
@@ -74,6 +75,8 @@ def watched(decoder: Decoder, known: Mapping[bytes, Any], look: Look) -> Decoder
         stamps = all_stamps(data)
         for key, instant in stamps:
             state = get(key)
+            # A comparison of seconds is enough: the observer looks for deviations of seconds, and is too slow for
+            # every message.
             if state is None or state.second != instant // SECOND:
                 look(stamps)
                 break
@@ -94,6 +97,7 @@ def watched(decoder: Decoder, known: Mapping[bytes, Any], look: Look) -> Decoder
 
     watching = copy(decoder)
     slots = _stamped_slots(definition)
+    # The fast reader assumes that the header's frame is the only one.
     single = len(slots) == 1 and slots[0].slot.length is None and not slots[0].has_child
     watching.stamp = _own(get, watched_stamp) if single else watched_stamp
     return watching
@@ -173,11 +177,13 @@ def _stamped_slots(definition: Definition) -> List[_StampedSlot]:
             and element.fields
             and _is_header(element.fields[0])
         ):
+            # Without the suffix, two arrays with the same frame would overwrite each other's state.
             suffix = b"%c" % len(slots) if stamped_count else b""
             slots.append(_StampedSlot(slot, suffix, _has_child(element), _fixed_rest(element)))
             stamped_count = len(slots)
         else:
             slots.append(_StampedSlot(slot, b"", None, None))
+        # The suffix is one byte. No real message has so many stamped arrays.
         if len(slots) > 255:
             break
     return slots[:stamped_count]

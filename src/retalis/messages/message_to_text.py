@@ -68,6 +68,7 @@ def text_without(decoder: Decoder, data: bytes, positions: AbstractSet[int], mar
     """
     term: Any = decoder.decode(data)
     slots = decoder.definition.fields
+    # Replaced only if long: the marker itself takes more characters than a number.
     parts = [
         mark if position in positions and _is_long(slot, value) else value
         for position, (slot, value) in enumerate(zip(slots, term[1:]), 1)
@@ -149,6 +150,7 @@ class _TextSource(FrameSource):
         """Return the source of the text of consecutive floats."""
         start = calcsize("<" + self.format)
         values = [self.fixed(code) for code in codes]
+        # Comparing bytes costs as much as formatting one float. Long sequences rarely stay unchanged as a whole.
         kept = self.name("b") if 1 < len(values) <= _MAX_CACHED_FLOATS else ""
         place = len(self.beside)
         if kept:
@@ -198,6 +200,8 @@ class _TextSource(FrameSource):
     def finish(self, result: str) -> str:
         """Return an f-string that inserts the constant texts by name, and the values between them."""
         self.names["points"] = _with_points
+        # Texts are bound to names instead of being part of the f-string: they may contain braces, quotes, or any
+        # other character.
         pieces = result.split(_EDGE)
         pieces[::2] = [self.name("p", text) for text in pieces[::2]]
         return 'f"' + "".join(f"{{{piece}}}" for piece in pieces) + '"'

@@ -137,6 +137,7 @@ def _reachable(name: str, texts: Dict[str, str], find: FindText) -> Dict[str, _R
                 raise MessageError(
                     f"the type {beginning(type_name)} is not defined in the bag or on this system"
                 )
+            # Definitions that came with the bag have priority over installed ones.
             for nested, section_text in _sections(type_name, text).items():
                 texts.setdefault(nested, section_text)
         types[type_name] = section = _Ros2DefinitionReader(type_name, texts).read()
@@ -208,6 +209,7 @@ class _Ros2DefinitionReader:
         type_name, name = match["type"], match["name"]
         if self.name == HEADER and name == "seq":
             return
+        # Recorded separately, because the ROS 1 definition has no wide strings.
         if type_name == "wstring":
             self.wide.append(name)
         type_name = plain_type(type_name)
@@ -254,6 +256,7 @@ def _converter(definition: Definition, wide: _WideSlots) -> Callable[[bytes], by
 
     def to_ros1(raw: bytes) -> bytes:
         order = {b"\0\0": ">", b"\0\1": "<"}.get(bytes(raw[:2]), "")
+        # Parameter-list CDR and XCDR2 have other representation identifiers and layouts.
         if not order or len(raw) < 4:
             raise MessageError(
                 f"a message of {definition.name} is not plain CDR: expected 00 00 or 00 01 at its beginning, "
@@ -315,6 +318,7 @@ class _ConverterSource:
         fields = definition.fields
         if not fields:
             self.sizes.append(-1)
+        # `seq` exists in ROS 1 only: four zero bytes are written and nothing is read.
         if definition.name == HEADER:
             self.sizes.append(0)
             fields = fields[1:]
@@ -423,6 +427,7 @@ def _aligned(sizes: List[int], phase: int) -> str:
 
 def _swapped(data: bytes, size: int) -> bytes:
     numbers = array(_CODES[size] if size != 4 else "I", data)
+    # `array` uses the machine's byte order, which is that of ROS 1 messages.
     numbers.byteswap()
     return numbers.tobytes()
 

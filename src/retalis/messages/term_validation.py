@@ -116,6 +116,7 @@ def _check_length(slot: Field, count: int, path: str) -> None:
 def _bytes(slot: Field, term: Term, path: str) -> bytes:
     """Return the bytes of a byte array, which may be a string or a list of numbers."""
     value = deref(term)
+    # An empty list is an empty byte array; any other atom would be its text.
     if value.__class__ is tuple or value is NIL:
         chunks: List[bytes] = []
         for index, item in enumerate(_items(slot, value, path)):
@@ -165,6 +166,7 @@ def _time(type_name: str, value: Term, path: str) -> bytes:
 def _bool(type_name: str, value: Term, path: str) -> bytes:
     if value.__class__ is Atom and value in _BOOLS:
         return pack("<?", _BOOLS[value])
+    # ROS constants of type bool are written as 0 and 1, too.
     if isinstance(value, int) and value in (0, 1):
         return pack("<?", value)
     raise _expected(path, "bool (true or false)", value)
@@ -187,6 +189,7 @@ def _float(type_name: str, value: Term, path: str) -> bytes:
         raise _expected(path, type_name, value)
     try:
         return pack("<" + PRIMITIVES[type_name], value)
+    # A float64 that exceeds the range of float32, or an integer that exceeds that of floats.
     except (OverflowError, StructError):
         raise _Misfit(path, f"{describe(value)} is too large for {type_name}") from None
 
@@ -253,6 +256,7 @@ def fault_of(definition: Definition, term: Term, topic: str = "") -> Optional[st
         term: the term.
         topic: name for the error text.
     """
+    # Filling in values would allocate a message of that size for a check before start.
     if definition.measure.least > MAX_CHECKED_BYTES:
         return None
     try:

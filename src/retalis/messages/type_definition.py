@@ -116,6 +116,7 @@ class Measure(NamedTuple):
         """Return the measure of messages with one additional slot."""
         element = measure_of(slot)
         count = 1 if slot.length is None else slot.length
+        # A variable array adds the four bytes of its count; its elements may be missing.
         is_variable = count == VARIABLE
         elements_are_bare = slot.length is not None and not element.least
         return Measure(
@@ -269,6 +270,7 @@ def type_name(functor_name: str) -> Optional[str]:
 def _collect(definition: Definition, definitions: Dict[str, Definition]) -> None:
     for slot in definition.fields:
         nested = slot.definition
+        # A type that is nested several times is listed once, as in the definitions of connection headers.
         if nested is not None and nested.name not in definitions:
             definitions[nested.name] = nested
             _collect(nested, definitions)
@@ -284,6 +286,8 @@ def _checksum_text(definition: Definition) -> str:
         if slot.definition is None:
             lines.append(f"{slot.describe()} {slot.name}")
         else:
+            # The array length of a nested type is not part of the checksum. That is a quirk of genmsg, kept for
+            # compatibility.
             lines.append(f"{slot.definition.md5sum} {slot.name}")
     return "\n".join(lines).strip()
 
@@ -366,6 +370,7 @@ class _Walk:
         if slot.length == VARIABLE:
             at, count = at + 4, self.number(at, path)
         element = measure_of(slot)
+        # Elements of fixed size are skipped with one multiplication, however many there are.
         if not element.fixed:
             return self.elements(slot, count, at, path)
         at += count * element.least
@@ -439,6 +444,7 @@ def split_sections(name: str, text: str) -> Dict[str, str]:
 def _add_section(sections: Dict[str, str], name: str, lines: List[str]) -> None:
     text = "\n".join(lines) + "\n" if lines else ""
     known = sections.setdefault(name, text)
+    # Whitespace is ignored: copies of a definition differ in line ends and trailing spaces.
     if known.split() != text.split():
         raise MessageError(f"{name[:SHOWN]} is defined twice with different contents")
     if len(sections) > MAX_SECTIONS:
@@ -509,6 +515,7 @@ class _DefinitionReader:
         # Definitions come from other nodes: limits are checked per line, before the rest of the text is read.
         text = match["value"].strip()
         self._new_name(match, offset, self.constants)
+        # Constants do not count as slots, but their number must be bounded as well.
         if len(self.constants) >= MAX_SLOTS:
             raise self._error(
                 f"a type cannot have more than {MAX_SLOTS} constants", offset + match.start("name")
@@ -591,6 +598,7 @@ def constant_value(type_name: str, text: str) -> ConstantValue:
         return float(text)
     if len(text) > _MAX_INTEGER_CHARACTERS:
         raise ValueError(text)
+    # Leading zeros are decimal in ROS, but an error for `int` with base 0, which is needed for hexadecimal numbers.
     value = int(text) if text.lstrip("+-").isdigit() else int(text, 0)
     low, high = integer_range(PRIMITIVES[type_name])
     if not low <= value <= high:

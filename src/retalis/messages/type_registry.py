@@ -92,6 +92,7 @@ class Installed:
     def _message_files(self, package: str, type_name: str) -> Iterator[str]:
         for folder in self._packages:
             yield os.path.join(folder, package, "msg", type_name + ".msg")
+            # A folder may be the package itself, as entries of ROS_PACKAGE_PATH often are.
             if os.path.basename(folder.rstrip("/")) == package:
                 yield os.path.join(folder, "msg", type_name + ".msg")
         nested = self._source_packages().get(package)
@@ -103,6 +104,7 @@ class Installed:
         if self._sources is None:
             sources: Dict[str, str] = {}
             for folder in self._packages:
+                # Install spaces are flat; searching them recursively would read thousands of folders.
                 if os.path.basename(folder.rstrip("/")) != "share":
                     _find_packages(folder, _DEPTH, sources)
             # Assigned last: another thread must not search in an incomplete dictionary.
@@ -222,6 +224,7 @@ def _rosbags_text(package: str, type_name: str) -> Optional[Tuple[str, str]]:
     except KeyError:
         return None
     except Exception as error:
+        # Compared by name, so that no version of rosbags needs to export the class.
         if type(error).__name__ != "TypesysError":
             raise
         return None
@@ -314,6 +317,7 @@ class Definitions:
                 f"the definition of {beginning(name)} has {len(text)} characters: "
                 f"at most {MAX_DEFINITION_CHARACTERS} are allowed"
             )
+        # Publishers of one topic send the same text with each connection.
         definition = self._by_text.get((name, text))
         if definition is None:
             definition = _Resolver(self, split_sections(name, text)).resolve(name)
@@ -333,6 +337,7 @@ class Definitions:
         Raises:
             MessageError: if too many types were added.
         """
+        # Registered types are never removed, so their number must be bounded: each publisher can send new ones.
         if len(self._added) >= MAX_ADDED_TYPES or self._characters + characters > MAX_ADDED_CHARACTERS:
             raise MessageError(
                 f"{definition.name} is refused: the definitions of {len(self._added)} message types "
@@ -379,11 +384,13 @@ class Definitions:
         """
         name, sent = plain_type(name), plain_type(sent)
         known = self.find(name) if name in self else None
+        # The usual case: nothing has to be parsed.
         if known is not None and known.md5sum == md5sum:
             return known
         definition = self._read(sent, text, md5sum)
         if sent != name and known is not None and known.md5sum != definition.md5sum:
             raise MessageError(f"expected {name}, found {sent}")
+        # Registered under the publisher's name, not under the requested one, which may belong to another package.
         if known is None and sent not in self:
             self._note(definition, len(text))
         return definition if sent == name else definition.renamed(name)
@@ -459,6 +466,7 @@ class Definitions:
             return ""
         package, _, type_name = name.rpartition("/")
         packages = self._installed.packages()
+        # A bare name is searched in all packages, but must match exactly except for case.
         if not package:
             return next(
                 (
@@ -535,6 +543,7 @@ class _Resolver:
                 raise MessageError(fault)
             if name in self.open:
                 raise MessageError(f"{name} contains itself")
+            # Checked before parsing: recursion over nested definitions would exceed Python's stack.
             if len(self.open) > MAX_TYPE_DEPTH:
                 raise MessageError(f"types cannot be nested more than {MAX_TYPE_DEPTH} deep")
             self.open.add(name)
@@ -552,9 +561,11 @@ class _Resolver:
         if installed is not None:
             text, source = installed
             sections = split_sections(name, text)
+            # A generated module contains the nested definitions as well, which take precedence within it.
             if len(sections) > 1:
                 return _Resolver(self.registry, sections, self.open).read(name)
             return parse(name, text, self._nested, source)
+        # Nested types of received definitions come last: another publisher must not replace an installed type.
         known = self.registry.known(name)
         if known is not None:
             return known
@@ -578,4 +589,6 @@ def _candidates(written: str, package: str, sections: Dict[str, str]) -> Sequenc
     if "/" in written:
         return [written]
     others: List[str] = [name for name in sections if name.endswith("/" + written)]
+    # A type without a package belongs to the same package. Old bags also omit the package of others, if the name is
+    # unique.
     return [f"{package}/{written}"] + (others if len(others) == 1 else [])
