@@ -5,7 +5,7 @@ import ast
 import pytest
 from source import NODES, TREES
 
-from retalis.foundation.bounded_caches import ENTRY, Cache, Texts
+from retalis.foundation.bounded_caches import ENTRY_BYTES, Cache, Texts
 
 DECORATED = {
     ("messages/field_values.py", "array_maker"): "one entry for each of the 13 number types",
@@ -134,7 +134,7 @@ def test_bytes_are_bounded():
     for number in range(1000):
         cache.keep(number, "", 9000)
         assert cache.held <= 100_000
-        assert cache.held == len(cache) * (9000 + ENTRY)
+        assert cache.held == len(cache) * (9000 + ENTRY_BYTES)
     cache.clear()
     assert (len(cache), cache.held) == (0, 0)
 

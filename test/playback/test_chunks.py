@@ -8,7 +8,7 @@ import pytest
 
 from retalis.playback import rosbag1 as module
 from retalis.playback.decompression import ChunkLimit
-from retalis.playback.rosbag1 import AHEAD, MAX_REPEATS, BagReader, Chunk, chunks
+from retalis.playback.rosbag1 import MAX_CHUNKS_AHEAD, MAX_REPEATS, BagReader, Chunk, chunks
 
 LIMIT = ChunkLimit(1)
 TEXTS = [bytes([number]) * (number * 1000) for number in range(1, 9)]
@@ -77,11 +77,11 @@ def test_few_are_decompressed_before_they_are_asked_for(monkeypatch):
     monkeypatch.setattr(module, "unpack", unpack)
     found = chunks(*packed("bz2"), range(8), LIMIT)
     assert next(found) == TEXTS[0]
-    for _ in range(AHEAD + 1):
+    for _ in range(MAX_CHUNKS_AHEAD + 1):
         assert done.acquire(timeout=60)
-    assert len(number) == AHEAD + 1
+    assert len(number) == MAX_CHUNKS_AHEAD + 1
     found.close()
-    assert len(number) == AHEAD + 1
+    assert len(number) == MAX_CHUNKS_AHEAD + 1
     assert helpers() == []
 
 

@@ -100,6 +100,7 @@ class WhyNotSent:
     def _why_not(self, definition: Any, event: Term) -> str:
         """Return the reason why a subscription does not select an event, or "" if it does."""
         look(1)
+        # Bindings of one event must not affect the next one.
         instance: Any = copy(definition)
         trail: Trail = []
         try:
@@ -122,6 +123,7 @@ class WhyNotSent:
         for goal in reversed(goals[:-1]):
             conjunction = (_AND, goal, conjunction)
         try:
+            # Closed after the first solution, which undoes its bindings and runs cleanup goals.
             with closing(self._logic.solutions(conjunction)) as solutions:
                 for _ in solutions:
                     shown[len(goals) :] = [self._show(goal) for goal in others]
@@ -241,6 +243,7 @@ def explain(
         UsageError: if ``asked`` is not an event, or the time limit is exceeded.
         SyntaxFault: if the text is not a term.
     """
+    # Parsed outside the engine, so that syntax errors do not interrupt it.
     term = read_term(asked, engine.operators, "explain").term if isinstance(asked, str) else asked
 
     def work() -> Explanation:
@@ -253,6 +256,7 @@ def explain(
         finally:
             watched_by(previous)
 
+    # Executed between events: the recorded events do not change meanwhile.
     return engine.do(work)
 
 
@@ -279,6 +283,7 @@ class _Explainer:
         self._causes: Dict[int, List[Occurrence]] = {}
         for occurrence in self._occurrences:
             for derived in occurrence.derived:
+                # Occurrences only refer to what they were derived into, so the opposite direction is built once.
                 self._causes.setdefault(id(derived), []).append(occurrence)
 
     def explain(self, asked: Term) -> Explanation:
@@ -289,6 +294,7 @@ class _Explainer:
         if not occurrences:
             return Explanation(False, self._missing(term, interval, ()))
         lines = [self._lineage(occurrence, 0) for occurrence in occurrences[:_MAX_SHOWN_OCCURRENCES]]
+        # An event that happened can still be missing on a topic.
         for occurrence, line in zip(occurrences, lines):
             line.below.extend(ExplanationLine(text, []) for text in self._why_not_sent.of(occurrence.term))
         if len(occurrences) > _MAX_SHOWN_OCCURRENCES:
@@ -338,7 +344,7 @@ class _Explainer:
                 why_not = WhyNot(self._engine.logic, self._occurrences, rule, self._origin)
                 part = why_not.of(rule.definition.pattern)
                 lines.append(ExplanationLine(self._rule(rule), [self._part(part, (*above, rule))]))
-                if part.found:
+                if part.matches:
                     lines[-1].below.append(ExplanationLine(f"- but {_why_not(rule, part, interval)}", []))
             undo(trail, 0)
         if not above:
@@ -365,7 +371,7 @@ class _Explainer:
 
     def _part(self, part: Part, above: Tuple[EventRule, ...]) -> ExplanationLine:
         below = [self._part(inner, above) for inner in part.parts]
-        if part.event is not None and not part.found:
+        if part.event is not None and not part.matches:
             below += self._missing(part.event, None, above)
         return ExplanationLine(f"{part.mark} {part.text}", below)
 
@@ -428,10 +434,10 @@ def _parse_request(asked: Term) -> Tuple[Term, Optional[Tuple[int, int]]]:
 def _why_not(rule: EventRule, part: Part, interval: Optional[Tuple[int, int]]) -> str:
     """Return why a rule did not fire although all parts of its pattern matched."""
     has_window = any(isinstance(item, Windowed) for item in walk(rule.definition.pattern))
-    has_interval = any((item.start, item.end) == interval for item in part.found)
+    has_interval = any((item.start, item.end) == interval for item in part.matches)
     if interval is not None and not has_window and not has_interval:
         return "nowhere with that interval"
-    if rule.window is not None and all(item.end - item.start > rule.window for item in part.found):
+    if rule.window is not None and all(item.end - item.start > rule.window for item in part.matches):
         return f"all took longer than the window of the rule's label, {timestamps.to_seconds(rule.window):g} seconds"
     return _likely_reasons(rule)
 
@@ -445,6 +451,7 @@ def _likely_reasons(rule: EventRule) -> str:
             aggregate_results.append(part.result)
         elif isinstance(part, Shaped):
             shapes.append(part.shape)
+    # The explained event fixes the result of an aggregate, and the rule has computed other ones.
     if any(deref(result).__class__ is not Var for result in aggregate_results):
         return "with other results, or other matches consumed all of it"
     if shapes:

@@ -119,14 +119,14 @@ class Part(NamedTuple):
 
     Attributes:
         text: the part and its result.
-        found: matches of the part.
+        matches: matches of the part.
         parts: results of the parts below it.
         event: the event, if the part is a single event.
         tested: False if the part was not tested, because a part below it did not match.
     """
 
     text: str
-    found: List[Candidate]
+    matches: List[Candidate]
     parts: List["Part"]
     event: Optional[Term] = None
     tested: bool = True
@@ -136,7 +136,7 @@ class Part(NamedTuple):
         """``+`` for a part that matched, ``-`` for one that did not, ``?`` for one that was not tested."""
         if not self.tested:
             return "?"
-        return "+" if self.found else "-"
+        return "+" if self.matches else "-"
 
 
 class TimeFormat:
@@ -196,6 +196,7 @@ class WhyNot:
         self._now = rule.network.time()
         # A match is represented by a copy of all variables of the rule: two matches are joined by unifying them.
         self._vars = (_VALUES, *dict.fromkeys(own_variables))
+        # After the head was unified, variables of the rule may be bound to variables of the explained event.
         self._names = own_names(rule.definition.names)
         self._named = rule.definition.names
         self._times = TimeFormat(self._show, origin)
@@ -237,8 +238,8 @@ class WhyNot:
         spans = _spans(OPERATORS[pattern.operator])
         values_agree = False
         matches = []
-        for first in left.found:
-            for second in right.found:
+        for first in left.matches:
+            for second in right.matches:
                 values = self._join(first, second)
                 # A rule never uses one event as both operands.
                 if values is None or (first.event is not None and first.event is second.event):
@@ -248,7 +249,7 @@ class WhyNot:
                 if span is not None:
                     matches.append(Candidate(values, *span, None, (first.end, second.start)))
         reason = "one side is missing"
-        if left.found and right.found:
+        if left.matches and right.matches:
             reason = OPERATORS[pattern.operator].wrong if values_agree else "no pair with the same values"
         return Part(
             f"{pattern.operator}: {self._result_text(matches, reason)}",
@@ -262,20 +263,20 @@ class WhyNot:
 
     def _either(self, pattern: Either) -> Part:
         parts = [self.of(branch) for branch in pattern.branches]
-        matches = [match for part in parts for match in part.found]
+        matches = [match for part in parts for match in part.matches]
         return Part(f"{_OR}: {self._result_text(matches, 'no branch matched')}", matches, parts)
 
     def _absent(self, pattern: Absent) -> Part:
         part, negated = self.of(pattern.pattern), self.of(pattern.negated)
         matches = [
             match
-            for match in part.found
-            if not any(self._blocks(negative, match) for negative in negated.found)
+            for match in part.matches
+            if not any(self._blocks(negative, match) for negative in negated.matches)
         ]
         name = _BETWEEN if pattern.inside else _ABSENCE
-        reason = "ruled out by what must not happen" if part.found else "not tested"
+        reason = "ruled out by what must not happen" if part.matches else "not tested"
         text = f"{name}: {self._result_text(matches, reason)}"
-        return Part(text, matches, [part, _negated_part(negated)], None, bool(part.found))
+        return Part(text, matches, [part, _negated_part(negated)], None, bool(part.matches))
 
     def _blocks(self, negated: Candidate, match: Candidate) -> bool:
         if self._join(match, negated) is None:
@@ -290,7 +291,7 @@ class WhyNot:
             Candidate(values, match.start, last.end)
             for match, last, values in self._later(first_part, repeated_part)
         ]
-        matches = first_part.found + extended[-MAX_CANDIDATES:]
+        matches = first_part.matches + extended[-MAX_CANDIDATES:]
         return Part(
             f"{_STAR}: {self._result_text(matches, 'it did not start')}", matches, [first_part, repeated_part]
         )
@@ -312,11 +313,11 @@ class WhyNot:
             results.append(f"{self._short(result)} {self._times.interval(start.start, end)}")
 
         problem = ""
-        for match in first_part.found:
+        for match in first_part.matches:
             state = collector.start
             if collector.initial is not None:
                 add(match, match.end, collector.initial)
-            for _, last, values in self._later(first_part._replace(found=[match]), collected_part):
+            for _, last, values in self._later(first_part._replace(matches=[match]), collected_part):
                 measured = tuple([self._instantiate(values, term) for term in (*names, value)])
                 try:
                     state = collector.add(state, measured)
@@ -325,15 +326,15 @@ class WhyNot:
                     continue
                 add(match, last.end, collector.result(state))
         reason = self._other_results(results) or "nothing was collected"
-        reason = f"{reason}{problem}" if first_part.found else "it did not begin"
+        reason = f"{reason}{problem}" if first_part.matches else "it did not begin"
         matches = matches[-MAX_CANDIDATES:]
         text = f"{pattern.kind}: {self._result_text(matches, reason, pattern.result)}"
         return Part(text, matches, [first_part, collected_part])
 
     def _later(self, first: Part, second: Part) -> Iterator[Tuple[Candidate, Candidate, Term]]:
         """Yield pairs of matches of which the second starts after the end of the first, and their joint values."""
-        for match in first.found:
-            for later in second.found:
+        for match in first.matches:
+            for later in second.matches:
                 if match.end < later.start:
                     values = self._join(match, later)
                     if values is not None:
@@ -343,7 +344,7 @@ class WhyNot:
         part = self.of(pattern.pattern)
         matches = []
         problems: Dict[str, None] = {}
-        for match in part.found:
+        for match in part.matches:
             goal = _with_times(pattern.goal, match) if pattern.timed else pattern.goal
             try:
                 values = self._solve(goal, match)
@@ -353,9 +354,9 @@ class WhyNot:
             if values is not None:
                 matches.append(match._replace(values=values))
         name = _CONDITION[pattern.timed]
-        if not part.found:
+        if not part.matches:
             return Part(f"{name} {self._show(pattern.goal)}: not tested", [], [part], None, False)
-        rejected = self._candidates(part.found, pattern.goal)
+        rejected = self._candidates(part.matches, pattern.goal)
         rejected = f"false for {rejected}" if " = " in rejected else f"false {rejected}"
         if problems:
             rejected = f"{rejected}, with the error: {next(reversed(list(problems)))}"
@@ -364,35 +365,37 @@ class WhyNot:
 
     def _within(self, pattern: Within) -> Part:
         part = self.of(pattern.pattern)
-        matches = [match for match in part.found if match.end - match.start <= pattern.span]
+        matches = [match for match in part.matches if match.end - match.start <= pattern.span]
         seconds = timestamps.to_seconds(pattern.span + 1)
-        reason = "all took longer" if part.found else "not tested"
+        reason = "all took longer" if part.matches else "not tested"
         return Part(
             f"{_WITHIN} {seconds:g}: {self._result_text(matches, reason)}",
             matches,
             [part],
             None,
-            bool(part.found),
+            bool(part.matches),
         )
 
     def _action(self, pattern: Action) -> Part:
         part = self.of(pattern.pattern)
         text = f"{_ACTION[pattern.every]} {self._show(pattern.goal)}"
-        if not part.found:
+        if not part.matches:
             return Part(f"{text}: not called", [], [part], None, False)
-        return Part(text, part.found, [part])
+        return Part(text, part.matches, [part])
 
     def _windowed(self, pattern: Windowed) -> Part:
+        # The window is evaluated separately from its input, so that missing events and unfinished windows can be told
+        # apart.
         part = self.of(pattern.collected)
         text = f"aggregate over {self._show(window_term(pattern.window))}"
-        if len(part.found) >= MAX_CANDIDATES:
+        if len(part.matches) >= MAX_CANDIDATES:
             text += f" (run again over the newest {MAX_CANDIDATES} events only)"
         node = self._rule.stream_node(pattern)
-        if not part.found or node is None:
-            return Part(f"{text}: nothing was measured", [], [part], None, bool(part.found))
+        if not part.matches or node is None:
+            return Part(f"{text}: nothing was measured", [], [part], None, bool(part.matches))
         # The state of the rule's own window depends on consumption, so a new window is run over the matches.
         window = _WindowEvaluation(node, len(pattern.window.steps), self._instantiate)
-        for match in part.found:
+        for match in part.matches:
             window.take(match)
         outputs = window.finish(self._now)
         matches = []
@@ -408,6 +411,7 @@ class WhyNot:
             results.append(f"{shown_results} {self._times.interval(output.start, output.end)}")
         parts = [part]
         reason = self._other_results(results) or "no window has ended"
+        # Without any result, the steps show how far the best candidate sequence got.
         if pattern.window.kind == "steps" and not results:
             reason = "no events took all steps"
             parts += self._steps(pattern.window.steps, window.progress)
@@ -438,31 +442,32 @@ class WhyNot:
         if node is not None:
             stream.set_bounds(node.stream.bounds)
         outputs = []
-        for match in part.found:
+        for match in part.matches:
             keys = tuple([self._instantiate(match.values, term) for term in pattern.by])
             value = () if pattern.value is None else (self._instantiate(match.values, pattern.value),)
             outputs += stream.ring(match.end)
             outputs += stream.take(StreamElement(match, match.start, match.end, keys, value), match.end, 0)
+        # Operators with deadlines emit at the current time, even without a further event.
         outputs += stream.ring(self._now)
         matches = [output.items[-1].match._replace(end=output.end, event=None) for output in outputs]
         reason = _NOT_LET_THROUGH[pattern.shape].format(timestamps.to_seconds(pattern.span))
-        reason = reason if part.found else "not tested"
+        reason = reason if part.matches else "not tested"
         text = f"{_SHAPE} {self._show(shape_term(pattern))}: {self._result_text(matches, reason)}"
-        return Part(text, matches, [part], None, bool(part.found))
+        return Part(text, matches, [part], None, bool(part.matches))
 
     def _awaited(self, pattern: Awaited) -> Part:
         part, negated = self.of(pattern.pattern), self.of(pattern.negated)
-        elapsed = [match for match in part.found if match.end + pattern.span <= self._now]
+        elapsed = [match for match in part.matches if match.end + pattern.span <= self._now]
         matches = [
             match._replace(end=match.end + pattern.span, event=None)
             for match in elapsed
-            if not any(self._follows(negative, match, pattern.span) for negative in negated.found)
+            if not any(self._follows(negative, match, pattern.span) for negative in negated.matches)
         ]
         reason = "ruled out by what must not happen" if elapsed else "the time after it is not over"
-        reason = reason if part.found else "not tested"
+        reason = reason if part.matches else "not tested"
         seconds = timestamps.to_seconds(pattern.span)
         text = f"{_DEADLINE} {seconds:g}: {self._result_text(matches, reason)}"
-        return Part(text, matches, [part, _negated_part(negated)], None, bool(part.found))
+        return Part(text, matches, [part, _negated_part(negated)], None, bool(part.matches))
 
     def _follows(self, negated: Candidate, match: Candidate, span: int) -> bool:
         """Return whether a match of the negated part lies entirely within the time span after a match."""
@@ -582,7 +587,7 @@ def _negated_part(negated: Part) -> Part:
     # A condition that was not tested explains nothing: the missing event is below it.
     while not reason.tested and reason.parts:
         reason = reason.parts[0]
-    return Part(f"must not happen: {reason.text}", negated.found or [_ANY_MATCH], [])
+    return Part(f"must not happen: {reason.text}", negated.matches or [_ANY_MATCH], [])
 
 
 class _WindowEvaluation:
@@ -610,6 +615,7 @@ class _WindowEvaluation:
     def take(self, match: Candidate) -> None:
         """Pass a match to the window, after emitting the results that are due before it."""
         look(1)
+        # Alarms that are due before the match come first, as in the engine.
         self._outputs += self._stream.ring(match.end)
         values = tuple([self._instantiate(match.values, var) for var in self._node.children[0].vars])
         try:

@@ -12,7 +12,7 @@ from .python_interpreter import text_size
 Key = TypeVar("Key")
 Value = TypeVar("Value")
 
-ENTRY = 200
+ENTRY_BYTES = 200
 """Bytes of an entry in addition to key and value: its part of the dictionary, and small objects around it."""
 
 
@@ -46,7 +46,8 @@ class Cache(Dict[Key, Value]):
             value: the value.
             size: size of key and value in bytes.
         """
-        size += ENTRY
+        # A cache of many tiny entries would otherwise take a multiple of its limit.
+        size += ENTRY_BYTES
         if size <= self.longest:
             # Not atomic on purpose: a race between threads can only lose entries or count them twice until the next
             # `clear`, which resets the count.

@@ -66,6 +66,7 @@ def look(work: int = len(BULK), size: int = 0) -> None:
         work: pieces of work since the last call, counted as inferences.
         size: bytes of the next allocation.
     """
+    # A registered function takes precedence over the budgets.
     check = WATCH.ask
     if check is not None:
         check(work, size)
@@ -86,6 +87,7 @@ def in_bulks(parts: Sequence[T]) -> Iterable[Sequence[T]]: ...
 
 def in_bulks(parts: Sequence[T]) -> Iterable[Sequence[T]]:
     """Return the items of a list or the characters of a text in slices of `BULK`, with a `look` between them."""
+    # Short sequences are the usual case, and cost neither a generator nor a check.
     return (parts,) if len(parts) <= len(BULK) else _bulks(parts)
 
 

@@ -39,7 +39,7 @@ _BUILTINS: Dict[str, object] = {
 """Built-in functions that generated code may use."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,30}\Z")
-_COST = 20
+_BYTES_PER_CHARACTER = 20
 """Estimated memory of a compiled function, in bytes per character of its source."""
 
 MAX_TERM_ARGUMENTS = 1500
@@ -52,7 +52,7 @@ function. Messages and rules that people write stay far below.
 _serials = count(1)
 
 _Key = Tuple[str, Tuple[str, ...], str]
-_makers: Cache[_Key, Callable[..., Any]] = Cache(1000, 16 << 20, _COST * 8000)
+_makers: Cache[_Key, Callable[..., Any]] = Cache(1000, 16 << 20, _BYTES_PER_CHARACTER * 8000)
 """Functions of `shared_function` by source. Longer sources are not cached, because they are rarely equal."""
 
 
@@ -151,6 +151,8 @@ def define(source: str, names: Dict[str, Any], title: str) -> Dict[str, Any]:
     Raises:
         ValueError: if a name is not an identifier of generated source, or the source is not ASCII.
     """
+    # All identifiers are generated and all texts are bound values, so another character means a defect of a
+    # generator.
     if not source.isascii():
         raise ValueError("generated source must be ASCII")
     for name in names:
@@ -159,8 +161,10 @@ def define(source: str, names: Dict[str, Any], title: str) -> Dict[str, Any]:
     # `linecache` identifies sources by file name, so the name must be unique. Tracebacks then show the source.
     file = f"retalis, {_clean(title)} #{next(_serials)}"
     names["__name__"] = file
+    # Read by `linecache` through the frame's globals; nothing is registered globally, so nothing has to be removed.
     names["__loader__"] = _GeneratedSource(source)
     code = compile(source, file, "exec", dont_inherit=True)
+    # Without this, Python would add all built-in functions to the globals when the code is executed.
     confine(code, names, _BUILTINS)
     exec(code, names)
     return names
@@ -182,8 +186,9 @@ def shared_function(source: str, names: Mapping[str, object], title: str) -> Any
     Rules that differ in constants only then share what CPython's adaptive interpreter has specialized, and occupy
     the processor's caches once.
     """
+    # The values are not part of the key: rules that differ in them share the code.
     key = source, tuple(names), title
-    factory = _makers.get(key) or _makers.keep(key, _maker(*key), _COST * len(source))
+    factory = _makers.get(key) or _makers.keep(key, _maker(*key), _BYTES_PER_CHARACTER * len(source))
     return factory(*names.values())
 
 

@@ -37,8 +37,10 @@ def printable(text: str) -> str:
     >>> print(printable("\x1b[31m alarm \u202e"))
     \x1b[31m alarm \u202e
     """
+    # The usual case, decided by two fast methods.
     if text.isascii() and text.isprintable():
         return text
+    # `ascii` yields the escape in quotes, which are removed.
     return _FORGING_CHARACTERS.sub(lambda match: ascii(match[0])[1:-1], text)
 
 
@@ -153,6 +155,7 @@ class RetalisError(Exception):
     """
 
     def __init__(self, message: str, place: Optional[Place] = None):
+        # Messages can quote terms of any size, and reports keep them in memory.
         message = beginning(message, MAX_MESSAGE_CHARACTERS)
         super().__init__(message)
         self.message = message
@@ -238,6 +241,7 @@ class Errors(List[RetalisError]):
         """Add errors, including the number of those that were not stored in ``errors``."""
         for error in errors:
             self.append(error)
+        # Errors that the other list counted but did not store.
         self.more += getattr(errors, "more", 0)
 
     def with_rest(self) -> List[RetalisError]:

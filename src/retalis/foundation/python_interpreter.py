@@ -100,6 +100,7 @@ else:
         def __delitem__(self, where: Any) -> None:
             removed = self[where]
             super().__delitem__(where)
+            # From the end, in the order in which CPython frees the items.
             while removed:
                 self.release(removed.pop())
 
@@ -220,6 +221,7 @@ class YoungCollector:
         # Blocks that were freed since then must not hide new garbage: measure growth from the smaller heap.
         if now < self._blocks:
             self._blocks, self._records = now, self._explained()
+        # Proportional to the heap, so that the total cost of full collections stays linear in what is allocated.
         limit = factor * self._blocks + blocks
         if now <= limit:
             return False
@@ -232,6 +234,8 @@ class YoungCollector:
         A collection cannot be started from a callback, because one is running. With a threshold of 0, CPython makes
         the next one a full one, if the survivors since the last one are at least a quarter of its survivors.
         """
+        # The youngest generation is collected most often, and its survivors may still die soon: freezing waits for
+        # the second.
         if phase == "start" or info["generation"] == 0:
             return
         if self._full_due:

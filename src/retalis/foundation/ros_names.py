@@ -42,6 +42,7 @@ def type_fault(text: str) -> Optional[str]:
 def topic_fault(text: str) -> Optional[str]:
     """Return why a text is not the name of a topic, which may be relative or private, or None if it is."""
     fault = _fault(_TOPIC, text, 'a topic name of ASCII letters, digits, "_" and "/", no digit first')
+    # ROS collapses repeated slashes, so one topic would have two names here.
     if fault is None and "//" in text:
         return f'expected a topic name, found {shortened(text)}, which has "//" in it'
     return fault

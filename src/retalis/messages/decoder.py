@@ -26,7 +26,7 @@ from ..foundation.errors import MessageError
 from ..prolog.terms.timestamps import SECOND
 from ..prolog.terms.types import CONS, FALSE, NIL, TRUE, Atom, Functor, Lazy, Term, atom, functor
 from .field_values import (
-    SMALL,
+    MAX_EAGER_ELEMENTS,
     TEXT_COST,
     alike,
     array_maker,
@@ -131,7 +131,7 @@ class DecoderSource:
         if slot.is_bytes:
             return f"blob({self.fixed(f'{number}s')})"
         # Short arrays (colours, positions) are decoded with the run around them: one `struct` call covers both.
-        if number <= SMALL and slot.definition is None:
+        if number <= MAX_EAGER_ELEMENTS and slot.definition is None:
             parts = [self.single(slot._replace(length=None)) for _ in range(number)]
             return "".join(f"(C, {part}, " for part in parts) + "N" + ")" * number
         size = element_size(slot)
@@ -162,7 +162,7 @@ class DecoderSource:
         self.move(f"{number} * {size}")
         self.lines += [
             f"if not {number}: {value} = N",
-            f"elif {number} <= {SMALL}: {value} = {make}(data[s:o])",
+            f"elif {number} <= {MAX_EAGER_ELEMENTS}: {value} = {make}(data[s:o])",
             f"else: {value} = Lazy(C, {make}, data[s:o])",
         ]
         return value
@@ -258,15 +258,15 @@ def _maker(slot: Field) -> Callable[[bytes], Term]:
     return _compile_records(slot)
 
 
-_BESIDE = 400
+_BESIDE_BYTES = 400
 """Bytes that one value cached beside the strings of a message costs, as an estimate for the cache's limit."""
 
 
-class Unsuited(Exception):
+class UnsupportedLayout(Exception):
     """Raised if a type does not have the layout "numbers, strings, numbers"."""
 
 
-class Watch(NamedTuple):
+class StampWatch(NamedTuple):
     """Observer of the stamps of messages, called while a message is decoded.
 
     The cache of frame names is looked up for every message anyway, so comparing the second of the stamp there costs
@@ -286,13 +286,13 @@ class Watch(NamedTuple):
     look: Callable[[bytes, int], object]
 
 
-class _Nothing:
+class _UnknownStamp:
     """State of frames without an observed stamp: no second equals -1."""
 
     second = -1
 
 
-_NOTHING = _Nothing()
+_UNKNOWN_STAMP = _UnknownStamp()
 
 
 class FrameSource(DecoderSource):
@@ -304,7 +304,7 @@ class FrameSource(DecoderSource):
         watch: observes the stamps of the messages that are decoded.
     """
 
-    def __init__(self, watch: Optional[Watch] = None) -> None:
+    def __init__(self, watch: Optional[StampWatch] = None) -> None:
         super().__init__()
         self.watch = watch
         self.texts: List[str] = []
@@ -317,7 +317,7 @@ class FrameSource(DecoderSource):
         """Add a string; all strings of the message must be adjacent."""
         # Numbers between strings would move the strings that follow, so the key could not be one slice.
         if self.texts and self.format:
-            raise Unsuited
+            raise UnsupportedLayout
         if not self.texts:
             self.before = self.format, self.targets
             self.format, self.targets = "", []
@@ -328,7 +328,7 @@ class FrameSource(DecoderSource):
         """Add the array of messages, if it is the only array and precedes all strings."""
         # After a string, the array's count would not be at a fixed offset.
         if slot.definition is None or self.texts or self.count:
-            raise Unsuited
+            raise UnsupportedLayout
         self.count = self.fixed("I")
         element = self.message(slot.definition)
         return self.only(element)
@@ -339,7 +339,7 @@ class FrameSource(DecoderSource):
 
     def elements(self, slot: Field, number: str) -> str:
         """Refuse elements that differ in size: they do not fit the layout."""
-        raise Unsuited
+        raise UnsupportedLayout
 
     def build(self, definition: Definition, general: Callable[[bytes], object]) -> List[str]:
         """Return the source of the whole function.
@@ -349,15 +349,15 @@ class FrameSource(DecoderSource):
             general: decodes messages that do not fit; it calls the observer itself.
 
         Raises:
-            Unsuited: if the type does not have the layout.
+            UnsupportedLayout: if the type does not have the layout.
         """
         # Zero-byte elements must be counted before anything is decoded.
         if definition.measure.may_be_bare:
-            raise Unsuited
+            raise UnsupportedLayout
         result = self.message(definition)
         head, tail = Struct("<" + self.before[0]), Struct("<" + self.format)
         if not self.texts or not (head.size or tail.size):
-            raise Unsuited
+            raise UnsupportedLayout
         result = self.finish(result)
         self.names.update(head=head.unpack_from, tail=tail.unpack_from, general=general)
         self._cache_texts()
@@ -391,17 +391,17 @@ class FrameSource(DecoderSource):
         lines += self.prepare(tail.size)
         return [*lines, f"  return {result}"]
 
-    def _look(self, watch: Watch) -> List[str]:
+    def _look(self, watch: StampWatch) -> List[str]:
         """Return the statements that call the observer if the second of the stamp differs from the frame's state.
 
         Raises:
-            Unsuited: if not all strings name frames, or the message does not begin with a header's stamp.
+            UnsupportedLayout: if not all strings name frames, or the message does not begin with a header's stamp.
         """
         # The seconds follow ``seq``, and the array's count if there is an array.
         second_index = 2 if self.count else 1
         code, targets = self.before
         if len(self.texts) != watch.texts or code[: second_index + 2] != "I" * (second_index + 2):
-            raise Unsuited
+            raise UnsupportedLayout
         get, look_at = watch.get, watch.look
 
         def look(key: bytes, second: int, nanosecond: int, known: List[object]) -> None:
@@ -413,7 +413,7 @@ class FrameSource(DecoderSource):
                     seen = get(key)
             finally:
                 # Also after an exception: the entry must not refer to a state that the observer has dropped.
-                known[-1] = seen or _NOTHING
+                known[-1] = seen or _UNKNOWN_STAMP
 
         self.names["look"] = look
         second, nanosecond = targets[second_index : second_index + 2]
@@ -421,7 +421,7 @@ class FrameSource(DecoderSource):
 
     def _cache_texts(self) -> None:
         """Define ``known`` and ``learn``, which return the strings of a message by the bytes that they occupy."""
-        beside_bytes = _BESIDE * len(self.beside)
+        beside_bytes = _BESIDE_BYTES * len(self.beside)
         cache: Cache[bytes, object] = (
             Cache(2048, 2 << 20, 1024 + beside_bytes) if beside_bytes else text_cache()
         )
@@ -435,7 +435,7 @@ class FrameSource(DecoderSource):
             values = [cached_value(text) for text in strings]
             # A list, because the generated code replaces the cached values in place.
             if watched or beside:
-                entry = [*values, *beside, *([_NOTHING] if watched else ())]
+                entry = [*values, *beside, *([_UNKNOWN_STAMP] if watched else ())]
                 return cache.keep(key, entry, TEXT_COST * len(key) + beside_bytes)
             return keep_text(cache, key, tuple(values) if string_count > 1 else values[0])
 
@@ -494,7 +494,7 @@ class Decoder:
         self.decode: Decode = _compile_decode(definition, bare)
         self.stamp: Callable[[bytes], Optional[int]] = _compile_stamp(definition)
         # Set by `watching_decoder` on a copy.
-        self.watch: Optional[Watch] = None
+        self.watch: Optional[StampWatch] = None
         self.plain: Optional[Decoder] = None
 
     def lazy(self, data: bytes) -> Term:
@@ -513,11 +513,11 @@ class Decoder:
         return Lazy(self.functor, self.decode, data)
 
 
-def watching_decoder(decoder: Decoder, watch: Watch) -> Decoder:
+def watching_decoder(decoder: Decoder, watch: StampWatch) -> Decoder:
     """Return a decoder that passes the stamps of the messages that it decodes to an observer.
 
     Raises:
-        Unsuited: if the type does not have the layout that `FrameSource` supports.
+        UnsupportedLayout: if the type does not have the layout that `FrameSource` supports.
     """
     plain = decoder.decode
 
@@ -551,11 +551,11 @@ def _compile_decode(definition: Definition, bare: int) -> Decode:
         return _checked(definition, bare, general)
     try:
         return _compile_frames(definition, general)
-    except Unsuited:
+    except UnsupportedLayout:
         return general
 
 
-def _compile_frames(definition: Definition, general: Decode, watch: Optional[Watch] = None) -> Decode:
+def _compile_frames(definition: Definition, general: Decode, watch: Optional[StampWatch] = None) -> Decode:
     frames = FrameSource(watch)
     lines = frames.build(definition, general)
     fast: Decode = codegen.function(lines, frames.names, f"decode {definition.name}", "decode")

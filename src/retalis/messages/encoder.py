@@ -18,7 +18,7 @@ from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError
 from ..foundation.python_interpreter import text_size
 from ..prolog.terms.types import CONS, FALSE, NIL, TRUE, Atom, Lazy, Term, atom, functor
-from .field_values import SMALL, array_maker, raw_bytes, text_bytes
+from .field_values import MAX_EAGER_ELEMENTS, array_maker, raw_bytes, text_bytes
 from .term_validation import CheckingEncoder
 from .type_definition import PRIMITIVES, TIMES, VARIABLE, Definition, Field
 
@@ -110,7 +110,7 @@ class _EncoderSource:
         elif slot.is_bytes:
             self.blob(slot, value)
         # Short arrays are unpacked in the generated code and packed with the numbers around them.
-        elif 0 < slot.length <= SMALL and slot.definition is None and slot.type != "string":
+        elif 0 < slot.length <= MAX_EAGER_ELEMENTS and slot.definition is None and slot.type != "string":
             for item in self.items(value, slot.length):
                 self.single(slot, item)
         else:

@@ -23,16 +23,16 @@ from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError
 from ..prolog.terms.types import CONS, NIL, Atom, Functor, Lazy, String, Term, atom, functor
 
-MARK = "FFFFFFFFFF"
+BASE64_MARK = "FFFFFFFFFF"
 """Prefix of the base64 form; text that begins with it is itself written as base64."""
 
-_MARK_BYTES = MARK.encode()
+_BASE64_MARK_BYTES = BASE64_MARK.encode()
 
-_LINE, _BREAK = 76, "////"
+_BASE64_LINE_LENGTH, _BASE64_LINE_END = 76, "////"
 _ASCII = re.compile(rb"[ -~\t\n\r\v\f]*\Z")
 _CONTROL = re.compile("[\0-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 
-LONG = 1024
+MAX_EAGER_BYTES = 1024
 """Strings longer than this many bytes become lazy terms."""
 
 TEXT: Functor = functor("", 0)
@@ -41,7 +41,7 @@ TEXT: Functor = functor("", 0)
 
 def text_atom(data: bytes) -> Atom:
     """Return the atom of a message's string."""
-    if data.startswith(_MARK_BYTES):
+    if data.startswith(_BASE64_MARK_BYTES):
         return _base64_atom(data)
     try:
         text = str(data, "utf-8")
@@ -52,21 +52,21 @@ def text_atom(data: bytes) -> Atom:
 
 def blob_atom(data: bytes) -> Atom:
     """Return the atom of a message's byte array."""
-    if _ASCII.match(data) and not data.startswith(_MARK_BYTES):
+    if _ASCII.match(data) and not data.startswith(_BASE64_MARK_BYTES):
         return atom('"' + str(data, "ascii") + '"')
     return _base64_atom(data)
 
 
 def text_term(data: bytes) -> Term:
     """Return the atom of a message's string, as a lazy term if it is long."""
-    if len(data) > LONG:
+    if len(data) > MAX_EAGER_BYTES:
         return Lazy(TEXT, text_atom, data)
     return text_atom(data)
 
 
 def blob_term(data: bytes) -> Term:
     """Return the atom of a message's byte array, as a lazy term if it is long."""
-    if len(data) > LONG:
+    if len(data) > MAX_EAGER_BYTES:
         return Lazy(TEXT, blob_atom, data)
     return blob_atom(data)
 
@@ -99,8 +99,8 @@ def text_bytes(term: Term) -> Optional[bytes]:
         name = term.text
     else:
         return None
-    if name.startswith(MARK):
-        return _decode_base64(name[len(MARK) :])
+    if name.startswith(BASE64_MARK):
+        return _decode_base64(name[len(BASE64_MARK) :])
     try:
         return name.encode("utf-8", "surrogateescape")
     except UnicodeEncodeError as error:
@@ -111,8 +111,11 @@ def text_bytes(term: Term) -> Optional[bytes]:
 
 def _base64_atom(data: bytes) -> Atom:
     text = str(b64encode(data), "ascii")
-    lines = "".join(text[start : start + _LINE] + _BREAK for start in range(0, len(text), _LINE))
-    return atom(f'"{MARK}{lines}"')
+    lines = "".join(
+        text[start : start + _BASE64_LINE_LENGTH] + _BASE64_LINE_END
+        for start in range(0, len(text), _BASE64_LINE_LENGTH)
+    )
+    return atom(f'"{BASE64_MARK}{lines}"')
 
 
 def _decode_base64(text: str) -> bytes:
@@ -121,14 +124,16 @@ def _decode_base64(text: str) -> bytes:
     Lines are split by position, because the characters of a line end are also in the base64 alphabet.
     """
     # `/` is a base64 digit, so searching for the line end could find data.
-    step = _LINE + len(_BREAK)
+    step = _BASE64_LINE_LENGTH + len(_BASE64_LINE_END)
     lines = [text[start : start + step] for start in range(0, len(text), step)]
-    if any(not line.endswith(_BREAK) for line in lines):
-        raise MessageError(f"expected base64 in lines of {_LINE} characters, each followed by {_BREAK}")
+    if any(not line.endswith(_BASE64_LINE_END) for line in lines):
+        raise MessageError(
+            f"expected base64 in lines of {_BASE64_LINE_LENGTH} characters, each followed by {_BASE64_LINE_END}"
+        )
     try:
-        return b64decode("".join(line[: -len(_BREAK)] for line in lines), validate=True)
+        return b64decode("".join(line[: -len(_BASE64_LINE_END)] for line in lines), validate=True)
     except (Base64Error, ValueError) as error:
-        raise MessageError(f"expected base64 after {MARK}: {error}") from None
+        raise MessageError(f"expected base64 after {BASE64_MARK}: {error}") from None
 
 
 _Value = TypeVar("_Value")
@@ -177,7 +182,7 @@ def read_texts(key: bytes, number: int) -> Optional[Tuple[Term, ...]]:
     return tuple(terms) if offset == len(key) and number else None
 
 
-SMALL = 4
+MAX_EAGER_ELEMENTS = 4
 """Arrays up to this length are decoded with the message, because a lazy term would cost as much."""
 
 Make = Callable[[bytes], Term]

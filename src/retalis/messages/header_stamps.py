@@ -13,7 +13,7 @@ from struct import error as StructError
 from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
 
 from ..prolog.terms.timestamps import SECOND
-from .decoder import Decoder, Unsuited, Watch, watching_decoder
+from .decoder import Decoder, StampWatch, UnsupportedLayout, watching_decoder
 from .type_definition import HEADER, VARIABLE, Definition, Field, element_end
 
 FrameStamp = Tuple[bytes, int]
@@ -24,7 +24,7 @@ ReadStamps = Callable[[bytes], List[FrameStamp]]
 ReadStamp = Callable[[bytes], Optional[int]]
 """Function from the bytes of a message to the time of its own header, as `Decoder.stamp`."""
 
-Look = Callable[[List[FrameStamp]], object]
+StampObserver = Callable[[List[FrameStamp]], object]
 """Observer of a message's stamps, called if at least one of them has a second that was not observed yet."""
 
 _CHILD = "child_frame_id"
@@ -53,7 +53,7 @@ def stamp_reader(definition: Definition) -> Optional[ReadStamps]:
     return read
 
 
-def watched(decoder: Decoder, known: Mapping[bytes, Any], look: Look) -> Decoder:
+def watched(decoder: Decoder, known: Mapping[bytes, Any], look: StampObserver) -> Decoder:
     """Return a decoder that passes stamps to an observer if their second differs from the last observed one.
 
     The observer is called by `Decoder.decode` for types that `FrameSource` supports, otherwise by `Decoder.stamp`:
@@ -86,9 +86,9 @@ def watched(decoder: Decoder, known: Mapping[bytes, Any], look: Look) -> Decoder
             look([(key, instant)])
 
     try:
-        watch = Watch(_texts_of_frames(definition), get, look_at, look_at_one)
+        watch = StampWatch(_texts_of_frames(definition), get, look_at, look_at_one)
         return watching_decoder(decoder, watch)
-    except Unsuited:
+    except UnsupportedLayout:
         pass
 
     def watched_stamp(data: bytes) -> Optional[int]:
@@ -107,11 +107,11 @@ def _texts_of_frames(definition: Definition) -> int:
     """Return the number of strings that name frames in a message with one stamp, in its header or its only array.
 
     Raises:
-        Unsuited: if the type has another form.
+        UnsupportedLayout: if the type has another form.
     """
     slots = _stamped_slots(definition)
     if len(slots) > 1 or (slots[0].slot.length is not None and len(definition.fields) > 1):
-        raise Unsuited
+        raise UnsupportedLayout
     return 2 if slots[0].has_child else 1
 
 

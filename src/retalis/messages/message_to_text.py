@@ -14,8 +14,8 @@ from typing import AbstractSet, Any, Callable, List, NamedTuple, Optional
 from ..foundation import codegen
 from ..prolog.syntax.event_text import to_text
 from ..prolog.terms.types import Lazy, Term, atom
-from .decoder import Decoder, FrameSource, Unsuited, Watch
-from .field_values import SMALL
+from .decoder import Decoder, FrameSource, StampWatch, UnsupportedLayout
+from .field_values import MAX_EAGER_ELEMENTS
 from .type_definition import PRIMITIVES, TIMES, Definition, Field
 
 _EDGE = "\0"
@@ -46,7 +46,7 @@ def text_writer(decoder: Decoder) -> Callable[[bytes], str]:
     code = _TextSource(decoder.watch)
     try:
         lines = code.build(decoder.definition, general)
-    except Unsuited:
+    except UnsupportedLayout:
         return general
     write: Callable[[bytes], str] = codegen.function(
         lines, code.names, f"text of {decoder.definition.name}", "decode"
@@ -131,7 +131,7 @@ class _TextSource(FrameSource):
     values between delimiters.
     """
 
-    def __init__(self, watch: Optional[Watch] = None) -> None:
+    def __init__(self, watch: Optional[StampWatch] = None) -> None:
         super().__init__(watch)
         self._floats: List[_Floats] = []
 
@@ -182,13 +182,13 @@ class _TextSource(FrameSource):
         code = PRIMITIVES[slot.type]
         # A boolean is written as an atom, and characters are bytes: neither is the value's own text.
         if code in "?c":
-            raise Unsuited
+            raise UnsupportedLayout
         return self._together([code]) if code in "fd" else _value(self.fixed(code))
 
     def fixed_array(self, slot: Field) -> str:
         length = slot.length or 0
-        if slot.is_bytes or length > SMALL or (length and slot.definition is not None):
-            raise Unsuited
+        if slot.is_bytes or length > MAX_EAGER_ELEMENTS or (length and slot.definition is not None):
+            raise UnsupportedLayout
         element = slot._replace(length=None)
         if _is_float(element):
             return f"[{self._together([PRIMITIVES[slot.type]] * length)}]" if length else "[]"

@@ -48,7 +48,7 @@ _LINE = re.compile(
 )
 _QUOTED = re.compile(r"""\s*(?:"((?:[^"\\]|\\.)*)"|'((?:[^'\\]|\\.)*)')\s*(?:#.*)?$""")
 
-_TYPES = {
+_ROS1_TYPES = {
     "byte": "uint8",
     "octet": "uint8",
     "wstring": "string",
@@ -58,10 +58,10 @@ _TYPES = {
 }
 """Names of types in ROS 1."""
 
-_TEXTS = ("string", "wstring")
+_STRING_TYPES = ("string", "wstring")
 
 _INSTANT = "int32 sec\nuint32 nanosec\n"
-_USUAL = {"builtin_interfaces/Time": _INSTANT, "builtin_interfaces/Duration": _INSTANT}
+_BUILTIN_DEFINITIONS = {"builtin_interfaces/Time": _INSTANT, "builtin_interfaces/Duration": _INSTANT}
 """Types that definitions use without containing them."""
 
 
@@ -132,7 +132,7 @@ def _reachable(name: str, texts: Dict[str, str], find: FindText) -> Dict[str, _R
         if type_name in types:
             continue
         if type_name not in texts:
-            text = _USUAL.get(type_name) or find(type_name)
+            text = _BUILTIN_DEFINITIONS.get(type_name) or find(type_name)
             if text is None:
                 raise MessageError(
                     f"the type {beginning(type_name)} is not defined in the bag or on this system"
@@ -171,7 +171,7 @@ class _Ros2DefinitionReader:
             if not content or content.startswith("#"):
                 continue
             match = _LINE.match(line)
-            if match is None or (match["bound"] and match["type"] not in _TEXTS):
+            if match is None or (match["bound"] and match["type"] not in _STRING_TYPES):
                 problem = f"expected 'type name' or 'type NAME=value', found {shortened(content)}"
             else:
                 problem = self._line(match)
@@ -186,7 +186,7 @@ class _Ros2DefinitionReader:
         if not rest.startswith("="):
             self._slot(match)
             return ""
-        type_name = _TYPES.get(match["type"], match["type"])
+        type_name = _ROS1_TYPES.get(match["type"], match["type"])
         if type_name not in PRIMITIVES and type_name != "string":
             return f"a constant cannot be of type {shortened(type_name)}"
         self._constant(type_name, match["name"], rest[1:])
@@ -213,7 +213,7 @@ class _Ros2DefinitionReader:
         if type_name == "wstring":
             self.wide.append(name)
         type_name = plain_type(type_name)
-        type_name = _TYPES.get(type_name, type_name)
+        type_name = _ROS1_TYPES.get(type_name, type_name)
         if type_name not in PRIMITIVES and type_name not in TIMES and type_name != "string":
             type_name = self._full_name(type_name)
             self.slot_types.append(type_name)
@@ -242,10 +242,10 @@ _WideSlots = FrozenSet[Tuple[str, str]]
 _CODES = {1: "B", 2: "H", 4: "I", 8: "Q"}
 """Codes by which numbers are copied, by size: integers, because they preserve every bit of a float."""
 
-_SHORT = 8
+_MAX_INLINE_NUMBERS = 8
 """Arrays of at most this many numbers are copied together with the slots around them."""
 
-_PADDING = 3
+_MAX_PADDING_BYTES = 3
 """Maximum number of bytes after a message: some implementations pad messages to a multiple of four bytes."""
 
 
@@ -272,7 +272,7 @@ def _converter(definition: Definition, wide: _WideSlots) -> Callable[[bytes], by
                 end = convert(data, 0, chunks.append)
             except (StructError, UnicodeDecodeError):
                 continue
-            if 0 <= len(data) - end <= _PADDING:
+            if 0 <= len(data) - end <= _MAX_PADDING_BYTES:
                 return b"".join(chunks)
         raise MessageError(f"{len(data)} bytes of CDR are not a {definition.name}")
 
@@ -344,7 +344,7 @@ class _ConverterSource:
 
     def array(self, slot: Field, is_wide: bool, length: int) -> None:
         numbers = _sizes(slot)
-        if numbers and 0 <= length <= _SHORT:
+        if numbers and 0 <= length <= _MAX_INLINE_NUMBERS:
             self.sizes += numbers * length
             return
         self.flush()
@@ -404,11 +404,13 @@ def _sizes(slot: Field) -> List[int]:
     if slot.definition.name == HEADER:
         return sizes
     for inner in slot.definition.fields:
-        element_sizes = _sizes(inner) if inner.length is None or 0 < inner.length <= _SHORT else []
+        element_sizes = (
+            _sizes(inner) if inner.length is None or 0 < inner.length <= _MAX_INLINE_NUMBERS else []
+        )
         if not element_sizes or element_sizes[0] != (sizes or element_sizes)[0]:
             return []
         sizes += element_sizes * (inner.length or 1)
-    return sizes if len(sizes) <= _SHORT else []
+    return sizes if len(sizes) <= _MAX_INLINE_NUMBERS else []
 
 
 def _aligned(sizes: List[int], phase: int) -> str:

@@ -333,14 +333,14 @@ def check_bare(definition: Definition, data: bytes, limit: int) -> None:
         )
 
 
-def element_end(data: bytes, slot: Field, at: int) -> int:
-    """Return the offset of the end of a slot that begins at offset ``at``.
+def element_end(data: bytes, slot: Field, offset: int) -> int:
+    """Return the offset of the end of a slot that begins at offset ``offset``.
 
     Raises:
         struct.error: if the bytes end before.
     """
     try:
-        return _Walk(data).end_of(slot, at, slot.name)
+        return _Walk(data).end_of(slot, offset, slot.name)
     except _Truncated as cut:
         raise StructError(cut.path) from None
 
@@ -358,44 +358,44 @@ class _Walk:
         self.data = data
         self.bare = 0
 
-    def end(self, definition: Definition, at: int, prefix: str) -> int:
-        """Return the end offset of a message that begins at ``at``."""
+    def end(self, definition: Definition, offset: int, prefix: str) -> int:
+        """Return the end offset of a message that begins at ``offset``."""
         for slot in definition.fields:
-            at = self.end_of(slot, at, prefix + slot.name)
-        return at
+            offset = self.end_of(slot, offset, prefix + slot.name)
+        return offset
 
-    def end_of(self, slot: Field, at: int, path: str) -> int:
-        """Return the end offset of a slot that begins at ``at``."""
+    def end_of(self, slot: Field, offset: int, path: str) -> int:
+        """Return the end offset of a slot that begins at ``offset``."""
         count = 1 if slot.length is None else slot.length
         if slot.length == VARIABLE:
-            at, count = at + 4, self.number(at, path)
+            offset, count = offset + 4, self.number(offset, path)
         element = measure_of(slot)
         # Elements of fixed size are skipped with one multiplication, however many there are.
         if not element.fixed:
-            return self.elements(slot, count, at, path)
-        at += count * element.least
+            return self.elements(slot, count, offset, path)
+        offset += count * element.least
         self.bare += count * (element.bare + (slot.length is not None and not element.least))
-        if at > len(self.data):
+        if offset > len(self.data):
             raise _Truncated(path)
-        return at
+        return offset
 
-    def elements(self, slot: Field, count: int, at: int, path: str) -> int:
+    def elements(self, slot: Field, count: int, offset: int, path: str) -> int:
         """Return the end offset of elements that differ in size."""
         for index in range(count):
             place = path if slot.length is None else f"{path}[{index}]"
             if slot.definition is not None:
-                at = self.end(slot.definition, at, place + ".")
+                offset = self.end(slot.definition, offset, place + ".")
             else:
-                at += 4 + self.number(at, place)
-                if at > len(self.data):
+                offset += 4 + self.number(offset, place)
+                if offset > len(self.data):
                     raise _Truncated(place)
-        return at
+        return offset
 
-    def number(self, at: int, path: str) -> int:
+    def number(self, offset: int, path: str) -> int:
         """Return the 32-bit count at an offset."""
-        if at + 4 > len(self.data):
+        if offset + 4 > len(self.data):
             raise _Truncated(path)
-        count: int = unpack_from("<I", self.data, at)[0]
+        count: int = unpack_from("<I", self.data, offset)[0]
         return count
 
 

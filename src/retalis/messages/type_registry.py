@@ -19,10 +19,10 @@ from .decoder import Decoder
 from .encoder import Encoder
 from .type_definition import BARE, MAX_TYPE_DEPTH, Definition, parse, split_sections
 
-_ROS = "/opt/ros"
-_SHARE = ("/usr/share", "/usr/local/share")
-_MODULES = ("/usr/lib/python3/dist-packages",)
-_DEPTH = 4
+_ROS_FOLDER = "/opt/ros"
+_SHARE_FOLDERS = ("/usr/share", "/usr/local/share")
+_MODULE_FOLDERS = ("/usr/lib/python3/dist-packages",)
+_MAX_FOLDER_DEPTH = 4
 
 _FULL_TEXT = re.compile(r'^[ \t]*_full_text = """((?:[^"\\]|\\.|"(?!""))*)"""', re.MULTILINE | re.DOTALL)
 """Definition in a module that genpy has generated: always a literal in three double quotes."""
@@ -57,7 +57,7 @@ class Installed:
     ):
         usual = _package_folders() if packages is None else packages
         self._packages = list(dict.fromkeys([*further, *usual]))
-        self._modules = list(dict.fromkeys([*sys.path, *_MODULES] if modules is None else modules))
+        self._modules = list(dict.fromkeys([*sys.path, *_MODULE_FOLDERS] if modules is None else modules))
         self._rosbags = rosbags
         self._sources: Optional[Dict[str, str]] = None
 
@@ -106,7 +106,7 @@ class Installed:
             for folder in self._packages:
                 # Install spaces are flat; searching them recursively would read thousands of folders.
                 if os.path.basename(folder.rstrip("/")) != "share":
-                    _find_packages(folder, _DEPTH, sources)
+                    _find_packages(folder, _MAX_FOLDER_DEPTH, sources)
             # Assigned last: another thread must not search in an incomplete dictionary.
             self._sources = sources
         return self._sources
@@ -165,16 +165,16 @@ def _package_folders() -> List[str]:
     for prefix in os.environ.get("CMAKE_PREFIX_PATH", "").split(os.pathsep):
         if prefix:
             folders.append(os.path.join(prefix, "share"))
-    return [*folders, *_distributions(), *_SHARE]
+    return [*folders, *_distributions(), *_SHARE_FOLDERS]
 
 
 def _distributions() -> List[str]:
     """Return the folders of ROS distributions that are installed below ``/opt/ros``."""
     try:
-        names = sorted(os.listdir(_ROS))
+        names = sorted(os.listdir(_ROS_FOLDER))
     except OSError:  # no distribution is installed
         return []
-    return [os.path.join(_ROS, name, "share") for name in names]
+    return [os.path.join(_ROS_FOLDER, name, "share") for name in names]
 
 
 def _find_packages(folder: str, depth: int, packages: Dict[str, str]) -> None:
@@ -231,10 +231,10 @@ def _rosbags_text(package: str, type_name: str) -> Optional[Tuple[str, str]]:
     return text, "rosbags"
 
 
-_SAME = {"tf/tfMessage": "tf2_msgs/TFMessage"}
+_ALIASES = {"tf/tfMessage": "tf2_msgs/TFMessage"}
 """Types that are another type under an old name, with equal text and checksum."""
 
-_COMMON = {"tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms\n"}
+_FALLBACK_DEFINITIONS = {"tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms\n"}
 """Types that every robot publishes, and that some systems do not install as text (Debian, ``rosbags``)."""
 
 _Key = Tuple[str, str]
@@ -569,10 +569,10 @@ class _Resolver:
         known = self.registry.known(name)
         if known is not None:
             return known
-        if name in _COMMON:
-            return parse(name, _COMMON[name], self._nested)
-        if name in _SAME:
-            return self.resolve(_SAME[name]).renamed(name)
+        if name in _FALLBACK_DEFINITIONS:
+            return parse(name, _FALLBACK_DEFINITIONS[name], self._nested)
+        if name in _ALIASES:
+            return self.resolve(_ALIASES[name]).renamed(name)
         raise MessageError(
             f"no definition of the message type {beginning(name)} is installed or has been received"
         )

@@ -126,6 +126,7 @@ class MergedBag:
         """
         start = self.start if start is None else max(start, self.start)
         ends = [end for end in (stop, self._stop) if end is not None]
+        # Each bag is filtered by itself, by its index where it has one, before the streams are merged.
         streams = [bag.records(topics, start, min(ends, default=None)) for bag in self._bags]
         return streams[0] if len(streams) == 1 else iter(merge(*streams, key=attrgetter("time")))
 
@@ -144,6 +145,7 @@ def _refuse_twice(paths: Sequence[PathLike]) -> None:
     """Raise an error if a bag is given twice, because its messages would be processed twice."""
     seen: Dict[Path, PathLike] = {}
     for path in paths:
+        # Symbolic links and relative paths must not hide that two paths are one bag.
         resolved = Path(path).resolve()
         if resolved in seen:
             raise UsageError(f"{path} is given twice")
@@ -228,6 +230,7 @@ def _parse_part_name(name: str) -> Tuple[str, str, int]:
     if not (mark and number.isdecimal() and len(number) < 10):
         return name, "", -1
     rest, _, date = base.rpartition("_")
+    # The name of a recording may contain underscores and digits itself, so the form of the date is checked exactly.
     if len(date) == len("2014-10-19-19-50-06") and date.replace("-", "").isdecimal() and date.count("-") == 5:
         return rest, date, int(number)
     return base, "", int(number)
@@ -277,6 +280,7 @@ def _fetch(files: Any, path: str, local: str) -> None:
             raise ValueError(f"'{name}' is outside of the folder")
         target = Path(local) / inside
         target.parent.mkdir(parents=True, exist_ok=True)
+        # A server may send more than it states, and a full disk would stop other programs of the robot.
         stated, free = files.size(name), shutil.disk_usage(target.parent).free // 2
         allowed = free if stated is None else min(stated, free)
         with files.open(name, "rb") as source, target.open("wb") as file:
@@ -322,6 +326,7 @@ def remove_parts(targets: Iterable[str]) -> None:
     names = {os.path.split(target) for target in targets if not is_url(target)}
     for folder in {folder for folder, _ in names}:
         for path in Path(folder).glob(f".*{_INCOMPLETE_SUFFIX}"):
+            # Other runs may be writing other results to the same folder.
             if (folder, path.name[1 : -len(_INCOMPLETE_SUFFIX)].rpartition(".")[0]) in names:
                 path.unlink()
 
@@ -357,6 +362,7 @@ def _names_below(place: str) -> Optional[List[str]]:
 def _bags_of(names: Iterable[str]) -> List[str]:
     """Return the names that are bags, sorted; hidden files and folders are skipped."""
     paths = [path for path in map(PurePosixPath, names) if not any(part[0] == "." for part in path.parts)]
+    # The files in a ROS 2 bag are parts of it, not bags of their own.
     folders = {path.parent for path in paths if path.name == METADATA}
     files = {path for path in paths if path.name.endswith(_BAG_SUFFIXES) and path.parent not in folders}
     return [path.as_posix() for path in sorted(folders | files, key=lambda path: path.parts)]

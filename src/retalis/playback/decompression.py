@@ -78,7 +78,9 @@ def unpack(compression: str, packed: bytes, size: int) -> bytes:
             decompressor = LZ4FrameDecompressor()
         else:
             raise ValueError(f"compression '{compression[:20]}' is unknown: expected none, bz2, lz4 or zstd")
+        # `max_length` bounds the memory even if the stream expands without end.
         data = decompressor.decompress(packed, max_length=size + 1)
+        # A truncated stream can have the right number of bytes without its checksum.
         complete = decompressor.eof
     if len(data) > size:
         raise ValueError(f"it has more than the {size} bytes that its header states")
@@ -91,6 +93,7 @@ def read_up_to(source: BinaryIO, size: int) -> bytes:
     """Return at most ``size`` bytes of a stream, using memory for at most twice the bytes that are read."""
     blocks: List[bytes] = []
     while size > 0:
+        # Read in blocks: a reader may allocate the requested size before it knows how much there is.
         block = source.read(min(size, _BLOCK))
         if not block:
             break

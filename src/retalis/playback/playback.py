@@ -117,6 +117,7 @@ class Playback:
         self._folder = folder = Path(program)
         self.clock = StreamClock(0)
         self._reports = Reports()
+        # A bag can contain a million messages with the same problem.
         self._reports.once = True
         self._skew = ClockSkewMonitor(self._reports, self.clock.now, self.clock.now, max_skew)
         self.definitions = Definitions()
@@ -147,8 +148,10 @@ class Playback:
         self._events = {by_name(topic): event for topic, event in topic_file.events}
         self._new_topics: Set[str] = set()
         self._latched = {by_name(topic) for topic in topic_file.latched}
+        # Registered before the program is loaded, because its goals may publish.
         self.engine.on_output(self._collect)
         self.engine.input_topics.begin(self._subscribe, self._topics, self._direct)
+        # A restored engine contains its program; loading it again would duplicate the rules.
         if state is None:
             self._load()
 
@@ -172,6 +175,7 @@ class Playback:
                 processing: it may inspect the engine but must not change it.
         """
         outputs = self._outputs
+        # A further bag may have been recorded with other clocks.
         self._skew.forget()
         self._learn_all(bag, [topic for topic, _ in self._requested], self._default_topics)
         for warning in self.engine.warnings(self._folder, self.definitions, self._topics, self._direct):
@@ -180,6 +184,7 @@ class Playback:
         self._topics_warned.update(self.engine.output_topics())
         wanted = {topic.name for topic in bag.topics if by_name(topic.name) in self._types}
         self._new_topics.clear()
+        # By identity, because hashing a topic would hash all its fields for every message.
         decoders = {id(topic): self._decoders.get(topic) for topic in bag.topics}
         records = self._records(bag, wanted, decoders)
         done = count(1)
@@ -190,6 +195,7 @@ class Playback:
                 self.engine.post_each(self._messages(batch, decoders, lambda: progress(next(done))))
                 yield from outputs
                 outputs.clear()
+        # Alarms that are due before the end of the bag ring even if no further message is used.
         self.clock.move_to(bag.end)
         self.engine.advance()
         yield from outputs
@@ -220,6 +226,7 @@ class Playback:
             # `back`: the clocks of several bags, or a bag with unordered times, may go back.
             clock.move_to(time, back=True)
             decoder = decoders[id(topic)]
+            # Messages of topics with an unusable type still move the clock.
             message = None if decoder is None else self._decoded(topic, decoder, data)
             if message is not None:
                 yield message
@@ -246,6 +253,7 @@ class Playback:
                     self._ring_until(bag.start, limit)
             if self._new_topics:
                 remaining = stream if record is None else chain((record,), stream)
+                # The new topics start after the current time, so no message is repeated.
                 stream = iter(merge(remaining, self._join(bag, decoders), key=_TIME))
             elif record is None:
                 return

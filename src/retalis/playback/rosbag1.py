@@ -44,7 +44,7 @@ from ..foundation.errors import RetalisError
 from ..messages.type_definition import Definition
 from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, reason, unpack
 
-AHEAD = 3
+MAX_CHUNKS_AHEAD = 3
 """Number of chunks that are decompressed before they are needed."""
 
 _MAX_AHEAD_BYTES = 16 << 20
@@ -88,6 +88,7 @@ def chunks(
     """
     order = [position for position, _ in groupby(positions)]
     reader = _ChunkReader(file, places, limit, order)
+    # One core remains for the engine. More threads do not help, because the messages are processed serially.
     thread_count = min(2, (os.cpu_count() or 1) - 1)
     if thread_count and any(map(reader.is_slow, order)):
         with ThreadPoolExecutor(thread_count, "chunks of a bag") as pool:
@@ -109,6 +110,7 @@ class _ChunkReader:
         self._places = places
         self._limit = limit
         self._order = order
+        # A chunk whose last use has passed is freed at once.
         self._last_use = {position: index for index, position in enumerate(order)}
         self._kept: Dict[int, Tuple[int, Future[bytes]]] = {}
         self._kept_bytes = 0
@@ -128,7 +130,7 @@ class _ChunkReader:
         for index, position in enumerate(self._order):
             if self.is_slow(position):
                 pending.append(self.begin(index, submit))
-                if len(pending) > AHEAD:
+                if len(pending) > MAX_CHUNKS_AHEAD:
                     yield pending.popleft().result()
                 continue
             # Chunks are yielded in order, so the pending ones come first.
@@ -149,6 +151,7 @@ class _ChunkReader:
             # The error is raised when this chunk is next: the chunks before it are still read.
             except (OSError, ValueError) as error:
                 return _completed_future(_raise, error)
+            # The file is read here and only decompressed elsewhere, since all threads share its position.
             records = submit(_unpack, chunk, packed, position)
             # Kept until its last use, within the limit for one chunk, so that memory does not depend on the index.
             if index < self._last_use[position] and self._kept_bytes + chunk.size <= self._limit.bytes:
@@ -162,6 +165,7 @@ class _ChunkReader:
         chunk = self._places.get(position)
         if chunk is None:
             raise ValueError(f"the index names a chunk at byte {position}: there is none")
+        # Compared before anything is read: the stated size is what decompression may allocate.
         self._limit.check(chunk.size, f"the chunk at byte {position} states")
         if position in self._read_positions:
             self._rereadable_bytes -= chunk.size
@@ -339,6 +343,7 @@ class BagReader:
             for entry in self._reader.indexes[connection.id]
             if (start is None or start <= entry.time) and (stop is None or entry.time < stop)
         ]
+        # `sort` is stable, so that messages with equal times keep the order of their connections.
         entries.sort(key=itemgetter(0))
         return entries
 
@@ -378,6 +383,7 @@ class BagWriter:
     def __init__(self, path: PathLike, overwrite: bool = False):
         self.path = Path(path)
         writer = _rosbag1().Writer
+        # A folder is never replaced.
         if self.path.exists() and not (overwrite and self.path.is_file()):
             raise BagError(f"{self.path} already exists")
         try:
@@ -392,6 +398,7 @@ class BagWriter:
         """Add a connection; return the argument for `write` that identifies it."""
         return self._writer.add_connection(
             topic,
+            # `rosbags` uses the names of ROS 2 for all types.
             definition.name.replace("/", "/msg/"),
             msgdef=definition.full_text,
             md5sum=definition.md5sum,
@@ -439,6 +446,7 @@ def _messages(entries: List[_MessageEntry], contents: Iterator[bytes]) -> Iterat
     # most: otherwise index entries of 12 bytes each could repeat a message of megabytes.
     unclaimed: Dict[int, int] = {}
     for time, position, offset, topic in entries:
+        # Consecutive messages of a chunk need no lookup.
         if position != current:
             unclaimed[current] = unclaimed_in_chunk
             current, chunk = position, next(contents)
@@ -534,6 +542,7 @@ def _index_reader(rosbag1: Any) -> Any:
 
         def read_connection(self) -> Any:
             connection = super().read_connection()
+            # A second definition could change the type of messages that were assigned to the first one.
             if connection.id in self._ids:
                 raise ValueError(f"connection {connection.id} is defined twice")
             self._ids.add(connection.id)
@@ -551,6 +560,7 @@ def _index_reader(rosbag1: Any) -> Any:
         def open(self) -> None:
             super().open()
             # Overlapping chunks would allow a small file to contain the same messages many times.
+            # The index may list chunks in any order.
             self._records.sort()
             for (_, end), (position, _) in zip(self._records, self._records[1:]):
                 if position < end:

@@ -100,6 +100,8 @@ class SqliteFile:
             stack.callback(self._database.close)
             # A schema from an untrusted file must not call functions with side effects.
             self._database.execute("PRAGMA trusted_schema = OFF")
+            # Older versions of Python cannot limit single values; the number of rows and steps is limited in any
+            # case.
             set_limit = getattr(self._database, "setlimit", None)  # from Python 3.11
             if set_limit is not None:
                 set_limit(_LIMIT_LENGTH, min(limit.bytes + 1, self._size + 1, _MAX_LENGTH))
@@ -123,6 +125,7 @@ class SqliteFile:
                 query += f" AND timestamp {operator} ?"
                 arguments.append(bound)
         for identifier, time, data in self._ask(f"{query} ORDER BY timestamp", *arguments):
+            # SQLite does not enforce the types of columns.
             if time.__class__ is not int or data.__class__ is not bytes:
                 raise ValueError("a message is not an integer and a blob")
             yield identifier, time, data
@@ -141,6 +144,7 @@ class SqliteFile:
             yield row
 
     def _execute(self, query: str, *arguments: object) -> Iterator[Tuple[Any, ...]]:
+        # The budget is per query. A crafted schema could otherwise make a query run forever.
         self._steps = _FREE_STEPS + _STEPS_PER_BYTE * self._size
         try:
             # `yield from` would close the cursor of an abandoned iterator, which raises after the file was closed.
@@ -310,11 +314,13 @@ class McapFile:
             raise ValueError("its header is not that of a ROS 2 bag")
         footer = self._size - _FOOTER.size
         opcode, length, summary, _, _, magic = _FOOTER.unpack(self._bytes(footer, _FOOTER.size))
+        # A recorder that was killed does not write a footer.
         if (opcode, length, magic) != (_END, 20, _MAGIC):
             raise ValueError("it does not end as an mcap file: it may be truncated")
         self._data_end = summary or footer
         if not self._data_start <= self._data_end <= footer:
             raise ValueError(f"its summary at byte {summary} is outside of the file")
+        # Some writers omit statistics or schemas in the summary. Schema 0 means "no schema" and is always present.
         if not (self._read_summary(footer) and len(self._schemas) > 1):
             self._scan()
 
@@ -378,6 +384,7 @@ class McapFile:
             (identifier,) = _ID.unpack_from(body)
             name, offset = _text(body, _ID.size)
             encoding, offset = _text(body, offset)
+            # Repeated definitions are ignored: the summary contains those of the data section again.
             self._schemas.setdefault(identifier, (name, encoding, _text(body, offset)[0]))
         else:
             identifier, schema = _IDS.unpack_from(body)
@@ -396,6 +403,7 @@ class McapFile:
             heappush(heap, (message[1], index, message, messages, size))
             return 0
 
+        # By start time, because a heap of the chunks that have started is sufficient to merge them.
         chunks = sorted(chunk for chunk in self._chunks if chunk.end >= start and chunk.start < stop)
         for index, chunk in enumerate(chunks):
             # Messages before this chunk's start are final. Chunks that end by then free their memory.
@@ -448,6 +456,7 @@ class McapFile:
             data = unpack(compression, packed, size)
         except Exception as error:  # any exception of the decompression library
             raise ValueError(f"{location}: {reason(error)}") from error
+        # A checksum of 0 means that the writer has not computed one.
         if checksum and crc32(data) != checksum:
             raise ValueError(f"{location} is damaged: its checksum is wrong")
         return data
@@ -491,6 +500,7 @@ def _records_in(data: bytes) -> Iterator[Tuple[int, int, int]]:
         end = position + length
         if end > size:
             raise ValueError(f"a record in a chunk states {length} bytes: there are fewer")
+        # The specification allows only these in a chunk; a nested chunk could expand again.
         if not _SCHEMA <= opcode <= _DATA:
             raise ValueError(
                 f"a chunk has a record with opcode {opcode}: expected schemas, channels, messages"
@@ -663,6 +673,7 @@ class _Types:
         from rosbags import typesys  # noqa: PLC0415 - an optional package
 
         self._typesys: Any = typesys
+        # Types of ROS 2 that bags without definitions refer to.
         self._ros2_store: Any = typesys.get_typestore(typesys.Stores.LATEST)
         self._installed = Installed()
         self._by_definition: Dict[Tuple[str, str], Ros2Type] = {}
@@ -761,12 +772,14 @@ def _read_metadata(path: Path) -> Tuple[List[Path], bool]:
     if size > MAX_METADATA_BYTES:
         raise ValueError(f"{path.name} has {size} bytes: expected at most {MAX_METADATA_BYTES}")
     values = _metadata_values(path.read_text(encoding="utf-8"))
+    # Only the file name is used: some versions of ROS 2 wrote paths, and a path must not lead out of the bag.
     names = [name.rpartition("/")[2] for name in values.get("relative_file_paths", [])]
     storage, mode, compression_format = ("".join(values.get(name, [])) for name in _METADATA_SCALARS)
     suffix = {"sqlite3": ".db3", "mcap": ".mcap"}.get(storage)
     if not names or suffix is None:
         raise ValueError(f"{path.name} names no files, or no storage_identifier: expected sqlite3 or mcap")
     mode = mode.lower() or "none"
+    # Other modes would yield compressed bytes as messages.
     if mode not in ("none", "file", "message") or (mode != "none" and compression_format != COMPRESSED[1:]):
         raise ValueError(
             f"its compression by '{mode}' with '{compression_format}' is unknown: expected zstd by file or message"

@@ -59,11 +59,13 @@ class RunRecorder:
     def look(self) -> None:
         """Update the waiting queries; to be called after each message."""
         pending = self._knowledge.waiting
+        # The usual case; this is called after every message.
         if not self._waits and not len(pending):
             return
         now = int(self._now())
         current = {query[0]: query for query in islice(pending, MAX_RECORDED_QUERIES)}
-        for order in [query for query in self._waits if query not in current]:
+        # A list, because waits are removed in the loop.
+        for order in [order for order in self._waits if order not in current]:
             self._end(self._waits.pop(order), now)
         for order, (_, question, values, _, _, missing) in current.items():
             if order not in self._waits:
@@ -163,6 +165,7 @@ class RunTable:
             self._flush()
 
     def _flush(self) -> None:
+        # Column by column, as Parquet stores them; a missing field becomes null.
         columns = [
             self._arrow.array([line.get(field.name) for line in self._lines], field.type)
             for field in self._schema

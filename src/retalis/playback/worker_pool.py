@@ -78,6 +78,8 @@ def in_processes(
     try:
         while pending or busy:
             while pending and len(busy) < jobs:
+                # Processes are started on demand and reused, because starting Python and importing the package takes
+                # long.
                 worker = idle.pop() if idle else _Worker(function, scratch)
                 busy[worker.connection] = worker
                 worker.begin(pending.popleft(), tasks)
@@ -99,6 +101,7 @@ def in_processes(
                         Unfinished(f"its worker died {MAX_WORKER_DEATHS} times, at last {result.how}"),
                     )
     finally:
+        # Also after an error or Ctrl-C: worker processes must not outlive the generator.
         for worker in (*idle, *busy.values()):
             worker.end()
 
@@ -197,6 +200,7 @@ def on_cluster(
         indexes: Dict[Any, int] = {}
         finished = distributed.as_completed(loop=client.loop)
         while pending or indexes:
+            # At least one task is submitted without workers, so that tasks wait until one joins the cluster.
             while pending and len(indexes) < max(1, len(client.nthreads())):
                 future = client.submit(_on_worker, function, tasks[pending[0]], pure=False)
                 indexes[future] = pending.popleft()

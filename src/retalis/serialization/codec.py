@@ -141,7 +141,9 @@ def to_bytes(data: Any) -> bytes:
         UsageError: if the data contains a cyclic term.
     """
     nodes: List[Any] = []
+    # Maps are not part of the encoding, since their keys can be terms, which the reader could not hash safely.
     data = _pairs(data, _ENGINE_LEVELS)
+    # The general encoder visits every item in Python, and is needed for few states.
     if not _is_simple(data):
         data = _split(data, nodes)
     table = _SymbolTable()
@@ -254,11 +256,14 @@ def _split(data: Any, nodes: List[Any]) -> Any:
         depth = max((depths[id(child)] for child in children if _is_container(child)), default=0)
         depths[id(sequence)] = 0
         if sequence.__class__ is Stamp:
+            # The text of a stamp is a node, because an extension type can only contain bytes.
             nodes.append(items[0])
             number = len(nodes) - 1
             replacements[id(sequence)] = msgpack.ExtType(
                 _STAMP, number.to_bytes(4, "little") + _signed(int(sequence))
             )
+        # A shared sequence is stored once, which also preserves identity; deep ones are cut so that no reader
+        # overflows.
         elif uses[id(sequence)] > 1 or depth >= _MAX_NESTING:
             nodes.append(items)
             replacements[id(sequence)] = msgpack.ExtType(_NODE, _index(len(nodes) - 1))
@@ -312,6 +317,7 @@ class _StateReader:
 
     def read(self, data: bytes) -> Any:
         """Return the decoded data."""
+        # Counted first, see `_count_objects`.
         object_count = _count_objects(data)
         unpacker = _unpacker(data, self._sequence, self._extension)
         unpacker.feed(data)
@@ -339,6 +345,7 @@ class _StateReader:
             return items
         first = items[0].__class__
         if first is Functor:
+            # A functor with another number of arguments would break code that relies on the arity.
             if len(items) == items[0].arity + 1 and (
                 _TERMS.issuperset(map(type, items[1:]))
                 or (items[0].name == ITEM and _VALUES.issuperset(map(type, items[1:])))
@@ -377,6 +384,7 @@ class _StateReader:
         if code == _KIND:
             return _MARKS[number]
         if code == _VARIABLE:
+            # The same number is the same variable in all parts of the data.
             return self._variables.get(number) or self._variables.setdefault(number, Var())
         if code == _REF:
             return self._refs.get(number) or self._refs.setdefault(number, Ref(number))
@@ -399,6 +407,7 @@ def _unpacker(data: bytes, sequence_hook: Any = None, extension_hook: Any = None
         max_bin_len=max_size,
         max_ext_len=max_size,
         max_array_len=max_size,
+        # Maps are never written.
         max_map_len=0,
     )
 

@@ -176,6 +176,7 @@ class GraphReader:
         rows = [items(row) for row in items(rows)]
         for row in rows:
             self._kinds.append(row[0] if row and row[0].__class__ is str else "")
+            # Objects exist before their attributes are set, since references form cycles.
             self._objects.append(self._empty(row))
         for number, (item, row) in enumerate(zip(self._objects, rows)):
             self._current = []
@@ -282,6 +283,7 @@ class GraphReader:
             if value.__class__ is Ref:
                 return match_ref(value)
             node, owner, entry = node_entry(value)
+            # A buffer entry is identified by a number in repeat nodes, and by the match itself elsewhere.
             by_number = (
                 isinstance(node, RepeatNode) and owner.__class__ is RunGroup and entry.__class__ is int
             )
@@ -293,6 +295,7 @@ class GraphReader:
             return node, owner, entry
 
         tried = fixed(match_ref, match_ref)
+        # The order of the checks is that of the attributes in `FIELDS`.
         match = [
             *(values, instant, instant, self.token, optional(term), optional(each(part, tuple))),
             optional(match_ref),
@@ -374,6 +377,7 @@ class GraphReader:
             raise UsageError("a tracked match of repetitions has no beginning")
         elif item_class is Suppressed and not hasattr(item.node, "retry"):
             raise UsageError("a node of another type cannot retry a match")
+        # Fields that depend on others are computed last, when all attributes are set.
         if item_class in (RunGroup, SharedLog, Run):
             item.begin_again()
 

@@ -126,9 +126,11 @@ def _keep_terms(terms: List[Term], depth: int = 0, columns_left: Optional[List[N
     # A sample decides between columns and positions: comparing all objects would cost as much as encoding them.
     mostly_distinct = 10 * len(set(map(id, columns[:_SAMPLE_SIZE]))) >= 9 * min(len(columns), _SAMPLE_SIZE)
     if columns[0].__class__ is tuple and mostly_distinct:
+        # Deeper arguments are rare in messages, and many short columns would cost more than they save.
         rows = _rows(columns) if depth < _MAX_COLUMN_DEPTH else None
         width = len(columns[0])
         if rows is not None and width <= len(columns_left) + 1:
+            # A list as a counter that nested calls share.
             del columns_left[: width - 1]
             encoded = [
                 _keep_terms(rows[column::width], depth + 1, columns_left) for column in range(1, width)
@@ -205,6 +207,7 @@ def read_terms(value: Any, count: int, depth: int = 0) -> List[Term]:
         UsageError: if the encoding is invalid.
     """
     form, *rest = items(value) or [None]
+    # Parts cannot be nested, so their sizes follow from the number of terms.
     if form == "parts" and len(rest) == 1 and not depth:
         sizes = [min(_PART_SIZE, count - start) for start in range(0, count, _PART_SIZE)]
         if len(items(rest[0])) == len(sizes):
@@ -248,6 +251,7 @@ def _instants(instants: Sequence[Any]) -> Any:
     forms = bytes(len(instants)) if are_plain else bytes([_FORMS[instant.__class__] for instant in instants])
     stamps = [] if are_plain else [instant.term for instant in instants if instant.__class__ is Stamp]
     try:
+        # The form distinguishes integers, whole seconds and stamps with their own text, which print differently.
         return array("q", instants).tobytes(), forms, stamps
     except OverflowError:
         return [int(instant) for instant in instants], forms, stamps
@@ -293,9 +297,11 @@ def restore_records(instance: MemoryInstance, parts: Sequence[KeptRecords]) -> N
         # Parts may overlap: the records of a later part replace those of earlier ones.
         del records[max(0, before - dropped) :]
         records += zip(terms, record_starts, record_ends)
+    # Parts may contain records that the memory had dropped by the time of the last part.
     surplus = max(0, len(records) - max(instance.memory.size, 1))
     records = records[surplus:]
     kept_ends = [int(end) for _, _, end in records]
+    # Queries use binary search over the ends.
     if kept_ends != sorted(kept_ends) or any(start > end for _, start, end in records):
         raise UsageError("the records of a memory are not ordered by their ends")
     instance.memory.restore(dropped + surplus, late, kept_ends, records)

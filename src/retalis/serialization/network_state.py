@@ -203,6 +203,7 @@ def rule_state(graph: GraphReader, rule: EventRule, value: Decoded) -> RuleState
     """Check the state of a rule; see `EventRule.state`."""
     nodes = [node for node, _, _ in rule.nodes]
     named_states = each(fixed(text, anything))(items(value)[2]) if len(items(value)) == 7 else []
+    # A rule with the same text can be compiled to other nodes by another version of the package.
     if [type_name for type_name, _ in named_states] != [type(node).__name__ for node in nodes]:
         raise UsageError(f"{rule.name}: its nodes differ from those in the state")
     checked_states = [
@@ -235,6 +236,7 @@ def _check_waiting(
     rule: EventRule, state: RuleState, owners: List[Any], widths: List[Tuple[type, Optional[int]]]
 ) -> None:
     """Check that partial matches fit the buffers that they are put into."""
+    # Sequence numbers reproduce the order in which partial matches arrived.
     orders = [order for _, _, order in state.arrivals]
     if len({id(match) for match, _, _ in state.arrivals}) != len(orders) or len(set(orders)) != len(orders):
         raise UsageError(f"{rule.name}: a partial match is stored twice")
@@ -364,6 +366,7 @@ def restore_rules(rules: RuleBase, kept: Dict[str, Any]) -> List[EventRule]:
     Raises:
         RetalisError: if a rule is invalid, or a flag does not exist.
     """
+    # Rules are kept in the order of their serials.
     serials = [serial for _, _, _, _, serial, _, active in kept["rules"] if active]
     if serials != sorted(set(serials)):
         raise wrong(serials, "rules with increasing serials")
@@ -375,6 +378,7 @@ def restore_rules(rules: RuleBase, kept: Dict[str, Any]) -> List[EventRule]:
         definition = reread_rule(rule_term, label, place, names)
         rule = EventRule(rules, definition._replace(names=MappingProxyType(names)), serial, name)
         restored.append(rule)
+        # Deleted rules are only created for their pending alarms.
         if active:
             rules.activate(rule)
     for label_property in kept["properties"]:
@@ -496,6 +500,7 @@ class _Checked:
         def lagging_memory(value: Decoded) -> Decoded:
             name, until = entry = pair(value)
             memory = knowledge.memories.find(name)
+            # A query whose memory has already reached the time would never be run.
             if memory is None or memory.has(until):
                 raise wrong(value, "a memory that has not reached an instant")
             return entry
@@ -524,6 +529,7 @@ class _Checked:
             raise wrong(len(holding), "the intervals of each declared state")
         for declared, states in zip(knowledge.states, holding):
             for own_key, state, _, opened in states[0]:
+                # The key is stored redundantly; a different one would make the state unreachable.
                 if not opened or own_key != term_key(state) or not may_unify(declared.form.state, state):
                     raise wrong(state, "a declared state that has begun")
             if len({one[0] for one in states[0]}) != len(states[0]):

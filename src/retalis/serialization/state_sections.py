@@ -126,6 +126,7 @@ def check_version(format_number: object, layout: object) -> None:
         UsageError: if the state was written by another version of the package.
     """
     if format_number != FORMAT:
+        # Formats before 6 were pickles, which can execute code when they are read.
         is_older = format_number.__class__ is int and format_number < FORMAT
         explanation = ", a pickle of an older version of the package, which is never read" if is_older else ""
         raise UsageError(
@@ -173,6 +174,7 @@ def _clauses(value: Decoded) -> Decoded:
     )
     for head, body, _ in clauses:
         arity = len(head) - 1 if head.__class__ is tuple else 0
+        # A clause in the wrong predicate would be called with missing arguments.
         if arity != predicate.arity:
             raise wrong(head, f"a clause of {predicate}")
         if body.__class__ in (int, float):
@@ -237,6 +239,7 @@ def _operators(value: Decoded) -> Decoded:
 
 
 def _clock(value: Decoded) -> Decoded:
+    # The last two instants are optional.
     return fixed(instant, instant, integer(0, 1), count, *[instant] * max(0, min(2, len(items(value)) - 4)))(
         value
     )

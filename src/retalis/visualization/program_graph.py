@@ -202,6 +202,7 @@ class _GraphBuilder:
         self._goals(query, [head[2]])
 
     def _memory(self, instance: Any) -> None:
+        # Ids can be compound terms, so the text is used where there is no name.
         name = self._text(instance.id)
         plain_name = getattr(instance.id, "name", name)
         memory = self._node("memory", plain_name, f"memory {name}", name)
@@ -225,10 +226,12 @@ class _GraphBuilder:
         seen: Set[Functor] = set()
         # Each predicate is expanded once, because clauses may be recursive.
         pending = list(goals)
+        # The budget is shared by all rules, so that a large program is searched incompletely instead of slowly.
         while pending and self._terms > 0:
             self._terms -= 1
             term = deref(pending.pop())
             key = _functor(term)
+            # A variable as goal is only known at run time.
             if key is None:
                 continue
             if key not in seen:
@@ -251,6 +254,8 @@ class _GraphBuilder:
         """Return the id of a node, which is added unless it exists or the graph is full."""
         node_id = _id(kind, name)
         if node_id not in self._nodes:
+            # Ids of omitted nodes are collected, so that each is counted once. Edges to them are skipped when the
+            # graph is drawn.
             if len(self._nodes) >= MAX_NODES:
                 self._left_out.add(node_id)
             else:
@@ -260,6 +265,7 @@ class _GraphBuilder:
         return node_id
 
     def _edge(self, source: str, target: str, rate: str, kind: str = "flow") -> None:
+        # Several goals of a rule can create the same event; one edge is drawn.
         self._edges.setdefault((source, target, kind), GraphEdge(source, target, rate, kind))
 
 
@@ -286,10 +292,10 @@ def _file(source: Optional[str]) -> str:
 FORMATS = ("svg", "png", "pdf")
 """Formats that ``dot`` can render."""
 
-SECONDS = 60
+DOT_TIMEOUT_SECONDS = 60
 """Timeout for rendering in seconds."""
 
-ACROSS, LINES = 38, 3
+LINE_WIDTH, MAX_LINES = 38, 3
 """Maximum length and number of the lines of text in a node."""
 
 
@@ -323,7 +329,7 @@ _PACKAGE, _UNNAMED, _MISSING_SPACE = (
     re.compile(r"(,|\)(?=\w))"),
 )
 
-WAYS = {
+EDGE_ATTRIBUTES = {
     "flow": "",
     "absent": 'style=dashed color="#b3261e" arrowhead=tee',
     "reads": 'style=dotted color="#3c7d50"',
@@ -334,6 +340,7 @@ WAYS = {
 def dot_text(graph: Graph, title: str) -> str:
     """Return a graph in the DOT language, drawn from left to right, with a legend."""
     node_names = {node.id: f"n{index}" for index, node in enumerate(graph.nodes)}
+    # Edges can refer to nodes beyond the limit.
     edges = [edge for edge in graph.edges if edge.source in node_names and edge.target in node_names]
     omitted = f"; {counted(graph.left_out, 'more node')} left out" if graph.left_out else ""
     lines = [
@@ -343,7 +350,10 @@ def dot_text(graph: Graph, title: str) -> str:
         '  node [fontname="Helvetica" fontsize=11 style="filled" color="#8592a3" height=0.3 margin="0.12,0.05"]',
         '  edge [color="#6b7887" arrowsize=0.7]',
         *(f"  {node_names[node.id]} [{_node(node)}]" for node in graph.nodes),
-        *(f"  {node_names[edge.source]} -> {node_names[edge.target]} [{WAYS[edge.kind]}]" for edge in edges),
+        *(
+            f"  {node_names[edge.source]} -> {node_names[edge.target]} [{EDGE_ATTRIBUTES[edge.kind]}]"
+            for edge in edges
+        ),
         *_ranks(graph, node_names),
         *_legend({node.kind for node in graph.nodes}, {edge.kind for edge in edges}),
         "}",
@@ -366,10 +376,15 @@ def draw(text: str, path: Path) -> None:
     command = [dot, f"-T{path.suffix[1:]}", "-o", str(path)]
     try:
         process = subprocess.run(
-            command, input=text, capture_output=True, encoding="utf-8", errors="replace", timeout=SECONDS
+            command,
+            input=text,
+            capture_output=True,
+            encoding="utf-8",
+            errors="replace",
+            timeout=DOT_TIMEOUT_SECONDS,
         )
     except subprocess.TimeoutExpired:
-        raise UsageError(f"dot has not drawn {path.name} in {SECONDS} s") from None
+        raise UsageError(f"dot has not drawn {path.name} in {DOT_TIMEOUT_SECONDS} s") from None
     if process.returncode:
         raise UsageError(f"dot cannot draw {path}: {process.stderr.strip()}")
 
@@ -393,8 +408,8 @@ def _further_lines(node: GraphNode) -> List[str]:
         return [node.label.rpartition("__0__")[0]]
     if node.kind != "rule":
         return []
-    lines = wrap(_breakable(node.text), ACROSS, break_long_words=False)
-    return lines if len(lines) <= LINES else [*lines[: LINES - 1], lines[LINES - 1] + " ..."]
+    lines = wrap(_breakable(node.text), LINE_WIDTH, break_long_words=False)
+    return lines if len(lines) <= MAX_LINES else [*lines[: MAX_LINES - 1], lines[MAX_LINES - 1] + " ..."]
 
 
 def _breakable(rule: str) -> str:
@@ -413,6 +428,7 @@ def _ranks(graph: Graph, node_names: Dict[str, str]) -> Iterator[str]:
 
 def _legend(kinds: Iterable[str], edge_kinds: Iterable[str]) -> Iterator[str]:
     """Yield a node with a table that explains the colours of nodes and the styles of edges."""
+    # The legend shows only what occurs in this graph.
     rows = [
         f'<tr><td bgcolor="{style.colour}" width="24"> </td><td align="left">{style.legend}</td></tr>'
         for kind, style in KINDS.items()

@@ -83,6 +83,8 @@ class _LaneBuilder:
     def add(self, start: int, end: int, text: str) -> None:
         if self.number % self._step == 0:
             self.marks.append((start, end, beginning(text, MAX_MARK_CHARACTERS)))
+            # Dropping every second mark keeps the density even, in constant memory and without knowing the number in
+            # advance.
             if len(self.marks) > MAX_MARKS:
                 self.marks = self.marks[::2]
                 self._step *= 2
@@ -108,6 +110,7 @@ class TimelineBuilder:
         if read_mark is None:
             return
         name, start, end, text = read_mark(line)
+        # An empty memory has no time range.
         if start is None or end is None or name == _NULL_EVENT:
             return
         lane = self._lane(kind, name)
@@ -122,7 +125,9 @@ class TimelineBuilder:
         key = (kind, beginning(name))
         lane = self._lanes.get(key)
         if lane is None:
+            # Names can contain values, such as ids of objects, so their number is not bounded by the program.
             if self._lane_counts[kind] >= MAX_LANES:
+                # Names are stored to count each lane once, so their number is bounded as well.
                 if len(self._left_out) < MAX_MARKS:
                     self._left_out[key] = None
                 return None
@@ -236,6 +241,7 @@ def _text(line: Dict[str, Any], name: str) -> str:
 
 def _instant(line: Dict[str, Any], name: str) -> int:
     value = line.get(name)
+    # In Python, booleans are integers.
     if not isinstance(value, int) or isinstance(value, bool):
         raise UsageError(f'expected whole nanoseconds as "{name}"')
     if not timestamps.in_range(value):
