@@ -94,7 +94,7 @@ WRONG = {
     f"{ALL}{{pont: X}}": (17, f"{ALL} has no slot pont; did you mean point?"),
     f"{ALL}{{point: {{xx: X}}}}": (25, f"{POINT} has no slot xx; did you mean x?"),
     f"{POINT}{{x: 1, x: 2}}": (25, "slot x has a value already"),
-    f"{POINT}{{x:-1}}": (20, "expected a blank between : and the sign that follows"),
+    f"{POINT}{{x:-1}}": (20, "expected a space between : and the sign that follows"),
     f"{POINT}{{x}}": (20, 'expected a colon and a value after "x"'),
     f"{POINT}{{X: 1}}": (19, 'expected the name of a slot before "X"'),
     f"{POINT}{{x: 1,}}": (24, 'expected the name of a slot before "}"'),
@@ -158,8 +158,8 @@ MISNAMED = {
     "a <- my_msgs_Point{x: 1}": (6, f"{UNKNOWN} my_msgs_Point; write {POINT}{{...}}"),
     "f(my_msgs/Point{x: 1})": (3, f"{UNKNOWN} my_msgs/Point; write {POINT}{{...}}"),
     "a <- 'my_msgs/Point'{x: 1}": (6, f"{UNKNOWN} my_msgs/Point; write {POINT}{{...}}"),
-    f"a <- {POINT} {{x: 1}}": (24, f'no blank is allowed between {POINT} and its "{{"'),
-    "my_msgs__0__Other {x: 1}": (19, 'no blank is allowed between my_msgs__0__Other and its "{"'),
+    f"a <- {POINT} {{x: 1}}": (24, f'no space is allowed between {POINT} and its "{{"'),
+    "my_msgs__0__Other {x: 1}": (19, 'no space is allowed between my_msgs__0__Other and its "{"'),
 }
 
 
@@ -172,7 +172,7 @@ def test_a_name_that_no_messages_have_is_said_with_those_that_were_meant():
 
 
 def test_who_knows_no_messages_reads_none_by_name():
-    with pytest.raises(SyntaxFault, match="slots by name are not read here"):
+    with pytest.raises(SyntaxFault, match="slots by name are not available here"):
         read(f"{POINT}{{x: 1}}", operators=Operators.prolog())
     with pytest.raises(SyntaxFault):  # nor does what comes from other nodes
         read_term(f"{POINT}{{x: 1}}", KNOWING, flags=ReadFlags(event_text=True))

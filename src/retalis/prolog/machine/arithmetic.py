@@ -315,7 +315,7 @@ def integer(value: Any) -> int:
     return value
 
 
-def not_less(least: int, value: Number) -> int:
+def at_least(least: int, value: Number) -> int:
     """Return an operand that must be an integer of at least ``least``, which is 0 or 1."""
     if integer(value) < least:
         raise domain_error(f"not_less_than_{'one' if least else 'zero'}", value)
@@ -536,23 +536,23 @@ def _invert(value: Number) -> int:
 
 @evaluable("msb", 1)
 def _msb(value: Number) -> int:
-    return not_less(1, value).bit_length() - 1
+    return at_least(1, value).bit_length() - 1
 
 
 @evaluable("lsb", 1)
 def _lsb(value: Number) -> int:
-    number = not_less(1, value)
+    number = at_least(1, value)
     return (number & -number).bit_length() - 1
 
 
 @evaluable("popcount", 1)
 def _popcount(value: Number) -> int:
-    return bin(not_less(0, value)).count("1")
+    return bin(at_least(0, value)).count("1")
 
 
 @evaluable("getbit", 2)
 def _getbit(value: Number, bit: Number) -> int:
-    return (not_less(0, value) >> not_less(0, bit)) & 1
+    return (at_least(0, value) >> at_least(0, bit)) & 1
 
 
 def _rounded(function: Callable[[float], int]) -> Callable[[Number], int]:
@@ -732,9 +732,9 @@ def _float_power(base: Number, exponent: Number) -> float:
 
 @evaluable("powm", 3)
 def _powm(base: Number, exponent: Number, modulus: Number) -> int:
-    size = not_less(1, modulus).bit_length()
+    size = at_least(1, modulus).bit_length()
     # Each bit of the exponent costs one product of the modulus's size, plus the time of a product of 400 bits.
-    if not_less(0, exponent).bit_length() * (size * size + 400 * 400) > SLOW_BIT_PRODUCT:
+    if at_least(0, exponent).bit_length() * (size * size + 400 * 400) > SLOW_BIT_PRODUCT:
         raise resource_error("integer_size")
     return pow(integer(base), integer(exponent), integer(modulus))
 
@@ -753,7 +753,7 @@ def _acot(value: Number) -> float:
 
 @evaluable("random", 1)
 def _random(limit: Number) -> int:
-    return random.randrange(not_less(1, limit))
+    return random.randrange(at_least(1, limit))
 
 
 @evaluable("numerator", 1)

@@ -11,7 +11,7 @@ take longer than the goal that failed.
 from typing import Optional
 
 from ...foundation.errors import MAX_MESSAGE_CHARACTERS, RetalisError, TermTooLarge, beginning
-from ..syntax.term_writer import beginning_of
+from ..syntax.term_writer import truncated_text
 from ..terms.types import COLON, COMMA, SLASH, Atom, Functor, String, Term, Var, atom, deref, functor
 
 ERROR = functor("error", 2)
@@ -75,7 +75,7 @@ def _name(term: Term) -> str:
 
 
 def _shown(term: Term) -> str:
-    return beginning_of(term, MAX_MESSAGE_CHARACTERS)
+    return truncated_text(term, MAX_MESSAGE_CHARACTERS)
 
 
 def _context(context: Term) -> str:
@@ -227,7 +227,7 @@ _BODIES = {COMMA, functor(";", 2), functor("->", 2), functor("*->", 2)}
 """Control constructs whose first goal runs first."""
 
 
-def first_called(goal: Term) -> Optional[Functor]:
+def first_goal_functor(goal: Term) -> Optional[Functor]:
     """Return the functor of the goal that a body calls first, or None if the term is not callable."""
     goal = deref(goal)
     while goal.__class__ is tuple and goal[0] in _BODIES:

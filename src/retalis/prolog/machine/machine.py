@@ -28,7 +28,7 @@ from ...foundation.python_interpreter import SEEN_AT, releasing, seen_elsewhere
 from ..terms.term_traversal import copy
 from ..terms.types import Frame, Functor, Step, Term, Trail, Values, Var
 from ..terms.unification import undo, unify
-from .errors import CONTEXT, ERROR, PrologError, first_called, from_python, indicator, resource_error
+from .errors import CONTEXT, ERROR, PrologError, first_goal_functor, from_python, indicator, resource_error
 from .resource_limits import SLICE, Budget
 
 
@@ -39,7 +39,7 @@ class Takes(Protocol):
         """Receive the outputs of a solution; return the next frame, or None to ask for the next solution."""
 
 
-class Asked(Protocol):
+class RunnableGoal(Protocol):
     """The part of a `CompiledGoal` that the machine uses."""
 
     @property
@@ -257,7 +257,7 @@ class Machine:
             elif budget.used and not base and not budget.at_work:
                 budget.start_anew()
 
-    def check(self, frame: Frame, goal: Asked) -> bool:
+    def check(self, frame: Frame, goal: RunnableGoal) -> bool:
         """Return whether a steady `CompiledGoal` has a solution; keep no bindings.
 
         Unlike `run`, it executes the first step without pushing a choice point; most goals finish in that step.
@@ -483,7 +483,7 @@ class Machine:
         if ball.__class__ is tuple and ball[0] is ERROR and ball[2].__class__ is Var:
             key = getattr(frame[0], "functor", None)
             if frame[0] is self.goal_code:
-                key = first_called(frame[1])
+                key = first_goal_functor(frame[1])
             if key is not None:
                 ball[2].ref = (CONTEXT, indicator(key), Var())
 
@@ -491,7 +491,7 @@ class Machine:
 
     def attempt(
         self,
-        goal: Asked,
+        goal: RunnableGoal,
         values: Values,
         then: Callable[[Values], Optional[Frame]],
         otherwise: Optional[Frame],
@@ -530,7 +530,7 @@ class Machine:
         return (self._enter_code, goal, values, then, on_error, otherwise)
 
     def _enter_attempt(self, frame: Frame) -> Frame:
-        goal: Asked
+        goal: RunnableGoal
         _, goal, values, then, on_error, otherwise = frame
         choices = self.choices
         height = len(choices)

@@ -142,7 +142,7 @@ class Limits(_LimitFields):
 NO_LIMITS = Limits(output_megabytes=None)
 
 
-class Refuses(Protocol):
+class RefusingBudget(Protocol):
     """The budget of a limit that has been exceeded."""
 
     def close(self, error: "LimitError") -> None:
@@ -160,7 +160,7 @@ class LimitError(PrologError):
     """
 
     final = False
-    budget: Optional[Refuses] = None
+    budget: Optional[RefusingBudget] = None
     what = ""
     refused = False
 
@@ -172,14 +172,14 @@ class LimitPassed(LimitError):
         kind: the kind of limit.
         open: whether the call is still running. If it is, the code that receives the error is inside the call, and
             not the owner of the limit.
-        kept_back: whether code inside the call has caught the error and the call has continued.
+        was_caught: whether code inside the call has caught the error and the call has continued.
     """
 
     def __init__(self, kind: str, term: Term):
         super().__init__(term)
         self.kind = kind
         self.open = True
-        self.kept_back = False
+        self.was_caught = False
 
     @property
     def message(self) -> str:  # type: ignore[override]
@@ -194,7 +194,7 @@ class LimitPassed(LimitError):
 
     def deliver(self) -> None:
         """Throw the error when the call exits, if code inside the call had caught it."""
-        if self.kept_back:
+        if self.was_caught:
             raise self
 
 
@@ -207,7 +207,7 @@ def keep_back(error: Exception) -> bool:
         Whether to report the error; false for a refused goal, see `Budget.admit`.
     """
     if isinstance(error, LimitPassed):
-        error.kept_back = error.open
+        error.was_caught = error.open
     elif isinstance(error, LimitError):
         if error.budget is not None:
             error.budget.close(error)
@@ -327,21 +327,21 @@ class Budget:
 
     # Entries
 
-    def enter(self) -> "Union[Ask, _Inside]":
+    def enter(self) -> "Union[Ask, _NestedRun]":
         """Start a run with limits; return the value that `leave` needs at its end.
 
         Long steps check the limits as well; see `watching`. A nested run belongs to the outer one.
         """
         if self.running:
-            return _INSIDE
+            return _NESTED_RUN
         self.running = True
         before = WATCH.ask
         WATCH.ask = self._ask
         return before
 
-    def leave(self, saved: "Union[Ask, _Inside]") -> None:
+    def leave(self, saved: "Union[Ask, _NestedRun]") -> None:
         """End a run with limits."""
-        if isinstance(saved, _Inside):
+        if isinstance(saved, _NestedRun):
             return
         self.running = False
         WATCH.ask = saved
@@ -693,11 +693,11 @@ class Left(NamedTuple):
     memory: Optional[int]
 
 
-class _Inside:
+class _NestedRun:
     """Result of `Budget.enter` for a nested run."""
 
 
-_INSIDE = _Inside()
+_NESTED_RUN = _NestedRun()
 
 _ENTRY_ATTRIBUTES = (
     "rounds",

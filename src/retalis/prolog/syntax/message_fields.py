@@ -2,7 +2,7 @@
 
 ``std_msgs__0__Header{frame_id: F}`` denotes the message with a variable for each field that is not named. If the term
 is constructed and not matched, such fields are zero or empty instead: in heads of rules, formats, and events that a
-goal creates. `made_in` finds the constructed parts of a clause, and `complete` binds the variables in them.
+goal creates. `constructed_parts` finds the constructed parts of a clause, and `complete` binds the variables in them.
 
 The names in the code and error messages call a field a *slot*.
 
@@ -138,7 +138,7 @@ class Expanded(NamedTuple):
     whole: Tuple[int, ...]
 
 
-def made_in(term: Term) -> Iterator[Term]:
+def constructed_parts(term: Term) -> Iterator[Term]:
     """Yield the constructed parts of a clause or goal, each with its subterms."""
     stack: List[Term] = [term]
     while stack:
@@ -161,7 +161,7 @@ def made_in(term: Term) -> Iterator[Term]:
 def _constructed_by_head(head: Term) -> Iterator[Term]:
     head = deref(head)
     if head.__class__ is tuple and head[0] is _DO:
-        yield from made_in(head[2])
+        yield from constructed_parts(head[2])
         head = deref(head[1])
     if head.__class__ is tuple and head[0] in _HEAD_WRAPPERS:
         head = head[_HEAD_WRAPPERS[head[0]]]
@@ -170,7 +170,7 @@ def _constructed_by_head(head: Term) -> Iterator[Term]:
     yield head
 
 
-def parts_in(term: Term) -> Iterator[CompoundTerm]:
+def compound_subterms(term: Term) -> Iterator[CompoundTerm]:
     """Yield the compound terms within a term, the term included."""
     stack: List[Term] = [term]
     while stack:
@@ -191,8 +191,8 @@ def complete(term: Term, expanded: Sequence[Expanded], slots: Slots, made: bool)
     """
     # Terms are compared by identity: equal messages may stand in a head and in a pattern.
     constructed: Set[int] = set()
-    for part in [term] if made else made_in(term):
-        constructed.update(map(id, parts_in(part)))
+    for part in [term] if made else constructed_parts(term):
+        constructed.update(map(id, compound_subterms(part)))
     for message in expanded:
         is_made = id(message.term) in constructed
         if is_made:

@@ -4,8 +4,8 @@ A message with named fields is an entry of kind ``SLOTS`` on the parser's stack.
 built with all arguments in the order of the message type: a variable for each field that is not named, and floats in
 place of integers in float fields. The fields come from `Slots`, which knows the message types.
 
-`misnamed` creates the error for a name before the bracket that is no message: a ROS notation (``Temperature``,
-``sensor_msgs/Temperature``), a misspelt name, or a space before the bracket.
+`misnamed_message_error` creates the error for a name before the bracket that is no message: a ROS notation
+(``Temperature``, ``sensor_msgs/Temperature``), a misspelt name, or a space before the bracket.
 """
 
 from difflib import get_close_matches
@@ -23,12 +23,12 @@ _MAX_NAMED_TYPES = 3
 """Largest number of message types that an error suggests."""
 
 
-def misnamed(parser: ParserState, slots: Slots) -> Optional[SyntaxFault]:
+def misnamed_message_error(parser: ParserState, slots: Slots) -> Optional[SyntaxFault]:
     """Return the error for a curly bracket after a name that is no message; None if it was not meant as a message."""
-    before, bracket = parser.tokens[parser.at - 1], parser.tokens[parser.at]
+    before, bracket = parser.tokens[parser.position - 1], parser.tokens[parser.position]
     is_apart = before[3] != bracket[2]
     if before[0] != VARIABLE and _is_message(before[1], slots):
-        message = f'no blank is allowed between {atom_text(before[1])} and its "{{"'
+        message = f'no space is allowed between {atom_text(before[1])} and its "{{"'
         return parser.source.fault(message, bracket[2]) if is_apart else None
     name, start = _full_name(parser)
     candidates = slots.meant(name)
@@ -54,9 +54,9 @@ def _is_message(name: str, slots: Slots) -> bool:
 
 def _full_name(parser: ParserState) -> Tuple[str, int]:
     """Return the name before the current token, with a package written before it, and the offset of the name."""
-    last = parser.tokens[parser.at - 1]
-    if parser.at > 2:
-        package, slash = parser.tokens[parser.at - 3 : parser.at - 1]
+    last = parser.tokens[parser.position - 1]
+    if parser.position > 2:
+        package, slash = parser.tokens[parser.position - 3 : parser.position - 1]
         if slash[:2] == (NAME, "/") and package[0] == NAME and (package[3], slash[3]) == (slash[2], last[2]):
             return f"{package[1]}/{last[1]}", package[2]
     return last[1], last[2]
@@ -75,7 +75,7 @@ class NamedFieldParser(ParserStack):
 
     def _open_slots(self, name: str, start: int) -> bool:
         """Open the message whose name was just read; return whether it is one."""
-        position = self.at
+        position = self.position
         if self.tokens[position][2] != self.tokens[position - 1][3] or self.flags.event_text:
             return False
         # An operator before a curly bracket is an operator: `X = {a}` must not look for a message called `=`.
@@ -84,24 +84,28 @@ class NamedFieldParser(ParserStack):
         provider = self.operators.slots
         if provider is None:
             if _TYPE_INFIX in name:
-                raise self.source.fault(f"slots by name are not read here: write all slots of {name}", start)
+                raise self.source.fault(
+                    f"slots by name are not available here: write all slots of {name}", start
+                )
             return False
         try:
             slots = provider.find(name)
         except RetalisError as error:
             raise self.source.fault(error.message, start) from error
         if slots is None:
-            return False  # reported by `_no_operator` if the clause does not parse
+            return False  # reported by `_missing_operator_error` if the clause does not parse
         self._open_message(name, start, slots)
         return True
 
-    def _no_operator(self) -> SyntaxFault:
+    def _missing_operator_error(self) -> SyntaxFault:
         """Return the error for a token after a complete term; the token may be the bracket of a misspelt message."""
         provider = self.operators.slots
+        before, token = self.tokens[self.position - 1], self.tokens[self.position]
+        may_be_message = token[0] == "{" and before[0] in (NAME, QUOTED, VARIABLE)
         error = None
-        if self.tokens[self.at][0] == "{" and self.tokens[self.at - 1][0] in (NAME, QUOTED, VARIABLE):
-            error = misnamed(self, provider) if provider is not None and not self.flags.event_text else None
-        return error or parser_stack.no_operator(self, self.brackets[-1])
+        if may_be_message and provider is not None and not self.flags.event_text:
+            error = misnamed_message_error(self, provider)
+        return error or parser_stack.missing_operator_error(self, self.brackets[-1])
 
     def _open_inner(self, at: int, start: int) -> bool:
         """Open a nested message, whose name follows from the type of its field; return whether it is one."""
@@ -127,10 +131,10 @@ class NamedFieldParser(ParserStack):
 
     def _open_message(self, name: str, start: int, slots: Sequence[MessageSlot]) -> None:
         """Open a message at its bracket."""
-        bracket_at = self.at
-        self.at = bracket_at + 1
+        bracket_at = self.position
+        self.position = bracket_at + 1
         self._push_bracket([self.argument_limit, SLOTS, bracket_at, self.table, {}, name, start, slots, 0])
-        if self.tokens[self.at][0] == "}":
+        if self.tokens[self.position][0] == "}":
             self._close_slots()
         else:
             self._begin_slot()
@@ -138,7 +142,7 @@ class NamedFieldParser(ParserStack):
     def _begin_slot(self) -> None:
         """Read the name of a field and its colon."""
         bracket = self.brackets[-1]
-        token, following = self.tokens[self.at], self.tokens[self.at + 1]
+        token, following = self.tokens[self.position], self.tokens[self.position + 1]
         if token[0] not in (NAME, QUOTED) or following[0] != NAME or following[1] != ":":
             raise self._field_name_error()
         # Fields may be named in any order, each at most once.
@@ -149,15 +153,15 @@ class NamedFieldParser(ParserStack):
         number = bracket[_NUMBER] = names.index(name) + 1
         if number in bracket[_VALUES]:
             raise self.source.fault(f"slot {name} has a value already", token[2])
-        self.at += 2
-        self._begin_segment(self.at, self.operators.infix)
+        self.position += 2
+        self._begin_segment(self.position, self.operators.infix)
 
     def _field_name_error(self) -> RetalisError:
-        token, following = self.tokens[self.at : self.at + 2]
+        token, following = self.tokens[self.position : self.position + 2]
         shown_token = shown(token, self.source.text)
         if token[0] in (NAME, QUOTED) and following[0] == NAME:
             if following[1].startswith(":"):
-                return self.source.fault("expected a blank between : and the sign that follows", following[2])
+                return self.source.fault("expected a space between : and the sign that follows", following[2])
             if following[1] == ".":
                 message = f"slots of a message in a slot are written in brackets: {token[1]}: {{slot: Value}}"
                 return self.source.fault(message, following[2])
@@ -171,7 +175,7 @@ class NamedFieldParser(ParserStack):
             super()._comma(start)
             return
         self._store_value()
-        self.at += 1
+        self.position += 1
         self._begin_slot()
 
     def _store_value(self) -> None:
@@ -185,14 +189,14 @@ class NamedFieldParser(ParserStack):
             return
         self._store_value()
         if kind != "}":
-            raise parser_stack.unbalanced(self, self.brackets[-1][2])
+            raise parser_stack.unbalanced_bracket_error(self, self.brackets[-1][2])
         self._close_slots()
 
     def _close_slots(self) -> None:
         """Build the term of the message."""
         bracket = self.brackets.pop()
         self.stack.pop()
-        self.at += 1
+        self.position += 1
         self.table = bracket[3]
         name, start, slots = bracket[_TERM], bracket[_START], bracket[_SLOTS]
         values: Dict[int, Tuple[Term, int]] = bracket[_VALUES]
@@ -227,8 +231,8 @@ class NamedFieldParser(ParserStack):
 
     def _move_positions(self, old: Term, new: Term) -> None:
         """Move the recorded positions of a term to the term that replaces it."""
-        if self.spots is not None and id(old) in self.spots:
-            self.spots[id(new)] = self.spots.pop(id(old))
+        if self.offsets is not None and id(old) in self.offsets:
+            self.offsets[id(new)] = self.offsets.pop(id(old))
 
 
 def _unknown_field_message(term: str, name: str, slots: Sequence[MessageSlot]) -> str:

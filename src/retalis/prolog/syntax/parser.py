@@ -44,25 +44,25 @@ class Parser(NamedFieldParser):
         return self.left
 
     def _operand(self) -> None:
-        position = self.at
+        position = self.position
         kind, value, start, _ = self.tokens[position]
         if kind in (NAME, QUOTED):
             self._name(kind, value, start)
             return
         if kind == VARIABLE:
-            self.at = position + 1
+            self.position = position + 1
             truth = _SPECIAL_BOOLS.get(value) if self.flags.event_text else None
             self._set_left(self._variable(value) if truth is None else truth, start)
         elif kind in (NUMBER, TEXT):
-            self.at = position + 1
+            self.position = position + 1
             self._set_left(value, start)
         elif kind == "(" or kind == OPEN_CT:
-            self.at = position + 1
+            self.position = position + 1
             self._push_group(position, start)
         elif kind == "[" or kind == "{":
             self._open_bracket(kind, position, start)
         else:
-            raise parser_stack.no_operand(self, self.stack[-1])
+            raise parser_stack.missing_operand_error(self, self.stack[-1])
 
     def _variable(self, name: str) -> Var:
         if name == "_":
@@ -80,27 +80,27 @@ class Parser(NamedFieldParser):
         if kind == "{" and self._open_inner(position, start):
             return
         if self.tokens[position + 1][0] == closer:
-            self.at = position + 2
+            self.position = position + 2
             self._atom(kind + closer, start)
         elif kind == "{":
-            self.at = position + 1
+            self.position = position + 1
             self._push_group(position, start)
         else:
-            self.at = position + 1
+            self.position = position + 1
             self._push_bracket([self.argument_limit, LIST, position, self.table, [], [], False])
-            self._begin_segment(self.at, self.operators.infix)
+            self._begin_segment(self.position, self.operators.infix)
 
     def _atom(self, name: str, start: int) -> None:
         """Read a name that is not an operator: an atom, or the functor of a compound term."""
-        if self.tokens[self.at][0] == OPEN_CT:
+        if self.tokens[self.position][0] == OPEN_CT:
             self._open_arguments(name, start)
         else:
             self._set_left(atom(name), start)
 
     def _open_arguments(self, name: str, start: int) -> None:
-        position = self.at
-        self.at = position + 1
-        if self.tokens[self.at][0] == ")":
+        position = self.position
+        self.position = position + 1
+        if self.tokens[self.position][0] == ")":
             raise self.source.fault(
                 f'a compound term has at least one argument: expected "{name}" alone', start
             )
@@ -114,11 +114,11 @@ class Parser(NamedFieldParser):
             if modes:
                 name = canonical.name
         self._push_bracket([self.argument_limit, ARGUMENTS, position, self.table, [], [], name, start, modes])
-        self._begin_segment(self.at, self.patterns if modes[:1] == (True,) else self.operators.infix)
+        self._begin_segment(self.position, self.patterns if modes[:1] == (True,) else self.operators.infix)
 
     def _name(self, kind: str, name: str, start: int) -> None:
-        self.at += 1
-        following = self.tokens[self.at]
+        self.position += 1
+        following = self.tokens[self.position]
         if following[0] == OPEN_CT:
             self._open_arguments(name, start)
             return
@@ -128,7 +128,7 @@ class Parser(NamedFieldParser):
         if name == "-" and (self.flags.iso or (kind == NAME and following[2] == start + 1)):
             number = self._signed_number(following)
             if number is not None:
-                self.at += 1
+                self.position += 1
                 self._set_left(-number, start)
                 return
         prefix = self.operators.prefix.get(name)
@@ -147,13 +147,13 @@ class Parser(NamedFieldParser):
         if following[0] == NUMBER:
             value: float = following[1]
             return value
-        if following[0] == NAME and self.flags.event_text and self.tokens[self.at + 1][0] != OPEN_CT:
+        if following[0] == NAME and self.flags.event_text and self.tokens[self.position + 1][0] != OPEN_CT:
             return _SPECIAL_FLOATS.get(following[1])
         return None
 
     def _check_bare_operator(self, name: str, start: int) -> None:
         """Raise an error if an operator is an operand without brackets, which ISO 13211-1, 6.3.1.3, requires."""
-        if self.tokens[self.at][0] not in _ENDS or self.stack[-1][1] < self.GROUP:
+        if self.tokens[self.position][0] not in _ENDS or self.stack[-1][1] < self.GROUP:
             raise self.source.fault(
                 f"expected brackets around the operator {name}, as it is an operand", start
             )
@@ -170,16 +170,16 @@ class Parser(NamedFieldParser):
             return True
         # An infix operator follows, so one of the two names is an atom. If an operand follows that operator, it is an
         # infix operator, and the prefix operator is its left operand.
-        after = self.tokens[self.at + 1]
+        after = self.tokens[self.position + 1]
         if after[0] in _ENDS or after[0] == OPEN_CT:
             return True
         if after[0] != NAME or after[1] not in self.table or after[1] in operators.prefix:
             return False
         # Two infix operators follow: `- = =` is =(-, =), but in `dynamic seq / 2` the prefix operator is applied.
-        return self.tokens[self.at + 2][0] not in _ENDS
+        return self.tokens[self.position + 2][0] not in _ENDS
 
     def _operator(self) -> None:
-        kind, value, start, _ = self.tokens[self.at]
+        kind, value, start, _ = self.tokens[self.position]
         if kind in (NAME, QUOTED):
             self._name_operator(value, start)
         elif kind == ",":
@@ -189,12 +189,12 @@ class Parser(NamedFieldParser):
         elif kind == ")" or kind == "]" or kind == "}" or kind == END or kind == "eof":
             self._close(kind)
         else:
-            raise self._no_operator()
+            raise self._missing_operator_error()
 
     def _name_operator(self, name: str, start: int) -> None:
         infix = self.table.get(name)
         # The `:` of a label binds more loosely than the rule; elsewhere it is the module operator.
-        if self.patterns is not None and self.at in self.rules.labels:
+        if self.patterns is not None and self.position in self.rules.labels:
             infix = LABEL
         postfix = self.operators.postfix.get(name)
         if infix is None and postfix is None:
@@ -202,16 +202,16 @@ class Parser(NamedFieldParser):
                 self.wants_operand = True
                 self._push_prefix(DECLARING, self.left_at)
                 return
-            raise parser_stack.no_operator(self, self.brackets[-1])
-        self.at += 1
-        if infix is not None and (postfix is None or self._starts_operand(self.tokens[self.at])):
+            raise parser_stack.missing_operator_error(self, self.brackets[-1])
+        self.position += 1
+        if infix is not None and (postfix is None or self._starts_operand(self.tokens[self.position])):
             self._push_infix(infix, name, start)
         elif postfix is not None:
             self._apply_postfix(postfix, start)
 
     def _is_declaration(self) -> bool:
         """Return whether the operand is the ``event`` of a declaration, ``:- event E.``, and not an atom."""
-        position = self.at - 1
+        position = self.position - 1
         if self.tokens[position][:2] != (NAME, "event") or self.patterns is not None or self.flags.made:
             return False
         return position == 0 or (position == 1 and self.tokens[0][:2] in _BEFORE_GOALS)

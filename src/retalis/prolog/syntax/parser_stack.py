@@ -37,7 +37,7 @@ class ParserState:
     Attributes:
         names: variables by name, in order of appearance, without ``_``.
         counts: number of occurrences of each name.
-        spots: ``id`` of a compound term -> offsets of its functor and of its arguments.
+        offsets: ``id`` of a compound term -> offsets of its functor and of its arguments.
         expanded: messages with named slots.
     """
 
@@ -50,18 +50,18 @@ class ParserState:
         operators: Operators,
         flags: ReadFlags,
         rules: Layout = NO_RULES,
-        spots: Optional[Dict[int, Tuple[int, ...]]] = None,
+        offsets: Optional[Dict[int, Tuple[int, ...]]] = None,
     ):
         self.tokens = tokens
         self.source = source
         self.operators = operators
         self.flags = flags
         self.rules = rules
-        self.spots = spots
+        self.offsets = offsets
         self.names: Dict[str, Var] = {}
         self.counts: Dict[str, int] = {}
         self.expanded: List[Expanded] = []
-        self.at = 0
+        self.position = 0
         self.stack: List[Any] = []
         self.brackets: List[List[Any]] = []
         self.table: OperatorTable = operators.infix
@@ -102,9 +102,9 @@ _FOREIGN_OPERATORS = {
 """Operators of other languages, and the notation to use instead."""
 
 
-def no_operand(parser: ParserState, innermost: List[Any]) -> SyntaxFault:
+def missing_operand_error(parser: ParserState, innermost: List[Any]) -> SyntaxFault:
     """Return the error for a token at which a term should begin."""
-    token = parser.tokens[parser.at]
+    token = parser.tokens[parser.position]
     shown_token = shown(token, parser.source.text)
     kind = innermost[1]
     if kind == parser.INFIX:
@@ -129,9 +129,9 @@ def _operand_hint(parser: ParserState, token: AnyToken) -> str:
     return ""
 
 
-def no_operator(parser: ParserState, bracket: List[Any]) -> SyntaxFault:
+def missing_operator_error(parser: ParserState, bracket: List[Any]) -> SyntaxFault:
     """Return the error for a token that follows a complete term."""
-    token = parser.tokens[parser.at]
+    token = parser.tokens[parser.position]
     text = parser.source.text
     opened = bracket[2]  # the token of the bracket; None for the clause itself
     if opened is None:
@@ -204,9 +204,9 @@ def _unknown_operator(parser: ParserState, name: str) -> str:
     return f'"{name}" is not an operator; two patterns are joined with {", ".join(quoted)} or {last}'
 
 
-def unbalanced(parser: ParserState, opened: Optional[int]) -> SyntaxFault:
+def unbalanced_bracket_error(parser: ParserState, opened: Optional[int]) -> SyntaxFault:
     """Return the error for a closing bracket, or an end, that does not match the open bracket."""
-    token = parser.tokens[parser.at]
+    token = parser.tokens[parser.position]
     shown_token = shown(token, parser.source.text)
     if opened is None:
         return _fault(
@@ -218,7 +218,9 @@ def unbalanced(parser: ParserState, opened: Optional[int]) -> SyntaxFault:
     return _fault(parser, f'expected "{closer}" for the {_opener(parser, opened)} before {shown_token}', "")
 
 
-def clash(parser: ParserState, operator: Operator, start: int, outer: Optional[Operator]) -> SyntaxFault:
+def priority_clash_error(
+    parser: ParserState, operator: Operator, start: int, outer: Optional[Operator]
+) -> SyntaxFault:
     """Return the error for an operator whose priority does not fit.
 
     Args:
@@ -259,7 +261,7 @@ def _opener(parser: ParserState, opened: int) -> str:
 
 
 def _previous_token(parser: ParserState) -> Optional[AnyToken]:
-    return parser.tokens[parser.at - 1] if parser.at else None
+    return parser.tokens[parser.position - 1] if parser.position else None
 
 
 def starts_line(text: str, offset: int) -> bool:
@@ -269,7 +271,7 @@ def starts_line(text: str, offset: int) -> bool:
 
 def _fault(parser: ParserState, message: str, hint: str, offset: Optional[int] = None) -> SyntaxFault:
     if offset is None:
-        offset = parser.tokens[parser.at][2]
+        offset = parser.tokens[parser.position][2]
     return parser.source.fault(f"{message}; {hint}" if hint else message, offset)
 
 
@@ -294,7 +296,7 @@ class ParserStack(ParserState):
         # A prefix operator cannot reduce anything, as it has no left argument: it must fit as it is.
         if operator.priority > self.stack[-1][0]:
             top = self.stack[-1]
-            raise clash(self, operator, start, top[2] if top[1] <= PREFIX else None)
+            raise priority_clash_error(self, operator, start, top[2] if top[1] <= PREFIX else None)
         self.stack.append((operator.right, PREFIX, operator, start, self.table))
 
     def _push_group(self, at: Optional[int], start: int) -> None:
@@ -303,7 +305,7 @@ class ParserStack(ParserState):
         # Round brackets keep the table: in `(a seq b) or c` the pattern continues. A curly bracket holds Prolog
         # terms.
         inner = self.table if at is None or self.tokens[at][0] != "{" else self.operators.infix
-        self._begin_segment(self.at, inner)
+        self._begin_segment(self.position, inner)
 
     def _push_bracket(self, entry: List[Any]) -> None:
         self.stack.append(entry)
@@ -333,7 +335,7 @@ class ParserStack(ParserState):
                 break
             if top[1] > PREFIX:
                 if limit < priority:
-                    raise clash(self, operator, start, None)
+                    raise priority_clash_error(self, operator, start, None)
                 break
             # Equal priorities: `found` becomes the argument of the operator on the stack (right-associative), unless
             # both have this priority and `found` accepts it on its left (left-associative).
@@ -346,7 +348,7 @@ class ParserStack(ParserState):
             if table is not self.table:
                 operator = self.table.get(name, operator)
         if self.left_priority > operator[1]:
-            raise clash(self, operator, start, None)
+            raise priority_clash_error(self, operator, start, None)
         return operator
 
     def _apply_postfix(self, operator: Operator, start: int) -> None:
@@ -355,12 +357,12 @@ class ParserStack(ParserState):
         self.left_priority = operator.priority
 
     def _push_infix(self, operator: Operator, name: str, start: int) -> None:
-        label = self.rules.labels.get(self.at - 1) if operator is LABEL else None
+        label = self.rules.labels.get(self.position - 1) if operator is LABEL else None
         # Otherwise it fits without any reduction, which is the case for most operators.
         if operator[0] > self.stack[-1][0] or operator[0] == self.stack[-1][0] or self.left_priority:
             operator = self._reduce_until_fits(operator, name, start)
         if self.table is self.patterns and operator.functor in _RULE_NECKS:
-            raise clash(self, operator, start, self.operators.infix.get("<-", operator))
+            raise priority_clash_error(self, operator, start, self.operators.infix.get("<-", operator))
         self.stack.append((operator.right, INFIX, operator, self.left, self.left_at, start, self.table))
         self.wants_operand = True
         if self.patterns is not None:
@@ -393,8 +395,8 @@ class ParserStack(ParserState):
     def _build(self, term: Term, start: int, arguments: Tuple[int, ...]) -> None:
         self.left = term
         # Identities stay unique while the clause is parsed: every term is part of the clause or on the stack.
-        if self.spots is not None:
-            self.spots[id(term)] = (start, *arguments)
+        if self.offsets is not None:
+            self.offsets[id(term)] = (start, *arguments)
 
     # -- brackets ----------------------------------------------------------------------------------------
 
@@ -407,7 +409,7 @@ class ParserStack(ParserState):
 
     def _comma(self, start: int) -> None:
         kind = self.brackets[-1][1]
-        self.at += 1
+        self.position += 1
         # Within round brackets the comma is an operator; in argument lists and lists it is a separator.
         if kind == GROUP:
             self._push_infix(_COMMA, ",", start)
@@ -417,17 +419,17 @@ class ParserStack(ParserState):
             if bracket[6]:
                 raise self.source.fault('expected "]": a list has one term after "|"', start)
             self._add_item(bracket)
-            self._begin_segment(self.at, self.operators.infix)
+            self._begin_segment(self.position, self.operators.infix)
             return
         self._add_item(bracket)
         # `modes` tells which arguments of an event operator in functional notation are patterns.
         modes = bracket[8]
         pattern = len(bracket[4]) < len(modes) and modes[len(bracket[4])]
-        self._begin_segment(self.at, self.patterns if pattern else self.operators.infix)
+        self._begin_segment(self.position, self.patterns if pattern else self.operators.infix)
 
     def _add_item(self, bracket: List[Any]) -> None:
         bracket[4].append(self.left)
-        if self.spots is not None:
+        if self.offsets is not None:
             bracket[5].append(self.left_at)
 
     def _bar(self, start: int) -> None:
@@ -437,13 +439,13 @@ class ParserStack(ParserState):
                 raise self.source.fault('expected "]": a list has one term after "|"', start)
             self._add_item(bracket)
             bracket[6] = True
-            self.at += 1
-            self._begin_segment(self.at, self.operators.infix)
+            self.position += 1
+            self._begin_segment(self.position, self.operators.infix)
             return
         infix = self.table.get("|")
         if infix is None:
-            raise no_operator(self, self.brackets[-1])
-        self.at += 1
+            raise missing_operator_error(self, self.brackets[-1])
+        self.position += 1
         self._push_infix(infix, "|", start)
 
     def _close(self, kind: str) -> None:
@@ -452,8 +454,8 @@ class ParserStack(ParserState):
         # A clause ends with a full stop; a single term may also end with the text.
         expected = END if opened is None else CLOSER[self.tokens[opened][0]]
         if kind != expected and not (opened is None and kind == "eof"):
-            raise unbalanced(self, opened)
-        self.at += 1
+            raise unbalanced_bracket_error(self, opened)
+        self.position += 1
         self.stack.pop()
         self.brackets.pop()
         self.table = bracket[3]

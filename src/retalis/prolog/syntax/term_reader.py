@@ -45,7 +45,7 @@ class ReadTerm:
         offset: offset of the term in the text.
     """
 
-    __slots__ = ("term", "names", "singletons", "offset", "_source", "_spots")
+    __slots__ = ("term", "names", "singletons", "offset", "_source", "_offsets")
 
     def __init__(self, parser: Parser, term: Term, offset: int):
         self.term = term
@@ -55,7 +55,7 @@ class ReadTerm:
         ]
         self.offset = offset
         self._source = parser.source
-        self._spots = parser.spots or {}
+        self._offsets = parser.offsets or {}
 
     @property
     def place(self) -> Place:
@@ -69,10 +69,10 @@ class ReadTerm:
             part: the object itself, not an equal term; for any other object, the place of the whole term is returned.
             number: an argument number from 1 on, for the place where the argument begins; 0 for the functor.
         """
-        spots = self._spots.get(id(part))
-        if spots is None:
+        offsets = self._offsets.get(id(part))
+        if offsets is None:
             return self._source.place(self.offset)
-        return self._source.place(spots[number if number < len(spots) else 0])
+        return self._source.place(offsets[number if number < len(offsets) else 0])
 
     def place_at(self, *path: int) -> Place:
         """Return the place of the subterm at a path of argument numbers (from 1).
@@ -83,13 +83,13 @@ class ReadTerm:
         part: Any = self.term
         offset = self.offset
         for number in path:
-            spots = self._spots.get(id(part))
-            if spots is None or number >= len(spots) or part.__class__ is not tuple:
+            offsets = self._offsets.get(id(part))
+            if offsets is None or number >= len(offsets) or part.__class__ is not tuple:
                 return self._source.place(offset)
-            offset = spots[number]
+            offset = offsets[number]
             part = part[number] if number < len(part) else None
-        spots = self._spots.get(id(part))
-        return self._source.place(spots[0] if spots else offset)
+        offsets = self._offsets.get(id(part))
+        return self._source.place(offsets[0] if offsets else offset)
 
 
 class Program:
@@ -180,7 +180,7 @@ class Program:
             parser = _parser(clause[start:end], self._source, self.operators, self.flags, positions=True)
             term = parser.read()
         except SyntaxFault as fault:
-            position = start if parser is None else start + parser.at
+            position = start if parser is None else start + parser.position
             # Near the end of the excerpt, the error may be the missing continuation.
             if end < len(clause) and position + _LOOKAHEAD >= end:
                 return None
@@ -272,5 +272,5 @@ def _parser(
     end = ("eof", None, clause[-1][3], clause[-1][3])
     clause = [*clause, end, end, end]  # the parser looks ahead without testing for the end
     rules = layout(clause, operators) if marked else NO_RULES
-    spots: Optional[Dict[int, Tuple[int, ...]]] = {} if positions else None
-    return Parser(clause, source, operators, flags, rules, spots)
+    offsets: Optional[Dict[int, Tuple[int, ...]]] = {} if positions else None
+    return Parser(clause, source, operators, flags, rules, offsets)

@@ -42,7 +42,7 @@ from ..terms.types import (
     serial,
 )
 from .literals import atom_text, float_text, integer_text, quote
-from .message_fields import MessageSlot, NamedForm, as_integers, made_in, parts_in
+from .message_fields import MessageSlot, NamedForm, as_integers, compound_subterms, constructed_parts
 from .operators import Operator, Operators, standard_operators
 
 _BRACES = functor("{}", 1)
@@ -458,7 +458,7 @@ def canonical_text(term: Term) -> str:
     return write_term(term, quoted=True, ignore_ops=True, variable_names=names)
 
 
-def beginning_of(term: Term, longest: int) -> str:
+def truncated_text(term: Term, longest: int) -> str:
     """Return the result of `writeq`, or its first characters and ``...``, as errors can contain terms of any size."""
     return _BeginningWriter(standard_operators(), _QUOTED._replace(longest=longest)).write(term)
 
@@ -512,13 +512,15 @@ class _NamedShower:
         known: Dict[Functor, List[NamedForm]] = {}
         for form in list(operators.slots.forms):
             known.setdefault(form.functor, []).append(form)
-        for part in parts_in(term):
+        for part in compound_subterms(term):
             if part[0] in known:
                 self.forms[part[0]] = known[part[0]]
         if self.forms:
             self.open = _singleton_variables(term, named)
-            whole = [term] if made else made_in(term)
-            self.made: Set[int] = {id(part) for constructed in whole for part in parts_in(constructed)}
+            whole = [term] if made else constructed_parts(term)
+            self.made: Set[int] = {
+                id(part) for constructed in whole for part in compound_subterms(constructed)
+            }
 
     def text(self, term: Term) -> Optional[str]:
         """Return the text of a message that was written with named fields; None for any other term."""

@@ -6,8 +6,8 @@ if the goal has exceeded a limit, and `MAX_STEPS` bounds the walk as a whole.
 
 Unification without occurs check can build cyclic terms (``X = f(X)``), on which a plain walk does not end. Checking
 every term for cycles would double the cost of all walks, so a walk checks only after `LATE` steps, which few terms
-need. Unification, comparison and the search for variables then continue with `MetPairs`, which visits each part once,
-as in the unification of rational trees (Colmerauer 1982). The other walks raise `TermTooLarge`.
+need. Unification, comparison and the search for variables then continue with `VisitedPairs`, which visits each part
+once, as in the unification of rational trees (Colmerauer 1982). The other walks raise `TermTooLarge`.
 
 Keys: `freeze` and `variant_key` flatten a term in prefix order into a tuple of functors and constants. The arity in
 each functor makes the flat form unambiguous, so equal keys mean identical terms, or variants of each other. Keys are
@@ -91,7 +91,7 @@ def refuse_cycles(term: Term) -> None:
         raise TermTooLarge
 
 
-class MetPairs:
+class VisitedPairs:
     """Pairs of compound terms that a walk over two cyclic terms has visited; a pair is not compared twice."""
 
     __slots__ = ("_met", "_steps")
@@ -137,13 +137,13 @@ def variables(term: Term) -> List[Var]:
             item = stack.pop()
         look()
         if done == LATE_ROUND and contains_itself(term):
-            return _variables_met([*stack, item], seen)
+            return _variables_of_cyclic_term([*stack, item], seen)
     raise TermTooLarge
 
 
-def _variables_met(stack: List[Term], seen: Dict[Var, None]) -> List[Var]:
+def _variables_of_cyclic_term(stack: List[Term], seen: Dict[Var, None]) -> List[Var]:
     """Continue the search for variables in a cyclic term: visit each part once."""
-    met = MetPairs()
+    met = VisitedPairs()
     while stack:
         item = _follow(stack.pop())
         if item.__class__ is Var:
@@ -193,7 +193,7 @@ def is_ground(term: Term) -> bool:
                 stack.extend(item[1:])
         look()
         if done == LATE_ROUND and contains_itself(term):
-            return not _variables_met(stack, {})
+            return not _variables_of_cyclic_term(stack, {})
     raise TermTooLarge
 
 

@@ -16,7 +16,7 @@ from typing import Any, Callable, List, Optional
 
 from ...foundation.cancellation import BULK, look
 from ...foundation.errors import TermTooLarge
-from .term_traversal import LATE, LATE_ROUND, MASK, ROUNDS, MetPairs, check_steps, contains_itself, copy
+from .term_traversal import LATE, LATE_ROUND, MASK, ROUNDS, VisitedPairs, check_steps, contains_itself, copy
 from .types import NUMBERED, Atom, Lazy, String, Term, Trail, Var, deref, serial
 
 
@@ -83,7 +83,7 @@ def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look 
             check_steps(steps)
             # The pairs that remain are on the stack; a cycle passes through the current pair or the newest entries.
             if steps == LATE and contains_itself((left[0], left, right, *stack[-4:])):
-                return _unify_met([*stack, right, left], trail)
+                return _unify_cyclic([*stack, right, left], trail)
         if size > MASK:
             look(size)
         # The first pair of compound arguments is kept in two variables, further ones on the stack: a chain such as a
@@ -156,9 +156,9 @@ def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look 
             return True
 
 
-def _unify_met(stack: List[Any], trail: Trail) -> bool:
+def _unify_cyclic(stack: List[Any], trail: Trail) -> bool:
     """Continue the unification of cyclic terms: compare each pair once."""
-    met = MetPairs()
+    met = VisitedPairs()
     while stack:
         left = deref(stack.pop())
         right = deref(stack.pop())
@@ -243,7 +243,7 @@ def compare(  # noqa: C901 -- the loop of sorting: a call for each pair of terms
     if left.__class__ is not tuple or right.__class__ is not tuple:
         return _compare_simple(left, right, variables)
     stack: List[Any] = [right, left]
-    met: Optional[MetPairs] = None  # set once one of the terms has proved to be cyclic
+    met: Optional[VisitedPairs] = None  # set once one of the terms has proved to be cyclic
     for done in ROUNDS:
         for _ in BULK:
             if not stack:
@@ -274,7 +274,7 @@ def compare(  # noqa: C901 -- the loop of sorting: a call for each pair of terms
                 stack.append(first[position])
         look()
         if done == LATE_ROUND and (contains_itself(left) or contains_itself(right)):
-            met = MetPairs()
+            met = VisitedPairs()
     raise TermTooLarge
 
 
