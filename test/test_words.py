@@ -10,9 +10,7 @@ from source import NODES, ROOT, TREES
 GLOSSARY = ROOT / "docs" / "glossary.md"
 
 # Names that are defined more than once, each with the reason.
-TWICE: "dict[str, str]" = {
-    "Machine": "what runs frames, and the same as predicates in Python see it: with the program that it runs",
-}
+TWICE: "dict[str, str]" = {}
 
 
 @lru_cache(maxsize=None)

@@ -301,7 +301,7 @@ class SourceFiles:
         """The file that is being loaded, that of the others in which it is."""
         return self._open[-1] if self._open else None
 
-    # For `StreamFiles`
+    # Files that goals open
 
     def to_read(self, name: Term, encoding: str = "utf-8") -> Tuple[str, str]:
         """Return the path of a file that a goal reads, and its text.

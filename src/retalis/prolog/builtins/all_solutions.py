@@ -9,7 +9,7 @@ from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from ..machine.arithmetic import EVALUABLE, Number, add, evaluate
 from ..machine.errors import domain_error, instantiation_error, type_error
-from ..machine.machine import Code
+from ..machine.machine import Code, Machine
 from ..terms.list_terms import make_list
 from ..terms.term_traversal import copy, variables
 from ..terms.types import (
@@ -30,7 +30,7 @@ from ..terms.types import (
 )
 from ..terms.unification import unify
 from .argument_checks import is_iso, natural, partial_items
-from .builtin_registry import Machine, control
+from .builtin_registry import control
 from .list_predicates import sort_by, sort_unique
 from .term_comparison import is_variant
 
@@ -56,8 +56,10 @@ def _grouped_solutions(sort: bool) -> Callable[[Machine, Values, Frame], Optiona
 
     def run(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
         template, goal, result = args
+        # ISO 13211-1 requires the check of the result before the goal runs; SWI-Prolog omits it.
         if is_iso(machine):
             partial_items(result)
+        # Variables of the template and those quantified by `^` are local: they do not distinguish groups.
         inner, bound = _strip_quantifiers(machine, goal)
         # Checked before the free variables are collected: an unbound goal would be its own free variable.
         if inner.__class__ is Var:
@@ -124,6 +126,7 @@ def _enumerate_groups(
         key, items = groups[position]
         position += 1
         if machine.unify_all((witness, key), (result, items)):
+            # The last group leaves no choice point, so a goal with a single group is determinate.
             if position < len(groups):
                 machine.choices.append((_NEXT_GROUP, machine, witness, result, groups, position, after, mark))
             return after
@@ -162,6 +165,7 @@ def _collect_solution(frame: Frame) -> Optional[Frame]:
     after: Frame
     _, machine, base, solutions, template, count, result, tail, after = frame
     solutions.append(copy(template))
+    # Failing makes the goal search for the next solution of the same list.
     if len(solutions) < count:
         return None
     items = make_list(solutions, tail)
@@ -207,6 +211,7 @@ def aggregate_all_distinct(machine: Machine, args: Values, after: Frame) -> Opti
     finish, template = _aggregate(spec)
 
     def done(solutions: List[Term]) -> Optional[Frame]:
+        # Sorting removes duplicates, and does so by discriminator and template together, as in SWI-Prolog.
         distinct: List[Any] = sort_unique(solutions)
         value = finish([pair[2] for pair in distinct])
         return after if value is not None and unify(result, value, machine.trail) else None
@@ -254,6 +259,7 @@ def _compound_aggregate(key: Functor, parts: List[Tuple[Finish, Term]]) -> Tuple
 
     def finish(solutions: List[Term]) -> Optional[Term]:
         values = [part(column) for (part, _), column in zip(parts, _columns(solutions, len(parts)))]
+        # One part without a value, such as `max` of no solutions, makes the whole aggregate fail.
         return None if any(value is None for value in values) else (key, *values)
 
     return finish, (key, *[template for _, template in parts])
@@ -279,6 +285,7 @@ def _extremum_with_witness(key: Functor, sign: int) -> Finish:
         best: Optional[Tuple[Number, Term]] = None
         for _, item, witness in terms:
             item = deref(item)
+            # Unlike `max(X)`, the form with a witness does not evaluate expressions, as in SWI-Prolog.
             if item.__class__ is not int and item.__class__ is not float:
                 raise type_error("number", item)
             if best is None or (item > best[0] if sign > 0 else item < best[0]):

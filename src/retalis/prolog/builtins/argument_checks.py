@@ -9,9 +9,9 @@ from typing import List, Optional
 from ...foundation.cancellation import watched
 from ..machine.arithmetic import Number
 from ..machine.errors import domain_error, instantiation_error, type_error
+from ..machine.machine import Machine
 from ..terms.list_terms import list_parts
 from ..terms.types import FALSE, NIL, SLASH, TRUE, Atom, Functor, Term, Var, deref, functor
-from .builtin_registry import Machine
 
 
 def is_iso(machine: Machine) -> bool:
@@ -22,6 +22,7 @@ def is_iso(machine: Machine) -> bool:
 def integer(term: Term) -> int:
     """Return the value of an integer argument."""
     term = deref(term)
+    # Classes are compared by identity: that is faster than `isinstance`, and terms have no subclasses.
     if term.__class__ is int:
         return term
     if term.__class__ is Var:
@@ -87,6 +88,7 @@ def items(term: Term) -> List[Term]:
     Raises:
         PrologError: an instantiation error for a partial list, a type error for any other term.
     """
+    # The tail decides the error: an unbound one might still become a list, any other one cannot.
     values, tail = list_parts(term)
     if tail is NIL:
         return values
@@ -119,10 +121,12 @@ def indicator_of(term: Term) -> Functor:
     term = deref(term)
     if term.__class__ is Var:
         raise instantiation_error()
+    # The module is ignored here: the module system has renamed local predicates before.
     if term.__class__ is tuple and term[0].name == ":" and len(term) == 3:
         return indicator_of(term[2])
     if term.__class__ is not tuple or term[0] is not SLASH:
         raise type_error("predicate_indicator", term)
+    # Unbound parts take precedence over parts of the wrong type (ISO 13211-1, 7.12.2).
     name, arity = deref(term[1]), deref(term[2])
     if name.__class__ is Var or arity.__class__ is Var:
         raise instantiation_error()

@@ -13,11 +13,12 @@ from typing import Any, Callable, List, Optional, Tuple
 from ...foundation.cancellation import BULK, look, watched
 from ...foundation.errors import TermTooLarge
 from ..machine.errors import instantiation_error, no_matching_rule, type_error
+from ..machine.machine import Machine
 from ..terms.term_traversal import ROUNDS
 from ..terms.types import CONS, MINUS, NIL, CompoundTerm, Functor, Term, Var, atom, deref, functor
 from ..terms.unification import compare, unify
 from .argument_checks import items
-from .builtin_registry import Machine, deterministic
+from .builtin_registry import deterministic
 from .list_predicates import bounded
 
 _NODE, _EMPTY = functor("t", 5), atom("t")

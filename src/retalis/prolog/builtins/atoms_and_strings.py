@@ -14,13 +14,13 @@ from ..machine.errors import (
     representation_error,
     type_error,
 )
-from ..machine.machine import LAST
+from ..machine.machine import LAST, Machine
 from ..terms.list_terms import list_items, make_list
 from ..terms.term_traversal import is_ground
 from ..terms.types import NIL, Atom, String, Term, Var, atom, deref, functor
 from ..terms.unification import unify
 from .argument_checks import atom_of, integer_or_var, is_iso, items, partial_items
-from .builtin_registry import Machine, Outcome, Solutions, deterministic, nondeterministic
+from .builtin_registry import Outcome, Solutions, deterministic, nondeterministic
 from .text_arguments import (
     MAX_CODE,
     atomic_text,
@@ -49,6 +49,7 @@ from .text_arguments import (
 def atom_length(machine: Machine, text: Term, length: Term) -> bool:
     """Unify with the number of characters of an atom."""
     size = deref(length)
+    # SWI-Prolog accepts numbers and other texts too; ISO 13211-1 only atoms.
     value = len(atom_of(text).name if is_iso(machine) else text_of(text))
     if size.__class__ is not Var:
         if size.__class__ is not int:
@@ -164,6 +165,7 @@ def atom_number(machine: Machine, text: Term, number: Term) -> bool:
         if number.__class__ not in (int, float):
             raise type_error("number", number)
         return unify(text, atom(number_text(number)), machine.trail)
+    # Which of the two arguments is reported, and whether the predicate fails instead, follows SWI-Prolog.
     if text.__class__ not in (Atom, String):
         if number.__class__ is Var:
             raise type_error("atom", text)
@@ -177,6 +179,7 @@ def atom_number(machine: Machine, text: Term, number: Term) -> bool:
 @deterministic("term_to_atom/2")
 def term_to_atom(machine: Machine, term: Term, text: Term) -> bool:
     """Convert between a term and its text as an atom."""
+    # A given text is parsed even if the term is known: equal terms may be written differently.
     given = deref(text)
     if deref(term).__class__ is Var and given.__class__ is not Var:
         return unify(term, parse(machine, text_of(given)), machine.trail)
@@ -204,6 +207,7 @@ def _concat(machine: Machine, left: Term, right: Term, whole: Term, make: Make) 
     left, right = deref(left), deref(right)
     start = None if left.__class__ is Var else atomic_text(left)
     end = None if right.__class__ is Var else atomic_text(right)
+    # With both parts known, the whole is compared as text, so an atom is equal to a string.
     if start is not None and end is not None:
         result = deref(whole)
         text = constant_text(result)
@@ -219,6 +223,7 @@ def _concat(machine: Machine, left: Term, right: Term, whole: Term, make: Make) 
         return text.startswith(start) and unify(right, make(text[len(start) :]), machine.trail)
     if end is not None:
         return text.endswith(end) and unify(left, make(text[: len(text) - len(end)]), machine.trail)
+    # Only this mode, with both parts unbound, has more than one solution.
     return halves(machine, left, right, text, make)
 
 
@@ -294,6 +299,7 @@ def _enumerate_substrings(
 ) -> Solutions:
     size = len(whole)
     for index, (start, end) in enumerate(spans):
+        # Substrings that do not unify are skipped within one step of the machine.
         if not index & 255:
             look()
         long_text(end - start)
@@ -331,6 +337,7 @@ def _occurrences(
         start = size - a - count
         matches = start >= 0 and whole.startswith(substring, start)
     else:
+        # One occurrence is determinate; a generator is only needed for several.
         start = whole.find(substring)
         matches = start >= 0
         if matches and whole.find(substring, start + 1) >= 0:
@@ -372,9 +379,11 @@ def atomic_list_concat_separated(machine: Machine, parts: Term, separator: Term,
         return result == text if result is not None else unify(whole, atom(text), machine.trail)
     if deref(whole).__class__ is Var:
         raise instantiation_error()
+    # An empty separator would divide a text at every position, or nowhere.
     if not between:
         raise domain_error("non_empty_atom", separator)
     text = atomic_text(whole)
+    # Charges the memory of all parts before they are created.
     look(size=_ATOM_BYTES * text.count(between))
     return unify(parts, make_list(each(atom, text.split(between))), machine.trail)
 
@@ -457,6 +466,7 @@ def atom_string(machine: Machine, name: Term, text: Term) -> bool:
         return unify(name, atom(whole_text(text, "string")), machine.trail)
     if deref(text).__class__ is Var:
         return unify(text, String(whole_text(name, "atom")), machine.trail)
+    # Two terms without text are compared below, where the error for them is raised.
     if _is_compound_non_text(name) != _is_compound_non_text(text):
         return False
     return whole_text(text, "string") == whole_text(name, "atom")
@@ -668,6 +678,7 @@ def _char_type(as_code: bool) -> Callable[[Machine, Term, Term], Outcome]:
         return type_term is not None and unify(kind, type_term, machine.trail)
 
     def enumerate_(machine: Machine, char: Term, kind: Term, given: Optional[str]) -> Solutions:
+        # Without a character only Latin-1 is enumerated, since the types of all of Unicode take seconds.
         for character in [given] if given is not None else map(chr, range(256)):
             for type_term in _types(character, kind, wrap):
                 pairs = [(kind, type_term)]
@@ -695,6 +706,7 @@ def _check_type(kind: Term) -> None:
 def _types(char: str, kind: Term, wrap: Callable[[str], Term]) -> Iterator[Term]:
     """Yield the types of a character that may unify with a requested type."""
     name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else None
+    # With a known type only its own test runs; with an unbound one, all types are yielded in the order of the table.
     for plain, test in _CLASSES.items():
         if (name is None or (plain == name and kind.__class__ is Atom)) and test(char):
             yield atom(plain)

@@ -13,7 +13,7 @@ from ..database.clause_index import NEVER, Clause, may_match
 from ..database.control_constructs import functor_of
 from ..database.predicate import Predicate
 from ..machine.errors import domain_error, indicator, instantiation_error, permission_error, type_error
-from ..machine.machine import LAST
+from ..machine.machine import LAST, Machine
 from ..terms.list_terms import conjuncts
 from ..terms.term_traversal import copy
 from ..terms.types import (
@@ -34,7 +34,7 @@ from ..terms.types import (
 )
 from ..terms.unification import undo, unify
 from .argument_checks import callable_of, indicator_of, is_iso, is_true, items, option_values
-from .builtin_registry import Machine, Outcome, Solutions, control, deterministic, nondeterministic
+from .builtin_registry import Outcome, Solutions, control, deterministic, nondeterministic
 from .tabling import AS, Mode, modes_of, tables_of
 
 _NECK = functor(":-", 2)
@@ -47,6 +47,7 @@ def _check_rights(machine: Machine, key: Functor, action: str, kind: str) -> Pre
         PrologError: a permission error for a control construct or a built-in predicate.
     """
     predicate: Predicate = machine.logic.database.predicate(key)
+    # Predicates of libraries may be read but not modified, except for dynamic ones; built-ins neither.
     if key in CONTROL or (
         predicate.library and (predicate.system or action == "modify") and not predicate.dynamic
     ):
@@ -100,9 +101,11 @@ def _key(head: Term) -> Functor:
 
 def _candidates(predicate: Predicate, head: Term) -> Iterator[Clause]:
     """Yield the current clauses whose heads may match."""
+    # Tables that are being evaluated depend on these clauses.
     if predicate.incremental:
         predicate.note_read()
     frame = (None, *head[1:], None) if head.__class__ is tuple else (None, None)
+    # Clauses are filtered by the keys of all arguments, beyond the index that `select` uses, before they are copied.
     keys = [key_of(arg) for arg in frame[1:-1]]
     generation = predicate.database.generation
     clauses, _ = predicate.select(frame)
@@ -156,6 +159,7 @@ def _matching_clauses(
 ) -> Solutions:
     last = clauses[-1]
     for clause in clauses:
+        # A failed unification may have bound variables, which the next clause must not see.
         mark = len(trail)
         if _unify_clause(trail, clause, head, body, action, conversion):
             yield LAST if clause is last else None
@@ -181,6 +185,7 @@ def _unify_clause(
 
 
 def _renamed(clause: Clause) -> Tuple[Term, Term]:
+    # A ground clause needs no copy.
     if clause.ground:
         return clause.head, clause.body
     fresh: Dict[Var, Term] = {}
@@ -193,12 +198,14 @@ def retractall(machine: Machine, head: Term) -> bool:
     head = machine.logic.database.modules.looked_for(head)
     key = _key(head)
     predicate = _check_rights(machine, key, "modify", "static_procedure")
+    # SWI-Prolog creates a dynamic predicate then, so that later calls fail instead of raising an error.
     if not predicate.defined:
         predicate.dynamic = True
         machine.logic.database.changes += 1
         return True
     trail = machine.trail
     mark = len(trail)
+    # The list is complete before the first removal (logical update view).
     for clause in list(_candidates(predicate, head)):
         if unify(head, clause.head if clause.ground else copy(clause.head), trail):
             predicate.remove(clause)
@@ -247,6 +254,7 @@ def declared_with_options(term: Term) -> Iterator[Tuple[Term, Values]]:
         item, options = stack.pop()
         item = deref(item)
         if item.__class__ is tuple and item[0] is COMMA:
+            # Reversed, because the stack returns the last item first.
             stack += [(conjunct, options) for conjunct in reversed(list(conjuncts(item)))]
         elif item.__class__ is tuple and item[0] is CONS:
             stack += ((item[2], options), (item[1], options))
@@ -300,6 +308,7 @@ _WITHOUT_EFFECT = frozenset(("opaque", "volatile", "shared", "local", "abstract"
 def _dynamic_option(option: Term) -> str:
     """Return the name of an option of ``dynamic ... as``, or raise a domain error."""
     key = _key(option)
+    # Only `abstract` has an argument.
     if key.name not in _DYNAMIC_OPTIONS | _WITHOUT_EFFECT or key.arity != (key.name == "abstract"):
         raise domain_error("predicate_option", option)
     return key.name
@@ -341,6 +350,7 @@ def current_predicate(machine: Machine, term: Term) -> Solutions:
         if predicate is not None and _is_current(predicate, is_iso(machine)):
             yield LAST
         return
+    # The goal may define predicates between two solutions, so the table is copied.
     for key, predicate in list(database.predicates.items()):
         has_clauses = predicate.kind == "user" and not predicate.library and len(predicate)
         if (
@@ -449,6 +459,7 @@ def declare(machine: Machine, key: Functor, modes: Dict[int, Mode]) -> None:
     if database.predicate(key).tabled is not None:
         return
     predicate = database.writable(key, "modify")
+    # The name contains a space, so that a program does not define the hidden predicate by accident.
     hidden = database.predicate(functor(f"{key.name} tabled", key.arity))
     for clause in list(predicate.live()):
         hidden.add(clause)

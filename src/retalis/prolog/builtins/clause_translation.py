@@ -13,6 +13,7 @@ from typing import Any, List, NamedTuple, Set, Tuple
 from ..compiler.clause_nodes import ARROW, BAR, EQUAL, NOT, SEMICOLON, SOFT_ARROW
 from ..database.control_constructs import add_arguments
 from ..machine.errors import instantiation_error, no_matching_rule, type_error
+from ..machine.machine import Machine
 from ..terms.list_terms import conjunction, list_items, make_list
 from ..terms.term_traversal import resolve
 from ..terms.types import (
@@ -31,7 +32,7 @@ from ..terms.types import (
     deref,
     functor,
 )
-from .builtin_registry import Machine, deterministic
+from .builtin_registry import deterministic
 
 _NECK = functor(":-", 2)
 _CURLY = functor("{}", 1)
@@ -48,6 +49,7 @@ def translate_rule(rule: CompoundTerm) -> Term:
     head, body = deref(rule[1]), rule[2]
     first, last = Var(), Var()
     if head.__class__ is tuple and head[0] is COMMA:
+        # Pushback: the terminals after the head are put in front of the list that remains after the body.
         pushed = _terminals(deref(head[2]))
         middle = Var()
         translated = (COMMA, translate_body(body, first, middle), _consume(pushed, last, middle))
@@ -109,12 +111,14 @@ def _sequence(body: Term) -> List[Term]:
 def _translate_element(part: Term, first: Term, last: Term, pending: List[_Hole]) -> Term:
     if part.__class__ is tuple:
         return _translate_compound(part, first, last, pending)
+    # The body is known only at run time, and is translated then.
     if part.__class__ is Var:
         return (_PHRASE, part, first, last)
     if part is NIL or part.__class__ is String:
         return _consume(_terminals(part), first, last)
     if part.__class__ is not Atom:
         raise type_error("callable", part)
+    # A cut has to stay a goal of the clause itself; within `phrase/3` it would be local.
     if part.name == "!":
         return (COMMA, part, (EQUAL, first, last))
     if part is EMPTY_BLOCK:
@@ -136,6 +140,7 @@ def _translate_compound(part: CompoundTerm, first: Term, last: Term, pending: Li
             _nested_body(pending, part[1], first, middle),
             _nested_body(pending, part[2], middle, last),
         )
+    # A negated body consumes nothing, whatever it parses.
     if key is NOT:
         return (COMMA, (NOT, _nested_body(pending, part[1], first, Var())), (EQUAL, first, last))
     if key is _CURLY:
@@ -186,6 +191,7 @@ def translate_single_sided(rule: CompoundTerm) -> Tuple[Term, Term]:
         called, tests = _tested(head)
     else:
         raise type_error("callable", head)
+    # The cut commits to the rule after the guard and before the body.
     goals = [*tests, *([] if guard is TRUE else [guard]), _CUT, rule[2]]
     last = (called[0], *(Var() for _ in called[1:])) if called.__class__ is tuple else called
     return (_NECK, called, conjunction(goals)), (_NECK, last, (_NO_RULE, last))

@@ -5,14 +5,18 @@ through `SourceFiles`, which restricts goals to the folders that the settings al
 """
 
 from posixpath import basename, dirname, isabs, join, normpath, splitext
-from typing import Dict, List, Optional
+from typing import TYPE_CHECKING, Dict, List, Optional
 
 from ..machine.errors import existence_error, instantiation_error, permission_error
+from ..machine.machine import Machine
 from ..terms.types import SLASH, Atom, Term, Var, atom, deref
 from ..terms.unification import unify
 from .argument_checks import atom_of, items, option_values
-from .builtin_registry import Machine, StreamFiles, deterministic
+from .builtin_registry import deterministic
 from .text_arguments import text_of, whole_text
+
+if TYPE_CHECKING:
+    from ...events.program.source_files import SourceFiles
 
 _EXTENSIONS: Dict[str, List[str]] = {
     "prolog": [".pl", ".prolog", ".pro", ""],
@@ -29,6 +33,7 @@ def _file_name(term: Term) -> str:
 def file_base_name(machine: Machine, path: Term, base: Term) -> bool:
     """Unify with the part of a path after its last slash."""
     text = _file_name(path)
+    # Trailing slashes are ignored; a path of slashes only is the root (POSIX `basename`).
     plain = text.rstrip("/")
     return unify(base, atom(basename(plain) if plain else text[:1]), machine.trail)
 
@@ -47,6 +52,7 @@ def file_name_extension(machine: Machine, base: Term, extension: Term, name: Ter
     if deref(name).__class__ is not Var:
         whole = _file_name(name)
         if deref(extension).__class__ is not Var:
+            # An extension may be given with or without its dot.
             wanted = "." + _file_name(extension).lstrip(".")
             if wanted != "." and whole.endswith(wanted):
                 return _is_text(machine, base, whole[: -len(wanted)])
@@ -132,11 +138,12 @@ def _existing_file(machine: Machine, path: str, endings: List[str], kind: str) -
     files = _files(machine)
     if kind == "directory":
         return path if files.is_folder(path) else None
+    # A name that already has the extension is not extended again.
     named = (path if splitext(path)[1] == ending else path + ending for ending in endings)
     return next((candidate for candidate in named if files.is_readable(candidate)), None)
 
 
-def _files(machine: Machine) -> StreamFiles:
+def _files(machine: Machine) -> "SourceFiles":
     files = machine.logic.files
     if files is None:
         raise permission_error("access", "source_sink", atom("."), "there are no files")
@@ -184,6 +191,7 @@ def getenv(machine: Machine, name: Term, value: Term) -> bool:
     """Unify with the value of an environment variable; a permission error if the setting ``allow_foreign`` is off."""
     variable = text_of(name)
     environment = machine.logic.environment
+    # The environment may contain secrets of the user, so a program needs a permission to read it.
     if environment is None:
         raise permission_error(
             "access", "environment_variable", atom(variable), "the setting allow_foreign is off"

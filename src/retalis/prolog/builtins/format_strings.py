@@ -12,9 +12,9 @@ from ...foundation.cancellation import look
 from ..compiler.clause_nodes import NOT
 from ..machine.arithmetic import bounded, evaluate
 from ..machine.errors import domain_error, error, existence_error, resource_error
+from ..machine.machine import Machine
 from ..syntax.term_writer import write_term
 from ..terms.types import Atom, String, Term, atom, deref, functor
-from .builtin_registry import Machine
 from .text_arguments import MAX_CODE, constant_text, is_text_list, joined, long_text, number_text, text_of
 from .text_streams import OutputCapture
 
@@ -24,6 +24,7 @@ _PORTRAY = functor("portray", 1)
 def caught(machine: Machine, goal: Term) -> Tuple[bool, str]:
     """Run a goal once; return whether it succeeds, and its output."""
     logic = machine.logic
+    # The capture ends in any case, or the program's output would go to it for ever after an error.
     capture = OutputCapture(logic)
     try:
         succeeded = logic.once(goal)
@@ -160,6 +161,7 @@ class Formatter:
         Raises:
             PrologError: if there are too few or too many arguments, or one has the wrong type.
         """
+        # Reversed, so that taking the next argument is a `pop` from the end.
         self.arguments = arguments[::-1]
         position = 0
         line = self.line
@@ -185,6 +187,7 @@ class Formatter:
         """Execute the directive that starts after the tilde; return the position after it."""
         number, position = self._number(text, position)
         letter = text[position : position + 1]
+        # Limits columns and repetitions before any text is created.
         if number is not None and number > _MAX_COLUMN:
             raise resource_error("memory")
         if not letter:
@@ -212,6 +215,7 @@ class Formatter:
         start = position
         while text[position : position + 1].isdigit():
             position += 1
+            # The conversion of a long numeral takes quadratic time.
             if position - start > _MAX_NUMBER_DIGITS:
                 raise resource_error("memory")
         return (int(text[start:position]) if position > start else None), position
@@ -221,6 +225,7 @@ class Formatter:
         line = self.line
         if letter == "t":
             line.fill(chr(32 if number is None else number))
+        # Relative to the previous column stop, by default 8 columns.
         elif letter == "+":
             line.stop(line.start + (8 if number is None else number))
         else:
@@ -278,6 +283,7 @@ def _printed(machine: Machine, term: Term, number: Optional[int]) -> str:
 
 def _text(machine: Machine, term: Term, number: Optional[int]) -> str:
     given = deref(term)
+    # Numbers are not accepted, unlike by most other predicates on texts.
     is_text = given.__class__ in (String, Atom) or is_text_list(given)
     if not is_text:
         raise argument_error("s", given)
@@ -285,6 +291,7 @@ def _text(machine: Machine, term: Term, number: Optional[int]) -> str:
 
 
 def _integer(letter: str, term: Term) -> int:
+    # SWI-Prolog evaluates the argument, so expressions are accepted.
     value = evaluate(term)
     if not isinstance(value, int):
         raise argument_error(letter, value)
@@ -324,6 +331,7 @@ def _float(letter: str) -> Callable[..., str]:
     def convert(machine: Machine, term: Term, number: Optional[int]) -> str:
         value = evaluate(term)
         places = 6 if number is None else number
+        # Exact, while a conversion to float would round large integers.
         if letter == "f" and value.__class__ is int:
             return number_text(value) + ("." + "0" * places if places else "")
         return f"%.{places}{letter}" % value

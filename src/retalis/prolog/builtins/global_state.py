@@ -16,7 +16,7 @@ from ..machine.errors import (
     representation_error,
     type_error,
 )
-from ..machine.machine import LAST
+from ..machine.machine import LAST, Machine
 from ..syntax.operators import Operators
 from ..terms.term_traversal import copy
 from ..terms.types import (
@@ -38,7 +38,7 @@ from ..terms.types import (
 )
 from ..terms.unification import unify
 from .argument_checks import atom_of, integer, is_iso, items
-from .builtin_registry import Machine, Solutions, control, deterministic, nondeterministic
+from .builtin_registry import Solutions, control, deterministic, nondeterministic
 from .clause_predicates import declared
 from .clause_translation import translate_rule
 
@@ -87,6 +87,7 @@ def flags_from(kept: Dict[str, Term]) -> Dict[str, Term]:
     for name, value in kept.items():
         allowed = _CHANGEABLE.get(name, ())
         changed = value.__class__ is not flags.get(name, value).__class__ or value != flags.get(name, value)
+        # A stored value is only accepted if the program could have set it.
         if name in flags and changed and not (isinstance(value, Atom) and value.name in allowed):
             raise UsageError(f"the flag {name} has a value that it does not take")
         flags[name] = value
@@ -99,6 +100,7 @@ def set_prolog_flag(machine: Machine, flag: Term, value: Term) -> bool:
     name, value = atom_of(flag), deref(value)
     if value.__class__ is Var:
         raise instantiation_error()
+    # Goals of services and of the dashboard may not change flags, which affect the whole program.
     machine.logic.require_flags(name)
     flags = machine.logic.flags
     allowed = _CHANGEABLE.get(name.name)
@@ -170,12 +172,15 @@ def op(machine: Machine, priority: Term, kind: Term, names: Term) -> bool:
     targets = (
         [] if names is NIL else items(names) if names.__class__ is tuple and names[0] is CONS else [names]
     )
+    # The error for an invalid name depends on whether it was given in a list.
     in_list = targets != [names]
     for item in targets:
         item = deref(item)
+        # Operators are global, so the module of a name is ignored.
         if item.__class__ is tuple and item[0].name == ":":
             item = deref(item[2])
         name = _operator_name(item, value, name_of_kind, machine.logic.operators, in_list)
+        # ISO 13211-1, 6.3.4.3: an atom cannot be an infix and a postfix operator.
         if len(name_of_kind) == 3 and is_iso(machine) and name in machine.logic.operators.postfix:
             raise permission_error("create", "operator", item)
         try:
@@ -191,6 +196,7 @@ def _operator_name(term: Term, priority: int, kind: str, operators: Operators, i
     if term.__class__ is not Atom:
         raise type_error("atom" if in_list else "list", term)
     name: str = term.name
+    # ISO 13211-1, 8.14.3.3 and its second corrigendum, for the comma, the bar, `[]` and `{}`.
     if name == ",":
         raise permission_error("modify", "operator", term)
     if name == "|" and (priority < 1001 and priority or len(kind) != 3):
@@ -214,6 +220,7 @@ def current_op(machine: Machine, priority: Term, kind: Term, name: Term) -> Solu
         raise domain_error("operator_specifier", kind)
     if name.__class__ not in (Var, Atom):
         raise type_error("atom", name)
+    # The goal may change the table between two solutions, so it is copied.
     for defined_priority, defined_kind, defined_name in list(machine.logic.operators):
         if name.__class__ is Atom and name.name != defined_name:
             continue
@@ -283,6 +290,7 @@ class _RestoreValue:
 
 def _counter_key(name: Term) -> str:
     name = deref(name)
+    # An integer and an atom of the same digits are different keys; the null character keeps them apart.
     if name.__class__ is int:
         return f"\0{name}"
     return atom_of(name).name
@@ -300,6 +308,7 @@ def b_setval(machine: Machine, name: Term, value: Term) -> bool:
     """Set a global variable until backtracking."""
     values = machine.logic.globals
     key = atom_of(name).name
+    # The old value is on the trail before the change, so that no interrupt in between can lose it.
     machine.trail.append(_RestoreValue(values, key))
     values[key] = deref(value)
     return True
@@ -374,6 +383,7 @@ def module(machine: Machine, name: Term, exports: Term) -> bool:
     invalid: List[Term] = []
     for item in items(exports):
         export = deref(item)
+        # Operators in the export list are defined for the importing program too.
         if isinstance(export, tuple) and export[0] is _OP:
             op(machine, export[1], export[2], export[3])
             continue
@@ -488,6 +498,7 @@ def expand_term(machine: Machine, term: Term, expanded: Term) -> bool:
     term = deref(term)
     key = functor("term_expansion", 2)
     predicate = machine.logic.database.predicates.get(key)
+    # An unbound term would unify with the first argument of every expansion rule.
     if term.__class__ is not Var and predicate is not None and not predicate.library and len(predicate):
         result = Var()
         if machine.logic.once((key, term, result)):

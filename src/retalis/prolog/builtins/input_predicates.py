@@ -16,10 +16,11 @@ from ..machine.errors import (
     type_error,
     uninstantiation_error,
 )
+from ..machine.machine import Machine
 from ..terms.types import Atom, CompoundTerm, String, Term, Var, atom, deref
 from ..terms.unification import unify
 from .argument_checks import atom_of, natural, option_values
-from .builtin_registry import Machine, deterministic
+from .builtin_registry import deterministic
 from .output_predicates import character_of
 from .text_arguments import MAX_CODE, flags_of, nothing, unify_options
 from .text_streams import InputStream, OutputStream, streams_of, syntax_error_in
@@ -46,6 +47,7 @@ def _open(machine: Machine, name: Term, mode: Term, stream: Term, options: List[
     stream_mode, values = _mode_of(mode), dict(_OPEN_OPTIONS)
     if deref(name).__class__ is Var:
         raise instantiation_error()
+    # The order of these checks is that of ISO 13211-1, 8.11.5.3.
     if deref(stream).__class__ is not Var:
         raise uninstantiation_error(deref(stream))
     for option in options:
@@ -61,6 +63,7 @@ def _open(machine: Machine, name: Term, mode: Term, stream: Term, options: List[
     python_encoding = "latin-1" if kind == "binary" else _ENCODINGS.get(encoding, "utf-8")
     opened = streams.open(deref(name), stream_mode, values["alias"] or None, kind, python_encoding)
     source = streams.find_open(opened)
+    # The default depends on the stream: a terminal is read again after its end, a file is not.
     if eof_action and isinstance(source, InputStream):
         source.eof_action = eof_action
     return unify(stream, opened, machine.trail)
@@ -91,6 +94,7 @@ def close(machine: Machine, stream: Term) -> bool:
     """Close a stream; standard streams stay open."""
     streams = streams_of(machine)
     opened = streams.find(stream)
+    # `find` returns the name of a standard stream.
     if not isinstance(opened, str):
         streams.close(opened)
     return True
@@ -226,6 +230,7 @@ def set_stream(machine: Machine, stream: Term, setting: Term) -> bool:
 def _read(machine: Machine, stream: Optional[Term], options: List[CompoundTerm], term: Term) -> bool:
     source = streams_of(machine).to_read(stream)
     result = source.term(machine.logic.operators, flags_of(machine, options))
+    # The reader has skipped the invalid term, so the next read continues after it.
     if isinstance(result, SyntaxFault):
         raise syntax_error_in(source, streams_of(machine).term_of(source), result)
     if result is None:
@@ -278,6 +283,7 @@ def _define(name: str, take: bool, as_term: Callable[[str], Term], check: Callab
     kind = "binary" if name.endswith("byte") else "text"
 
     def read_character(machine: Machine, source: InputStream, value: Term) -> bool:
+        # Checked before a character is consumed, so that an error loses no input.
         check(deref(value))
         _require_kind(source, kind)
         return unify(value, as_term(source.character(take)), machine.trail)
@@ -379,6 +385,7 @@ def _skip(machine: Machine, stream: Optional[Term], character: Term) -> bool:
     steps = 0
     while source.character(True) not in (stop, ""):
         steps += 1
+        # The whole input may be skipped in one step of the machine.
         if not steps & 1023:
             look()
     return True

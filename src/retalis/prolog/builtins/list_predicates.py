@@ -57,7 +57,7 @@ from ..machine.errors import (
     resource_error,
     type_error,
 )
-from ..machine.machine import LAST, RESUME, Code
+from ..machine.machine import LAST, RESUME, Code, Machine
 from ..terms.list_terms import list_items, list_parts, make_list
 from ..terms.term_traversal import LATE_ROUND, MAX_STEPS, ROUNDS, refuse_cycles
 from ..terms.types import (
@@ -80,7 +80,7 @@ from ..terms.types import (
 )
 from ..terms.unification import compare, undo, unify
 from .argument_checks import atom_of, integer, is_iso, items, natural, partial_items
-from .builtin_registry import Machine, Outcome, Solutions, control, deterministic, nondeterministic
+from .builtin_registry import Outcome, Solutions, control, deterministic, nondeterministic
 
 if TYPE_CHECKING:
     from typing_extensions import TypeGuard
@@ -136,6 +136,7 @@ def sort_unique(terms: Sequence[Term]) -> List[Term]:
     """Return terms in the standard order, without duplicates."""
     values = [deref(term) for term in watched(terms)]
     keys = _keys_of(values)
+    # Equal items are adjacent after sorting, and equal keys denote equal terms.
     order = order_of(keys)
     return [
         values[position]
@@ -149,6 +150,7 @@ def order_of(keys: Sequence[Any], reverse: bool = False) -> List[int]:
     key = keys.__getitem__
     if len(keys) <= _CHUNK_ITEMS or keys[0].__class__ is _BY_PAIR:
         return sorted(range(len(keys)), key=key, reverse=reverse)
+    # Charges the memory of the positions before the sort, which cannot be interrupted.
     look(size=64 * len(keys))
     runs: List[List[int]] = []
     for start in range(0, len(keys), _CHUNK_ITEMS):
@@ -162,6 +164,7 @@ def _merged(runs: List[List[int]], keys: Sequence[Any], reverse: bool) -> List[i
     size = sum(map(len, runs))
     look(size)
     if size > _CHUNK_ITEMS:
+        # The middle of the longest run divides the positions roughly in half.
         longest = max(runs, key=len)
         pivot = keys[longest[len(longest) // 2]]
         cuts = [_count_before(run, pivot, keys, reverse) for run in runs]
@@ -227,8 +230,10 @@ def _flat_key(  # noqa: C901 -- a call for each part of a term would double its 
             key += (4, item.name)
         elif class_ is tuple:
             key += (5, len(item), item[0].name)
+            # The standard order compares arity, then name, then arguments from left to right.
             if len(key) + 2 * len(item) > _MAX_KEY_ITEMS:
                 return None
+            # Reversed, because the stack returns the last item first.
             stack += item[:0:-1]
         elif class_ is float:
             if item != item:  # Python's comparison does not order nan
@@ -282,6 +287,7 @@ def length(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
 
 
 def _open_list(size: int) -> Term:
+    # Built from the end, since list cells are immutable.
     result: Term = NIL
     for index in range(size):
         result = (CONS, Var(), result)
@@ -293,6 +299,7 @@ def _open_list(size: int) -> Term:
 def _enumerate_lengths(
     machine: Machine, tail: Term, size: Term, count: int, total: int, after: Frame
 ) -> Optional[Frame]:
+    # There is always a longer list, so the choice point is pushed for every solution.
     machine.choices.append((_NEXT_LENGTH, machine, tail, size, count, total + 1, after, len(machine.trail)))
     return after if machine.unify_all((tail, _open_list(total - count)), (size, total)) else None
 
@@ -330,6 +337,7 @@ def sort_by_key_argument(machine: Machine, key: Term, order: Term, unsorted: Ter
         raise domain_error("order", order)
     values = by_age(items(unsorted))
     pairs = sort_by(values, [_argument(item, position) for item in watched(values)], direction[0] == ">")
+    # `@<` and `@>` remove items with equal keys and keep the first of each.
     if "=" not in direction:
         pairs = [
             pair
@@ -382,6 +390,7 @@ def keysort(machine: Machine, pairs: Term, result: Term) -> bool:
 def predmerge(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Merge two sorted lists for ``predsort/3``: a goal compares two items, and of equal ones the first is kept."""
     closure, first, second, result = args
+    # The predicate is resolved once, not for each comparison; the arguments are replaced in `_merge`.
     goal: Any = add_arguments(closure, (NIL, NIL, NIL), machine.logic.database.modules)
     call = (machine.logic.database.predicate(goal[0]), *goal[1:-3])
     return _merge(machine, call, items(first), 0, items(second), 0, [], result, after)
@@ -430,6 +439,7 @@ def _ordered(frame: Frame) -> Optional[Frame]:
     """Append the item that is first by the result of the comparison goal, which is cut."""
     machine: Machine
     _, machine, call, first, position, second, second_position, merged, result, after, order, height = frame
+    # Cuts the comparison goal, which is called once.
     del machine.choices[height:]
     order = deref(order)
     # An unbound order unifies with all three results, in this sequence on backtracking.
@@ -490,9 +500,11 @@ def memberchk(machine: Machine, item: Term, given: Term) -> bool:
             look()
             rounds += 1
             if rounds == LATE_ROUND:
+                # Only a long list is checked for a cycle, because the check takes as long as the search.
                 refuse_cycles(tail)
             if rounds > len(ROUNDS):
                 raise TermTooLarge
+    # As by SWI-Prolog, a partial list gets the item as its next element.
     if tail.__class__ is not Var and tail is not NIL:
         raise type_error("list", tail)
     return tail.__class__ is Var and unify(tail, (CONS, item, Var()), trail)
@@ -531,6 +543,7 @@ deterministic("min_list/2", locked=False)(_fold_predicate("min_list", _extremum(
 def numlist(machine: Machine, low: Term, high: Term, result: Term) -> bool:
     """Unify with the list of integers between two bounds."""
     first, last = integer(low), integer(high)
+    # A longer list could not be processed by other predicates either.
     if last - first > MAX_STEPS:
         raise resource_error("memory")
     numbers: Term = NIL
@@ -556,6 +569,7 @@ def list_to_set(machine: Machine, given: Term, result: Term) -> bool:
     values = items(given)
     # The sort is stable, so the first of equal items is the one that was first in the list.
     pairs = sort_by(range(len(values)), values)
+    # Marks the positions to keep, so that the order of the list is preserved.
     kept = bytearray(len(values))
     for index, (item, position) in enumerate(watched(pairs)):
         kept[position] = index == 0 or compare(pairs[index - 1][0], item) != 0
@@ -656,6 +670,7 @@ def between(machine: Machine, low: Term, high: Term, value: Term) -> Outcome:
 def _integers(trail: Trail, first: int, limit: Optional[int], value: Var) -> Solutions:
     number = first
     while limit is None or number <= limit:
+        # The variable is unbound at each solution, so it is bound without a unification.
         value.ref = number
         trail.append(value)
         yield LAST if number == limit else None
@@ -767,6 +782,7 @@ def ord_union(machine: Machine, left: Term, right: Term, result: Term) -> bool:
             if not is_cons(left):
                 raise no_matching_rule("ordsets", (_ORD_UNION, left, right, result))
             first, left = left[1], left[2]
+        # Each round compares the item taken from the left set with the first one of the right set.
         right = deref(right)
         if right is NIL:
             return unify(result, (CONS, first, left), machine.trail)
@@ -809,6 +825,7 @@ def no_rule(machine: Machine, module: Term, goal: Term) -> bool:
 @deterministic("random/1")
 def random_float(machine: Machine, value: Term) -> bool:
     """Unify with a random float between 0 and 1, excluding both."""
+    # `random.random` may return 0.0, which is excluded.
     return unify(value, random.random() or 0.5, machine.trail)
 
 
@@ -832,6 +849,7 @@ def random_member(machine: Machine, value: Term, given: Term) -> bool:
 def random_permutation(machine: Machine, given: Term, result: Term) -> bool:
     """Unify with a random permutation of a list."""
     values = items(given)
+    # Sorting by random ranks instead of `random.shuffle` has the checks of limits of `order_of`.
     ranks = [random.random() for _ in watched(values)]
     return unify(result, make_list([values[position] for position in order_of(ranks)]), machine.trail)
 

@@ -11,14 +11,14 @@ from ..compiler.clause_nodes import ARROW, NOT, SEMICOLON, SOFT_ARROW
 from ..database.clause_index import Clause
 from ..database.predicate import Predicate
 from ..machine.errors import ERROR, describe, indicator
-from ..machine.machine import LAST
+from ..machine.machine import LAST, Machine
 from ..syntax.operators import Operator, Operators
 from ..syntax.term_writer import add_full_stop, by_name, write_term
 from ..terms.list_terms import list_items
 from ..terms.term_traversal import copy
 from ..terms.types import COMMA, SLASH, TRUE, Atom, Functor, String, Term, Var, atom, deref, functor
 from .argument_checks import atom_of, indicator_of
-from .builtin_registry import Machine, Solutions, deterministic, nondeterministic
+from .builtin_registry import Solutions, deterministic, nondeterministic
 from .output_predicates import formatted, letter_names, write_to
 
 _NECK, _DIRECTIVE = functor(":-", 2), functor(":-", 1)
@@ -33,6 +33,7 @@ _LINE: Dict[str, Any] = {"quoted": True, "numbervars": True, "spacing": True}
 def print_message(machine: Machine, kind: Term, message: Term) -> bool:
     """Report a message: ``format(Format, Args)``, an error term, or any other term."""
     name = atom_of(kind).name
+    # Messages of these kinds are not shown.
     if name in ("silent", "debug", "banner"):
         return True
     text = message_text(machine, deref(message))
@@ -88,6 +89,7 @@ def portray_clause_to(machine: Machine, stream: Term, term: Term) -> bool:
 
 def clause_text(machine: Machine, term: Term) -> str:
     """Return the text of a clause, with one goal per line; variables are named A, B, ..., or ``_`` if single."""
+    # The names are bound to variables of a copy, so that the clause itself is not changed.
     term = copy(term)
     names = letter_names(term)
     term = deref(term)
@@ -234,6 +236,7 @@ def _matching_predicates(machine: Machine, target: Term) -> List[Predicate]:
 def listing_all(machine: Machine) -> bool:
     """Write all clauses of the program, without those of libraries."""
     predicates = list(machine.logic.database.predicates.values())
+    # The hidden predicates of tabled ones are listed under the names of these.
     hidden = {predicate.tabled for predicate in predicates}
     for predicate in predicates:
         if not predicate.library and predicate not in hidden:
@@ -243,6 +246,7 @@ def listing_all(machine: Machine) -> bool:
 
 def _list_predicate(machine: Machine, predicate: Predicate) -> None:
     own = predicate.with_clauses
+    # Predicates that are written in Python have no clauses.
     if own.kind != "user" and not own.dynamic:
         return
     logic = machine.logic
@@ -267,6 +271,7 @@ def predicate_property(machine: Machine, head: Term, prop: Term) -> Solutions:
     modules = logic.database.modules
     head = modules.looked_for(head)
     if head.__class__ is Var:
+        # The goal may define predicates between two solutions, so the table is copied.
         for key, predicate in list(logic.database.predicates.items()):
             if not predicate.defined or predicate.library or modules.plain_of(key) is not None:
                 continue
@@ -323,6 +328,7 @@ def nth_clause(machine: Machine, head: Term, number: Term, reference: Term) -> S
         predicate.with_clauses.note_read()
         clauses = predicate.with_clauses.live()
     for position, clause in enumerate(clauses, 1):
+        # A known number selects a single clause, and leaves no choice point.
         if given.__class__ is int and position != given:
             continue
         if machine.unify_all((number, position), (reference, copy((_NECK, clause.head, clause.body)))):

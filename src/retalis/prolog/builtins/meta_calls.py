@@ -15,7 +15,7 @@ from ..compiler.clause_nodes import ARROW, CALL, NOT, SEMICOLON
 from ..database.control_constructs import add_arguments, check_body
 from ..machine.arithmetic import evaluate
 from ..machine.errors import PrologError, domain_error, instantiation_error, type_error
-from ..machine.machine import Code, Guard
+from ..machine.machine import Code, Guard, Machine
 from ..machine.resource_limits import Budget, LimitPassed, keep_back
 from ..terms.term_traversal import copy, term_key, variables
 from ..terms.types import (
@@ -35,7 +35,7 @@ from ..terms.types import (
 )
 from ..terms.unification import undo, unify
 from .argument_checks import callable_of, integer, items, number
-from .builtin_registry import Machine, control, deterministic
+from .builtin_registry import control, deterministic
 from .clause_translation import translate_body
 
 
@@ -89,6 +89,7 @@ def phrase(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
         ):
             raise type_error("list", value)
     body, module = deref(args[0]), None
+    # The innermost module qualification determines the names of the body.
     while body.__class__ is tuple and body[0] is COLON:
         module, body = machine.logic.database.modules.named(body[1]), deref(body[2])
     if body.__class__ is not String:
@@ -96,6 +97,7 @@ def phrase(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     goal = translate_body(body, args[1], rest)
     if module is not None:
         goal = machine.logic.database.modules.body(module, goal)
+    # Reports a non-callable part of the body now, not when the goal reaches it.
     check_body(goal)
     return machine.logic.control.call(goal, after)
 
@@ -109,6 +111,7 @@ def call_with_time_limit(machine: Machine, args: Values, after: Frame) -> Option
     seconds = number(args[0])
     if seconds <= 0:
         raise PrologError(_TIME_LIMIT)
+    # The choice point of the guard has this position, by which `_finish_in_time` finds it.
     height = len(machine.choices)
     budget = machine.budget
     # Long built-ins check the budget of the goal while it runs; the guard restores the previous check.
@@ -135,6 +138,7 @@ def _finish_in_time(frame: Frame) -> Frame:
     entry = machine.choices[height]
     _, error = entry[1].alarms[entry[2]]
     _remove_time_limit(entry)
+    # The goal is called once.
     del machine.choices[height:]
     # The limit may have passed just before the end of the goal; then the error is raised here.
     error.deliver()
@@ -252,6 +256,7 @@ _SKIP_SOLUTION = Code("offset", _skip_solution)
 @control("distinct/1", "distinct/2")
 def distinct(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     """Return only solutions whose witness, by default the goal, is not a variant of an earlier one."""
+    # The set belongs to this call: backtracking into the goal keeps it, a new call starts with an empty one.
     seen: Set[Hashable] = set()
     return machine.logic.control.call(args[-1], (_FILTER_DISTINCT, args[0], seen, after))
 
@@ -309,6 +314,7 @@ def call_lambda(machine: Machine, args: Values, after: Frame) -> Optional[Frame]
     taken = 0
     while taken < len(actual) and parameters.__class__ is tuple and parameters[0] is CONS:
         parameter = deref(parameters[1])
+        # A parameter that is a variable is replaced by the argument, which is cheaper than a unification.
         if parameter.__class__ is Var and parameter not in fresh:
             fresh[parameter] = actual[taken]
         elif not machine.unify(copy(parameter, fresh), actual[taken]):
@@ -391,6 +397,7 @@ def _exit_goal(frame: Frame) -> Optional[Frame]:
     machine: Machine
     after: Frame
     _, machine, height, after = frame
+    # The goal may have more solutions, so its cleanup has to wait.
     if len(machine.choices) > height + 1:
         return after
     cleanup: _Cleanup = machine.choices.pop()[1]

@@ -17,14 +17,14 @@ from ..machine.errors import (
     resource_error,
     type_error,
 )
-from ..machine.machine import Code, Guard
+from ..machine.machine import Code, Guard, Machine
 from ..syntax.term_writer import write_term
 from ..terms.list_terms import list_items, make_list
 from ..terms.term_traversal import resolve
 from ..terms.types import CONS, NIL, Atom, CompoundTerm, Frame, Term, Values, Var, atom, deref
 from ..terms.unification import unify
 from .argument_checks import integer, is_iso, option_values
-from .builtin_registry import Machine, control, deterministic
+from .builtin_registry import control, deterministic
 from .format_strings import Formatter, portray_of, printed
 from .text_arguments import MAX_CODE, fill_sink, is_sink, joined, long_text, make_text, whole_text
 from .text_streams import OutputCapture, OutputStream, is_stream_term, streams_of
@@ -44,6 +44,7 @@ def cut_off(term: Term, most: int, depth: int = 1) -> Term:
         return _ELLIPSIS
     if term.__class__ is not tuple or depth > _MAX_TERM_DEPTH:
         return term
+    # Arguments are one level deeper than the term.
     if term[0] is not CONS:
         return (term[0], *[cut_off(argument, most, depth + 1) for argument in term[1:]])
     items: List[Term] = []
@@ -82,6 +83,7 @@ def _writer(**options: bool) -> Callable[[Machine, Term], str]:
 def letter_names(term: Term) -> Dict[Var, str]:
     """Return names for the variables of a term: A, B, ..., or ``_`` for those that occur once."""
     counts: Dict[Var, int] = {}
+    # Resolved first, so that the walk meets no bound variables and no cycles.
     stack = [resolve(term)]
     steps = 0
     while stack:
@@ -153,6 +155,7 @@ def nl_to(machine: Machine, stream: Term) -> bool:
 
 
 def _blanks(count: Term) -> str:
+    # SWI-Prolog evaluates the argument, so expressions are accepted.
     number = evaluate(count)
     if not isinstance(number, int):
         raise type_error("integer_expression", deref(count))
@@ -231,6 +234,7 @@ def write_options(machine: Machine, options: Term) -> Dict[str, object]:
         read = _OPTIONS.get(name)
         if read is not None:
             values[name] = read(option, value, iso)
+    # The writer takes a function, which exists only if the program defines `portray/1`.
     if "portray" in values:
         values["portray"] = portray_of(machine) if values["portray"] else None
     return values
@@ -274,6 +278,7 @@ def _variable_names(option: CompoundTerm) -> Dict[Var, str]:
         if name.__class__ is not Atom:
             raise domain_error("write_option", option)
         if var.__class__ is Var:
+            # The first name of a variable is used.
             names.setdefault(var, name.name)
     return names
 
@@ -305,6 +310,7 @@ def _arguments(term: Term) -> List[Term]:
     term = deref(term)
     if term is NIL:
         return []
+    # A term that is not a proper list is a single argument, as by SWI-Prolog.
     if term.__class__ is tuple and term[0] is CONS:
         arguments = list_items(term)
         if arguments is not None:
@@ -432,6 +438,7 @@ def _put_byte(stream: Union[OutputStream, OutputCapture, str, None], named: Term
         raise instantiation_error()
     if not isinstance(byte, int) or not 0 <= byte <= 255:
         raise type_error("byte", byte)
+    # Standard streams and captures are text streams.
     if not isinstance(stream, OutputStream) or stream.kind != "binary":
         raise permission_error("output", "text_stream", deref(named))
     stream.write(chr(byte))

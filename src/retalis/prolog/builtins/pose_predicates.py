@@ -11,9 +11,10 @@ from math import acos, sin, sqrt
 from typing import List, Optional, Sequence, Tuple
 
 from ..machine.errors import domain_error, instantiation_error, type_error
+from ..machine.machine import Machine
 from ..terms.list_terms import list_items, make_list
 from ..terms.types import CONS, NIL, Atom, Lazy, Term, Var, atom, deref
-from .builtin_registry import Machine, deterministic, function
+from .builtin_registry import deterministic, function
 
 Vector = Sequence[float]
 Pose = Tuple[Vector, Vector]
@@ -32,6 +33,7 @@ def numbers(term: Term, count: int, kind: str) -> Vector:
     item = deref(term)
     while item.__class__ is tuple and item[0] is CONS:
         value = item[1]
+        # Most items are floats and need no dereferencing.
         if value.__class__ is not float:
             value = deref(value)
             if value.__class__ is not float and value.__class__ is not int:

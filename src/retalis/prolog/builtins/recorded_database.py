@@ -11,11 +11,11 @@ from typing import Any, Dict, Hashable, Iterator, List, Optional, Set, Tuple
 
 from ..compiler.predicate_code import key_of
 from ..machine.errors import existence_error, instantiation_error, type_error, uninstantiation_error
-from ..machine.machine import LAST
+from ..machine.machine import LAST, Machine
 from ..terms.term_traversal import copy
 from ..terms.types import Functor, Term, Var, deref, functor
 from ..terms.unification import unify
-from .builtin_registry import Machine, Solutions, deterministic, nondeterministic
+from .builtin_registry import Solutions, deterministic, nondeterministic
 
 _REFERENCE = functor("$record", 1)
 _NEVER = 1 << 62
@@ -94,6 +94,7 @@ class _RecordChain:
         """Unlink the erased records, unless an enumeration is active."""
         if self.readers:
             return
+        # An erased record keeps its own links, but no enumeration needs them any more.
         for record in self.erased_records:
             preceding, following = record.preceding, record.following
             if preceding is None:
@@ -125,6 +126,7 @@ class _RecordedDatabase:
 
     def erase(self, number: int) -> bool:
         """Erase a record; return whether it existed."""
+        # Removed from the index first: an interrupt after this leaves a record that `mend` recognises as erased.
         record = self.by_number.pop(number, None)
         if record is None:
             return False
@@ -176,6 +178,7 @@ class _RecordedDatabase:
         linked: Set[int] = set()
         for key, chain in list(self.by_key.items()):
             for record in chain.all():
+                # The erasure was interrupted after its first step, and is completed here.
                 if record.number not in self.by_number:
                     record.erased = min(record.erased, self._last)
             chain.mend()
@@ -186,6 +189,7 @@ class _RecordedDatabase:
     def _unlink_erased(self, key: Hashable) -> None:
         chain = self.by_key[key]
         chain.unlink_erased()
+        # Keys without records are not enumerated by `current_key/1`.
         if chain.first is None:
             del self.by_key[key]
 

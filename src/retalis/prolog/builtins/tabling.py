@@ -32,13 +32,12 @@ from typing import Any, Callable, Dict, Hashable, List, NamedTuple, Optional, Pr
 from ..compiler.clause_nodes import ARROW, SEMICOLON
 from ..database.predicate import Predicate
 from ..machine.errors import domain_error, instantiation_error, type_error, uninstantiation_error
-from ..machine.machine import Code, Guard
+from ..machine.machine import Code, Guard, Machine
 from ..terms.list_terms import conjunction
 from ..terms.term_traversal import PLAIN, copy, is_plain, term_key, variables
 from ..terms.types import SLASH, Atom, CompoundTerm, Frame, Functor, Term, Values, Var, atom, deref, functor
 from ..terms.unification import compare, unify
 from .argument_checks import natural
-from .builtin_registry import Machine
 
 _EQUAL = functor("=", 2)
 _LATTICE, _ORDER = functor("lattice", 1), functor("po", 1)
@@ -60,8 +59,7 @@ class Mode(NamedTuple):
         pick: returns the value to keep of the old and the new one; None if a predicate of the program decides.
         goal: returns the goal that computes the third value from the first two; None with ``pick``.
         grows: whether a changed value has to be returned to followers, because it may lead to further answers. It is
-        False
-            for mode ``last``, whose value may change with every answer.
+            False for mode ``last``, whose value may change with every answer.
     """
 
     pick: Optional[Pick] = None
@@ -112,6 +110,7 @@ def _predicate_name(predicate: Term, arity: int) -> str:
         key = predicate[0]
         predicate, size = (predicate[1], natural(predicate[2])) if key is SLASH else (key, key.arity)
         predicate = deref(predicate)
+    # `lattice(PI)` needs a predicate of arity 3, `po(PI)` one of arity 2.
     if size != arity:
         raise domain_error("lattice_arity" if arity == 3 else "po_arity", size)
     if predicate.__class__ is Var:
@@ -143,8 +142,7 @@ class Follower(NamedTuple):
         free: unbound variables of the call.
         after: its continuation.
         bound: variables bound since the evaluation of the active table began, with their values; None if the call
-        cannot
-            be suspended.
+            cannot be suspended.
         height: size of the stack of choice points at the suspension; cuts in the continuation depend on it.
     """
 
@@ -160,8 +158,7 @@ class Table:
 
     Attributes:
         answers: values of the call's variables, in the order in which they were found; None for an answer that has
-        been
-            replaced by a better one.
+            been replaced by a better one.
         known: positions of the answers by their keys.
         ground: whether all answers are ground.
         reads: data that the answers of an incremental table depend on; None for other tables.
@@ -212,6 +209,7 @@ class Table:
 
     def renew(self) -> None:
         """Reset the table to one that has not been evaluated."""
+        # The key of the table stays in `Tables.by_call`: calls that are suspended hold the object.
         self.state = "new"
         self.empty()
         if self.reads is not None:
@@ -281,6 +279,7 @@ class Tables:
 
     def clear(self) -> None:
         """Remove all tables, unless one is being evaluated."""
+        # Tables under evaluation are referenced by frames of the machine.
         if not self.active:
             self.by_call.clear()
             self._drop_at = _MIN_TABLES_BEFORE_DROP

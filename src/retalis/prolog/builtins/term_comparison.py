@@ -25,6 +25,7 @@ from ..machine.errors import (
     instantiation_error,
     type_error,
 )
+from ..machine.machine import Machine
 from ..terms.list_terms import list_parts, make_list
 from ..terms.term_traversal import LATE, MAX_STEPS, ROUNDS, is_ground, refuse_cycles, variables
 from ..terms.types import (
@@ -45,7 +46,7 @@ from ..terms.types import (
 )
 from ..terms.unification import by_age, compare, undo, unify, unlike
 from .argument_checks import integer, integer_or_var, is_iso, natural, partial_items
-from .builtin_registry import Machine, control, deterministic
+from .builtin_registry import control, deterministic
 
 _ORDER_ATOMS = {-1: atom("<"), 0: atom("="), 1: atom(">")}
 
@@ -70,6 +71,7 @@ def unify_with_occurs_check(machine: Machine, left: Term, right: Term) -> bool:
     """Unify two terms, but fail if that would create a cyclic term."""
     trail = machine.trail
     mark = len(trail)
+    # Unifies first and checks the new bindings afterwards: the check is only needed for variables that were bound.
     return unify(left, right, trail) and not any(
         _is_cyclic(var) for var in watched(trail[mark:]) if var.__class__ is Var
     )
@@ -88,6 +90,7 @@ def _is_cyclic(var: Any) -> bool:
         if item is var:
             return True
         if item.__class__ is Var:
+            # A variable that occurs many times is followed once.
             if item.ref is not None and item not in seen:
                 seen.add(item)
                 stack.append(item.ref)
@@ -102,6 +105,7 @@ def compare_terms(
 ) -> bool:
     """Compare two terms in the standard order."""
     order = deref(order)
+    # A given order is checked before the comparison, so an invalid one is always an error.
     if order.__class__ is not Var:
         if order.__class__ is not Atom:
             raise type_error("atom", order)
@@ -138,6 +142,7 @@ for _key, _test in COMPARISONS.items():
 def is_value(machine: Machine, result: Term, expression: Term) -> bool:
     """Evaluate an expression."""
     value = measure(expression)
+    # For timestamps, `measure` returns numbers that carry an exact instant, which a program must not see.
     if value.__class__ is not int and value.__class__ is not float:
         value = plain(value)
     return unify(result, value, machine.trail)
@@ -163,6 +168,7 @@ def succ(machine: Machine, smaller: Term, greater: Term) -> bool:
 def plus(machine: Machine, left: Term, right: Term, total: Term) -> bool:
     """Relate two integers with their sum; one of the three may be unbound."""
     left, right, total = deref(left), deref(right), deref(total)
+    # All arguments are checked first, so that a wrong type is reported even if another one is unbound.
     for known in (left, right, total):
         integer_or_var(known)
     if total.__class__ is Var:
@@ -310,6 +316,7 @@ def dif(machine: Machine, left: Term, right: Term) -> bool:
     if not unify(left, right, trail):
         undo(trail, mark)
         return True
+    # The terms unify. Without bindings they are equal; with some, later bindings may make them equal or different.
     undecided = len(trail) > mark
     undo(trail, mark)
     if undecided:
@@ -375,6 +382,7 @@ def _holds_simple(machine: Machine, condition: Term) -> bool:
 def _same(machine: Machine, left: Term, right: Term) -> bool:
     trail = machine.trail
     mark = len(trail)
+    # Equal if they unify without binding a variable.
     same = unify(left, right, trail) and len(trail) == mark
     undo(trail, mark)
     return same

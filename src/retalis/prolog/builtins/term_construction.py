@@ -11,13 +11,13 @@ from zlib import crc32
 from ...foundation.cancellation import BULK, look, watched
 from ..machine.arithmetic import evaluate
 from ..machine.errors import domain_error, instantiation_error, permission_error, resource_error, type_error
-from ..machine.machine import LAST
+from ..machine.machine import LAST, Machine
 from ..terms.list_terms import make_list
 from ..terms.term_traversal import copy, is_ground, resolve, variables
 from ..terms.types import NIL, Atom, CompoundTerm, Term, Var, atom, deref, functor
 from ..terms.unification import unify
 from .argument_checks import atom_of, check_tail, integer, is_iso, items, natural, partial_items
-from .builtin_registry import Machine, Outcome, Solutions, deterministic, function, nondeterministic
+from .builtin_registry import Outcome, Solutions, deterministic, function, nondeterministic
 from .text_arguments import atomic_text, no_compound
 from .type_checks import is_acyclic
 
@@ -46,6 +46,7 @@ def blank(name: Term, arity: Term) -> Term:
     if name.__class__ is Var:
         raise instantiation_error()
     count = integer(arity)
+    # An atomic term is its own name with arity 0.
     if count == 0:
         if name.__class__ is tuple:
             raise type_error("atomic", name)
@@ -67,6 +68,7 @@ def _checked_arity(count: int) -> int:
     """
     if count > _MAX_ARGUMENTS:
         raise resource_error("memory")
+    # A small number costs less than the check.
     if count > len(BULK):
         look(count, _ARGUMENT_BYTES * count)
     return count
@@ -113,6 +115,7 @@ def known_arg(number: Term, term: Term) -> Optional[Term]:
 def univ(machine: Machine, term: Term, parts: Term) -> bool:
     """Relate a term with the list of its name and arguments."""
     term = deref(term)
+    # ISO 13211-1 requires the check of the list even if the term is known.
     if term.__class__ is not Var and is_iso(machine):
         partial_items(parts)
     if term.__class__ is tuple:
@@ -135,6 +138,7 @@ def _term_of_list(parts: Term) -> Term:
     head, args = deref(values[0]), items(parts)[1:]
     if head.__class__ is Var:
         raise instantiation_error()
+    # A list of one item denotes the item itself, if it is atomic.
     if not args:
         if head.__class__ is tuple:
             raise type_error("atomic", head)
@@ -152,7 +156,7 @@ def copy_term(machine: Machine, term: Term, result: Term) -> bool:
 
 @deterministic("compound_name_arity/3")
 def compound_name_arity(machine: Machine, term: Term, name: Term, arity: Term) -> bool:
-    """Relate a compound term with its name and arity."""
+    """Relate a compound term, possibly without arguments, with its name and arity."""
     term = deref(term)
     if term.__class__ is tuple:
         return machine.unify_all((name, term[0].atom), (arity, len(term) - 1))
@@ -163,6 +167,7 @@ def compound_name_arity(machine: Machine, term: Term, name: Term, arity: Term) -
         raise instantiation_error()
     if name.__class__ is not Atom:
         raise type_error("atom", name)
+    # Unlike by `functor/3`, arity 0 creates a compound term without arguments, as in SWI-Prolog.
     count = natural(arity)
     return unify(term, _compound(name, [Var() for _ in range(_checked_arity(count))]), machine.trail)
 
@@ -190,6 +195,7 @@ def compound_name_arguments(machine: Machine, term: Term, name: Term, arguments:
 @deterministic("setarg/3", "nb_setarg/3")
 def setarg(machine: Machine, number: Term, term: Term, value: Term) -> bool:
     """Raise a permission error: terms are immutable."""
+    # Destructive assignment would change ground terms that clauses and goals share.
     raise permission_error("modify", "term", resolve(term))
 
 
@@ -200,6 +206,7 @@ _NUMBERED = functor("$VAR", 1)
 def numbervars(machine: Machine, term: Term, start: Term, end: Term) -> bool:
     """Bind the variables of a term to ``'$VAR'(N)`` with increasing numbers."""
     number = integer(start)
+    # Variables are numbered in the order of their first occurrence.
     for var in watched(variables(term)):
         unify(var, (_NUMBERED, number), machine.trail)
         number += 1
@@ -250,6 +257,7 @@ def gensym(machine: Machine, base: Term, result: Term) -> bool:
     name = atomic_text(base)
     no_compound(result, "atomic")
     counters = _counters(machine)
+    # The counter belongs to the program and is not reset on backtracking, so names are never reused.
     counters[name] = counters.get(name, 0) + 1
     return unify(result, atom(f"{name}{counters[name]}"), machine.trail)
 

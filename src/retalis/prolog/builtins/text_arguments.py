@@ -20,6 +20,7 @@ from ..machine.errors import (
     syntax_error,
     type_error,
 )
+from ..machine.machine import Machine
 from ..syntax.operators import Operators
 from ..syntax.term_reader import ReadTerm, read_term
 from ..syntax.term_writer import write_term
@@ -29,7 +30,7 @@ from ..terms.term_traversal import variables
 from ..terms.types import NIL, Atom, CompoundTerm, String, Term, Var, atom, deref, functor
 from ..terms.unification import unify
 from .argument_checks import atom_of, is_iso, option_values, partial_items
-from .builtin_registry import Machine, deterministic
+from .builtin_registry import deterministic
 
 if TYPE_CHECKING:
     from typing_extensions import TypeGuard
@@ -66,6 +67,7 @@ def long_text(size: int, *parts: str) -> None:
 def each(make: Callable[[str], Term], parts: Sequence[str]) -> List[Term]:
     """Return a term for each part, such as a character of a text, and check the goal's limits meanwhile."""
     terms: List[Term] = []
+    # The limits are checked after each bulk, since one step may convert a text of any length.
     for bulk in in_bulks(parts):
         terms += map(make, bulk)
     return terms
@@ -203,6 +205,7 @@ def parts_text(machine: Machine, term: Term, as_codes: bool) -> str:
 def _check_standard(items: List[Term], as_codes: bool) -> None:
     """Raise the error of ISO 13211-1 for the first item that is not a character code or character."""
     first = deref(items[0]) if items else None
+    # The type of the first item decides which error the others cause.
     are_codes = as_codes if first is None else first.__class__ is int
     for item in map(deref, watched(items)):
         if item.__class__ is int and are_codes and not 0 <= item <= MAX_CODE:
@@ -261,6 +264,7 @@ def parse_number(text: str, operators: Operators) -> Optional[Term]:
     # The reader would also accept terms, comments, trailing white space and an end: they are excluded before and
     # after.
     body = stripped[1:] if stripped[:1] in ("-", "+") else stripped
+    # Excludes most texts before the reader is called, which raises and formats an error for each.
     if not body or not (body[0].isdigit() or body[:3] in ("inf", "nan")) or body[-1].isspace():
         return None
     after = body[3:] if body.startswith("0'") else body
@@ -314,6 +318,7 @@ def is_sink(sink: Term) -> "TypeGuard[CompoundTerm]":
 def fill_sink(machine: Machine, sink: CompoundTerm, text: str) -> bool:
     """Unify the argument of an output specification with a text."""
     value = make_text(sink[0].name, text)
+    # A third argument makes the result a difference list.
     if len(sink) == 3:
         value = make_list(list_items(value) or [], sink[2])
     return unify(sink[1], value, machine.trail)
@@ -356,6 +361,7 @@ def read(machine: Machine, text: str, flags: Optional[ReadFlags] = None) -> Read
             text = "end_of_file"
         return read_term(text, machine.logic.operators, flags=flags, positions=False)
     except SyntaxFault as fault:
+        # SWI-Prolog reports the position as an offset in the text, from 0.
         column = fault.place.column if fault.place is not None else 0
         raise PrologError(
             (ERROR, (_SYNTAX, atom(fault.message)), (_STRING_POSITION, atom(text), column - 1))
@@ -410,6 +416,7 @@ def read_term_from_atom(machine: Machine, text: Term, term: Term, options: Term)
 def flags_of(machine: Machine, options: List[CompoundTerm]) -> ReadFlags:
     """Return the reader flags of the options, with those of the program as defaults."""
     flags = read_flags(machine)
+    # Options of a read take precedence over the flags of the program.
     quotes = {"double_quotes": flags.double_quotes, "back_quotes": flags.back_quotes}
     for option in options:
         name = option[0].name

@@ -8,7 +8,7 @@ The current output is a stack: a goal that captures its output (``with_output_to
 ``set_output/1`` replaces the output below it, which is stored with its column until the replacement ends.
 """
 
-from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple, Union
+from typing import TYPE_CHECKING, Any, Callable, Dict, Iterator, List, Optional, Tuple, Union
 
 from ...foundation.errors import SyntaxFault
 from ..machine.errors import (
@@ -20,13 +20,18 @@ from ..machine.errors import (
     permission_error,
     resource_error,
 )
+from ..machine.machine import Machine
 from ..syntax.operators import Operators
 from ..syntax.term_reader import Program, ReadTerm, read_program
 from ..syntax.tokenizer import ReadFlags
 from ..terms.types import Atom, CompoundTerm, Term, Var, atom, deref, functor
 from ..terms.unification import unify
-from .builtin_registry import Machine, MachineProgram, Solutions, StreamFiles, deterministic, nondeterministic
+from .builtin_registry import Solutions, deterministic, nondeterministic
 from .text_arguments import long_text
+
+if TYPE_CHECKING:
+    from ...events.program.source_files import SourceFiles
+    from ..system.prolog_system import PrologSystem
 
 MAX_OPEN_STREAMS = 64
 """Limit for streams that are open at the same time."""
@@ -86,6 +91,7 @@ class InputStream:
         # What has been read is dropped, so that memory does not grow with an interactive session.
         self._start = self.position
         self.text, self.at, self._program = self.text[self.at :] + line, 0, None
+        # Positions are relative to the text that remains.
         self._counted = (0, 0, -1)
         return True
 
@@ -100,11 +106,13 @@ class InputStream:
         counted += self.text.count("\n", start, self.at)
         newline = max(newline, self.text.rfind("\n", start, self.at))
         self._counted = (self.at, counted, newline)
+        # Without a line end in the present text, the column continues that of the dropped text.
         column = column + self.at if newline < 0 else self.at - newline - 1
         return characters + self.at, lines + counted, column
 
     def go_to(self, characters: int) -> bool:
         """Set the position to a number of characters from the start; return whether its text is still stored."""
+        # Only the text that has not been dropped can be read again.
         position = characters - self._start[0]
         if not 0 <= position <= len(self.text):
             return False
@@ -127,6 +135,7 @@ class InputStream:
             self.read_end(take)
             return ""
         char = self.text[self.at]
+        # `take` is a boolean: a peek does not advance.
         self.at += take
         return char
 
@@ -163,6 +172,7 @@ class InputStream:
         before = program.end
         result = next(iter(program), None)
         self._next = self._base + program.end if program.end > before else len(self.text)
+        # The reader cannot continue after an error, so the next term starts a new one.
         if isinstance(result, SyntaxFault):
             self._program = None
         return result
@@ -244,7 +254,7 @@ class OutputCapture:
     kind = "text"
     name = asked = ""
 
-    def __init__(self, logic: MachineProgram):
+    def __init__(self, logic: "PrologSystem"):
         self.texts: List[str] = []
         self.before = _ReplacedOutput(logic.output, logic.column)
         self._logic = logic
@@ -267,7 +277,7 @@ class OutputCapture:
         self._streams.replace_current(self._stream, self.replaced)
 
 
-def end_captures(logic: MachineProgram) -> None:
+def end_captures(logic: "PrologSystem") -> None:
     """End all captures and reset the current output to the user's, when no goal runs."""
     while True:
         _streams(logic).set_output("user_output")
@@ -282,7 +292,7 @@ OpenStream = Union[InputStream, OutputStream, OutputCapture]
 class ProgramStreams:
     """Open streams of a program, and its current input and output."""
 
-    def __init__(self, logic: MachineProgram):
+    def __init__(self, logic: "PrologSystem"):
         self._logic = logic
         self.opened: Dict[int, OpenStream] = {}
         self.aliases: Dict[str, int] = {}
@@ -312,6 +322,7 @@ class ProgramStreams:
             PrologError: a permission, existence or resource error.
         """
         files = self._logic.files
+        # The alias is checked before the file is opened, which would already empty it.
         if alias is not None and (alias in self.aliases or alias in _USER):
             raise permission_error("open", "source_sink", (functor("alias", 1), atom(alias)))
         if len(self.opened) >= MAX_OPEN_STREAMS:
@@ -353,6 +364,7 @@ class ProgramStreams:
             if number is None and term.name in (*_USER, "user", "current_output"):
                 return term.name
         elif isinstance(term, tuple) and term[0] is _STREAM:
+            # Captures are not in `opened`, because they end without `close/1`.
             for capture in self._captures():
                 if capture.itself == term:
                     return capture
@@ -404,6 +416,7 @@ class ProgramStreams:
             logic.error_output(text)
         elif target == "current_output" or target is self.output or target is logic.output:
             logic.write(text)
+        # A stream that is not the current output keeps its own column.
         elif isinstance(target, OutputStream):
             target.column = column_after(target.column, text)
             target.write(text)
@@ -466,6 +479,7 @@ class ProgramStreams:
     def set_output(self, stream: Union[OutputStream, OutputCapture, str]) -> None:
         """Set the current output."""
         logic = self._logic
+        # A capture is the current output already; replacing it by itself would break the nesting.
         if stream is logic.output:
             return
         # A stream set before is left first: at most one stream is on the stack between two captures.
@@ -484,6 +498,7 @@ class ProgramStreams:
             return
         if stream is self.input:
             self.input = self.user
+        # The output is reset before the stream is removed, so that nothing can be written to a closed stream.
         if stream is self.output:
             self.set_output("user_output")
         for number, opened in list(self.opened.items()):
@@ -501,12 +516,13 @@ class ProgramStreams:
         self.aliases.clear()
 
 
-def _text_of(files: StreamFiles, name: Term, encoding: str) -> Tuple[str, str]:
+def _text_of(files: "SourceFiles", name: Term, encoding: str) -> Tuple[str, str]:
     """Return the path and the text of a file; an existence error contains the name as the program wrote it."""
     try:
         return files.to_read(name, encoding)
     except PrologError as error:
         ball: Any = error.term
+        # The sandbox reports the resolved path, which a program that gave a relative name would not recognise.
         if isinstance(ball[1], tuple) and ball[1][0].name == "existence_error":
             raise existence_error("source_sink", name, ball[2]) from error
         raise
@@ -522,7 +538,7 @@ def streams_of(machine: Machine) -> ProgramStreams:
     return _streams(machine.logic)
 
 
-def _streams(logic: MachineProgram) -> ProgramStreams:
+def _streams(logic: "PrologSystem") -> ProgramStreams:
     streams: Optional[ProgramStreams] = logic.state.get("streams")
     if streams is None:
         streams = logic.state["streams"] = ProgramStreams(logic)
@@ -619,6 +635,7 @@ def _properties(streams: ProgramStreams, stream: Union[OpenStream, str]) -> Iter
                 yield _of("alias", alias)
     if isinstance(stream, InputStream):
         yield _of("eof_action", stream.eof_action)
+        # Whether the user's input has ended is not known before it is read.
         if stream is not streams.user:
             yield _of("end_of_stream", _end(stream))
         yield (functor("position", 1), _position(stream))

@@ -17,14 +17,14 @@ from typing import Any, Callable, Dict, List, Match, Tuple
 from ...foundation.errors import UsageError
 from ..machine.arithmetic import Number, checked
 from ..machine.errors import domain_error, evaluation_error, instantiation_error, type_error
-from ..machine.machine import LAST
+from ..machine.machine import LAST, Machine
 from ..terms import timestamps
 from ..terms.list_terms import make_list
 from ..terms.timestamps import DATIME6, DATIME7, SECOND
 from ..terms.types import CONS, NIL, Atom, CompoundTerm, Lazy, Term, Var, atom, deref, functor
 from ..terms.unification import unify
 from .argument_checks import integer, number
-from .builtin_registry import Machine, Solutions, deterministic, function, nondeterministic
+from .builtin_registry import Solutions, deterministic, function, nondeterministic
 from .output_predicates import write_to
 from .text_arguments import fill_sink, is_sink, text_of
 
@@ -111,6 +111,7 @@ def _select_timestamp(earlier: bool) -> Callable[[Machine, Term, Term, Term], bo
 
     def run(machine: Machine, left: Term, right: Term, result: Term) -> bool:
         left, right = deref(left), deref(right)
+        # Numbers are compared as they are: the conversion to nanoseconds would round them.
         if isinstance(left, (int, float)) and isinstance(right, (int, float)):
             first = left <= right
         else:
@@ -140,6 +141,7 @@ def datime_minus_datime(machine: Machine, later: Term, earlier: Term, seconds: T
     """
     later, earlier = deref(later), deref(earlier)
     distance = int(instant_of(later)) - int(instant_of(earlier))
+    # Numbers are subtracted as they are, so the difference of integers is an integer.
     if isinstance(later, (int, float)) and isinstance(earlier, (int, float)):
         return unify(seconds, later - earlier, machine.trail)
     whole, rest = divmod(distance, SECOND)
@@ -161,6 +163,7 @@ def _add_seconds(stamp: Term, seconds: Term, sign: int) -> Term:
         fields = timestamps.fields(moved)
     except UsageError:
         raise evaluation_error("undefined") from None
+    # The result has the form of the argument, also in the type of the seconds of a `datime/6`.
     arity = _arity(timestamp)
     if arity == 2:
         return make_list(timestamps.to_parts(moved))
@@ -203,6 +206,7 @@ def current_datime(machine: Machine, result: Term) -> bool:
 def month_days(machine: Machine, month: Term, year: Term, days: Term) -> bool:
     """Unify with the number of days of a month; year and month may be given in either order."""
     first, second = integer(month), integer(year)
+    # A number above 12 can only be the year.
     if first > 12:
         first, second = second, first
     if not 1 <= first <= 12:
@@ -355,6 +359,7 @@ def parse_time(machine: Machine, text: Term, stamp: Term) -> bool:
         moment = datetime(int(year), int(month), int(day), int(hour or 0), int(minute or 0))
     except ValueError:
         return False
+    # The stamp is in UTC, so the offset of the zone is subtracted.
     if zone and zone != "Z":
         sign = -1 if zone[0] == "-" else 1
         moment -= sign * timedelta(hours=int(zone[1:3]), minutes=int(zone[-2:]))
@@ -421,6 +426,7 @@ _STATISTICS: Dict[str, Callable[[Machine], Term]] = {
 
 def _value_and_difference(machine: Machine, name: str, value: int) -> Term:
     """Return ``[Value, Difference]`` with the difference since the last call for the same key."""
+    # The previous values belong to the program, so programs in one process do not affect each other.
     last = machine.logic.state.setdefault("statistics", {})
     since = value - last.get(name, 0)
     last[name] = value

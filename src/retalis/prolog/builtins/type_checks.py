@@ -13,12 +13,13 @@ from ..machine.errors import (
     instantiation_error,
     uninstantiation_error,
 )
+from ..machine.machine import Machine
 from ..terms.list_terms import list_items, list_parts
 from ..terms.term_traversal import is_ground, resolve
 from ..terms.types import NIL, Atom, CompoundTerm, String, Term, Var, atom, deref, functor
 from ..terms.unification import compare
 from .argument_checks import integer, items
-from .builtin_registry import Machine, deterministic
+from .builtin_registry import deterministic
 from .text_arguments import is_text_list
 
 _NUMBERS = (int, float)
@@ -26,6 +27,7 @@ _NUMBERS = (int, float)
 
 def is_acyclic(term: Term) -> bool:
     """Return whether a term is not cyclic."""
+    # `resolve` raises the error for cyclic terms.
     try:
         resolve(term)
     except TermTooLarge:
@@ -113,6 +115,7 @@ def holds(kind: Term, term: Term) -> Optional[bool]:
     name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else ""
     if kind.__class__ is tuple:
         return _has_parametric_type(name, kind, term)
+    # The tests take a dereferenced term.
     test = _TYPE_TESTS.get(name)
     return None if test is None else test(term)
 
@@ -122,6 +125,7 @@ def _has_parametric_type(name: str, kind: CompoundTerm, term: Term) -> Optional[
         return is_ground(term) and any(not compare(item, term) for item in watched(items(kind[1])))
     if name == "between" and len(kind) == 3:
         low, high = deref(kind[1]), deref(kind[2])
+        # Bounds that are integers require an integer, other bounds accept any number.
         if low.__class__ is int:
             return term.__class__ is int and low <= term <= integer(high)
         return term.__class__ in _NUMBERS and evaluate(low) <= term <= evaluate(high)
@@ -152,6 +156,7 @@ def check(kind: Term, term: Term) -> Optional[PrologError]:
         return uninstantiation_error(term)
     if name in ("cyclic", "acyclic"):
         return domain_error(f"{name}_term", term)
+    # An unbound part might still be bound to a value of the type.
     if term.__class__ is Var or (name in _WHOLLY_BOUND and not is_ground(term)):
         return instantiation_error()
     return type_error_of(kind, term)

@@ -7,11 +7,12 @@ from typing import Dict, Iterator, NamedTuple, Tuple
 
 from ..database.clause_index import Clause
 from ..machine.errors import error, existence_error, permission_error
+from ..machine.machine import Machine
 from ..terms.list_terms import make_list
 from ..terms.term_traversal import copy
 from ..terms.types import NIL, Term, Values, atom, functor
 from .argument_checks import atom_of, items
-from .builtin_registry import Machine, Solutions, deterministic, nondeterministic
+from .builtin_registry import Solutions, deterministic, nondeterministic
 
 _HEADS = functor("test", 1), functor("test", 2)
 _TEST = functor("test", 3)

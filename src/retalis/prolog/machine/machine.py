@@ -20,7 +20,7 @@ bindings undone) and `Machine.solutions` (all solutions, one at a time). `Machin
 run, without a nested loop.
 """
 
-from typing import Any, Callable, Generator, List, Optional, Protocol, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Generator, List, Optional, Protocol, Tuple
 
 from ...foundation.cancellation import watched_by
 from ...foundation.errors import RetalisError, TermTooLarge
@@ -30,6 +30,9 @@ from ..terms.types import Frame, Functor, Step, Term, Trail, Values, Var
 from ..terms.unification import undo, unify
 from .errors import CONTEXT, ERROR, PrologError, first_goal_functor, from_python, indicator, resource_error
 from .resource_limits import SLICE, Budget
+
+if TYPE_CHECKING:
+    from ..system.prolog_system import PrologSystem
 
 
 class Takes(Protocol):
@@ -174,6 +177,7 @@ class Machine:
         meet: called with the goal that is about to run, at most once in a slice of steps, to find goals worth
             compiling.
         budget: resource limits of goals, and their use.
+        logic: the program that it runs.
         idle: lengths of choices and trail while no goal runs; see `recovery`.
     """
 
@@ -191,7 +195,7 @@ class Machine:
         self.catch_code = Code("catch", fail, True)
         self.goal_code: Optional[Code] = None
         self.meet: Callable[[Term], None] = lambda goal: None
-        self.logic: Any = None
+        self.logic: PrologSystem = None  # type: ignore[assignment]  # set by the program
 
     def unify(self, left: Term, right: Term) -> bool:
         """Make two terms equal by binding variables; return whether they unify. If not, nothing is bound."""

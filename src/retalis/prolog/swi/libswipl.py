@@ -314,6 +314,7 @@ class LimitedGoal:
             return "inferences"
         if deadline is not None and now > deadline:
             return "seconds"
+        # The memory of SWI-Prolog is that of the process, as its stacks are not counted by Python.
         if max_memory is not None and resident_bytes() > max_memory:
             return "memory"
         return self.fired
@@ -344,6 +345,7 @@ class Interrupter:
     def wake(self) -> None:
         """Start the thread, or end its sleep."""
         self.asleep = False
+        # The thread is started with the first limited goal, as most programs have none.
         if self._thread is None:
             self._thread = Thread(target=self._run, name="retalis guard of SWI-Prolog", daemon=True)
             self._thread.start()
@@ -358,6 +360,7 @@ class Interrupter:
 
     def _run(self) -> None:
         with signal_stack_kept():
+            # An attached thread has an engine of its own, which it needs to call predicates of the bridge.
             self._swi.attach_thread(None)
         idle = 0
         while True:
@@ -420,4 +423,5 @@ class Interrupter:
         swi.call_predicate(None, CATCH, swi.predicate(b"interrupt", 2, b"retalis_bridge"), ref)
         swi.clear_exception()
         swi.discard_frame(frame)
+        # Ends a blocking system call with EINTR, after which SWI-Prolog handles the exception.
         signal.pthread_kill(watched.thread, signal.SIGUSR2)

@@ -123,6 +123,7 @@ class SwiEngine:
         try:
             self.number: int = swi.thread_self()
             self._terms = SwiTerms(swi)
+            # The finalizer must not refer to the engine object, which it would keep alive.
             finalize(self, _destroy, swi, self._engine, self._terms, self._ended).atexit = False
             self.limited: int = swi.predicate(b"limited", 2, BRIDGE.encode())
             self._statistics = swi.predicate(b"statistics", 2, b"system")
@@ -143,6 +144,7 @@ class SwiEngine:
             predicate: int = swi.predicate_of(
                 swi.new_functor(self._terms.handle(atom(name)), arity), module_handle
             )
+            # The handle of a predicate stays valid without the frame: SWI-Prolog never frees predicates.
             swi.discard_frame(frame)
             self._leave()
         except BaseException as error:
@@ -155,6 +157,7 @@ class SwiEngine:
         if self._busy:  # an exception has interrupted `_restore`
             self._restore(self._level, None)
         self._busy = True
+        # Only the outermost call attaches the engine; nested ones find it attached.
         if not self._depth and self._swi.set_engine(self._engine, self._to_before):
             raise RetalisError("an engine of SWI-Prolog is in use elsewhere")
         self._depth += 1
@@ -183,6 +186,7 @@ class SwiEngine:
             return
         if before.value != self._engine:  # the exception came before the engine was attached
             self._before.value = before.value
+        # An interrupt for a goal that has ended must not hit the next one.
         if self.watched is not level.watched:
             self.watched = level.watched
             self._interrupter.settle()
@@ -253,6 +257,7 @@ class SwiEngine:
             while True:
                 if machine.unify_all(*bindings):
                     yield LAST if opened.closed else None
+                # The last solution was known to be the last, or the goal has been closed by a restore.
                 if opened.closed:
                     return
                 next_bindings = self._next_bindings(opened)
@@ -302,6 +307,7 @@ class SwiEngine:
         if left is None:
             status: int = self._swi.next_solution(query)
         else:
+            # Counted by SWI-Prolog, and charged to the budget of the program afterwards.
             before = 0 if left.inferences is None else self._inferences()
             outer = self.watched
             watched = self.watched = LimitedGoal(left, self.number, before)
@@ -357,6 +363,7 @@ class SwiEngine:
     def _drop_goal(self, opened: OpenGoal) -> None:
         """Close a goal now, or before the next one if the engine is in use or this is another thread."""
         opened.over = True
+        # A generator may be finalized at any time and in any thread; the goal is closed by the next call instead.
         if self._busy or self._thread != get_ident() or self._ended:
             return
         level = self._level
@@ -402,6 +409,7 @@ class SwiEngine:
         """
         swi, terms, outer = self._swi, self._terms, self._level
         try:
+            # The callback starts a new level: an error in it closes only the goals that it has opened.
             level = GoalLevel(len(self._open), swi.current_query(), self._depth, self.watched)
             try:
                 self._level, self._busy = level, False

@@ -152,6 +152,7 @@ def _started() -> Started:
     callbacks: List[Tuple[str, int, Any]] = [("$retalis_ask", 1, UnaryCallback(answerers))]
     callbacks += [(name, 0, step) for name, step in signal_stack_predicates()]
     for name, arity, callback in callbacks:
+        # Registered before the bridge is loaded, which refers to these predicates.
         swi.register(BRIDGE.encode(), name.encode(), arity, callback, 0)
     ref = swi.new_refs(1)
     SwiTerms(swi).put(ref, atom(str(_FILE)), {})

@@ -281,8 +281,11 @@ class SwiTerms:
                     require(swi.unify_list(ref, first, first + 1))
                 else:
                     require(swi.unify_functor(ref, self._functor_handle(term[0])))
+                    # The arguments of the new functor are unbound variables, which are bound by the next steps.
                     for number in range(count):
                         swi.get_argument(number + 1, ref, first + number)
+                # In reverse order, because the stack returns the last item first; variables are numbered from left to
+                # right.
                 stack += [(first + number, term[number + 1]) for number in range(count - 1, -1, -1)]
             elif isinstance(term, int):
                 require(self._put_integer(ref, int(term)))
@@ -298,6 +301,7 @@ class SwiTerms:
         return self._swi.unify(ref, read)  # type: ignore[no-any-return]
 
     def _put_atom(self, ref: int, value: Atom) -> int:
+        # The empty list of SWI-Prolog is a constant of its own, not an atom.
         if value is NIL:
             return self._swi.unify_nil(ref)  # type: ignore[no-any-return]
         handle = self._handles.get(value)
@@ -318,6 +322,7 @@ class SwiTerms:
         # Registered first: every entry of the cache must have a valid handle.
         self._swi.register_atom(handle)
         cache.keep(key, handle, size)
+        # The cache may refuse an entry that is too large; then nothing references the handle.
         if key not in cache:
             self._swi.unregister_atom(handle)
 
@@ -352,6 +357,7 @@ class SwiTerms:
     def read_values(self, refs: Refs) -> Bindings:
         """Return the values of variables, without those that are still unbound and differ from the others."""
         reads, kind_of, variable = self._reads, self._swi.term_type, self._variable
+        # All values of a solution share their variables, so the marks are reset only here.
         self._marked = []
         self._lenient = False
         values = []
@@ -371,8 +377,7 @@ class SwiTerms:
 
         Raises:
             PrologError: if the term cannot be represented: rational numbers, streams and other handles, compound
-            terms
-                without arguments, variables with constraints.
+                terms without arguments, variables with constraints.
             TermTooLarge: if the term is cyclic.
         """
         kind = self._swi.term_type(ref)
@@ -385,12 +390,14 @@ class SwiTerms:
         """Return a term that is neither a constant nor a variable."""
         if kind not in (self._compound, self._pair):
             return self._read_unsupported(ref, kind)
+        # Checked first, since the conversion of a cyclic term would not end before its limit.
         if not self._swi.is_acyclic(ref):
             raise TermTooLarge
         return self._read_large(ref, kind)
 
     def _mark_variable(self, ref: int, var: Var) -> Var:
         swi = self._swi
+        # Constraints are goals suspended on a variable, and would be lost.
         if swi.is_attributed(ref):
             if not self._lenient:
                 raise representation_error(
@@ -398,6 +405,7 @@ class SwiTerms:
                     "a variable of the answer has constraints in SWI-Prolog: label it there first",
                 )
             return var
+        # The mark is a compound term with an integer, which cannot be confused with a term of the program.
         inner = require(swi.new_refs(1))
         require(swi.unify_functor(ref, self._mark) and swi.get_argument(1, ref, inner))
         require(swi.unify_integer(inner, len(self._marked)))
@@ -448,6 +456,7 @@ class SwiTerms:
         swi.get_functor(ref, self._to_word)
         handle = self._word.value
         argument = require(swi.new_refs(1))
+        # A mark denotes a variable that has been read before.
         if handle == self._mark:
             swi.get_argument(1, ref, argument)
             swi.get_integer(argument, self._to_long)
@@ -461,6 +470,7 @@ class SwiTerms:
     def _read_constants(self, item: int, values: List[Term]) -> bool:
         """Read the leading constants of a list; return whether an item follows that is not a constant."""
         reads, kind_of, get_list = self._reads, self._swi.term_type, self._swi.get_list
+        # Lists of constants, the most common ones, need no stack entry per item.
         tail = item + 1
         while len(values) <= MAX_STEPS:
             for _ in BULK:
@@ -499,6 +509,7 @@ class SwiTerms:
         return term
 
     def _read_integer(self, ref: int) -> Term:
+        # Integers beyond 64 bits are read as text.
         if self._swi.get_integer(ref, self._to_long):
             return self._long.value
         try:

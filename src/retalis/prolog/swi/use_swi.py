@@ -70,6 +70,7 @@ def define_use_swi(
 
     def use(machine: Machine, spec: Term, wanted: Term) -> bool:
         reason = "" if allowed else "the setting allow_swi is off"
+        # A goal of a service could otherwise run arbitrary code of SWI-Prolog, which has no sandbox.
         if not files.door.is_loading:
             reason = "SWI-Prolog loads only what the program's own files ask for, while they are being loaded"
         if reason:
@@ -131,6 +132,7 @@ def _source(spec: Term, files: "SourceFiles") -> Term:
     spec = deref(spec)
     if spec.__class__ is Var:
         raise instantiation_error()
+    # Libraries are searched by SWI-Prolog in its own folders.
     if spec.__class__ is tuple and spec[0] is _LIBRARY:
         return spec
     path = files.find(spec).absolute()

@@ -109,7 +109,7 @@ class PredicateTable:
 
     def __init__(self, operators: Optional[Operators] = None, compile_after: int = COMPILE_AFTER):
         self.machine = Machine()
-        self.machine.logic = self
+        self.machine.logic = self  # type: ignore[assignment]  # `PrologSystem` is the only subclass
         self.operators = Operators.prolog() if operators is None else operators
         self.database = Database(self.machine, compile_after)
         self.control = Control(self.database)

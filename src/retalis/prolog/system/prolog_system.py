@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from time import time_ns
 from typing import (
+    TYPE_CHECKING,
     Any,
     Callable,
     Dict,
@@ -32,7 +33,7 @@ from typing import (
 
 from ...foundation.errors import SHOWN, Place, printable
 from ..builtins import all_builtins  # noqa: F401  (registers the built-in predicates)
-from ..builtins.builtin_registry import StreamFiles, control
+from ..builtins.builtin_registry import control
 from ..builtins.clause_translation import SINGLE_SIDED, is_behind, translate_rule, translate_single_sided
 from ..builtins.text_streams import end_captures
 from ..compiler.clause_nodes import CALL
@@ -64,6 +65,9 @@ from ..terms.types import (
 )
 from ..terms.unification import undo, unify
 from .predicate_resolution import PredicateTable
+
+if TYPE_CHECKING:
+    from ...events.program.source_files import SourceFiles
 
 _SILENT = frozenset(functor(name, 0) for name in ("true", "!", "fail", "false", "otherwise"))
 _CONTROL = frozenset(
@@ -477,7 +481,7 @@ class PrologSystem(PredicateTable):
         self.print_to(_write_stdout, _write_stderr)
         self.message = self._to_error_output
         self.database.modules.on_clash = lambda text: self.message("warning", text)
-        self.files: Optional[StreamFiles] = None
+        self.files: Optional[SourceFiles] = None
         self.ask: Optional[Callable[[], Optional[str]]] = None
         self.state: Dict[str, Any] = {}
         self.now: Callable[[], int] = time_ns
