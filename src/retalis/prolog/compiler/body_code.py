@@ -188,7 +188,7 @@ class BodyGenerator:
         for call in reversed(calls):
             frame = self._frame_expression(scope, call, frame)
         first = calls[0]
-        if isinstance(first, CallNode) and first.key is scope.calls_at_once:
+        if isinstance(first, CallNode) and first.key is scope.direct_last_call:
             frame = f"{self.unit.predicate(first.key)}.run({frame})"
         scope.line(f"return {frame}")
 

@@ -239,7 +239,7 @@ class Scope:
         unpacking_failed: whether the code is the fallback for a pattern whose unpacking as a whole has failed.
         loop: the loop around the clause, or None.
         looped: whether a call has been written as a turn of that loop.
-        calls_at_once: the predicate whose last call the function runs itself, returning the frame that it returns.
+        direct_last_call: the predicate whose last call the function runs itself, returning the frame that it returns.
         binds: whether the code may bind variables, so that failure has to undo the trail.
         pushes: whether the code accesses the choice point stack.
         later: variables and heights that the goals after the current one need.
@@ -262,7 +262,7 @@ class Scope:
         self.unpacking_failed = False
         self.loop: Optional[Loop] = None
         self.looped = False
-        self.calls_at_once: Optional[Functor] = None
+        self.direct_last_call: Optional[Functor] = None
         self.binds = False
         self.pushes = False
         self.later: FrozenSet[Needed] = frozenset()

@@ -559,7 +559,7 @@ class PredicateGenerator:
         elif rest == ():
             # Backtracking runs the last clause. Running a call of the predicate itself directly saves a step for each
             # solution. Such calls do not nest, because only backtracking runs this code.
-            scope.calls_at_once = self.key
+            scope.direct_last_call = self.key
         if height is not None:
             scope.names[entry] = height
         if loops and alone and key.__class__ is Functor and self.position is not None:

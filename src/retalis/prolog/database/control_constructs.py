@@ -443,7 +443,7 @@ def add_arguments(goal: Term, extra: Values, modules: Optional[Modules] = None) 
     closure_class = closure.__class__
     if closure_class is tuple:
         if closure[0] is _COLON:
-            inner = deref(closure[2]) if modules is None else modules.closure_of(closure, len(extra))
+            inner = deref(closure[2]) if modules is None else modules.qualified_closure(closure, len(extra))
             return add_arguments(inner, extra, modules)
         return (functor(closure[0].name, len(closure) - 1 + len(extra)), *closure[1:], *extra)
     if closure_class is Atom:

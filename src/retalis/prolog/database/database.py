@@ -84,7 +84,7 @@ class Database:
         """Undefined predicates that live only as long as something refers to them."""
         self._put_aside_at = _MAX_SPARE_PREDICATES
         self.modules = Modules()
-        self.modules.is_there = self._exists
+        self.modules.is_defined = self._exists
         self.modules.on_change = self.forget
         self.library = Library(self)
         self.goals: WeakSet[Any] = WeakSet()

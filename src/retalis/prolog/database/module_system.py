@@ -99,7 +99,7 @@ _GLOBAL_PREDICATES = FIXED | {
 }
 """Predicates that belong to no module: fixed ones, and hooks that the system calls."""
 
-KeptModule = Tuple[List[Functor], List[Functor], List[str], List[str]]
+ModuleData = Tuple[List[Functor], List[Functor], List[str], List[str]]
 """Module as plain data: exports, imports, names of its own predicates, names of the imported predicates."""
 
 
@@ -142,7 +142,7 @@ class ModuleNames:
         metas: argument kinds of the program's own predicates.
         loading: module whose file is being loaded, or None.
         last: name of the module whose file was loaded last; "" if that file was no module.
-        is_there: returns whether the program has a predicate with a functor.
+        is_defined: returns whether the program has a predicate with a functor.
         is_of_system: returns whether the system has one.
         shared: predicates that currently belong to no module, wherever they are defined.
         on_begin: called with the name of each module whose file begins.
@@ -156,7 +156,7 @@ class ModuleNames:
         self.metas: Dict[Functor, ArgumentKinds] = {}
         self.loading: Optional[Module] = None
         self.last = ""
-        self.is_there: Callable[[Functor], bool] = lambda key: False
+        self.is_defined: Callable[[Functor], bool] = lambda key: False
         self.is_of_system: Callable[[Functor], bool] = lambda key: False
         self.on_begin: Callable[[str], None] = lambda name: None
         self.on_change: Callable[[], None] = lambda: None
@@ -259,7 +259,7 @@ class ModuleNames:
         name = self._plain.get(key.name)
         return None if name is None else functor(name, key.arity)
 
-    def shown(self, key: Functor) -> Optional[Term]:
+    def module_indicator(self, key: Functor) -> Optional[Term]:
         """Return the indicator of a qualified predicate, such as ``m:(p/1)``; None for other predicates."""
         name = self._plain.get(key.name)
         if name is None:
@@ -279,24 +279,24 @@ class ModuleNames:
         self._plain[name] = key.name
         return functor(name, key.arity)
 
-    def stored(self, module: Module, key: Functor) -> Functor:
+    def assertion_target(self, module: Module, key: Functor) -> Functor:
         """Return the functor of the predicate to which a module asserts clauses: its own, or an imported one."""
         own = self.own(module, key)
-        return module.imports[key] if key in module.imports and not self.is_there(own) else own
+        return module.imports[key] if key in module.imports and not self.is_defined(own) else own
 
     def resolve(self, module: Module, key: Functor) -> Functor:
         """Return the functor of the predicate that a name refers to in a module."""
         if self._has_plain_name(module, key):
             return key
         # Own definitions take precedence over imported and system predicates, as in SWI-Prolog.
-        if (key in module.imports or self.is_of_system(key)) and not self.is_there(
+        if (key in module.imports or self.is_of_system(key)) and not self.is_defined(
             functor(f"{module.name}:{key.name}", key.arity)
         ):
             return module.imports.get(key, key)
         return self.own(module, key)
 
-    def restore(self, table: Dict[str, KeptModule]) -> None:
-        """Add the modules that `kept` returned."""
+    def restore(self, table: Dict[str, ModuleData]) -> None:
+        """Add the modules that `to_data` returned."""
         # Older states lack the names of imported predicates, which were the plain ones then.
         for name, (exports, imports, own, *import_names) in table.items():
             module = self.table.setdefault(name, Module(name))
@@ -306,7 +306,7 @@ class ModuleNames:
             module.imports.update({key: functor(plain, key.arity) for key, plain in zip(imports, names)})
             self._plain.update({f"{name}:{plain}": plain for plain in own})
 
-    def kept(self) -> Dict[str, KeptModule]:
+    def to_data(self) -> Dict[str, ModuleData]:
         """Return all modules as plain data, for `restore`."""
         return {
             name: (
@@ -324,7 +324,7 @@ class ModuleNames:
         if argument_kinds is None:
             # A qualified predicate without a definition stands for the plain one.
             plain = self.plain_of(key)
-            if plain is not None and not self.is_there(key):
+            if plain is not None and not self.is_defined(key):
                 key = plain
             argument_kinds = self.metas.get(key) or METAS.get(key)
         return argument_kinds
@@ -368,7 +368,7 @@ class Modules(ModuleNames):
             else self._resolved_argument(module, "^", inner, _NO_VARIABLES)
         )
 
-    def closure_of(self, goal: CompoundTerm, more: int) -> Term:
+    def qualified_closure(self, goal: CompoundTerm, more: int) -> Term:
         """Return the closure that ``Module:Closure`` refers to if ``more`` arguments are added to it."""
         module = self.named(goal[1])
         inner = deref(goal[2])
@@ -431,7 +431,7 @@ class Modules(ModuleNames):
                 return (_HAT, arg[1], self._resolved_argument(module, kind, arg[2], held))
             return self.body(module, arg, held)
         if kind == "clause":
-            return self.clause(module, arg, held, self.stored)
+            return self.clause(module, arg, held, self.assertion_target)
         if kind == "match":
             return self._searched_clause(module, arg)
         if kind == "head":
@@ -533,7 +533,7 @@ class Modules(ModuleNames):
             return head if inner.__class__ is Var else inner
         return self._resolved_head(other, inner, name)
 
-    def of_another(self, term: CompoundTerm) -> Term:
+    def with_head_resolved(self, term: CompoundTerm) -> Term:
         """Return a clause outside of modules with a module in its head resolved."""
         head = deref(term[1])
         if head.__class__ is tuple and head[0] is COLON:
@@ -586,7 +586,7 @@ class Modules(ModuleNames):
             return term if key is None else indicator(name(module, key))
         return (name(module, term[0]), *term[1:])
 
-    # What is shown
+    # Display
 
     def plain(self, term: Term) -> Term:
         """Return a term for display: with plain names of predicates, and without the modules that `body` adds."""

@@ -80,7 +80,7 @@ def keep_values(logic: PrologSystem) -> KeptValues:
     modules = logic.database.modules
     counted = {name: dict(logic.state[name]) for name in _COUNTED if name in logic.state}
     if modules.table or modules.metas:
-        counted.update({_MODULES: modules.kept(), _METAS: dict(modules.metas)})
+        counted.update({_MODULES: modules.to_data(), _METAS: dict(modules.metas)})
     return KeptValues(
         dict(logic.flags),
         dict(logic.globals),

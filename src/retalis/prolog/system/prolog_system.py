@@ -5,9 +5,7 @@ contains three services of a running system:
 
 * `Tracer` runs goals in the box model of Byrd: it interprets clauses and reports each port (call, exit, redo, fail,
   exception) that a goal passes.
-* `undefined` raises the existence error of an unknown procedure, with the clauses that may have called it and with
-names
-  that may have been meant.
+* `undefined` raises the existence error of an unknown procedure, with possible callers and similar names.
 * `state_of`, `go_back` and `mend` return a machine to an earlier state after an interrupt at any point.
 """
 
@@ -97,7 +95,7 @@ class Tracer:
 
     Args:
         logic: the predicates.
-        tell: called with a line for each port.
+        write_line: called with a line for each port.
     """
 
     def __init__(self, logic: PredicateTable, write_line: Callable[[str], None]):
@@ -288,7 +286,7 @@ def undefined(logic: PredicateTable, predicate: Predicate, frame: Frame) -> Opti
     suggestions = similar(logic, logic.database.modules.plain_of(key) or key)
     if suggestions:
         notes.append(f"did you mean {' or '.join(suggestions)}?")
-    shown = logic.database.modules.shown(key) or indicator(key)
+    shown = logic.database.modules.module_indicator(key) or indicator(key)
     context = (CONTEXT, shown, atom("; ".join(notes))) if notes else shown
     raise existence_error("procedure", shown, context)
 
@@ -584,9 +582,9 @@ class PrologSystem(PredicateTable):
         if term.__class__ is tuple and term[0] is _ARROW:
             term = translate_rule(term)
         if module is not None and term.__class__ is not Var:
-            return modules.clause(module, term, name=modules.stored if asserted else None)
+            return modules.clause(module, term, name=modules.assertion_target if asserted else None)
         if modules.table and term.__class__ is tuple and term[0].arity == 2 and term[0].name == ":-":
-            return modules.of_another(term)
+            return modules.with_head_resolved(term)
         return term
 
     def of_file(self, goal: Term) -> Term:
@@ -688,12 +686,12 @@ class PrologSystem(PredicateTable):
         for goal in goals:
             goal.prepare()
 
-    def once(self, goal: Term, asked_for: Optional[Term] = None) -> bool:
+    def once(self, goal: Term, reported_goal: Optional[Term] = None) -> bool:
         """Run a goal for its first solution, whose bindings remain.
 
         Args:
             goal: the goal.
-            asked_for: the term that reports show in place of the goal.
+            reported_goal: the term that reports show in place of the goal.
 
         Returns:
             Whether there is a solution.
@@ -708,7 +706,7 @@ class PrologSystem(PredicateTable):
             budget.admit()
         outer_goal = budget.goal
         if outer_goal is None:
-            budget.goal = goal if asked_for is None else asked_for
+            budget.goal = goal if reported_goal is None else reported_goal
         try:
             return self.machine.run((self.control.code, (CALL, goal), 0, self.machine.done))
         finally:
