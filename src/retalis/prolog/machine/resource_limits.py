@@ -97,7 +97,7 @@ class _LimitFields(NamedTuple):
 
 
 class Limits(_LimitFields):
-    """What an event or a query may use, with everything that it starts; None means no limit.
+    """Resource limits of an event or a query, with everything that it starts; None means no limit.
 
     >>> engine = Engine(settings=Settings(limits=Limits(inferences=10000)))
     >>> engine.load(rules="forever :- forever.")
@@ -317,12 +317,12 @@ class Budget:
 
     @property
     def at_work(self) -> bool:
-        """Whether a turn is processing an entry."""
+        """True while a turn processes an entry."""
         return self.turn is not None and self.turn.thread is not None
 
     @property
     def runs_here(self) -> bool:
-        """Whether this thread runs a goal of a turn's entry."""
+        """True while this thread runs a goal of a turn's entry."""
         return self.goal is not None and self.turn is not None and self.turn.thread == get_ident()
 
     # Entries
@@ -441,13 +441,13 @@ class Budget:
         """Count nothing for the current entry while it waits for a user; afterwards it may use its limits again."""
         turn = self.turn
         assert turn is not None
-        what: Any
-        what, turn.entry = turn.entry, None
+        entry: Any
+        entry, turn.entry = turn.entry, None
         try:
             yield
         finally:
             # A new identity with the same name: a watchdog that still times the old entry must not expire this one.
-            turn.entry = None if what is None else (*what, None)
+            turn.entry = None if entry is None else (*entry, None)
             self._begin()
 
     # Goals of entries
@@ -570,11 +570,11 @@ class Budget:
         Raises:
             LimitError: if the entry may not write them. A handler of the first error may write a tenth more.
         """
-        most = self.limits.output_megabytes
-        if most is None or not (self.running or self.at_work):
+        limit = self.limits.output_megabytes
+        if limit is None or not (self.running or self.at_work):
             return
         self._use()
-        if self._printed + size > most * MEGABYTE * (1.0 if self.rounds == 1 else 1.1):
+        if self._printed + size > limit * MEGABYTE * (1.0 if self.rounds == 1 else 1.1):
             raise self._exceeded("output")
         self._printed += size
 

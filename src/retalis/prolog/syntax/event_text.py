@@ -399,7 +399,7 @@ class EventReader:
         """Skeleton of the last text, by event name."""
         self._spans: Spans = Cache(2048, 1 << 20, 4096)
         self.ground: Optional[bool] = None
-        """Whether the term that was read last has no variables; None if unknown."""
+        """True if the term that was read last has no variables; None if unknown."""
 
     def read(self, text: str) -> Term:
         """Return the term of a text.
@@ -410,9 +410,9 @@ class EventReader:
         self.ground = None
         # The text up to the event's bracket identifies the event name; other texts have no such prefix and are split.
         head = text[: text.find("(", len(_EVENT))] if text.startswith(_EVENT) else ""
-        whole = self._whole.get(head)
-        if whole is not None:
-            term = whole(text)
+        read_whole = self._whole.get(head)
+        if read_whole is not None:
+            term = read_whole(text)
             if term is not None:
                 self.ground = True
                 return term
@@ -451,12 +451,12 @@ class EventReader:
             self._last.keep(head, skeleton, len(head) + len(skeleton))
             return
         try:
-            whole = self._wholes[skeleton]
+            read_whole = self._wholes[skeleton]
         except KeyError:
             function = builder.whole(_join_marks(skeleton), self._spans)
-            whole = self._wholes.keep(skeleton, function, _WHOLE + _WHOLE_COST * len(skeleton))
-        if self._whole.get(head) is not whole:
-            self._whole.keep(head, whole, len(head))
+            read_whole = self._wholes.keep(skeleton, function, _WHOLE + _WHOLE_COST * len(skeleton))
+        if self._whole.get(head) is not read_whole:
+            self._whole.keep(head, read_whole, len(head))
 
     def _read_fully(self, text: str) -> Term:
         return read_term(text, self._operators, "event text", EVENT_TEXT, positions=False).term

@@ -94,16 +94,16 @@ def unquote(body: str, quote: str, strict: bool = False) -> str:
     """
 
     def value(match: "Match[str]") -> str:
-        hexadecimal, octal, short, long, newline, nothing, other, doubled = match.groups()
+        hexadecimal, octal, short, long, newline, nothing, letter, doubled = match.groups()
         if doubled is not None:
             return doubled if doubled == quote else doubled + doubled
         if strict and not _is_standard(match):
             raise ValueError(f"{match.group(0)} is not an escape sequence of ISO Prolog", match.start())
         if newline or nothing:
             return ""
-        if other is not None:
-            if other in _PLAIN and other:
-                return _PLAIN[other]
+        if letter is not None:
+            if letter in _PLAIN and letter:
+                return _PLAIN[letter]
             raise ValueError(_unknown_escape_message(match.group(0)), match.start())
         code = int(octal, 8) if octal else int(hexadecimal or short or long, 16)
         if code > 0x10FFFF or 0xD800 <= code < 0xE000:
@@ -114,10 +114,10 @@ def unquote(body: str, quote: str, strict: bool = False) -> str:
 
 
 def _is_standard(match: "Match[str]") -> bool:
-    hexadecimal, octal, _, _, newline, _, other, _ = match.groups()
+    hexadecimal, octal, _, _, newline, _, letter, _ = match.groups()
     if hexadecimal or octal:
         return match.group(0).endswith("\\")
-    return bool(newline) or (other is not None and other not in ("e", "s"))
+    return bool(newline) or (letter is not None and letter not in ("e", "s"))
 
 
 def _unknown_escape_message(escape: str) -> str:

@@ -68,14 +68,14 @@ def layout(tokens: Sequence[AnyToken], operators: Operators) -> Layout:
     result = Layout({}, {}, {})
     stack = [Segment(0, "")]
     opened: List[int] = []
-    for at, token in enumerate(tokens):
+    for position, token in enumerate(tokens):
         kind = token[0]
         if kind in (NAME, QUOTED):
-            _record_name(stack[-1], tokens, at, operators)
+            _record_name(stack[-1], tokens, position, operators)
         elif kind in _OPENING:
-            opened.append(at)
-            result.commas[at] = 0
-            stack.append(Segment(at + 1, kind))
+            opened.append(position)
+            result.commas[position] = 0
+            stack.append(Segment(position + 1, kind))
         elif kind in _CLOSING:
             if opened:
                 opened.pop()
@@ -84,10 +84,10 @@ def layout(tokens: Sequence[AnyToken], operators: Operators) -> Layout:
             result.commas[opened[-1]] += 1
             if stack[-1].brace in (OPEN_CT, "["):
                 _finish_segment(stack.pop(), result)
-                stack.append(Segment(at + 1, tokens[opened[-1]][0]))
+                stack.append(Segment(position + 1, tokens[opened[-1]][0]))
         elif kind == "|" and stack[-1].brace == "[":
             _finish_segment(stack.pop(), result)
-            stack.append(Segment(at + 1, "["))
+            stack.append(Segment(position + 1, "["))
     # Brackets may be unbalanced: the parser reports that later, with a better message than is possible here.
     while stack:
         _finish_segment(stack.pop(), result)
@@ -100,12 +100,12 @@ def _finish_segment(segment: Segment, result: Layout) -> None:
     has_head = segment.arrow is not None
     # Only the first `:` can belong to a label, and only if it precedes the arrow: later ones qualify goals by
     # modules.
-    first = min(at for at in (segment.arrow, segment.action) if at is not None)
-    labels = segment.labels + [at for at in segment.colons[:1] if at < first]
-    labels = [at for at in labels if at < first]
+    first = min(position for position in (segment.arrow, segment.action) if position is not None)
+    labels = segment.labels + [position for position in segment.colons[:1] if position < first]
+    labels = [position for position in labels if position < first]
     result.rules[segment.start] = True if labels else has_head
-    for at in labels:
-        result.labels[at] = has_head
+    for position in labels:
+        result.labels[position] = has_head
 
 
 def _record_name(segment: Segment, tokens: Sequence[AnyToken], at: int, operators: Operators) -> None:

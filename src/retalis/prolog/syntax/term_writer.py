@@ -509,17 +509,17 @@ class _NamedShower:
         self.forms: Dict[Functor, List[NamedForm]] = {}
         assert operators.slots is not None
         self.find = operators.slots.find
-        known: Dict[Functor, List[NamedForm]] = {}
+        forms_by_functor: Dict[Functor, List[NamedForm]] = {}
         for form in list(operators.slots.forms):
-            known.setdefault(form.functor, []).append(form)
+            forms_by_functor.setdefault(form.functor, []).append(form)
         for part in compound_subterms(term):
-            if part[0] in known:
-                self.forms[part[0]] = known[part[0]]
+            if part[0] in forms_by_functor:
+                self.forms[part[0]] = forms_by_functor[part[0]]
         if self.forms:
             self.open = _singleton_variables(term, named)
-            whole = [term] if made else constructed_parts(term)
+            roots = [term] if made else constructed_parts(term)
             self.made: Set[int] = {
-                id(part) for constructed in whole for part in compound_subterms(constructed)
+                id(part) for constructed in roots for part in compound_subterms(constructed)
             }
 
     def text(self, term: Term) -> Optional[str]:

@@ -32,44 +32,44 @@ def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look 
     """
     if left is right:
         return True
-    kind = left.__class__
-    while kind is Var:
+    left_class = left.__class__
+    while left_class is Var:
         ref = left.ref
         if ref is None:
             break
         left = ref
-        kind = ref.__class__
-    other = right.__class__
-    while other is Var:
+        left_class = ref.__class__
+    right_class = right.__class__
+    while right_class is Var:
         ref = right.ref
         if ref is None:
             break
         right = ref
-        other = ref.__class__
+        right_class = ref.__class__
     if left is right:
         return True
-    if kind is Var:
+    if left_class is Var:
         # Bind the younger variable to the older one: in the other direction, the older one would move behind
         # variables that it precedes. Only variables that have a number have an observable order.
-        if other is Var and NUMBERED and hasattr(left, "serial") and _is_older(left, right):
+        if right_class is Var and NUMBERED and hasattr(left, "serial") and _is_older(left, right):
             left, right = right, left
         left.ref = right  # a lazy term is bound unbuilt
         trail.append(left)
         return True
-    if other is Var:
+    if right_class is Var:
         right.ref = left
         trail.append(right)
         return True
-    if kind is Lazy:
+    if left_class is Lazy:
         left = left.term()
-        kind = left.__class__
-    if other is Lazy:
+        left_class = left.__class__
+    if right_class is Lazy:
         right = right.term()
-        other = right.__class__
-    if kind is not other:
+        right_class = right.__class__
+    if left_class is not right_class:
         return False
-    if kind is not tuple:
-        return left is right or (kind is not Atom and same_constant(left, right))
+    if left_class is not tuple:
+        return left is right or (left_class is not Atom and same_constant(left, right))
     if left[0] is not right[0]:
         return False
     # From here on, both terms are compound with the same functor. The loop repeats the code above for the arguments:
@@ -101,43 +101,43 @@ def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look 
             right = partner[position]
             if left is right:
                 continue
-            kind = left.__class__
-            while kind is Var:
+            left_class = left.__class__
+            while left_class is Var:
                 ref = left.ref
                 if ref is None:
                     break
                 left = ref
-                kind = ref.__class__
-            other = right.__class__
-            while other is Var:
+                left_class = ref.__class__
+            right_class = right.__class__
+            while right_class is Var:
                 ref = right.ref
                 if ref is None:
                     break
                 right = ref
-                other = ref.__class__
+                right_class = ref.__class__
             if left is right:
                 continue
-            if kind is Var:
-                if other is Var and NUMBERED and hasattr(left, "serial") and _is_older(left, right):
+            if left_class is Var:
+                if right_class is Var and NUMBERED and hasattr(left, "serial") and _is_older(left, right):
                     left, right = right, left
                 left.ref = right  # a lazy term is bound unbuilt
                 trail.append(left)
                 continue
-            if other is Var:
+            if right_class is Var:
                 right.ref = left
                 trail.append(right)
                 continue
-            if kind is Atom is other:
+            if left_class is Atom is right_class:
                 return False
-            if kind is Lazy:
+            if left_class is Lazy:
                 left = left.term()
-                kind = left.__class__
-            if other is Lazy:
+                left_class = left.__class__
+            if right_class is Lazy:
                 right = right.term()
-                other = right.__class__
-            if kind is not other:
+                right_class = right.__class__
+            if left_class is not right_class:
                 return False
-            if kind is tuple:
+            if left_class is tuple:
                 if left[0] is not right[0]:
                     return False
                 if deeper is None:
@@ -145,7 +145,7 @@ def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look 
                 else:
                     stack.append(right)
                     stack.append(left)
-            elif left is not right and (kind is Atom or not same_constant(left, right)):
+            elif left is not right and (left_class is Atom or not same_constant(left, right)):
                 return False
         if deeper is not None:
             left, right = deeper, beside
@@ -280,26 +280,26 @@ def compare(  # noqa: C901 -- the loop of sorting: a call for each pair of terms
 
 def _compare_simple(left: Any, right: Any, variables: Callable[[Var, Var], int]) -> int:
     """Compare two different objects of which at least one is not compound."""
-    kind = left.__class__
-    rank, other_rank = _RANK[kind], _RANK[right.__class__]
-    if rank != other_rank:
-        return -1 if rank < other_rank else 1
-    if kind is Var:
+    left_class = left.__class__
+    left_rank, right_rank = _RANK[left_class], _RANK[right.__class__]
+    if left_rank != right_rank:
+        return -1 if left_rank < right_rank else 1
+    if left_class is Var:
         return variables(left, right)
-    if kind is Atom:
+    if left_class is Atom:
         return -1 if left.name < right.name else 1
-    if kind is String:
+    if left_class is String:
         return 1 if left.text > right.text else -1 if left.text < right.text else 0
     if left < right:
         return -1
     if left > right:
         return 1
     # The values are equal or one is nan. Standard order: nan first, and a float before the equal integer.
-    if kind is right.__class__:
-        return _compare_same_floats(left, right) if kind is float else 0
+    if left_class is right.__class__:
+        return _compare_same_floats(left, right) if left_class is float else 0
     if left != left or right != right:
         return -1 if left != left else 1
-    return -1 if kind is float else 1
+    return -1 if left_class is float else 1
 
 
 def _compare_same_floats(left: float, right: float) -> int:
