@@ -73,7 +73,9 @@ def test_oracle_with_operators_on_streams(case):
 @settings(quick, max_examples=150)
 @given(cases())
 def test_oracle_with_every_partner_looked_up_by_time(case):
-    with patch.multiple(match_buffer, FEW=0, FEWER=0), patch.object(interval_index, "FULL", 4):
+    with patch.multiple(match_buffer, MAX_MISSES_BEFORE_INDEX=0, MAX_MISSES_WITH_INDEX=0), patch.object(
+        interval_index, "MAX_NODE_KEYS", 4
+    ):
         assert difference(case) is None
 
 

@@ -10,7 +10,10 @@ from retalis.foundation.bounded_caches import ENTRY_BYTES, Cache, Texts
 DECORATED = {
     ("messages/field_values.py", "array_maker"): "one entry for each of the 13 number types",
     ("explanation/why_not.py", "_spans"): "one entry for each operator",
-    ("events/matches/interval_index.py", "reach_of"): "1000 entries of an operator's name and two numbers",
+    (
+        "events/matches/interval_index.py",
+        "interval_bounds",
+    ): "1000 entries of an operator's name and two numbers",
     ("prolog/builtins/message_printing.py", "_laid_out_operators"): "one entry",
     ("prolog/system/predicate_resolution.py", "library_index"): "one entry",
     ("prolog/swi/libswipl.py", "find_library"): "one entry",

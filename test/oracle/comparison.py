@@ -241,7 +241,8 @@ def main() -> int:
     options = parser.parse_args()
     logging.disable(logging.CRITICAL)
     if options.index:
-        match_buffer.FEW, match_buffer.FEWER, interval_index.FULL = 0, 0, 4
+        match_buffer.MAX_MISSES_BEFORE_INDEX = match_buffer.MAX_MISSES_WITH_INDEX = 0
+        interval_index.MAX_NODE_KEYS = 4
     begin = time.time()
     kinds: Any = Counter()
     differing = 0

@@ -49,7 +49,7 @@ from ..events.language.window_parser import shape_term, window_term
 from ..events.matches.partial_matches import NetworkOptions
 from ..events.network.event_rule import EventRule
 from ..events.network.goal_evaluation import Evaluators
-from ..events.network.stream_compiler import stream_of_shape
+from ..events.network.stream_compiler import rate_operator
 from ..events.network.stream_node import StreamNode
 from ..events.provenance.event_log import Occurrence
 from ..events.streams.stream_elements import StreamElement, StreamOutput
@@ -437,7 +437,7 @@ class WhyNot:
 
     def _shaped(self, pattern: Shaped) -> Part:
         part = self.of(pattern.pattern)
-        stream = stream_of_shape(pattern)
+        stream = rate_operator(pattern)
         node = self._rule.stream_node(pattern)
         if node is not None:
             stream.set_bounds(node.stream.bounds)

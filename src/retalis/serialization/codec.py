@@ -17,7 +17,7 @@ from typing import Any, Callable, Dict, List, Tuple
 
 import msgpack
 
-from ..events.network.pattern_analysis import ITEM
+from ..events.network.pattern_analysis import ITEM_FUNCTOR_NAME
 from ..foundation.errors import UsageError
 from ..prolog.terms.timestamps import Stamp, WholeSeconds
 from ..prolog.terms.types import Atom, Functor, Lazy, String, Var, atom, deref, functor
@@ -274,7 +274,7 @@ def _split(data: Any, nodes: List[Any]) -> Any:
 
 def _replaced(sequence: Any, parts: List[Any], replacements: Dict[int, Any]) -> List[Any]:
     """Return the items of a sequence with nested sequences replaced; instants in terms become integers."""
-    if sequence.__class__ is tuple and parts[0].__class__ is Functor and parts[0].name != ITEM:
+    if sequence.__class__ is tuple and parts[0].__class__ is Functor and parts[0].name != ITEM_FUNCTOR_NAME:
         parts = [int(part) if part.__class__ in (WholeSeconds, Stamp) else part for part in parts]
     return [
         replacements[id(part)]
@@ -348,7 +348,7 @@ class _StateReader:
             # A functor with another number of arguments would break code that relies on the arity.
             if len(items) == items[0].arity + 1 and (
                 _TERMS.issuperset(map(type, items[1:]))
-                or (items[0].name == ITEM and _VALUES.issuperset(map(type, items[1:])))
+                or (items[0].name == ITEM_FUNCTOR_NAME and _VALUES.issuperset(map(type, items[1:])))
             ):
                 return tuple(items)
             if _IN_KEYS.issuperset(map(type, items)):

@@ -6,7 +6,7 @@ import pytest
 
 from retalis.engine.engine import Engine
 from retalis.engine.runtime.gc_tuning import collect_when_idle, limit_gc_pauses, restore_gc
-from retalis.events.matches.interval_index import paused
+from retalis.events.matches.interval_index import gc_paused
 from retalis.foundation.python_interpreter import PYPY, YoungCollector
 
 pytestmark = pytest.mark.skipif(PYPY, reason="PyPy collects in small steps: nothing is set there")
@@ -141,9 +141,9 @@ def test_the_records_of_engines_explain_the_growth_of_the_heap(monkeypatch):
 
 def test_paused_while_something_is_built_and_as_before_then():
     assert gc.isenabled()
-    with paused():
+    with gc_paused():
         assert not gc.isenabled()
-        with paused():
+        with gc_paused():
             pass
         assert not gc.isenabled()
     assert gc.isenabled()

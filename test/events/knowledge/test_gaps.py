@@ -8,7 +8,7 @@ from retalis.engine.engine import Engine
 from retalis.engine.engine_settings import Settings
 from retalis.engine.runtime.clock import StreamClock
 from retalis.engine.runtime.problem_reports import Reports
-from retalis.events.knowledge.interpolation import NOTED
+from retalis.events.knowledge.interpolation import MAX_NOTED_GAPS
 from retalis.prolog.terms.timestamps import SECOND
 
 BETWEEN = """
@@ -136,13 +136,13 @@ def test_nobody_is_told_of_a_gap_that_is_only_looked_up():
 @pytest.mark.slow
 def test_what_is_noted_is_bounded():
     engine = engine_with(size=10_000)
-    for start in range(NOTED * 3):
+    for start in range(MAX_NOTED_GAPS * 3):
         for step in range(100):
             engine.event("v(1)", start * 10 + step / 1000)
-    for start in range(NOTED * 3 - 1):
+    for start in range(MAX_NOTED_GAPS * 3 - 1):
         assert engine.call(f"next_inf(m, _, _, _, {start * 10 + 5}.0)")
     noted = engine.knowledge.gaps.noted
-    assert len(noted) == NOTED
+    assert len(noted) == MAX_NOTED_GAPS
     assert weights(engine, 1_905_000) == [pytest.approx(0.505, abs=0.01)]
     engine.knowledge.clear()
     assert noted == {}

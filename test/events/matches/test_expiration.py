@@ -5,7 +5,13 @@ from collections import deque
 
 import pytest
 
-from retalis.events.matches.expiration import HEAP_SLICE, SLICE, ByStart, ExpirationQueue, drop_gone
+from retalis.events.matches.expiration import (
+    HEAP_SLICE,
+    SLICE,
+    ExpirationQueue,
+    StartExpirationQueue,
+    remove_stale_entries,
+)
 
 
 class Waiting:
@@ -69,7 +75,7 @@ def fill(expiries, add, number):
 
 
 @pytest.mark.parametrize(
-    ("expiries", "add"), [(ExpirationQueue(), add_to_expiries), (ByStart(10), add_by_start)]
+    ("expiries", "add"), [(ExpirationQueue(), add_to_expiries), (StartExpirationQueue(10), add_by_start)]
 )
 def test_those_that_left_are_dropped_a_part_at_a_time(expiries, add):
     number = 20 * SLICE
@@ -99,7 +105,8 @@ def add_by_start_late(expiries, match, waiting):
 
 
 @pytest.mark.parametrize(
-    "expiries, add", [(ExpirationQueue(), add_to_expiries_late), (ByStart(10), add_by_start_late)]
+    "expiries, add",
+    [(ExpirationQueue(), add_to_expiries_late), (StartExpirationQueue(10), add_by_start_late)],
 )
 def test_those_that_came_out_of_order_and_left_are_dropped_a_part_at_a_time(expiries, add):
     number = 40 * HEAP_SLICE
@@ -123,8 +130,8 @@ def test_the_next_slice_begins_at_the_start_after_a_slice_with_nothing_left():
     matches = deque(Waiting(order) for order in range(2 * SLICE))
     for match in list(matches)[:SLICE]:
         match.leave()
-    assert drop_gone(matches, 0) == 0
-    assert drop_gone(matches, 0) is None
+    assert remove_stale_entries(matches, 0) == 0
+    assert remove_stale_entries(matches, 0) is None
 
 
 @pytest.mark.parametrize("number", [0, 1, SLICE - 1, SLICE, SLICE + 1, 3 * SLICE + 7])
@@ -134,7 +141,7 @@ def test_slices_keep_the_order_and_reach_all(number):
         match.leave()
     start = 0
     for _ in range(number // SLICE + 1):
-        start = drop_gone(matches, start) or 0
+        start = remove_stale_entries(matches, start) or 0
     assert [match.order for match in matches] == [order for order in range(number) if order % 3]
 
 
@@ -151,7 +158,9 @@ def test_what_has_left_is_dropped(step):
     assert len(expiries) == 0
 
 
-@pytest.mark.parametrize("expiries, add", [(ExpirationQueue(), add_to_expiries), (ByStart(10), add_by_start)])
+@pytest.mark.parametrize(
+    "expiries, add", [(ExpirationQueue(), add_to_expiries), (StartExpirationQueue(10), add_by_start)]
+)
 def test_matches_that_leave_after_their_visit_are_dropped(expiries, add):
     waiting = deque()
     for order in range(20_000):
@@ -164,7 +173,7 @@ def test_matches_that_leave_after_their_visit_are_dropped(expiries, add):
 
 def test_matches_go_after_their_span_whatever_the_order_of_their_starts():
     source = random.Random(1)
-    waiting = ByStart(10)
+    waiting = StartExpirationQueue(10)
     matches = []
     for order in range(300):
         span = source.choice((10, 10, 25))

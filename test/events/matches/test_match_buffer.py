@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from reachability import reachable
 
 from retalis.events.matches import match_buffer
-from retalis.events.matches.interval_index import IntervalIndex, reach_of
+from retalis.events.matches.interval_index import IntervalIndex, interval_bounds
 from retalis.events.matches.match_buffer import MatchBuffer
 from retalis.events.matches.partial_matches import PartialMatch
 from retalis.prolog.terms.types import Var, atom
@@ -29,7 +29,7 @@ class Rule:
 def buffer():
     """Return a place of the left side of ``meets``, with one shared variable."""
     buffer = MatchBuffer(Rule(), (0,))
-    buffer.reach = reach_of("meets", None, False)
+    buffer.reach = interval_bounds("meets", None, False)
     return buffer
 
 
@@ -88,7 +88,7 @@ def test_a_place_forgets_a_key_without_matches(buffer):
 @pytest.mark.parametrize("few", [0, 32])
 @pytest.mark.parametrize("newest", [False, True])
 def test_matches_may_come_and_go_while_partners_are_looked_at(buffer, monkeypatch, few, newest):
-    monkeypatch.setattr(match_buffer, "FEW", few)
+    monkeypatch.setattr(match_buffer, "MAX_MISSES_BEFORE_INDEX", few)
     matches = [wait(buffer, 0, at, 50 if at % 3 else at) for at in range(30)]
     expected = [at for at in range(30) if at % 3]
     if newest:
@@ -158,8 +158,8 @@ CHANGES = st.one_of(
 @pytest.mark.parametrize("operator", [None, "meets", "seq", "during"])
 def test_a_buffer_finds_what_a_plain_search_finds(operator, names):
     """Few matches are passed over here before an index by time or by name is made."""
-    reach = None if operator is None else reach_of(operator, None, True)
-    few = patch.multiple(match_buffer, FEW=3, FEWER=1)
+    reach = None if operator is None else interval_bounds(operator, None, True)
+    few = patch.multiple(match_buffer, MAX_MISSES_BEFORE_INDEX=3, MAX_MISSES_WITH_INDEX=1)
 
     @settings(deadline=None, derandomize=True, max_examples=60)
     @given(st.lists(CHANGES, min_size=10, max_size=50))

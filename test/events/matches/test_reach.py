@@ -5,7 +5,7 @@ from itertools import product
 import pytest
 
 from retalis.events.language.event_operators import OPERATORS
-from retalis.events.matches.interval_index import BEFORE, BETWEEN, LEAST, MOST, reach_of
+from retalis.events.matches.interval_index import BEFORE, BETWEEN, MAX_VALUE, MIN_VALUE, interval_bounds
 
 INTERVALS = [(start, end) for start, end in product(range(6), repeat=2) if start <= end]
 
@@ -30,7 +30,7 @@ def test_all_partners_that_fit_are_within_reach(name, span):
     for one, other in product(INTERVALS, repeat=2):
         if fits(operator, span, one, other):
             for left, mine, partner in ((True, one, other), (False, other, one)):
-                reach = reach_of(name, span, left)
+                reach = interval_bounds(name, span, left)
                 assert reach is None or within(reach.limits(*mine), partner)
 
 
@@ -38,13 +38,13 @@ def test_all_partners_that_fit_are_within_reach(name, span):
 @pytest.mark.parametrize("left", [False, True])
 def test_what_is_within_reach_of_an_operator_fits_it(name, left):
     for mine, partner in product(INTERVALS, repeat=2):
-        if within(reach_of(name, None, left).limits(*mine), partner):
+        if within(interval_bounds(name, None, left).limits(*mine), partner):
             assert fits(OPERATORS[name], None, *((mine, partner) if left else (partner, mine)))
 
 
 def test_partners_of_and_are_anywhere_unless_the_result_is_bounded():
-    assert reach_of("and", None, True) is None
-    assert reach_of("and", 10, True).limits(5, 7) == (-3, MOST, LEAST, 15)
+    assert interval_bounds("and", None, True) is None
+    assert interval_bounds("and", 10, True).limits(5, 7) == (-3, MAX_VALUE, MIN_VALUE, 15)
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_partners_of_and_are_anywhere_unless_the_result_is_bounded():
     ],
 )
 def test_the_instant_that_is_limited_most_is_looked_up_first(name, left, by_end):
-    assert reach_of(name, None, left).by_end is by_end
+    assert interval_bounds(name, None, left).by_end is by_end
 
 
 def test_absences():

@@ -5,7 +5,7 @@ from weakref import ref
 
 import pytest
 
-from retalis.events.matches.interval_index import LEAST, MOST, IntervalIndex
+from retalis.events.matches.interval_index import MAX_VALUE, MIN_VALUE, IntervalIndex
 
 
 class Interval:
@@ -34,7 +34,7 @@ def limits_at_random(source, width):
     for _ in range(2):
         low = source.randrange(width)
         high = low + source.choice((0, 1, width // 4))
-        limits += [source.choice((LEAST, low)), source.choice((MOST, high))]
+        limits += [source.choice((MIN_VALUE, low)), source.choice((MAX_VALUE, high))]
     return tuple(limits)
 
 
@@ -60,7 +60,7 @@ def test_it_finds_what_a_plain_search_finds(by_end, in_order, width):
             continue
         limits = limits_at_random(source, order if in_order else width)
         newest = source.random() < 0.5
-        beyond = source.choice((MOST if newest else LEAST, source.randrange(order)))
+        beyond = source.choice((MAX_VALUE if newest else MIN_VALUE, source.randrange(order)))
         found = [one.order for one in index.search(limits, newest, beyond)]
         assert found == plainly(waiting, limits, newest, beyond)
     assert index.size == len(waiting)
@@ -70,10 +70,10 @@ def test_it_finds_what_a_plain_search_finds(by_end, in_order, width):
 def test_matches_may_come_and_go_during_a_search(newest):
     waiting = [Interval(order, order % 7, order % 7 + 1) for order in range(200)]
     index = IntervalIndex(waiting, False)
-    limits = (3, 3, LEAST, MOST)
-    expected = plainly(waiting, limits, newest, MOST if newest else LEAST)
+    limits = (3, 3, MIN_VALUE, MAX_VALUE)
+    expected = plainly(waiting, limits, newest, MAX_VALUE if newest else MIN_VALUE)
     found = []
-    for one in index.search(limits, newest, MOST if newest else LEAST):
+    for one in index.search(limits, newest, MAX_VALUE if newest else MIN_VALUE):
         found.append(one.order)
         if len(found) == 2:
             index.add(Interval(200, 3, 4))
@@ -99,14 +99,14 @@ class Counted(int):
 @pytest.mark.parametrize(
     ("limits", "newest", "beyond"),
     [
-        ((700, 702, LEAST, MOST), True, MOST),
-        ((LEAST, MOST, 700, 702), False, LEAST),
-        ((LEAST, 2, LEAST, MOST), True, MOST),
-        ((4997, MOST, LEAST, MOST), True, MOST),
-        ((LEAST, MOST, LEAST, 2), False, LEAST),
-        ((LEAST, MOST, 4997, MOST), False, LEAST),
-        ((LEAST, MOST, LEAST, MOST), True, 3),
-        ((LEAST, MOST, LEAST, MOST), False, 4996),
+        ((700, 702, MIN_VALUE, MAX_VALUE), True, MAX_VALUE),
+        ((MIN_VALUE, MAX_VALUE, 700, 702), False, MIN_VALUE),
+        ((MIN_VALUE, 2, MIN_VALUE, MAX_VALUE), True, MAX_VALUE),
+        ((4997, MAX_VALUE, MIN_VALUE, MAX_VALUE), True, MAX_VALUE),
+        ((MIN_VALUE, MAX_VALUE, MIN_VALUE, 2), False, MIN_VALUE),
+        ((MIN_VALUE, MAX_VALUE, 4997, MAX_VALUE), False, MIN_VALUE),
+        ((MIN_VALUE, MAX_VALUE, MIN_VALUE, MAX_VALUE), True, 3),
+        ((MIN_VALUE, MAX_VALUE, MIN_VALUE, MAX_VALUE), False, 4996),
     ],
 )
 def test_a_search_looks_at_few_matches_beside_those_that_it_finds(by_end, limits, newest, beyond):
@@ -129,9 +129,9 @@ def test_what_has_been_removed_is_not_kept(first):
         if number % 25 != 7:
             index.remove(waiting.pop(number))
     assert not [one for one in gone if one() is not None]
-    assert [one.order for one in index.search((LEAST, MOST, LEAST, MOST), False, LEAST)] == [
-        *range(7, 2000, 25)
-    ]
+    assert [
+        one.order for one in index.search((MIN_VALUE, MAX_VALUE, MIN_VALUE, MAX_VALUE), False, MIN_VALUE)
+    ] == [*range(7, 2000, 25)]
 
 
 def test_it_is_idle_when_it_was_only_kept_up_to_date():
@@ -141,7 +141,7 @@ def test_it_is_idle_when_it_was_only_kept_up_to_date():
         assert not index.idle
         waiting.append(Interval(order, order, order))
         index.add(waiting[-1])
-        assert [one.order for one in index.search((order, order, order, order), True, MOST)] == [order]
+        assert [one.order for one in index.search((order, order, order, order), True, MAX_VALUE)] == [order]
     for _ in range(15):
         index.remove(waiting.pop())
     assert index.size == 15 and index.idle

@@ -78,7 +78,7 @@ def test_what_is_joined_further_up_goes_with_it():
 
 
 def test_long_streams_are_settled_and_go_on(monkeypatch):
-    monkeypatch.setattr(stream_node, "KEPT", 5)
+    monkeypatch.setattr(stream_node, "MAX_REPLAYED_ELEMENTS", 5)
     events = [(f"t(a,{number})", 10 + number) for number in range(30)]
     for name in ("last", "newest", "batch", "every", "hopping", "running"):
         taken_back = [*events, ("rev(t(a,28))", 40)]

@@ -2,21 +2,21 @@
 
 import pytest
 
-from retalis.events.network.retention import UNLIMITED, Retention, kept_for_late, least
+from retalis.events.network.retention import UNLIMITED, Retention, retention_for_late, smaller_bound
 
 
 @pytest.mark.parametrize(
     ("one", "other", "found"), [(None, None, None), (None, 3, 3), (3, None, 3), (3, 5, 3), (5, 3, 3)]
 )
 def test_the_smaller_bound(one, other, found):
-    assert least(one, other) == found
+    assert smaller_bound(one, other) == found
 
 
 @pytest.mark.parametrize(
     ("span", "limit", "found"), [(None, None, None), (None, 3, None), (3, None, None), (3, 5, 8)]
 )
 def test_what_lies_between_sides_is_kept_for_both(span, limit, found):
-    assert kept_for_late(span, limit) == found
+    assert retention_for_late(span, limit) == found
 
 
 def test_a_bound_holds_for_all_that_stands_below_it():

@@ -20,7 +20,7 @@ from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.types import TRUE, Atom, CompoundTerm, Functor, String, Term, Var, deref, functor
 from ..knowledge.knowledge_base import KnowledgeBase
-from ..knowledge.memory import is_whole
+from ..knowledge.memory import is_event_variable
 from ..language.event_operators import SPELLINGS
 from ..language.goal_analysis import calls
 from ..language.pattern_parser import Spot
@@ -333,7 +333,7 @@ class EventConsumer(NamedTuple):
     @property
     def stands_for_event(self) -> bool:
         """Whether the form is a free variable such as ``_``: then the event itself is stored or sent."""
-        return is_whole(self.pattern, deref(self.term[2]), self.form)
+        return is_event_variable(self.pattern, deref(self.term[2]), self.form)
 
     @property
     def made(self) -> Term:

@@ -1,9 +1,9 @@
 """Fused join inputs: one generated function per operand of a join, and per negated event.
 
-The general path is `waiting_only`, `taking_one` and `taking_all` on a `MatchBuffer`, called by a join node. The
-functions generated here do the same to the same matches if the key is an atom, an integer or a string, and at most
-one partner is needed. All other cases call the general path before a match is added or removed; only the clock of the
-rule may have advanced.
+The general path is `store_only`, `join_one_partner` and `join_all_partners` on a `MatchBuffer`, called by a join
+node. The functions generated here do the same to the same matches if the key is an atom, an integer or a string, and
+at most one partner is needed. All other cases call the general path before a match is added or removed; only the
+clock of the rule may have advanced.
 
 A generated function performs these steps: compute the join key, advance the clock and expire matches, look up the
 partner, compare intervals, run conditions and absences, then emit the pair or store the match.
@@ -60,7 +60,7 @@ class PartnerChoice(NamedTuple):
     Attributes:
         newest: whether the newest partner is tried first, otherwise the oldest one.
         consumes: whether one partner is taken and consumed; otherwise all partners are taken.
-        among: combines a match with one of the partners except the one that does not fit; see `among_others`.
+        among: combines a match with one of the partners except the one that does not fit; see `join_one_of_others`.
     """
 
     newest: bool

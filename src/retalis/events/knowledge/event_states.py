@@ -142,7 +142,7 @@ class DeclaredState:
         self._logic = logic
         self._dispatcher = dispatcher
         self._warn = warn
-        begins, ends, own = (variables(one) for one in (form.begins, form.ends, form.state))
+        begins, ends, own = (variables(term) for term in (form.begins, form.ends, form.state))
         self.name = f"state {logic.brief(form.state, dict.fromkeys(own, '_'))}"
         shared = [var for var in own if var in set(ends)]
         self._build = compile_builder(form.state, begins, "state")
@@ -183,7 +183,7 @@ class DeclaredState:
         state = self._build(values)
         try:
             key = freeze(state)
-            shared = tuple([freeze(values[at]) for at in self._shared_of_begin])
+            shared = tuple([freeze(values[position]) for position in self._shared_of_begin])
         except ValueError:
             self._warn_of_variables(term, "begins")
             return after
@@ -200,16 +200,16 @@ class DeclaredState:
             self.version = next(_VERSIONS)
         return after
 
-    def _add(self, one: OpenState) -> None:
+    def _add(self, state: OpenState) -> None:
         self.version = next(_VERSIONS)
         if len(self.open) >= self.form.open:
             self._drop(next(iter(self.open.values())))
-        self.open[one.key] = one
-        self._by_shared.setdefault(one.shared, {})[one.key] = one
-        self._by_order[one.order] = one
-        begin = one.begin
+        self.open[state.key] = state
+        self._by_shared.setdefault(state.shared, {})[state.key] = state
+        self._by_order[state.order] = state
+        begin = state.begin
         if self.form.within is not None and begin is not None:
-            self._timeouts.add_at(one.order, int(begin) + self.form.within)
+            self._timeouts.add_at(state.order, int(begin) + self.form.within)
 
     def _drop(self, oldest: OpenState) -> None:
         self._remove(oldest)
@@ -217,14 +217,14 @@ class DeclaredState:
         text = f"more than {self.form.open} are open; {self.dropped} of the oldest have been dropped so far"
         self._warn(f"{self.name}: {text}", ("open", self.name))
 
-    def _remove(self, one: OpenState) -> None:
+    def _remove(self, state: OpenState) -> None:
         self.version = next(_VERSIONS)
-        del self.open[one.key]
-        del self._by_order[one.order]
-        group = self._by_shared[one.shared]
-        del group[one.key]
+        del self.open[state.key]
+        del self._by_order[state.order]
+        group = self._by_shared[state.shared]
+        del group[state.key]
         if not group:
-            del self._by_shared[one.shared]
+            del self._by_shared[state.shared]
 
     def _warn_of_variables(self, event: Term, what: str) -> None:
         text = f"{self._logic.brief(event)} has variables: it {what} no state"
@@ -234,32 +234,32 @@ class DeclaredState:
 
     def _end(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         try:
-            group = self._by_shared.get(tuple([freeze(values[at]) for at in self._shared_of_end]))
+            group = self._by_shared.get(tuple([freeze(values[position]) for position in self._shared_of_end]))
         except ValueError:
             self._warn_of_variables(term, "ends")
             return after
         if group is None:
             return after
         token = self._dispatcher.token() if self._dispatcher.tracked else None
-        over = [self._over(one, start, token) for one in list(group.values())]
-        return self._tell((self, iter([one for one in over if one is not None]), after))
+        over = [self._over(state, start, token) for state in list(group.values())]
+        return self._tell((self, iter([state for state in over if state is not None]), after))
 
-    def _over(self, one: OpenState, end: int, token: Optional[Occurrence]) -> Optional[PastState]:
+    def _over(self, state: OpenState, end: int, token: Optional[Occurrence]) -> Optional[PastState]:
         """End a state; return None if it begins after the given instant, or was retracted."""
-        begin = one.begin
+        begin = state.begin
         if begin is not None and begin > end:
             return None
         # A new version, also for what is over from here on.
-        self._remove(one)
+        self._remove(state)
         if begin is None:
             return None
-        made = None
+        occurrence = None
         if self._dispatcher.tracked:
-            made = Occurrence(one.term, begin, end, None, None)
-            made.follows([source for source in (one.openings[0][1], token) if source is not None])
-        found = PastState(one.key, one.term, begin, end, made)
-        self.past.append(found)
-        return found
+            occurrence = Occurrence(state.term, begin, end, None, None)
+            occurrence.follows([source for source in (state.openings[0][1], token) if source is not None])
+        past_state = PastState(state.key, state.term, begin, end, occurrence)
+        self.past.append(past_state)
+        return past_state
 
     def run(self, frame: Frame) -> Frame:
         """Dispatch the events of the remaining states."""
@@ -268,22 +268,24 @@ class DeclaredState:
     def _tell(self, frame: Frame) -> Frame:
         """Dispatch the events of states that have ended, one after the other."""
         over: Iterator[PastState] = frame[1]
-        for one in over:
-            found = self._dispatcher.dispatch(one.term, one.start, one.end, frame, one.token, True)
-            if found is not frame:
-                return found
+        for past_state in over:
+            next_frame = self._dispatcher.dispatch(
+                past_state.term, past_state.start, past_state.end, frame, past_state.token, True
+            )
+            if next_frame is not frame:
+                return next_frame
         after: Frame = frame[2]
         return after
 
     def _time_over(self, order: int, instant: int) -> None:
         """End a state whose time has passed."""
-        one, within = self._by_order[order], self.form.within
-        begin = one.begin
+        state, within = self._by_order[order], self.form.within
+        begin = state.begin
         if within is not None and begin is not None and int(begin) + within > instant:
             # It began later: the first was taken back.
             self._timeouts.add_at(order, int(begin) + within)
             return
-        over = self._over(one, WholeSeconds(instant), None)
+        over = self._over(state, WholeSeconds(instant), None)
         if over is not None:
             machine = self._logic.machine
             # The alarm may ring while another event is served; the event of the state is dispatched independently
@@ -294,19 +296,19 @@ class DeclaredState:
 
     def holding(self, key: Optional[Hashable]) -> List[Tuple[Term, int]]:
         """Return the open states with their beginnings: the one with a key, or all if the key is None."""
-        found = list(self.open.values()) if key is None else [self.open[key]] if key in self.open else []
-        return [(one.term, begin) for one in found for begin in (one.begin,) if begin is not None]
+        states = list(self.open.values()) if key is None else [self.open[key]] if key in self.open else []
+        return [(state.term, begin) for state in states for begin in (state.begin,) if begin is not None]
 
     def holding_at(self, key: Optional[Hashable], instant: int) -> List[Term]:
         """Return the states that held at an instant, as far as they are remembered."""
-        found: Dict[Hashable, Term] = {}
+        terms: Dict[Hashable, Term] = {}
         for past in list(self.past):
             if key in (None, past.key) and past.start <= instant <= past.end and not past.gone:
-                found[past.key] = past.term
+                terms[past.key] = past.term
         for term, begin in self.holding(key):
             if begin <= instant:
-                found[freeze(term)] = term
-        return list(found.values())
+                terms[freeze(term)] = term
+        return list(terms.values())
 
     # ---- from outside --------------------------------------------------------------------------------
 
@@ -317,8 +319,8 @@ class DeclaredState:
     def close(self, past: bool) -> None:
         """Remove the open states, and with ``past`` also the past ones."""
         self.version = next(_VERSIONS)
-        for found in (self.open, self._by_shared, self._by_order):
-            found.clear()
+        for index in (self.open, self._by_shared, self._by_order):
+            index.clear()
         self._timeouts.clear()
         if past:
             self.past.clear()
@@ -330,13 +332,13 @@ class DeclaredState:
         self._by_shared.clear()
         self._by_order.clear()
         self._timeouts.clear()
-        for one in everything:
-            self._add(one)
+        for state in everything:
+            self._add(state)
 
     def kept(self) -> KeptState:
         """Return open and past states as data; see `restore`."""
-        held = [(one.key, one.term, one.shared, list(one.openings)) for one in self.open.values()]
-        return held, [tuple(one) for one in self.past], self.dropped
+        held = [(state.key, state.term, state.shared, list(state.openings)) for state in self.open.values()]
+        return held, [tuple(state) for state in self.past], self.dropped
 
     def restore(self, kept: KeptState) -> None:
         """Set the states that another declaration returned."""
@@ -344,7 +346,7 @@ class DeclaredState:
         self.version = next(_VERSIONS)
         for key, term, shared, openings in held:
             self._add(OpenState(key, term, shared, next(self._order), list(openings)))
-        self.past.extend([PastState(*one) for one in past])
+        self.past.extend([PastState(*fields) for fields in past])
 
 
 MAX_STATES = 1000
@@ -391,13 +393,13 @@ class StateRegistry:
         form = state_form(copy(definition))
         known = self._all.get(form.key)
         if known is not None:
-            if _same(known.form, form):
+            if _is_same_form(known.form, form):
                 return
             raise permission_error("create", "state", form.state, "it is declared otherwise already")
         if len(self._all) >= MAX_STATES:
             raise resource_error("states", reason=f"more than {MAX_STATES} states are declared")
         before = self._aside.get(form.key)
-        if before is not None and _same(before.form, form):
+        if before is not None and _is_same_form(before.form, form):
             declared = self._aside.pop(form.key)
         else:
             declared = DeclaredState(form, self._logic, self._dispatcher, self._clock, self._warn)
@@ -407,20 +409,20 @@ class StateRegistry:
 
     def delete(self, state: Term) -> bool:
         """Delete the declarations whose states unify with a term; return whether there were any."""
-        found = [key for key, one in self._all.items() if may_unify(one.form.state, state)]
-        for key in found:
+        keys = [key for key, declaration in self._all.items() if may_unify(declaration.form.state, state)]
+        for key in keys:
             declared = self._all.pop(key)
             declared.unlisten()
             declared.clear()
         self._note()
-        return bool(found)
+        return bool(keys)
 
     def _note(self) -> None:
         """Build the index of declarations by the functors of their states."""
-        found: Dict[Functor, List[DeclaredState]] = {}
-        for one in self._all.values():
-            found.setdefault(one.form.functor, []).append(one)
-        self._by_functor = found
+        by_functor: Dict[Functor, List[DeclaredState]] = {}
+        for declaration in self._all.values():
+            by_functor.setdefault(declaration.form.functor, []).append(declaration)
+        self._by_functor = by_functor
 
     def like(self, state: Any) -> Sequence[DeclaredState]:
         """Return the declarations of states with the functor of an atom or a compound term."""
@@ -442,30 +444,30 @@ class StateRegistry:
         key = state[0] if state.__class__ is tuple else state.functor
         if self._tables.active:
             self._tables.note(self, key)
-        found = self.like(state)
-        if not found:
+        declarations = self.like(state)
+        if not declarations:
             raise existence_error("state", indicator(key))
         try:
-            return found, freeze(state)
+            return declarations, freeze(state)
         except ValueError:
-            return found, None
+            return declarations, None
 
     def version(self, part: Hashable) -> object:
         """Return a value that changes with the states of a functor; with None, with the states of all functors."""
-        found = self._all.values() if part is None else self._by_functor.get(part, ())  # type: ignore[call-overload]
-        return self._dispatcher.retractions, tuple([one.version for one in found])
+        declarations = self._all.values() if part is None else self._by_functor.get(part, ())  # type: ignore[call-overload]
+        return self._dispatcher.retractions, tuple([declaration.version for declaration in declarations])
 
     # ---- from outside --------------------------------------------------------------------------------
 
     def clear(self) -> None:
         """Remove all open and past states, because the clock went back; the declarations remain."""
-        for one in self._all.values():
-            one.clear()
+        for declaration in self._all.values():
+            declaration.clear()
 
     def close(self, past: bool) -> None:
         """Remove the open states, and with ``past`` also the past ones; no events are dispatched."""
-        for one in self._all.values():
-            one.close(past)
+        for declaration in self._all.values():
+            declaration.close(past)
 
     def standing(self) -> Dict[Hashable, DeclaredState]:
         """Return all declarations by their keys."""
@@ -474,40 +476,40 @@ class StateRegistry:
     def set_aside(self, keys: Iterable[Hashable]) -> None:
         """Remove declarations; those that are declared again without a change continue with their states."""
         for key in keys:
-            found = self._aside[key] = self._all.pop(key)
-            found.unlisten()
+            declaration = self._aside[key] = self._all.pop(key)
+            declaration.unlisten()
         self._note()
 
     def forget_aside(self) -> None:
         """Delete the declarations that were set aside and not declared again."""
-        for one in self._aside.values():
-            one.clear()
+        for declaration in self._aside.values():
+            declaration.clear()
         self._aside.clear()
 
     def restore_standing(self, before: Dict[Hashable, DeclaredState]) -> None:
         """Restore exactly these declarations, whether or not they have been set aside meanwhile."""
         self.set_aside(list(self._all))
         self._aside = {**self._aside, **before}
-        for one in before.values():
-            self.declare(one.form.term)
+        for declaration in before.values():
+            self.declare(declaration.form.term)
         self.forget_aside()
 
     def mend(self) -> None:
         """Repair the declarations after an interrupt."""
         self._note()
-        for one in self._all.values():
-            one.mend()
-        chosen = {listener for one in self._all.values() for listener in one.listeners}
+        for declaration in self._all.values():
+            declaration.mend()
+        chosen = {listener for declaration in self._all.values() for listener in declaration.listeners}
         self._dispatcher.keep_only(ListenerPhase.STATES, chosen)
 
     def kept(self) -> List[Any]:
         """Return the states of each declaration, in order; see `restore`."""
-        return [one.kept() for one in self._all.values()]
+        return [declaration.kept() for declaration in self._all.values()]
 
     def restore(self, kept: Sequence[Any]) -> None:
         """Set the states that equal declarations returned."""
-        for one, found in zip(self._all.values(), kept):
-            one.restore(found)
+        for declaration, state in zip(self._all.values(), kept):
+            declaration.restore(state)
 
 
 class _StateGoals:
@@ -536,30 +538,32 @@ class _StateGoals:
     def holds(self, machine: Machine, state: Term) -> Union[bool, Iterator[bool]]:
         declared, key = self.states.asked(deref(state))
         if key is not None:
-            return any(one.holding(key) for one in declared)
-        found = [(term,) for one in declared for term, _ in one.holding(None)]
-        return _solutions(machine, (state,), found)
+            return any(declaration.holding(key) for declaration in declared)
+        solutions = [(term,) for declaration in declared for term, _ in declaration.holding(None)]
+        return _solutions(machine, (state,), solutions)
 
     def holds_since(self, machine: Machine, state: Term, since: Term) -> Iterator[bool]:
         declared, key = self.states.asked(deref(state))
-        found = [(term, shown(begin)) for one in declared for term, begin in one.holding(key)]
-        return _solutions(machine, (state, since), found)
+        solutions = [
+            (term, shown(begin)) for declaration in declared for term, begin in declaration.holding(key)
+        ]
+        return _solutions(machine, (state, since), solutions)
 
-    def held_at(self, machine: Machine, state: Term, at: Term) -> Union[bool, Iterator[bool]]:
+    def held_at(self, machine: Machine, state: Term, time: Term) -> Union[bool, Iterator[bool]]:
         declared, key = self.states.asked(deref(state))
-        instant = instant_of(at)
-        found = [(term,) for one in declared for term in one.holding_at(key, instant)]
-        return bool(found) if key is not None else _solutions(machine, (state,), found)
+        instant = instant_of(time)
+        solutions = [(term,) for declaration in declared for term in declaration.holding_at(key, instant)]
+        return bool(solutions) if key is not None else _solutions(machine, (state,), solutions)
 
 
 def _solutions(
-    machine: Machine, terms: Tuple[Term, ...], found: Sequence[Tuple[Term, ...]]
+    machine: Machine, terms: Tuple[Term, ...], solutions: Sequence[Tuple[Term, ...]]
 ) -> Iterator[bool]:
     """Unify terms with one solution after the other."""
-    for solution in found:
+    for solution in solutions:
         if machine.unify_all(*zip(terms, solution)):
             yield True
 
 
-def _same(one: StateForm, other: StateForm) -> bool:
-    return term_key(one.term) == term_key(other.term)
+def _is_same_form(first: StateForm, second: StateForm) -> bool:
+    return term_key(first.term) == term_key(second.term)

@@ -22,19 +22,19 @@ from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.timestamps import SECOND, from_seconds
 from ...prolog.terms.types import CONS, NIL, Atom, CompoundTerm, Functor, Term, Var, deref, functor
-from .memory import WIDE, Memory, MemoryInstance, Warn
+from .memory import WIDE_STEP_FACTOR, Memory, MemoryInstance, Warn
 from .memory_instances import MemoryInstances
 
-LIMIT = "max_gap"
+MAX_GAP_FLAG = "max_gap"
 """Name of the flag."""
 
-NOTED = 64
+MAX_NOTED_GAPS = 64
 """Maximum number of wide gaps that are noted; the oldest are forgotten."""
 
-FEWEST = 5
+MIN_OTHER_STEPS = 5
 """Minimum number of other steps in a memory for one step to be called unusual."""
 
-ANY = 1 << 100
+UNLIMITED_GAP = 1 << 100
 """Larger than the distance of any two instants, in ns."""
 
 
@@ -52,13 +52,13 @@ class MemoryGaps:
     def __init__(self, show: Callable[[Term], str], warn: Warn):
         self._show = show
         self._warn = warn
-        self.most = ANY
+        self.most = UNLIMITED_GAP
         """Largest distance of two instants that is allowed, in ns."""
         self.noted: Dict[Tuple[int, int], Tuple[MemoryInstance, ...]] = {}
 
     def limit(self, seconds: float) -> None:
         """Set the largest distance in seconds; -1 or 0 for any distance."""
-        self.most = min(ANY, from_seconds(min(seconds, 1e18))) if seconds > 0 else ANY
+        self.most = min(UNLIMITED_GAP, from_seconds(min(seconds, 1e18))) if seconds > 0 else UNLIMITED_GAP
 
     def clear(self) -> None:
         """Remove all noted gaps."""
@@ -71,28 +71,28 @@ class MemoryGaps:
             noted = self.noted
             before = noted.pop((start, end), ())
             noted[start, end] = before if instance in before else (*before, instance)
-            if len(noted) > NOTED:
+            if len(noted) > MAX_NOTED_GAPS:
                 del noted[next(iter(noted))]
 
         instance.memory.on_wide = note
 
-    def weight(self, start: int, end: int, at: int) -> Optional[Number]:
+    def weight(self, start: int, end: int, instant: int) -> Optional[Number]:
         """Return the weight of the first of two instants at a third one; None if they are too far apart."""
         apart = end - start
         if apart > self.most or -apart > self.most:
             return None
         if self.noted and (start, end) in self.noted:
             self._interpolated(int(start), int(end))
-        return (end - at) / apart if apart else 1
+        return (end - instant) / apart if apart else 1
 
     def define(self, logic: PrologSystem, memories: MemoryInstances) -> None:
         """Define the predicates."""
 
-        def interpolate(first: Term, second: Term, at: Term) -> Any:
-            return self.weight(instant_of(first), instant_of(second), instant_of(at))
+        def interpolate(first: Term, second: Term, time: Term) -> Any:
+            return self.weight(instant_of(first), instant_of(second), instant_of(time))
 
-        def gap(name: Term, at: Term) -> Optional[float]:
-            instance, instant = memories.find(name), instant_of(at)
+        def gap(name: Term, time: Term) -> Optional[float]:
+            instance, instant = memories.find(name), instant_of(time)
             if instance is None:
                 return None
             before, after = instance.memory.at_or_before(instant), instance.memory.at_or_after(instant)
@@ -104,11 +104,11 @@ class MemoryGaps:
     def _interpolated(self, start: int, end: int) -> None:
         for instance in self.noted.pop((start, end)):
             usual = usual_step(instance.memory, end - start)
-            if usual is not None and end - start >= WIDE * usual:
+            if usual is not None and end - start >= WIDE_STEP_FACTOR * usual:
                 name = self._show(instance.id)
                 self._warn(
                     f"memory {name}: a value is interpolated over a gap of {(end - start) / SECOND:.3g} s; its "
-                    f"records are usually {usual / SECOND:.3g} s apart; where that should fail, set {LIMIT}",
+                    f"records are usually {usual / SECOND:.3g} s apart; where that should fail, set {MAX_GAP_FLAG}",
                     ("gap", name),
                     once=True,
                 )
@@ -121,7 +121,7 @@ def usual_step(memory: Memory, gap: int) -> Optional[float]:
     """
     ends = memory.ends
     others = sum(1 for before, after in zip(ends, ends[1:]) if after > before) - 1
-    return (ends[-1] - ends[0] - gap) / others if others >= FEWEST else None
+    return (ends[-1] - ends[0] - gap) / others if others >= MIN_OTHER_STEPS else None
 
 
 _STEPS = (
@@ -131,10 +131,10 @@ _STEPS = (
     functor("interpolate_quaternion", 6),
 )
 
-Form = Tuple[Functor, int, int]
+RecordLayout = Tuple[Functor, int, int]
 """Layout of a record pattern: its functor, and the positions of position and rotation among its variables."""
 
-NOWHERE: Pose = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
+IDENTITY_POSE: Pose = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
 
 
 class TransformChains:
@@ -156,13 +156,13 @@ class TransformChains:
         if look.functional is not None:
             look.functional = look.functional._replace(joins=self.joins)
 
-    def product(self, links: Term, at: Term) -> Optional[Term]:
+    def product(self, links: Term, time: Term) -> Optional[Term]:
         """Return the product of poses and memory ids; None if a memory has no pose.
 
         Raises:
             PrologError: an instantiation, type or domain error for other arguments.
         """
-        instant = int(instant_of(at))
+        instant = int(instant_of(time))
         items = list_items(links)
         if items is None:
             raise instantiation_error() if deref(links).__class__ is Var else type_error("list", links)
@@ -172,7 +172,7 @@ class TransformChains:
             if here is None:
                 return None
             value = here if value is None else compose(value, here)
-        return shown_pose(value or NOWHERE)
+        return shown_pose(value or IDENTITY_POSE)
 
     def _pose(self, link: Term, instant: int) -> Optional[Pose]:
         if link is NIL or (link.__class__ is tuple and link[0] is CONS):
@@ -180,10 +180,10 @@ class TransformChains:
         if link.__class__ is Var:
             raise instantiation_error()
         instance = self._memories.find(link)
-        found = None if instance is None else instance.memory.around(instant)
-        if found is None:
+        records = None if instance is None else instance.memory.around(instant)
+        if records is None:
             return None
-        (before, _, start), (after, _, end) = found
+        (before, _, start), (after, _, end) = records
         apart = end - start
         if not apart:
             return pose_of_record(before)
@@ -202,63 +202,78 @@ class TransformChains:
         if tuple(goal[0] for goal in goals) != _STEPS:
             return None
         (
-            (_, name, first, *one),
-            (_, other, second, *two),
+            (_, name, first, *before_args),
+            (_, other_name, second, *after_args),
             (_, *weighed),
-            (_, v1, q1, v2, q2, listed, found),
+            (_, v1, q1, v2, q2, listed, result),
         ) = goals
         fraction = deref(weighed[-1])
-        if list_items(listed) != [fraction] or deref(name) is not deref(other):
+        if list_items(listed) != [fraction] or deref(name) is not deref(other_name):
             return None
-        same = [(weighed[0], one[0]), (weighed[1], two[0]), (weighed[2], one[2]), (weighed[2], two[2])]
+        same = [
+            (weighed[0], before_args[0]),
+            (weighed[1], after_args[0]),
+            (weighed[2], before_args[2]),
+            (weighed[2], after_args[2]),
+        ]
         if any(deref(left) is not deref(right) for left, right in same):
             return None
-        form, again = _form(first, v1, q1, counts), _form(second, v2, q2, counts)
-        between = [deref(term) for term in (one[0], two[0], fraction, v1, q1, v2, q2)]
+        form, again = _layout(first, v1, q1, counts), _layout(second, v2, q2, counts)
+        between = [deref(term) for term in (before_args[0], after_args[0], fraction, v1, q1, v2, q2)]
         if form is None or form != again or any(counts.get(var) != 2 for var in between):
             return None
-        if len(set(between)) < len(between) or any(counts.get(deref(term)) != 1 for term in (one[1], two[1])):
+        if len(set(between)) < len(between) or any(
+            counts.get(deref(term)) != 1 for term in (before_args[1], after_args[1])
+        ):
             return None
-        return JoinedGoals(len(_STEPS), self._between(*form), (name, weighed[2]), found)
+        return JoinedGoals(len(_STEPS), self._between(*form), (name, weighed[2]), result)
 
     def _between(self, key: Functor, position: int, rotation: int) -> Callable[[Term, Term], Optional[Term]]:
         """Return the function that computes the pose between two records of a layout."""
         find, weigh = self._memories.find, self._gaps.weight
 
-        def pose_between(name: Term, at: Term) -> Optional[Term]:
+        def pose_between(name: Term, time: Term) -> Optional[Term]:
             instance = find(name)
             if instance is None:
                 return None
-            instant = instant_of(at)
-            found = instance.memory.around(instant)
-            if found is None:
+            instant = instant_of(time)
+            records = instance.memory.around(instant)
+            if records is None:
                 return None
-            (before, start, _), (after, end, _) = found
-            one: Any = deref(before)
-            two: Any = deref(after)
-            if not (one.__class__ is two.__class__ is tuple and one[0] is two[0] is key):
+            (before, start, _), (after, end, _) = records
+            first_record: Any = deref(before)
+            second_record: Any = deref(after)
+            if not (
+                first_record.__class__ is second_record.__class__ is tuple
+                and first_record[0] is second_record[0] is key
+            ):
                 return None
             weight = weigh(start, end, instant)
             if weight is None:
                 return None
-            first, second = pose_of(one[position], one[rotation]), pose_of(two[position], two[rotation])
+            first, second = (
+                pose_of(first_record[position], first_record[rotation]),
+                pose_of(second_record[position], second_record[rotation]),
+            )
             return shown_pose(interpolate(first, second, weight))
 
         return pose_between
 
 
-def _form(record: Term, position: Term, rotation: Term, counts: Mapping[Any, int]) -> Optional[Form]:
+def _layout(
+    record: Term, position: Term, rotation: Term, counts: Mapping[Any, int]
+) -> Optional[RecordLayout]:
     """Return the layout of a record pattern; None if other arguments must unify, too."""
-    found: Any = deref(record)
-    if found.__class__ is not tuple:
+    term: Any = deref(record)
+    if term.__class__ is not tuple:
         return None
-    items = [deref(item) for item in found]
+    items = [deref(item) for item in term]
     wanted = deref(position), deref(rotation)
     if any(item not in wanted and counts.get(item) != 1 for item in items[1:]):
         return None
     if any(items.count(item) != 1 for item in wanted):
         return None
-    return found[0], items.index(wanted[0]), items.index(wanted[1])
+    return term[0], items.index(wanted[0]), items.index(wanted[1])
 
 
 def pose_of_record(record: Term) -> Pose:

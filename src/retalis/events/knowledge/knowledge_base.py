@@ -18,7 +18,7 @@ from .event_states import StateRegistry
 from .interpolation import MemoryGaps, TransformChains
 from .memory import UPDATED, MemoryInstance, Warn, key_of
 from .memory_instances import CREATED, DELETED, MemoryInstances, define_read_access, enumerate_records
-from .pending_queries import GIVEN_UP, Behind, PendingQueries
+from .pending_queries import GIVEN_UP, MissingMemories, PendingQueries
 from .record_lookup import define_matching
 from .subscriptions import Deliver, Subscriptions
 from .timeouts import AlarmClock
@@ -104,20 +104,20 @@ class KnowledgeBase:
         self.subscriptions.mend()
         self.states.mend()
 
-    def behind(self, names: Sequence[Term], instant: int) -> Behind:
+    def behind(self, names: Sequence[Term], instant: int) -> MissingMemories:
         """Return the memories that have received no event that ends at an instant or later.
 
         Raises:
             UsageError: if there is no such memory.
         """
-        found = {}
+        missing = {}
         for name in names:
             instance = self.memories.find(name)
             if instance is None:
                 raise UsageError(f"there is no memory {self._logic.brief(name)}")
             if not instance.has(instant):
-                found[instance] = instant
-        return list(found.items())
+                missing[instance] = instant
+        return list(missing.items())
 
     def patterns(self) -> Iterator[Tuple[Term, str]]:
         """Yield the pattern of each memory, subscription and state, and its name for reports."""
@@ -153,9 +153,9 @@ class KnowledgeBase:
 
     def _create(self, arguments: Sequence[Term], active: bool, after: Frame) -> Frame:
         self.on_pattern(arguments[0])
-        made = self.memories.create((MEMORIZE, *arguments), active, after)
+        frame = self.memories.create((MEMORIZE, *arguments), active, after)
         self.on_conditions(arguments[1], f"memory {self._logic.brief(arguments[3])}")
-        return made
+        return frame
 
     def _memorize_by_flag(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
         active = deref(arguments[5])

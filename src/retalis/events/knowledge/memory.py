@@ -8,7 +8,8 @@ are never changed in place otherwise: a Prolog goal that enumerates an older lis
 A `Recorder` listens to one event pattern and records into all memories that keep the same of the same events. After
 each record it continues with the queries that wait for that memory, see `pending_queries`.
 
-`recording` compiles the conditions and the form of a memory or subscription to a function from an event to a record.
+`compile_recording` compiles the conditions and the form of a memory or subscription to a function from an event to a
+record.
 """
 
 from bisect import bisect_left, bisect_right
@@ -50,7 +51,7 @@ def key_of(name: Term) -> Hashable:
         raise instantiation_error() from None
 
 
-def is_whole(pattern: Term, conditions: Term, form: Term) -> bool:
+def is_event_variable(pattern: Term, conditions: Term, form: Term) -> bool:
     """Return whether a form is a variable that occurs nowhere else, which stands for the event."""
     return form.__class__ is Var and form not in variables((COMMA, pattern, conditions))
 
@@ -62,7 +63,7 @@ def unused_variables(pattern: Term, conditions: Term, form: Term, others: Sequen
     return set(variables(pattern)).difference(variables((COMMA, conditions, form, *others)))
 
 
-def recording(
+def compile_recording(
     logic: PrologSystem,
     dispatcher: Dispatcher,
     pattern: Term,
@@ -94,21 +95,21 @@ def recording(
         raise type_error("callable", pattern)
     body = conjunction(_goals(conditions))
     inputs = variables(pattern)
-    whole = is_whole(pattern, conditions, form)
+    whole = is_event_variable(pattern, conditions, form)
     if not whole and form.__class__ not in (tuple, Atom, Var):
         raise type_error("callable", form)
     given = set(inputs)
-    made = set(variables(body)) - given
-    found = [] if whole else [var for var in variables(form) if var in made]
-    keep: Recording = itself
+    body_vars = set(variables(body)) - given
+    output_vars = [] if whole else [var for var in variables(form) if var in body_vars]
+    keep: Recording = record_event
     if not whole:
         keep = _same_or_built(compile_builder(form, inputs, "form"), compare(form, pattern) == 0)
     closed = whole or given.issuperset(variables(form))
     if body is TRUE:
         return keep, closed
-    test = logic.compile_goal(body, inputs, found, name=name).test
+    test = logic.compile_goal(body, inputs, output_vars, name=name).test
     test_open = logic.compile_goal(body, inputs, [TRUE if whole else form], name=name).test
-    build = compile_builder(form, [*inputs, *found], "form")
+    build = compile_builder(form, [*inputs, *output_vars], "form")
 
     def record(term: Term, values: Values, ground: bool) -> Optional[Term]:
         event = dispatcher.current
@@ -121,14 +122,14 @@ def recording(
             return None
         if solution is None:
             return None
-        if whole or ground and not found:
+        if whole or ground and not output_vars:
             return keep(term, values, ground)
         return build(values + solution) if ground else solution[0]
 
     return record, closed
 
 
-def itself(term: Term, values: Values, ground: bool) -> Term:
+def record_event(term: Term, values: Values, ground: bool) -> Term:
     """Return the event: the recording of a form that stands for it."""
     return term
 
@@ -162,7 +163,7 @@ def _goals(conditions: Term) -> List[Term]:
 NEVER = 1 << 100
 """Larger than all instants and all numbers of records."""
 
-WIDE = 10
+WIDE_STEP_FACTOR = 10
 """Factor by which a step between two records exceeds the mean of the others to be called wide."""
 
 _EPOCHS = count()
@@ -285,12 +286,16 @@ class Memory:
 
     def _insert(self, record: MemoryRecord, end: int) -> bool:
         ends, records = self.ends, self.records
-        at = bisect_right(ends, end)
-        if self.size and at <= len(ends) - self.size:
+        position = bisect_right(ends, end)
+        if self.size and position <= len(ends) - self.size:
             self.late += 1
             return False
-        self.changed = min(self.changed, self._gone + at)
-        self._become(self._gone, [*ends[:at], end, *ends[at:]], [*records[:at], record, *records[at:]])
+        self.changed = min(self.changed, self._gone + position)
+        self._become(
+            self._gone,
+            [*ends[:position], end, *ends[position:]],
+            [*records[:position], record, *records[position:]],
+        )
         self.cut()
         return True
 
@@ -302,45 +307,47 @@ class Memory:
     def at_or_before(self, instant: int) -> Optional[MemoryRecord]:
         """Return the last record whose end is not after ``instant``."""
         ends = self.ends
-        at = bisect_right(ends, instant) - 1
-        if at < 0 or at < len(ends) - self.size:
+        position = bisect_right(ends, instant) - 1
+        if position < 0 or position < len(ends) - self.size:
             return None
-        return self.records[at]
+        return self.records[position]
 
     def at_or_after(self, instant: int) -> Optional[MemoryRecord]:
         """Return the first record whose end is not before ``instant``."""
         ends = self.ends
         held = len(ends)
         first = held - self.size
-        at = bisect_left(ends, instant) if first <= 0 else bisect_left(ends, instant, first)
-        if at >= held:
+        position = bisect_left(ends, instant) if first <= 0 else bisect_left(ends, instant, first)
+        if position >= held:
             return None
         # For the first record, `ends[-1]` is the newest end: the difference is not positive, and no gap is noted.
-        start, end = ends[at - 1], ends[at]
-        if (end - start) * (held + WIDE - 2) >= WIDE * (ends[-1] - ends[0]) and start < end:
-            # At least `WIDE` times the mean of the other steps.
+        start, end = ends[position - 1], ends[position]
+        if (end - start) * (held + WIDE_STEP_FACTOR - 2) >= WIDE_STEP_FACTOR * (
+            ends[-1] - ends[0]
+        ) and start < end:
+            # At least `WIDE_STEP_FACTOR` times the mean of the other steps.
             self.on_wide(start, end)
-        return self.records[at]
+        return self.records[position]
 
     def around(self, instant: int) -> Optional[Tuple[MemoryRecord, MemoryRecord]]:
         """Return the results of `at_or_before` and `at_or_after`; None unless both exist."""
         ends = self.ends
         held = len(ends)
-        at = bisect_right(ends, instant)
-        if at < 1 or at <= held - self.size:
+        position = bisect_right(ends, instant)
+        if position < 1 or position <= held - self.size:
             return None
-        start = ends[at - 1]
+        start = ends[position - 1]
         if start == instant:
-            return self.records[at - 1], self.records[
-                bisect_left(ends, instant, max(0, held - self.size), at)
+            return self.records[position - 1], self.records[
+                bisect_left(ends, instant, max(0, held - self.size), position)
             ]
-        if at >= held:
+        if position >= held:
             return None
-        end = ends[at]
+        end = ends[position]
         # As in `at_or_after`.
-        if (end - start) * (held + WIDE - 2) >= WIDE * (ends[-1] - ends[0]):
+        if (end - start) * (held + WIDE_STEP_FACTOR - 2) >= WIDE_STEP_FACTOR * (ends[-1] - ends[0]):
             self.on_wide(start, end)
-        return self.records[at - 1], self.records[at]
+        return self.records[position - 1], self.records[position]
 
     @property
     def first(self) -> int:
@@ -358,8 +365,8 @@ class Memory:
     def newest_first(self) -> Iterator[MemoryRecord]:
         """Yield the present records, newest first."""
         records = self.records
-        for at in range(len(records) - 1, max(0, len(records) - self.size) - 1, -1):
-            yield records[at]
+        for position in range(len(records) - 1, max(0, len(records) - self.size) - 1, -1):
+            yield records[position]
 
 
 UPDATED = functor("memory_updated", 2)
@@ -406,9 +413,7 @@ class MemoryInstance:
         return self.active, term_key(self.definition)
 
     def has(self, instant: int) -> bool:
-        """Return whether an event that ends at an instant or later was recorded: its watermark has reached the
-        instant.
-        """
+        """Return whether the watermark has reached an instant: an event that ends then or later was recorded."""
         ends = self.memory.ends
         return bool(ends) and ends[-1] >= instant
 
@@ -426,11 +431,11 @@ class MemoryInstance:
     def reached(self, end: int) -> List[Waiting]:
         """Remove and return the queries that wait for an instant or an earlier one."""
         times = self.times
-        found: List[Waiting] = []
+        queries: List[Waiting] = []
         while times and times[0] <= end:
-            found += self.waiting.pop(heappop(times), _NOBODY).values()
+            queries += self.waiting.pop(heappop(times), _NO_QUERIES).values()
         self.due = times[0] if times else NEVER
-        return found
+        return queries
 
     def forget(self, instant: int, order: int) -> None:
         """Remove a query."""
@@ -439,7 +444,7 @@ class MemoryInstance:
         if not group:
             del self.waiting[instant]
             # An instant cannot be removed from the middle of a heap; the heap is rebuilt when most of it is stale.
-            if len(self.times) > 2 * len(self.waiting) + _SPARE:
+            if len(self.times) > 2 * len(self.waiting) + _STALE_TOLERANCE:
                 self.times = list(self.waiting)
                 heapify(self.times)
 
@@ -457,8 +462,8 @@ class MemoryInstance:
         self.waiting = {}
 
 
-_NOBODY: Dict[int, Waiting] = {}
-_SPARE = 16
+_NO_QUERIES: Dict[int, Waiting] = {}
+_STALE_TOLERANCE = 16
 
 
 class Recorder:
@@ -505,7 +510,7 @@ class Recorder:
 
     def remove(self, instance: MemoryInstance) -> None:
         """Remove a memory; without memories the recorder stops to listen."""
-        self.keep_only(lambda one: one is not instance)
+        self.keep_only(lambda other: other is not instance)
 
     def keep_only(self, chosen: Callable[[MemoryInstance], bool]) -> None:
         """Keep only some of the memories; without memories the recorder stops to listen."""

@@ -26,9 +26,9 @@ from .memory import (
     MemoryInstance,
     Recorder,
     Warn,
-    is_whole,
+    compile_recording,
+    is_event_variable,
     key_of,
-    recording,
     unused_variables,
 )
 
@@ -147,7 +147,7 @@ class MemoryInstances:
         recorder.add(instance)
         if not active or instance is before:
             return after
-        kept = pattern if is_whole(pattern, conditions, form) else form
+        kept = pattern if is_event_variable(pattern, conditions, form) else form
         instant = self._stamp()
         return self._dispatcher.dispatch(
             (CREATED, pattern, conditions, kept, name, size), instant, instant, after
@@ -219,7 +219,7 @@ class MemoryInstances:
                 del self.instances[key]
         recorders = {instance.recorder for instance in self.instances.values()}
         for recorder in recorders:
-            recorder.keep_only(lambda one: self.find(one.id) is one)
+            recorder.keep_only(lambda candidate: self.find(candidate.id) is candidate)
         self._dispatcher.keep_only(ListenerPhase.MEMORIES, {recorder.listener for recorder in recorders})
 
     def _recorder(self, pattern: Term, conditions: Term, form: Term, name: Term) -> Recorder:
@@ -236,7 +236,9 @@ class MemoryInstances:
         if may_join and last is not None and last.instances and key == last.key:
             return last
         title = f"memory {self._logic.brief(name)}"
-        take = recording(self._logic, self._dispatcher, pattern, conditions, form, title, self._problem)
+        take = compile_recording(
+            self._logic, self._dispatcher, pattern, conditions, form, title, self._problem
+        )
         unused = unused_variables(pattern, conditions, form)
         self._newest = Recorder(self._dispatcher, pattern, take, self._follow, key, unused)
         return self._newest
@@ -270,29 +272,29 @@ def define_read_access(logic: PrologSystem, memories: MemoryInstances) -> None:
     known, to_term = memories.instances.get, timestamps.to_term
     active = tables_of(logic.machine).active
 
-    def prev(name: Term, at: Any) -> Optional[FoundRecord]:
+    def prev(name: Term, time: Any) -> Optional[FoundRecord]:
         instance = known(name) if name.__class__ is Atom and not active else memories.find(name)
         if instance is None:
             return None
         # As in `instant_of`.
-        is_new = at.__class__ is Lazy and at.make is to_term and at.made is None
-        found = instance.memory.at_or_before(at.source if is_new else instant_of(at))
-        return found if not instance.open or found is None else _fresh(found)
+        is_new = time.__class__ is Lazy and time.make is to_term and time.made is None
+        record = instance.memory.at_or_before(time.source if is_new else instant_of(time))
+        return record if not instance.open or record is None else _fresh(record)
 
-    def next_inf(name: Term, at: Any) -> Optional[FoundRecord]:
+    def next_inf(name: Term, time: Any) -> Optional[FoundRecord]:
         instance = known(name) if name.__class__ is Atom and not active else memories.find(name)
         if instance is None:
             return None
         # As in `instant_of`.
-        is_new = at.__class__ is Lazy and at.make is to_term and at.made is None
-        found = instance.memory.at_or_after(at.source if is_new else instant_of(at))
-        return found if not instance.open or found is None else _fresh(found)
+        is_new = time.__class__ is Lazy and time.make is to_term and time.made is None
+        record = instance.memory.at_or_after(time.source if is_new else instant_of(time))
+        return record if not instance.open or record is None else _fresh(record)
 
     def following(name: Term, low: Term, high: Term) -> Optional[FoundRecord]:
         if memories.find(name) is None:
             return None
-        found, last = next_inf(name, low), instant_of(high)
-        return None if found is None or found[2] > last else found
+        record, last = next_inf(name, low), instant_of(high)
+        return None if record is None or record[2] > last else record
 
     record_and_interval = (1, 2, 3)
     shows = (None, timestamps.shown, timestamps.shown)
@@ -306,9 +308,9 @@ def define_read_access(logic: PrologSystem, memories: MemoryInstances) -> None:
         logic.define_function(key.name, key.arity, function, record_and_interval, shows)
 
 
-def _fresh(found: FoundRecord) -> FoundRecord:
+def _fresh(record: FoundRecord) -> FoundRecord:
     """Return a record with new variables."""
-    return copy(found[0]), found[1], found[2]
+    return copy(record[0]), record[1], record[2]
 
 
 def enumerate_records(memories: MemoryInstances) -> Callable[..., Iterator[bool]]:

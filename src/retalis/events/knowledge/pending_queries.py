@@ -37,17 +37,17 @@ from .memory import MemoryInstance, Warn, key_of
 from .memory_instances import MemoryInstances
 from .timeouts import AlarmClock, Timeouts, timeout_of
 
-Behind = List[Tuple[MemoryInstance, int]]
+MissingMemories = List[Tuple[MemoryInstance, int]]
 """Memories whose watermark is behind, with the instants that they have to reach."""
 
 
-def behind(logic: PrologSystem, memories: MemoryInstances, conditions: Term) -> Behind:
+def missing_memories(logic: PrologSystem, memories: MemoryInstances, conditions: Term) -> MissingMemories:
     """Return the memories that a query must wait for, given its conditions as a term.
 
     Raises:
         UsageError: if there is no such memory, or a condition is not ``[Id, Time]``.
     """
-    found: Dict[MemoryInstance, int] = {}
+    awaited: Dict[MemoryInstance, int] = {}
     # Most often all wait for one time.
     time, instant = None, 0
     for name, its_time in _pairs(logic, conditions):
@@ -55,14 +55,14 @@ def behind(logic: PrologSystem, memories: MemoryInstances, conditions: Term) -> 
         if instance is None:
             raise UsageError(f"there is no memory {logic.brief(name)}")
         if its_time is not time:
-            time, instant = its_time, reach(its_time)
-        found[instance] = max(instant, found.get(instance, instant))
-    return [(instance, instant) for instance, instant in found.items() if not instance.has(instant)]
+            time, instant = its_time, required_instant(its_time)
+        awaited[instance] = max(instant, awaited.get(instance, instant))
+    return [(instance, instant) for instance, instant in awaited.items() if not instance.has(instant)]
 
 
 def compile_conditions(
     logic: PrologSystem, memories: MemoryInstances, conditions: Term, names: Sequence[Var]
-) -> Optional[Callable[[Values], Behind]]:
+) -> Optional[Callable[[Values], MissingMemories]]:
     """Return a function of the values of ``names`` that returns the memories that a query must wait for.
 
     The function raises a `UsageError` as `behind` does. None is returned if the memories depend on the values.
@@ -76,23 +76,23 @@ def compile_conditions(
         return None
     given: Dict[str, Any] = {
         "get": memories.instances.get,
-        "reach": reach,
+        "reach": required_instant,
         "first_reaching": timestamps.first_reaching,
         "no_memory": lambda name: UsageError(f"there is no memory {logic.brief(name)}"),
     }
     places = positions(names)
     lines = ["    missing = []"]
     previous = None
-    for at, (key, (name, time)) in enumerate(zip(keys, pairs)):
-        given[f"key{at}"], given[f"name{at}"] = key, name
+    for number, (key, (name, time)) in enumerate(zip(keys, pairs)):
+        given[f"key{number}"], given[f"name{number}"] = key, name
         lines += [
-            f"    memory = get(key{at})",
+            f"    memory = get(key{number})",
             "    if memory is None:",
-            f"        raise no_memory(name{at})",
+            f"        raise no_memory(name{number})",
         ]
         # Conditions of a query usually share one time, which is converted once.
         if time is not previous:
-            lines += _time(time, names, places, at, given)
+            lines += _time(time, names, places, number, given)
         previous = time
         lines += [
             "    ends = memory.memory.ends",
@@ -100,19 +100,21 @@ def compile_conditions(
             "        missing.append((memory, instant))",
         ]
     source = "\n".join(["def made(values):", *lines, "    return missing", ""])
-    found: Callable[[Values], Behind] = shared_function(source, given, "conditions of a synchronized query")
-    return found
+    function: Callable[[Values], MissingMemories] = shared_function(
+        source, given, "conditions of a synchronized query"
+    )
+    return function
 
 
 def _time(
-    time: Term, names: Sequence[Var], places: Dict[Var, int], at: int, given: Dict[str, Any]
+    time: Term, names: Sequence[Var], places: Dict[Var, int], number: int, given: Dict[str, Any]
 ) -> List[str]:
     """Return the source lines that compute the instant of a time."""
     if time.__class__ is Var:
         lines = [f"    time = values[{places[time]}]"]
     else:
-        given[f"build{at}"] = compile_builder(time, names, "time of a synchronized query")
-        lines = [f"    time = build{at}(values)"]
+        given[f"build{number}"] = compile_builder(time, names, "time of a synchronized query")
+        lines = [f"    time = build{number}(values)"]
     return [*lines, "    instant = first_reaching(time) if time.__class__ is float else reach(time)"]
 
 
@@ -134,7 +136,7 @@ def _pairs(logic: PrologSystem, conditions: Term) -> List[Tuple[Term, Term]]:
     return pairs
 
 
-def reach(time: Term) -> int:
+def required_instant(time: Term) -> int:
     """Return the instant that a memory has to reach for a time condition.
 
     Raises:
@@ -203,7 +205,7 @@ class TriggeredQuery:
     def _call(self, values: Values, start: int, end: int, after: Frame) -> Frame:
         # Not None: else `ask` is `_trigger`.
         goal: Any = self._goal
-        given = tuple([values[at] for at in self._inputs])
+        given = tuple([values[position] for position in self._inputs])
         call = self._dispatcher.call
         return call(goal, given, self._failed, self._found, TRUE, values, start, end, after)
 
@@ -216,7 +218,7 @@ class TriggeredQuery:
             return self._dispatch(event, start, end, after)
         except UsageError as error:
             show = self._around.logic.brief
-            self._around.warn(f"{show(event)} is dropped: {error}", ("dropped", kind_of(event)))
+            self._around.warn(f"{show(event)} is dropped: {error}", ("dropped", event_functor(event)))
             return after
 
     def _failed(self, values: Values, error: PrologError) -> None:
@@ -225,7 +227,7 @@ class TriggeredQuery:
         event = self.event(values)
         self._around.warn(
             f"{self._around.logic.brief(event)} is dropped, its query raised: {error}",
-            ("raised", kind_of(event)),
+            ("raised", event_functor(event)),
         )
 
 
@@ -253,7 +255,7 @@ class QueryNotifier(TriggeredQuery):
         return after
 
 
-class Followed(TriggeredQuery):
+class DerivedQuery(TriggeredQuery):
     """A pending query whose event is derived from another event, if events are tracked.
 
     Args:
@@ -264,12 +266,12 @@ class Followed(TriggeredQuery):
 
     __slots__ = ("_asked", "_token")
 
-    def __init__(self, dispatcher: Dispatcher, asked: TriggeredQuery, token: object):
+    def __init__(self, dispatcher: Dispatcher, query: TriggeredQuery, token: object):
         self._dispatcher = dispatcher
-        self._asked = asked
+        self._asked = query
         self._token = token
-        self.event = asked.event
-        self.terms = asked.terms
+        self.event = query.event
+        self.terms = query.terms
         self.ask = self._ask
 
     @property
@@ -288,9 +290,9 @@ def general_question(around: QueryContext) -> TriggeredQuery:
     """
     event, query = Var(), Var()
     goal = around.logic.compile_goal((_CALL, query), [event, query], [event], name=_NAME, from_outside=True)
-    made = TriggeredQuery(around, goal, (0, 1), lambda values: values[2], lambda values: values[0])
-    made.terms = lambda values: (values[0], values[1])
-    return made
+    question = TriggeredQuery(around, goal, (0, 1), lambda values: values[2], lambda values: values[0])
+    question.terms = lambda values: (values[0], values[1])
+    return question
 
 
 def compile_question(
@@ -318,25 +320,25 @@ def compile_question(
         if query not in known:
             return None
         query = (_CALL, query)
-    found = [var for var in variables(event) if var in mentioned and var not in known]
-    build = compile_builder(event, [*names, *found], f"event of a {_NAME}")
-    inputs = [at for at, name in enumerate(names) if name in mentioned]
+    outputs = [var for var in variables(event) if var in mentioned and var not in known]
+    build = compile_builder(event, [*names, *outputs], f"event of a {_NAME}")
+    inputs = [position for position, name in enumerate(names) if name in mentioned]
     goal = None
     if query is not TRUE:
         try:
             goal = around.logic.compile_goal(
-                query, [names[at] for at in inputs], found, place, _NAME, from_outside
+                query, [names[position] for position in inputs], outputs, place, _NAME, from_outside
             )
         except PrologError:  # the general form reports the error for each event
             return None
-    made = TriggeredQuery(
-        around, goal, tuple(inputs), build, lambda values: build((*values, *[Var() for _ in found]))
+    question = TriggeredQuery(
+        around, goal, tuple(inputs), build, lambda values: build((*values, *[Var() for _ in outputs]))
     )
-    made.terms = lambda values: copy((MINUS, event, query), dict(zip(names, values)))[1:]
-    return made
+    question.terms = lambda values: copy((MINUS, event, query), dict(zip(names, values)))[1:]
+    return question
 
 
-def kind_of(event: Term) -> Hashable:
+def event_functor(event: Term) -> Hashable:
     """Return the functor or atom of an event."""
     event = deref(event)
     return event[0] if event.__class__ is tuple else event
@@ -345,14 +347,14 @@ def kind_of(event: Term) -> Hashable:
 GIVEN_UP = functor("query_given_up", 3)
 """The event that reports a query given up: its event, its goal, and its missing conditions ``[[Id,Time],...]``."""
 
-LIMIT = 200_000
+MAX_PENDING_QUERIES = 200_000
 """Maximum number of pending queries; beyond it, the oldest is dropped with a warning."""
 
 
-NAMED = 20
+MAX_NAMED_QUERIES = 20
 """Maximum number of dropped queries that one warning names."""
 
-Waiting = Tuple[int, TriggeredQuery, Values, int, int, Behind]
+Waiting = Tuple[int, TriggeredQuery, Values, int, int, MissingMemories]
 """A pending query: order, query, values, start, end, and the memories that it waits for, next one last."""
 
 
@@ -382,7 +384,7 @@ class PendingQueries:
         memories: MemoryInstances,
         warn: Warn,
         clock: AlarmClock,
-        limit: int = LIMIT,
+        limit: int = MAX_PENDING_QUERIES,
     ):
         self._logic = logic
         self._dispatcher = dispatcher
@@ -423,7 +425,7 @@ class PendingQueries:
         for instance in self._memories:
             instance.forget_waiting()
 
-    def await_all(self, missing: Behind, named: Term, now: int, tell: Callable[[], None]) -> int:
+    def await_all(self, missing: MissingMemories, named: Term, now: int, tell: Callable[[], None]) -> int:
         """Notify a client when memories have caught up; return the order of its entry, for `waits`.
 
         Args:
@@ -441,24 +443,26 @@ class PendingQueries:
         """
         order = next(self._order)
         self._order = count(order)
-        found: List[KeptQuery] = []
-        for number, asked, values, start, end, missing in self._all.values():
-            if isinstance(asked, QueryNotifier):
+        queries: List[KeptQuery] = []
+        for number, question, values, start, end, missing in self._all.values():
+            if isinstance(question, QueryNotifier):
                 continue
-            event, query = asked.terms(values)
-            token = asked.token if isinstance(asked, Followed) else None
-            awaited = [(one.id, instant) for one, instant in missing if not one.has(instant)]
-            found.append((number, event, query, start, end, awaited, token))
-        return order, found
+            event, query = question.terms(values)
+            token = question.token if isinstance(question, DerivedQuery) else None
+            awaited = [(instance.id, instant) for instance, instant in missing if not instance.has(instant)]
+            queries.append((number, event, query, start, end, awaited, token))
+        return order, queries
 
-    def restore(self, order: int, found: Sequence[KeptQuery]) -> None:
+    def restore(self, order: int, queries: Sequence[KeptQuery]) -> None:
         """Set the pending queries."""
         self._order = count(order)
-        self._oldest = found[0][0] if found else order
-        for number, event, query, start, end, awaited, token in found:
+        self._oldest = queries[0][0] if queries else order
+        for number, event, query, start, end, awaited, token in queries:
             missing: Any = [(self._memories.find(name), instant) for name, instant in awaited]
-            asked = self._general if token is None else Followed(self._dispatcher, self._general, token)
-            waiting = self._all[number] = (number, asked, (event, query), start, end, missing)
+            question = (
+                self._general if token is None else DerivedQuery(self._dispatcher, self._general, token)
+            )
+            waiting = self._all[number] = (number, question, (event, query), start, end, missing)
             instance, instant = missing[-1]
             instance.wait(instant, number, waiting)
 
@@ -474,7 +478,7 @@ class PendingQueries:
     def _arrive(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         event, query, conditions = values
         try:
-            missing = behind(self._logic, self._memories, conditions)
+            missing = missing_memories(self._logic, self._memories, conditions)
         except UsageError as error:
             self._drop(event, error)
             return after
@@ -488,7 +492,7 @@ class PendingQueries:
         event, query, conditions, options = values
         try:
             wait = timeout_of(options, self._logic.brief)
-            missing = behind(self._logic, self._memories, conditions)
+            missing = missing_memories(self._logic, self._memories, conditions)
         except UsageError as error:
             self._drop(event, error)
             return after
@@ -505,7 +509,9 @@ class PendingQueries:
         """
         dispatcher = self._dispatcher
         return (
-            Followed(dispatcher, self._general, dispatcher.token()) if dispatcher.tracked else self._general
+            DerivedQuery(dispatcher, self._general, dispatcher.token())
+            if dispatcher.tracked
+            else self._general
         )
 
     def _give_up(self, order: int, instant: int) -> None:
@@ -518,10 +524,10 @@ class PendingQueries:
         ]
         self._forget(order)
         machine = self._logic.machine
-        told = GIVEN_UP(event, query, make_list(pairs))
+        report = GIVEN_UP(event, query, make_list(pairs))
         # The alarm may ring while another event is served; the report is dispatched independently of it.
         self._dispatcher.apart(
-            lambda: machine.run(self._dispatcher.dispatch(told, instant, instant, machine.done))
+            lambda: machine.run(self._dispatcher.dispatch(report, instant, instant, machine.done))
         )
 
     def _shortcut(self, rule: EventRule, otherwise: EventAction) -> Optional[EventAction]:
@@ -531,8 +537,8 @@ class PendingQueries:
         key, event, query, conditions = head
         names, firings = rule.vars, rule.firings
         find = compile_conditions(self._logic, self._memories, conditions, names)
-        asked = compile_question(self._around, event, query, names, rule.place, rule.from_outside)
-        if find is None or asked is None:
+        question = compile_question(self._around, event, query, names, rule.place, rule.from_outside)
+        if find is None or question is None:
             return None
 
         def ask_or_wait(values: Values, start: int, end: int, after: Frame) -> Frame:
@@ -541,25 +547,27 @@ class PendingQueries:
             try:
                 missing = find(values)
             except UsageError as error:
-                self._drop(asked.event(values), error)
+                self._drop(question.event(values), error)
                 return after
             if missing:
-                self._wait(asked, values, start, end, missing)
+                self._wait(question, values, start, end, missing)
                 return after
-            return asked.ask(values, start, end, after)
+            return question.ask(values, start, end, after)
 
         known = rule.ground_with_event
         return question_action(self._dispatcher, key, known, ask_or_wait, otherwise, rule.meter)
 
     def _drop(self, event: Term, error: UsageError) -> None:
-        self._warn(f"{self._logic.brief(event)} is dropped: {error}", ("dropped", kind_of(event)))
+        self._warn(f"{self._logic.brief(event)} is dropped: {error}", ("dropped", event_functor(event)))
 
-    def _wait(self, asked: TriggeredQuery, values: Values, start: int, end: int, missing: Behind) -> int:
+    def _wait(
+        self, question: TriggeredQuery, values: Values, start: int, end: int, missing: MissingMemories
+    ) -> int:
         """Register a query; return its order."""
         if len(self._all) >= self.limit:
             self._drop_oldest()
         order = next(self._order)
-        waiting = self._all[order] = (order, asked, values, start, end, missing)
+        waiting = self._all[order] = (order, question, values, start, end, missing)
         instance, instant = missing[-1]
         instance.wait(instant, order, waiting)
         return order
@@ -598,8 +606,8 @@ class PendingQueries:
     @staticmethod
     def _ask(frame: Frame) -> Frame:
         ready: Iterator[Waiting] = frame[1]
-        for _, asked, values, start, end, _ in ready:
-            result = asked.ask(values, start, end, frame)
+        for _, question, values, start, end, _ in ready:
+            result = question.ask(values, start, end, frame)
             if result is not frame:
                 return result
         return frame[2]  # type: ignore[no-any-return]
@@ -639,23 +647,23 @@ class PendingQueries:
 
     def _forget(self, order: int) -> Term:
         """Remove a query; return its event."""
-        _, asked, values, _, _, missing = self._all.pop(order)
+        _, question, values, _, _, missing = self._all.pop(order)
         instance, instant = missing[-1]
         instance.forget(instant, order)
-        return asked.event(values)
+        return question.event(values)
 
     def _drop_waiting_for(self, instance: MemoryInstance) -> None:
         """Drop the queries that wait for a deleted memory, with one warning that names them."""
         orders = [
             waiting[0]
             for waiting in self._all.values()
-            if any(one is instance and not one.has(instant) for one, instant in waiting[5])
+            if any(memory is instance and not memory.has(instant) for memory, instant in waiting[5])
         ]
         dropped = [self._forget(order) for order in orders]
         if dropped:
             show = self._logic.brief
-            named = ", ".join(show(event) for event in dropped[:NAMED])
-            more = f" and {len(dropped) - NAMED} more" if len(dropped) > NAMED else ""
+            named = ", ".join(show(event) for event in dropped[:MAX_NAMED_QUERIES])
+            more = f" and {len(dropped) - MAX_NAMED_QUERIES} more" if len(dropped) > MAX_NAMED_QUERIES else ""
             self._warn(
                 f"the memory {show(instance.id)} was deleted; "
                 f"dropped are the events that waited for it: {named}{more}",

@@ -19,7 +19,7 @@ from ...prolog.terms.types import Atom, Term, deref
 from .memory import Memory, MemoryInstance
 from .memory_instances import MemoryInstances
 
-SCANNED = 1024
+RECORDS_PER_CHECK = 1024
 """Records after which cancellation and limits of the goal are checked."""
 
 
@@ -36,8 +36,8 @@ class RecordIndex:
 
     __slots__ = ("_at", "_records", "_taken", "_places", "_others")
 
-    def __init__(self, memory: Memory, at: int):
-        self._at = at
+    def __init__(self, memory: Memory, position: int):
+        self._at = position
         self._records = memory.records
         self._taken = 0
         self._places: Dict[Any, List[int]] = {}
@@ -45,23 +45,27 @@ class RecordIndex:
 
     def places(self, value: Any) -> List[int]:
         """Return the positions of all records that may have this atom or integer as the argument, in order."""
-        at, records = self._at, self._records
+        argument_position, records = self._at, self._records
         for place in range(self._taken, len(records)):
             term: Any = deref(records[place][0])
-            found = deref(term[at]) if term.__class__ is tuple and at < len(term) else None
-            if found.__class__ is Atom or found.__class__ is int:
-                self._places.setdefault(found, []).append(place)
-            elif found is not None:
+            argument = (
+                deref(term[argument_position])
+                if term.__class__ is tuple and argument_position < len(term)
+                else None
+            )
+            if argument.__class__ is Atom or argument.__class__ is int:
+                self._places.setdefault(argument, []).append(place)
+            elif argument is not None:
                 self._others.append(place)
             # Updated for each record: `look` may raise, and a record must not be added twice.
             self._taken = place + 1
-            if not place % SCANNED:
-                look(SCANNED)
-        known = self._places.get(value, _NOWHERE)
+            if not place % RECORDS_PER_CHECK:
+                look(RECORDS_PER_CHECK)
+        known = self._places.get(value, _NO_POSITIONS)
         return sorted(known + self._others) if self._others else known
 
 
-_NOWHERE: List[int] = []
+_NO_POSITIONS: List[int] = []
 
 
 def candidates(memory: Memory, record: Term) -> Union[List[int], range]:
@@ -70,18 +74,18 @@ def candidates(memory: Memory, record: Term) -> Union[List[int], range]:
     Positions beyond the memory's size are included.
     """
     record = deref(record)
-    found: Union[List[int], range] = range(len(memory.records))
+    positions: Union[List[int], range] = range(len(memory.records))
     if record.__class__ is tuple:
-        for at, argument in enumerate(record[1:], 1):
+        for position, argument in enumerate(record[1:], 1):
             value = deref(argument)
             if value.__class__ is Atom or value.__class__ is int:
-                index = memory.indices.get(at)
+                index = memory.indices.get(position)
                 if index is None:
-                    index = memory.indices[at] = RecordIndex(memory, at)
+                    index = memory.indices[position] = RecordIndex(memory, position)
                 places = index.places(value)
-                if len(places) < len(found):
-                    found = places
-    return found
+                if len(places) < len(positions):
+                    positions = places
+    return positions
 
 
 def define_matching(logic: PrologSystem, memories: MemoryInstances) -> None:
@@ -94,15 +98,15 @@ def define_matching(logic: PrologSystem, memories: MemoryInstances) -> None:
         memory = instance.memory
         return _find(machine, instance, (record, start, end), memory.first, len(memory.ends), -1)
 
-    def prev(machine: Machine, name: Term, record: Term, start: Term, end: Term, at: Term) -> bool:
-        instant, instance = instant_of(at), memories.find(name)
+    def prev(machine: Machine, name: Term, record: Term, start: Term, end: Term, time: Term) -> bool:
+        instant, instance = instant_of(time), memories.find(name)
         if instance is None:
             return False
         memory = instance.memory
         return _find(machine, instance, (record, start, end), memory.first, memory.after(instant), -1)
 
-    def next_inf(machine: Machine, name: Term, record: Term, start: Term, end: Term, at: Term) -> bool:
-        instant, instance = instant_of(at), memories.find(name)
+    def next_inf(machine: Machine, name: Term, record: Term, start: Term, end: Term, time: Term) -> bool:
+        instant, instance = instant_of(time), memories.find(name)
         if instance is None:
             return False
         memory = instance.memory
@@ -111,11 +115,18 @@ def define_matching(logic: PrologSystem, memories: MemoryInstances) -> None:
     def following(
         machine: Machine, name: Term, record: Term, start: Term, end: Term, low: Term, high: Term
     ) -> bool:
-        least, most, instance = instant_of(low), instant_of(high), memories.find(name)
+        first_instant, last_instant, instance = instant_of(low), instant_of(high), memories.find(name)
         if instance is None:
             return False
         memory = instance.memory
-        return _find(machine, instance, (record, start, end), memory.reaching(least), memory.after(most), 1)
+        return _find(
+            machine,
+            instance,
+            (record, start, end),
+            memory.reaching(first_instant),
+            memory.after(last_instant),
+            1,
+        )
 
     logic.define("newest_matching", 4, newest)
     logic.define("prev_matching", 5, prev)
@@ -145,11 +156,11 @@ def _find(
     places: Sequence[int] = candidates(memory, record)
     low, high = bisect_left(places, first), bisect_left(places, last)
     order = range(low, high) if step > 0 else range(high - 1, low - 1, -1)
-    for count, at in enumerate(order, 1):
-        if not count % SCANNED:
-            look(SCANNED)
-        found, began, ended = memory.records[places[at]]
-        kept = copy(found) if instance.open else found
+    for count, index in enumerate(order, 1):
+        if not count % RECORDS_PER_CHECK:
+            look(RECORDS_PER_CHECK)
+        term, began, ended = memory.records[places[index]]
+        kept = copy(term) if instance.open else term
         shown = timestamps.shown
         if machine.unify_all((record, kept), (start, shown(began)), (end, shown(ended))):
             return True

@@ -32,9 +32,9 @@ from ..dispatch.listeners import Listener, ListenerPhase
 from ..language.pattern_tree import Shaped
 from ..language.window_parser import subscribed_event, subscribed_shape
 from ..matches.partial_matches import NetworkOptions
-from ..network.stream_compiler import shaping
+from ..network.stream_compiler import rate_node_spec
 from ..streams.stream_elements import StreamElement, StreamOperator, StreamOutput
-from .memory import Recording, Warn, itself, key_of, recording, unused_variables
+from .memory import Recording, Warn, compile_recording, key_of, record_event, unused_variables
 
 if TYPE_CHECKING:
     from ..rules.rule_base import RuleBase
@@ -44,7 +44,7 @@ KeptRate = Tuple[Any, int, int]
 """State of the operator, number of late events, and number of dropped events."""
 
 
-def looked_at(part: Shaped) -> Tuple[Term, ...]:
+def rate_terms(part: Shaped) -> Tuple[Term, ...]:
     """Return the terms of a pattern that a rate operator uses."""
     return part.by if part.value is None else (part.value, *part.by)
 
@@ -77,7 +77,7 @@ class OutputRateLimiter:
     def __init__(
         self, part: Shaped, names: Sequence[Var], name: str, clock: "RuleBase", warn: Warn, place: int
     ):
-        self._making = shaping(part, names)
+        self._making = rate_node_spec(part, names)
         self.widths = (len(part.by), int(part.value is not None))
         self._name = name
         self._clock = clock
@@ -107,14 +107,14 @@ class OutputRateLimiter:
 
     @property
     def rule(self) -> "OutputRateLimiter":
-        """The owner, see `Woken`."""
+        """The owner, see `TimedNode`."""
         return self
 
-    def take(self, made: Term, values: Values, start: int, end: int) -> None:
+    def take(self, term: Term, values: Values, start: int, end: int) -> None:
         """Process an event of the subscription.
 
         Args:
-            made: its term.
+            term: its term.
             values: values of the variables of the pattern.
             start: start of its interval.
             end: end of its interval.
@@ -125,7 +125,7 @@ class OutputRateLimiter:
         # A flag may have changed the bounds, which are replaced as a whole.
         if stream.bounds is not self._clock.key_bounds:
             stream.set_bounds(self._clock.key_bounds)
-        outputs = stream.take(StreamElement(made, start, end, *self._making.item(values)), now, 0)
+        outputs = stream.take(StreamElement(term, start, end, *self._making.item(values)), now, 0)
         if stream.late != before:
             self.late += 1
             self._warn(f"{self._name}: {self._making.past}; {self.late} so far", ("late", self._name))
@@ -145,7 +145,7 @@ class OutputRateLimiter:
         self._send(outputs)
 
     def ring(self, instant: int, after: Frame) -> Frame:
-        """Send everything that is due; see `Woken`."""
+        """Send everything that is due; see `TimedNode`."""
         self.woken = None
         outputs = self._stream.ring(instant)
         self._wake()
@@ -198,7 +198,7 @@ SubscriptionKey = Tuple[str, Hashable]
 """Topic and id."""
 
 
-class Tally:
+class SentCounter:
     """Number of events that a subscription has sent."""
 
     __slots__ = ("sent",)
@@ -212,7 +212,7 @@ class Subscription(NamedTuple):
 
     listener: Listener
     id: Term
-    tally: Tally
+    tally: SentCounter
     definition: Term
     rate: Optional[OutputRateLimiter] = None
 
@@ -250,7 +250,7 @@ class Subscriptions:
 
     def patterns(self) -> Iterator[Tuple[Term, SubscriptionKey]]:
         """Yield the pattern of each subscription with topic and id."""
-        return ((one.listener.pattern, key) for key, one in self.items())
+        return ((subscription.listener.pattern, key) for key, subscription in self.items())
 
     def items(self) -> List[Tuple[SubscriptionKey, Subscription]]:
         """Return all subscriptions, oldest first."""
@@ -274,21 +274,23 @@ class Subscriptions:
         if key in self._all:
             raise permission_error("create", "subscription", (MINUS, topic, name), "one already exists")
         who = f"subscription {self._logic.brief(name)}"
-        shape, _ = recording(self._logic, self._dispatcher, pattern, conditions, form, who, self._problem)
+        shape, _ = compile_recording(
+            self._logic, self._dispatcher, pattern, conditions, form, who, self._problem
+        )
         before = self._aside.get(key)
         known = before if before is not None and before.key == term_key(copied) else None
-        tally = Tally() if known is None else known.tally
+        tally = SentCounter() if known is None else known.tally
         rate = None if part is None else self._rate(part, variables(pattern), who, known)
         listener = self._dispatcher.listen(
             ListenerPhase.SUBSCRIPTIONS,
             pattern,
             self._action(shape, tally, topic_text, name, rate),
-            unused=unused_variables(pattern, conditions, form, () if part is None else looked_at(part)),
+            unused=unused_variables(pattern, conditions, form, () if part is None else rate_terms(part)),
         )
         self._all[key] = Subscription(listener, name, tally, copied, rate)
 
     def _action(
-        self, shape: Recording, tally: Tally, topic: str, name: Term, rate: Optional[OutputRateLimiter]
+        self, shape: Recording, tally: SentCounter, topic: str, name: Term, rate: Optional[OutputRateLimiter]
     ) -> EventAction:
         """Return the action for the events of a subscription."""
         deliver, ground = self._deliver, self._dispatcher.ground
@@ -306,12 +308,12 @@ class Subscriptions:
             return after
 
         if rate is None:
-            return send if shape is itself else send_shaped
+            return send if shape is record_event else send_shaped
         take = rate.take
 
-        def send_one(made: Term) -> None:
+        def send_one(term: Term) -> None:
             tally.sent += 1
-            deliver(made, topic, name)
+            deliver(term, topic, name)
 
         def let_through(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             shaped = shape(term, values, ground())
@@ -334,8 +336,8 @@ class Subscriptions:
     def set_aside(self, keys: Iterable[SubscriptionKey]) -> None:
         """Remove subscriptions; those that are created again without a change continue with their counters."""
         for key in keys:
-            found = self._aside[key] = self._all.pop(key)
-            self._end(found)
+            subscription = self._aside[key] = self._all.pop(key)
+            self._end(subscription)
 
     def forget_aside(self) -> None:
         """Forget the subscriptions that were set aside."""
@@ -345,15 +347,17 @@ class Subscriptions:
         """Restore exactly these subscriptions, whether or not they have been set aside meanwhile."""
         self.set_aside(list(self._all))
         self._aside = dict(before)
-        for _, one in before:
-            self.create(one.definition)
+        for _, subscription in before:
+            self.create(subscription.definition)
         self.forget_aside()
 
     def mend(self) -> None:
         """Repair the subscriptions after an interrupt."""
         # An interrupt may leave a listener without a subscription, which would deliver events that nobody asked
         # for.
-        self._dispatcher.keep_only(ListenerPhase.SUBSCRIPTIONS, {one.listener for one in self._all.values()})
+        self._dispatcher.keep_only(
+            ListenerPhase.SUBSCRIPTIONS, {subscription.listener for subscription in self._all.values()}
+        )
         for rate in self._rates():
             rate.mend()
 
@@ -363,16 +367,16 @@ class Subscriptions:
 
     def delete(self, topic: Term, name: Term) -> bool:
         """Delete a subscription; return False if there is none with this topic and id."""
-        found = self._all.pop((self._topic(topic), key_of(name)), None)
-        if found is None:
+        subscription = self._all.pop((self._topic(topic), key_of(name)), None)
+        if subscription is None:
             return False
-        self._end(found)
+        self._end(subscription)
         return True
 
-    def _end(self, one: Subscription) -> None:
-        self._dispatcher.remove(one.listener)
-        if one.rate is not None:
-            one.rate.stop()
+    def _end(self, subscription: Subscription) -> None:
+        self._dispatcher.remove(subscription.listener)
+        if subscription.rate is not None:
+            subscription.rate.stop()
 
     def clear(self) -> None:
         """Reset all rate operators, because the clock went back or the program requires it."""
@@ -381,16 +385,19 @@ class Subscriptions:
 
     def kept(self) -> List[Optional[KeptRate]]:
         """Return the state of each rate limiter, None for subscriptions without one; see `restore_rates`."""
-        return [None if one.rate is None else one.rate.kept() for one in self._all.values()]
+        return [
+            None if subscription.rate is None else subscription.rate.kept()
+            for subscription in self._all.values()
+        ]
 
     def restore_rates(self, kept: Sequence[Optional[KeptRate]]) -> None:
         """Set the states of the rate limiters of equal subscriptions."""
-        for one, known in zip(self._all.values(), kept):
-            if one.rate is not None and known is not None:
-                one.rate.restore(known)
+        for subscription, known in zip(self._all.values(), kept):
+            if subscription.rate is not None and known is not None:
+                subscription.rate.restore(known)
 
     def _rates(self) -> List[OutputRateLimiter]:
-        return [one.rate for one in self._all.values() if one.rate is not None]
+        return [subscription.rate for subscription in self._all.values() if subscription.rate is not None]
 
     def _topic(self, topic: Term) -> str:
         """Return a topic as text.

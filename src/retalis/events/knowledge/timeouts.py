@@ -14,7 +14,7 @@ from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import Term, deref, functor
 
 TIMEOUT = functor("timeout", 1)
-_SPARE = 16
+_STALE_TOLERANCE = 16
 
 
 class AlarmClock(Protocol):
@@ -60,7 +60,7 @@ class Timeouts:
         self._waiting = waiting
         self._give_up = give_up
         self._due: List[Tuple[int, int]] = []
-        self._room = _SPARE
+        self._room = _STALE_TOLERANCE
         """Size of the heap at which deadlines of answered queries are removed."""
         self._set: Set[int] = set()
         """Instants for which an alarm is set; usually one."""
@@ -75,9 +75,9 @@ class Timeouts:
     def add_at(self, order: int, instant: int) -> None:
         """Add a deadline at an instant."""
         if len(self._due) > self._room:
-            self._due = [one for one in self._due if one[1] in self._waiting]
+            self._due = [entry for entry in self._due if entry[1] in self._waiting]
             heapify(self._due)
-            self._room = 2 * len(self._due) + _SPARE
+            self._room = 2 * len(self._due) + _STALE_TOLERANCE
         heappush(self._due, (instant, order))
         self._set_alarm()
 
@@ -109,7 +109,7 @@ class Timeouts:
 
     def kept(self) -> Tuple[List[Tuple[int, int]], List[int]]:
         """Return the deadlines of pending queries, and the instants of alarms; see `restore`."""
-        return [one for one in self._due if one[1] in self._waiting], sorted(self._set)
+        return [entry for entry in self._due if entry[1] in self._waiting], sorted(self._set)
 
     def restore(self, due: List[Tuple[int, int]], alarms: List[int]) -> None:
         """Set deadlines and instants of alarms; the alarms are set in the clock already."""

@@ -5,11 +5,11 @@ arrives at one operand, the policy decides which matches in the other buffer it 
 removed. The policies correspond to the parameter contexts of Snoop and to the consumption modes of other CEP
 systems:
 
-* `taking_one`: join with one partner, the newest (``recent``) or the oldest (``chronological``). Partners that do
-  not satisfy the join are skipped. The chosen partner is consumed.
-* `taking_all`: join with every partner and consume none (``unrestricted``).
-* `taking_all_at_once`: join with every partner that is stored now and consume those, or the arriving match.
-* `waiting_only`: store the match. This is the left operand of a sequence, because a right operand that is already
+* `join_one_partner`: join with one partner, the newest (``recent``) or the oldest (``chronological``). Partners that
+  do not satisfy the join are skipped. The chosen partner is consumed.
+* `join_all_partners`: join with every partner and consume none (``unrestricted``).
+* `join_all_at_once`: join with every partner that is stored now and consume those, or the arriving match.
+* `store_only`: store the match. This is the left operand of a sequence, because a right operand that is already
   stored cannot come after it.
 
 Each function compiles its choices into a closure, so that an arriving match tests no options. The closures follow
@@ -34,11 +34,11 @@ from typing import (
 
 from ...prolog.machine.resource_limits import Meter
 from ...prolog.terms.types import Frame
-from .match_buffer import MatchBuffer, surely_same
+from .match_buffer import MatchBuffer, has_equal_key
 from .partial_matches import PartialMatch, unify_sides
 
 Emit = Callable[[PartialMatch, Frame], Frame]
-_REMEMBERED = 2000
+_MAX_COMPLETED_EVENTS = 2000
 Join = Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]]
 _Matched = Callable[[PartialMatch, Hashable, PartialMatch, PartialMatch, Frame], Frame]
 """Takes a match, its key, a partner, their result and the next frame."""
@@ -72,7 +72,7 @@ class MatchSide(NamedTuple):
     wait: Optional[Callable[[PartialMatch, Hashable], None]] = None
 
 
-def waiting_only(side: MatchSide) -> Emit:
+def store_only(side: MatchSide) -> Emit:
     """Return the action for a match that is only stored, because no stored partner can complete it."""
     wait, key_of = side.own.add, side.own.key
 
@@ -87,7 +87,7 @@ def waiting_only(side: MatchSide) -> Emit:
     return arrive
 
 
-def taking_one(
+def join_one_partner(
     side: MatchSide, newest: bool, uses: bool, emit: Emit, completed: Optional[Dict[Hashable, None]] = None
 ) -> Emit:
     """Return the action for a match that joins with one partner.
@@ -100,10 +100,10 @@ def taking_one(
         completed: the events that have completed a pair as the right operand, if one event can be in both operands;
             else None.
     """
-    own, other, join, waits = side.own, side.other, side.join, side.waits
-    key_of = own.key
-    waiting = other.newest
-    wait = own.add if side.wait is None else side.wait
+    own_buffer, other_buffer, join, waits = side.own, side.other, side.join, side.waits
+    key_of = own_buffer.key
+    waiting = other_buffer.newest
+    wait = own_buffer.add if side.wait is None else side.wait
     matched = _matched(side, uses, emit, completed)
     among = _among(side, matched)
     others = _others(side, newest, among)
@@ -114,10 +114,10 @@ def taking_one(
         # A shared value with variables has no hash key. All stored matches are candidates, and each of them is
         # unified.
         except ValueError:
-            return among(match, None, other.partners(None, match.start, match.end, newest), after)
+            return among(match, None, other_buffer.partners(None, match.start, match.end, newest), after)
         # Stored matches with variables in shared values are candidates for every key; `partners` merges both rings.
         if None in waiting:
-            return among(match, key, other.partners(key, match.start, match.end, newest), after)
+            return among(match, key, other_buffer.partners(key, match.start, match.end, newest), after)
         last = waiting.get(key)
         # The common case is written out: if the first candidate satisfies the join, no iterator is created.
         if last is not None:
@@ -133,11 +133,11 @@ def taking_one(
         return after
 
     if completed is not None and side.left:
-        return _waiting_after_completion(arrive, own, completed)
+        return _store_after_completion(arrive, own_buffer, completed)
     return arrive
 
 
-def among_others(side: MatchSide, newest: bool, emit: Emit) -> _Others:
+def join_one_of_others(side: MatchSide, newest: bool, emit: Emit) -> _Others:
     """Return the action that joins a match, which consumes partners, with one of all partners except a given one.
 
     Fused code tries the first candidate itself and calls this action if that one does not satisfy the join.
@@ -146,11 +146,11 @@ def among_others(side: MatchSide, newest: bool, emit: Emit) -> _Others:
 
 
 def _others(side: MatchSide, newest: bool, among: _Among) -> _Others:
-    other = side.other
+    other_buffer = side.other
 
     def others(match: PartialMatch, key: Hashable, unfit: PartialMatch, after: Frame) -> Frame:
-        found = other.partners(key, match.start, match.end, newest)
-        return among(match, key, (one for one in found if one is not unfit), after)
+        candidates = other_buffer.partners(key, match.start, match.end, newest)
+        return among(match, key, (candidate for candidate in candidates if candidate is not unfit), after)
 
     return others
 
@@ -165,8 +165,8 @@ def _among(side: MatchSide, matched: _Matched) -> _Among:
     meter = side.own.rule.meter
 
     def among(match: PartialMatch, key: Hashable, partners: Iterator[PartialMatch], after: Frame) -> Frame:
-        for partner in counted(partners, meter):
-            result = join_any(side, match, key, partner)
+        for partner in metered(partners, meter):
+            result = unify_and_join(side, match, key, partner)
             if result is not None and partner.buffer is not None:
                 return matched(match, key, partner, result, after)
         if waits:
@@ -177,8 +177,8 @@ def _among(side: MatchSide, matched: _Matched) -> _Among:
 
 
 def _matched(side: MatchSide, uses: bool, emit: Emit, completed: Optional[Dict[Hashable, None]]) -> _Matched:
-    """Return the action for a match and a partner that have a result; see `taking_one`."""
-    other, stays = side.other, side.stays
+    """Return the action for a match and a partner that have a result; see `join_one_partner`."""
+    other_buffer, stays = side.other, side.stays
     wait = side.own.add if side.wait is None else side.wait
     remembered = None if side.left else completed
 
@@ -186,14 +186,14 @@ def _matched(side: MatchSide, uses: bool, emit: Emit, completed: Optional[Dict[H
         match: PartialMatch, key: Hashable, partner: PartialMatch, result: PartialMatch, after: Frame
     ) -> Frame:
         if uses:
-            other.remove(partner)
+            other_buffer.remove(partner)
         match.used = partner
         if stays:
             wait(match, key)
         if remembered is not None and match.event is not None:
             # Only events that are still being dispatched can arrive at the left operand too, so old entries are
             # dropped.
-            if len(remembered) > _REMEMBERED:
+            if len(remembered) > _MAX_COMPLETED_EVENTS:
                 del remembered[next(iter(remembered))]
             remembered[match.event] = None
         return emit(result, after)
@@ -201,7 +201,7 @@ def _matched(side: MatchSide, uses: bool, emit: Emit, completed: Optional[Dict[H
     return matched
 
 
-def _waiting_after_completion(arrive: Emit, own: MatchBuffer, completed: Dict[Hashable, None]) -> Emit:
+def _store_after_completion(arrive: Emit, own: MatchBuffer, completed: Dict[Hashable, None]) -> Emit:
     """Return an action that only stores an event at the left operand if it has completed a pair as the right operand.
 
     Otherwise one event would complete two pairs of an operator such as ``and``.
@@ -216,16 +216,16 @@ def _waiting_after_completion(arrive: Emit, own: MatchBuffer, completed: Dict[Ha
     return as_left
 
 
-def taking_all(side: MatchSide, emit: Emit) -> Emit:
+def join_all_partners(side: MatchSide, emit: Emit) -> Emit:
     """Return the action for a match that joins with all partners and consumes none."""
-    own, other, waits = side.own, side.other, side.waits
-    wait = own.add if side.wait is None else side.wait
-    key_of = own.key_of
-    meter = own.rule.meter
+    own_buffer, other_buffer, waits = side.own, side.other, side.waits
+    wait = own_buffer.add if side.wait is None else side.wait
+    key_of = own_buffer.key_of
+    meter = own_buffer.rule.meter
 
     def arrive(match: PartialMatch, after: Frame) -> Frame:
         key = key_of(match)
-        partners = other.partners_now(key, match.start, match.end)
+        partners = other_buffer.partners_now(key, match.start, match.end)
         # The match is stored before results are emitted. Events that follow from them may be partners of it, and
         # each pair is joined once: by the match that arrives later.
         if waits:
@@ -234,15 +234,15 @@ def taking_all(side: MatchSide, emit: Emit) -> Emit:
             return after
         if len(partners) == 1:
             partner = partners[0]
-            result = None if partner.buffer is None else join_any(side, match, key, partner)
+            result = None if partner.buffer is None else unify_and_join(side, match, key, partner)
             return after if result is None else emit(result, after)
         # The generator joins each pair only when the results before it are processed. Those may remove further
         # partners.
         results = (
             result
-            for partner in counted(partners, meter)
+            for partner in metered(partners, meter)
             if partner.buffer is not None
-            for result in (join_any(side, match, key, partner),)
+            for result in (unify_and_join(side, match, key, partner),)
             if result is not None
         )
         return emit_each(results, emit, after)
@@ -250,22 +250,22 @@ def taking_all(side: MatchSide, emit: Emit) -> Emit:
     return arrive
 
 
-def taking_all_at_once(side: MatchSide, uses: bool, emit: Emit) -> Emit:
+def join_all_at_once(side: MatchSide, uses: bool, emit: Emit) -> Emit:
     """Return the action for a match that joins with all stored partners and consumes them, or is consumed itself."""
-    own, other, waits, stays = side.own, side.other, side.waits, side.stays
-    wait = own.add if side.wait is None else side.wait
-    meter = own.rule.meter
+    own_buffer, other_buffer, waits, stays = side.own, side.other, side.waits, side.stays
+    wait = own_buffer.add if side.wait is None else side.wait
+    meter = own_buffer.rule.meter
 
     def arrive(match: PartialMatch, after: Frame) -> Frame:
-        key = own.key_of(match)
+        key = own_buffer.key_of(match)
         # All pairs are joined before any result is emitted: an event that follows from the first result must not
         # add a partner to the same set.
         results: List[PartialMatch] = []
-        for partner in counted(other.partners_now(key, match.start, match.end), meter):
-            result = join_any(side, match, key, partner)
+        for partner in metered(other_buffer.partners_now(key, match.start, match.end), meter):
+            result = unify_and_join(side, match, key, partner)
             if result is not None and partner.buffer is not None:
                 if uses:
-                    other.remove(partner)
+                    other_buffer.remove(partner)
                 results.append(result)
         if stays or (waits and not results):
             wait(match, key)
@@ -274,11 +274,11 @@ def taking_all_at_once(side: MatchSide, uses: bool, emit: Emit) -> Emit:
     return arrive
 
 
-def join_any(
+def unify_and_join(
     side: MatchSide, match: PartialMatch, key: Hashable, partner: PartialMatch
 ) -> Optional[PartialMatch]:
     """Join two matches whose shared values may contain variables."""
-    if surely_same(key, partner):
+    if has_equal_key(key, partner):
         return side.join(match, partner)
     sides = unify_sides(match, partner, side.shared)
     return None if sides is None else side.join(*sides)
@@ -286,23 +286,23 @@ def join_any(
 
 def emit_each(results: Iterator[T], emit: Callable[[T, Frame], Frame], after: Frame) -> Frame:
     """Return the frame that emits the results one after the other, each with all events that follow from it."""
-    burst = _Burst(results, emit)
+    burst = _ResultEmission(results, emit)
     return burst.run((burst, after))
 
 
-def counted(items: Iterable[T], meter: Optional[Meter]) -> Iterator[T]:
+def metered(items: Iterable[T], meter: Optional[Meter]) -> Iterator[T]:
     """Return an iterator that counts each item as a step of pattern work, and stops if the limit is reached."""
-    return iter(items) if meter is None else _counted(items, meter)
+    return iter(items) if meter is None else _metered(items, meter)
 
 
-def _counted(items: Iterable[T], meter: Meter) -> Iterator[T]:
+def _metered(items: Iterable[T], meter: Meter) -> Iterator[T]:
     for item in items:
         if meter(1):
             return
         yield item
 
 
-class _Burst:
+class _ResultEmission:
     """Frame code that emits the remaining results."""
 
     __slots__ = ("results", "emit")

@@ -17,7 +17,7 @@ from typing import Callable, Deque, Dict, List, Optional, Tuple, TypeVar
 from .partial_matches import PartialMatch
 
 # Stale entries that are tolerated in addition to the number of stored matches.
-_SPARE = 1000
+_STALE_TOLERANCE = 1000
 
 SLICE = 5000
 """Entries of a queue that are visited at a time: about half a millisecond."""
@@ -55,7 +55,7 @@ class _LateMatches:
     def forget_gone(self, waiting: int) -> None:
         """Remove some stale entries if there are more entries than ``waiting`` matches and the tolerance."""
         rest = self.rest
-        if not rest and len(self.heap) > waiting + _SPARE:
+        if not rest and len(self.heap) > waiting + _STALE_TOLERANCE:
             self.heap, self.rest = rest, self.heap
             rest = self.rest
         for _ in range(min(HEAP_SLICE, len(rest))):
@@ -66,11 +66,11 @@ class _LateMatches:
 
     def pop_before(self, clock: int) -> List[PartialMatch]:
         """Remove and return the matches whose instant is before ``clock``."""
-        found = []
+        expired = []
         for heap in (self.heap, self.rest):
             while heap and heap[0][0] < clock:
-                found.append(heapq.heappop(heap)[2])
-        return found
+                expired.append(heapq.heappop(heap)[2])
+        return expired
 
     def clear(self) -> None:
         self.heap.clear()
@@ -106,10 +106,10 @@ class ExpirationQueue:
             queue.append((instant, match))
         else:
             self._late.add(instant, match)
-        if len(self) > 2 * waiting + _SPARE:
+        if len(self) > 2 * waiting + _STALE_TOLERANCE:
             start, entries = _take_slice(queue, self._visited, SLICE)
-            left = [entry for entry in entries if entry[1].buffer is not None]
-            self._visited = _put_slice(queue, start, left) or 0
+            stored = [entry for entry in entries if entry[1].buffer is not None]
+            self._visited = _put_slice(queue, start, stored) or 0
             self._late.forget_gone(waiting)
 
     def expire(self, clock: int) -> None:
@@ -122,15 +122,15 @@ class ExpirationQueue:
 
     def take(self, clock: int) -> List[PartialMatch]:
         """Remove and return the entries whose instant is before ``clock`` and whose matches are still stored."""
-        found = []
+        expired = []
         queue = self._queue
         while queue and queue[0][0] < clock:
-            found.append(queue.popleft()[1])
-        found += self._late.pop_before(clock)
-        return [match for match in found if match.buffer is not None]
+            expired.append(queue.popleft()[1])
+        expired += self._late.pop_before(clock)
+        return [match for match in expired if match.buffer is not None]
 
 
-class ByStart:
+class StartExpirationQueue:
     """Stored matches ordered by start and retention time.
 
     Most matches of a rule have one retention time, and arrive in the order of their starts. These form a queue that
@@ -189,13 +189,13 @@ class ByStart:
             queue.append(match)
         else:
             self.late.add(match.start + span, match)
-        if len(self) > 2 * waiting + _SPARE:
+        if len(self) > 2 * waiting + _STALE_TOLERANCE:
             self.forget_gone(waiting)
 
     def forget_gone(self, waiting: int) -> None:
         """Remove some stale entries; ``waiting`` is the number of stored matches in total."""
         for span, queue in [(self.span, self.queue), *self.others.items()]:
-            self._visited[span] = drop_gone(queue, self._visited.get(span, 0)) or 0
+            self._visited[span] = remove_stale_entries(queue, self._visited.get(span, 0)) or 0
         self.late.forget_gone(waiting)
 
     def expire(self, clock: int) -> None:
@@ -207,7 +207,7 @@ class ByStart:
             match.leave()
 
 
-def drop_gone(
+def remove_stale_entries(
     matches: Deque[PartialMatch], start: int, visit: Optional[Callable[[PartialMatch], None]] = None
 ) -> Optional[int]:
     """Remove the entries whose matches are not stored any more from a slice of a queue.
@@ -220,8 +220,8 @@ def drop_gone(
     Returns:
         The position at which the next slice begins; None after the last slice.
     """
-    start, found = _take_slice(matches, start, SLICE if visit is None else VISITED_SLICE)
-    waiting = [match for match in found if match.buffer is not None]
+    start, entries = _take_slice(matches, start, SLICE if visit is None else VISITED_SLICE)
+    waiting = [match for match in entries if match.buffer is not None]
     following = _put_slice(matches, start, waiting)
     if visit is not None:
         # The queue is complete again before the calls: they may remove matches, which must find a consistent queue.
@@ -230,22 +230,22 @@ def drop_gone(
     return following
 
 
-def _take_slice(entries: Deque[_EntryT], start: int, most: int) -> Tuple[int, List[_EntryT]]:
-    """Rotate a queue so that it begins at ``start`` and remove up to ``most`` entries; see `_put_slice`.
+def _take_slice(entries: Deque[_EntryT], start: int, max_count: int) -> Tuple[int, List[_EntryT]]:
+    """Rotate a queue so that it begins at ``start`` and remove up to ``max_count`` entries; see `_put_slice`.
 
     A ``start`` past the end of the queue means its beginning.
     """
     if start >= len(entries):
         start = 0
-    number = min(most, len(entries) - start)
+    count = min(max_count, len(entries) - start)
     # A deque cannot be sliced; rotating it moves pointers only, and costs much less than building a new queue.
     entries.rotate(-start)
-    return start, [entries.popleft() for _ in range(number)]
+    return start, [entries.popleft() for _ in range(count)]
 
 
-def _put_slice(entries: Deque[_EntryT], start: int, left: List[_EntryT]) -> Optional[int]:
+def _put_slice(entries: Deque[_EntryT], start: int, remaining: List[_EntryT]) -> Optional[int]:
     """Put the remaining entries of a slice back and undo the rotation; return the next position, None at the end."""
     is_last = len(entries) == start
-    entries.extendleft(reversed(left))
+    entries.extendleft(reversed(remaining))
     entries.rotate(start)
-    return None if is_last else start + len(left)
+    return None if is_last else start + len(remaining)

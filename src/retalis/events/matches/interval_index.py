@@ -9,7 +9,7 @@ the sort key. As in a priority search tree, each node also stores the smallest a
 below it, so a search skips subtrees that contain no result. Subtrees are visited best-first by order of arrival,
 using a heap; each result costs O(log n) if at least one instant is bounded on one side.
 
-`reach_of` derives the limits from the comparisons that define an operator and from the maximum span.
+`interval_bounds` derives the limits from the comparisons that define an operator and from the maximum span.
 """
 
 import gc
@@ -26,10 +26,10 @@ from .partial_matches import PartialMatch
 TimeBounds = Tuple[int, int, int, int]
 """Smallest and largest start, smallest and largest end; all inclusive."""
 
-LEAST, MOST = -(1 << 80), 1 << 80
+MIN_VALUE, MAX_VALUE = -(1 << 80), 1 << 80
 """Below and above all instants and orders."""
 
-FULL = 32
+MAX_NODE_KEYS = 32
 """Maximum number of keys of a tree node."""
 
 _IndexEntry = Tuple[int, int, int, PartialMatch]
@@ -80,12 +80,12 @@ class _TreeNode:
         if kids is None:
             insort(keys, entry)
         else:
-            at = max(0, bisect_right(keys, entry) - 1)
-            half = kids[at].add(entry)
+            position = max(0, bisect_right(keys, entry) - 1)
+            half = kids[position].add(entry)
             if half is not None:
-                keys.insert(at + 1, half.keys[0][:3])
-                kids.insert(at + 1, half)
-        return self._halved() if len(keys) > FULL else None
+                keys.insert(position + 1, half.keys[0][:3])
+                kids.insert(position + 1, half)
+        return self._halved() if len(keys) > MAX_NODE_KEYS else None
 
     def _halved(self) -> "_TreeNode":
         keys, kids = self.keys, self.kids
@@ -104,10 +104,10 @@ class _TreeNode:
         if kids is None:
             del keys[bisect_left(keys, entry)]
         else:
-            at = max(0, bisect_right(keys, entry) - 1)
-            kids[at].remove(entry)
-            if not kids[at].keys:
-                del keys[at], kids[at]
+            position = max(0, bisect_right(keys, entry) - 1)
+            kids[position].remove(entry)
+            if not kids[position].keys:
+                del keys[position], kids[position]
         if keys:
             # Bounds are recomputed only if the entry was at a bound; wider bounds would be correct but would slow
             # searches down.
@@ -136,15 +136,17 @@ class IntervalIndex:
         self.searched = 0
         # A large tree consists of many small objects that all survive; each collection would walk over all of them
         # again.
-        with paused():
+        with gc_paused():
             self._build(sorted(map(self._entry, matches)))
 
     def _build(self, entries: List[_IndexEntry]) -> None:
         self.size = len(entries)
-        half = FULL // 2
-        nodes = [_TreeNode(entries[at : at + half], None) for at in range(0, len(entries), half)]
+        half = MAX_NODE_KEYS // 2
+        nodes = [
+            _TreeNode(entries[position : position + half], None) for position in range(0, len(entries), half)
+        ]
         while len(nodes) > 1:
-            parts = [nodes[at : at + half] for at in range(0, len(nodes), half)]
+            parts = [nodes[position : position + half] for position in range(0, len(nodes), half)]
             nodes = [_TreeNode([node.keys[0][:3] for node in part], part) for part in parts]
         self._root = nodes[0]
 
@@ -204,11 +206,11 @@ class IntervalIndex:
 
     def _within(self, limits: TimeBounds, newest: bool, beyond: int) -> Iterator[PartialMatch]:
         if self.by_end:
-            low, high, least, most = limits
+            low, high, lower, upper = limits
         else:
-            least, most, low, high = limits
-        first, final = (least, low), (most, high, MOST)
-        after, before = (LEAST, beyond) if newest else (beyond, MOST)
+            lower, upper, low, high = limits
+        first, final = (lower, low), (upper, high, MAX_VALUE)
+        after, before = (MIN_VALUE, beyond) if newest else (beyond, MAX_VALUE)
         heap: List[Any] = [(0, self._root)]
         # Best-first search: the heap orders subtrees by the best order that they may contain, and matches by their
         # own. A match that is popped therefore precedes everything that has not been visited.
@@ -232,7 +234,7 @@ class IntervalIndex:
 
 
 @contextmanager
-def paused() -> Iterator[None]:
+def gc_paused() -> Iterator[None]:
     """Disable garbage collection while a large structure is built; each collection would traverse all of it again."""
     enabled = gc.isenabled()
     gc.disable()
@@ -258,57 +260,57 @@ class IntervalBounds(NamedTuple):
     by_end: bool
 
 
-BEFORE = IntervalBounds(lambda start, end: (LEAST, MOST, LEAST, start - 1), True)
+BEFORE = IntervalBounds(lambda start, end: (MIN_VALUE, MAX_VALUE, MIN_VALUE, start - 1), True)
 """Everything that ended before."""
-BETWEEN = IntervalBounds(lambda start, end: (start + 1, MOST, LEAST, end - 1), False)
+BETWEEN = IntervalBounds(lambda start, end: (start + 1, MAX_VALUE, MIN_VALUE, end - 1), False)
 """Everything that lies strictly between two instants."""
 
 
 @lru_cache(maxsize=1000)
-def reach_of(name: str, span: Optional[int], left: bool) -> Optional[IntervalBounds]:
+def interval_bounds(name: str, span: Optional[int], is_left: bool) -> Optional[IntervalBounds]:
     """Return the time bounds of the partners of a match; None if they are unbounded.
 
     Args:
         name: an operator.
         span: maximum length of the result, in ns; None for no bound.
-        left: whether the match is the left operand.
+        is_left: whether the match is the left operand.
     """
     operator = OPERATORS[name]
-    lower, upper = _bounds(operator, span, "1" if left else "2")
+    lower, upper = _bounds(operator, span, "1" if is_left else "2")
     if not any((*lower.values(), *upper.values())):
         return None
     # The bounds are compiled to one expression, because they are computed for every match that arrives.
     parts = []
     for instant in "se":
         parts += [_tightest("max", lower[instant]) or "LEAST", _tightest("min", upper[instant]) or "MOST"]
-    given = "s1, e1" if left else "s2, e2"
+    given = "s1, e1" if is_left else "s2, e2"
     source = f"def made({given}):\n    return ({', '.join(parts)})\n"
-    limits = shared_function(source, {"LEAST": LEAST, "MOST": MOST}, f"partners of {operator.name}")
+    limits = shared_function(source, {"LEAST": MIN_VALUE, "MOST": MAX_VALUE}, f"partners of {operator.name}")
     by_end = len(lower["e"]) + len(upper["e"]) > len(lower["s"]) + len(upper["s"])
     return IntervalBounds(limits, by_end)
 
 
 def _bounds(
-    operator: EventOperator, span: Optional[int], mine: str
+    operator: EventOperator, span: Optional[int], own_side: str
 ) -> Tuple[Dict[str, List[str]], Dict[str, List[str]]]:
     """Return the lower and upper bounds of the start and end of a partner, as source expressions."""
     lower: Dict[str, List[str]] = {"s": [], "e": []}
     upper: Dict[str, List[str]] = {"s": [], "e": []}
     for comparison in operator.comparisons:
-        one, sign, other = comparison.split()
+        first, sign, second = comparison.split()
         # A comparison within one operand says nothing about the partner.
-        if one[1] == other[1]:
+        if first[1] == second[1]:
             continue
-        if one[1] == mine:
-            one, sign, other = other, _MIRRORED[sign], one
+        if first[1] == own_side:
+            first, sign, second = second, _MIRRORED[sign], first
         if sign in ("<", "<=", "=="):
-            upper[one[0]].append(f"{other} - 1" if sign == "<" else other)
+            upper[first[0]].append(f"{second} - 1" if sign == "<" else second)
         if sign in (">", ">=", "=="):
-            lower[one[0]].append(f"{other} + 1" if sign == ">" else other)
+            lower[first[0]].append(f"{second} + 1" if sign == ">" else second)
     if span is not None:
         # A result never starts after its operands or ends before them, so both lie within `span` of each other.
-        lower["s"].append(f"e{mine} - {span}")
-        upper["e"].append(f"s{mine} + {span}")
+        lower["s"].append(f"e{own_side} - {span}")
+        upper["e"].append(f"s{own_side} + {span}")
     return lower, upper
 
 

@@ -18,18 +18,18 @@ from typing import TYPE_CHECKING, Callable, Dict, Hashable, Iterator, List, Opti
 
 from ...prolog.terms.term_traversal import PLAIN, freeze
 from ...prolog.terms.types import Values
-from .interval_index import LEAST, MOST, IntervalBounds, IntervalIndex, TimeBounds
+from .interval_index import MAX_VALUE, MIN_VALUE, IntervalBounds, IntervalIndex, TimeBounds
 from .partial_matches import PartialMatch
 
 if TYPE_CHECKING:
     from ..network.event_rule import EventRule
 
 
-FEW, FEWER = 32, 4
+MAX_MISSES_BEFORE_INDEX, MAX_MISSES_WITH_INDEX = 32, 4
 """Matches outside of the time bounds that a search skips before it creates an index, and before it uses one."""
-_LISTED_IN_A_STEP = 16
+_PARTNERS_PER_STEP = 16
 """Partners that can be listed in the time of one step of pattern work."""
-_ANY: TimeBounds = (LEAST, MOST, LEAST, MOST)
+_UNBOUNDED: TimeBounds = (MIN_VALUE, MAX_VALUE, MIN_VALUE, MAX_VALUE)
 
 
 class MatchBuffer:
@@ -144,20 +144,20 @@ class MatchBuffer:
 
     def mend(self) -> List[PartialMatch]:
         """Repair the links of stored matches after an interrupt; return the matches, oldest first."""
-        found = []
+        matches = []
         for key, last in list(self.newest.items()):
             # An interrupt may come between any two assignments. The attribute `buffer` decides whether a match is
             # stored; rings and indices are derived from it.
-            waiting = sorted((one for one in _linked(last) if one.buffer is self), key=_order)
+            waiting = sorted((match for match in _linked(last) if match.buffer is self), key=_order)
             if not waiting:
                 del self.newest[key]
                 continue
             self._link(key, waiting)
-            found += waiting
+            matches += waiting
         self.indices = {}
         self.names = {}
         self.on_mend()
-        return sorted(found, key=_order)
+        return sorted(matches, key=_order)
 
     def _link(self, key: Hashable, waiting: List[PartialMatch]) -> None:
         """Link the matches of a key, given oldest first, to a ring."""
@@ -189,15 +189,17 @@ class MatchBuffer:
             return None
         names = self.names.get(key)
         if names is None:
-            one = last
+            candidate = last
             # A dictionary is created only for keys with more matches than a short scan visits.
-            for _ in range(FEWER):
-                if (one.identity or self._named(one)) == name:
-                    return one
-                one = one.older
-                if one is last:
+            for _ in range(MAX_MISSES_WITH_INDEX):
+                if (candidate.identity or self._named(candidate)) == name:
+                    return candidate
+                candidate = candidate.older
+                if candidate is last:
                     return None
-            names = self.names[key] = {one.identity or self._named(one): one for one in self.with_key(key)}
+            names = self.names[key] = {
+                candidate.identity or self._named(candidate): candidate for candidate in self.with_key(key)
+            }
         return names.get(name)
 
     def _named(self, match: PartialMatch) -> Hashable:
@@ -215,13 +217,13 @@ class MatchBuffer:
         last = self.newest.get(key)
         if last is None:
             return []
-        found = [last]
+        matches = [last]
         match = last.older
         while match is not last:
-            found.append(match)
+            matches.append(match)
             match = match.older
-        found.reverse()
-        return found
+        matches.reverse()
+        return matches
 
     def all(self) -> List[PartialMatch]:
         """Return all stored matches, oldest first."""
@@ -240,9 +242,9 @@ class MatchBuffer:
             newest: whether the newest match is yielded first, else the oldest.
         """
         if key is None:
-            found = self.all()
-            return reversed(found) if newest else iter(found)
-        limits = _ANY if self.reach is None else self.reach.limits(start, end)
+            matches = self.all()
+            return reversed(matches) if newest else iter(matches)
+        limits = _UNBOUNDED if self.reach is None else self.reach.limits(start, end)
         if self.least_end is not None:
             limits = (*limits[:2], max(limits[2], self.least_end(start)), limits[3])
         if None not in self.newest:
@@ -266,11 +268,11 @@ class MatchBuffer:
             return list(self.partners(key, start, end, False))
         if meter(0):
             return ()
-        found = list(self.partners(key, start, end, False))
+        partners = list(self.partners(key, start, end, False))
         # A nested dispatch creates a list at each level before any level uses its second element, so the lists must
         # be counted as work here, not only their elements later.
-        meter(len(found) // _LISTED_IN_A_STEP)
-        return found
+        meter(len(partners) // _PARTNERS_PER_STEP)
+        return partners
 
     def _within(self, key: Hashable, limits: TimeBounds, newest: bool) -> Iterator[PartialMatch]:
         """Yield the stored matches of a key whose start and end lie within limits."""
@@ -280,10 +282,10 @@ class MatchBuffer:
         least_start, most_start, least_end, most_end = limits
         final = last.order
         match = last if newest else last.newer
-        order = MOST if newest else LEAST
+        order = MAX_VALUE if newest else MIN_VALUE
         # Misses and hits are counted against each other: a scan that yields results continues, a scan that mostly
         # skips matches is replaced by an index search.
-        misses = -(FEWER if key in self.indices else FEW)
+        misses = -(MAX_MISSES_WITH_INDEX if key in self.indices else MAX_MISSES_BEFORE_INDEX)
         while misses <= 0:
             if match.order >= order if newest else not order < match.order <= final:
                 # Once around the ring, or at a match that was added meanwhile.
@@ -309,11 +311,11 @@ class MatchBuffer:
                 yield match
 
     def _index(self, key: Hashable) -> IntervalIndex:
-        found = self.indices.get(key)
-        if found is None:
+        index = self.indices.get(key)
+        if index is None:
             by_end = self.reach is not None and self.reach.by_end
-            found = self.indices[key] = IntervalIndex(self.with_key(key), by_end)
-        return found
+            index = self.indices[key] = IntervalIndex(self.with_key(key), by_end)
+        return index
 
     def _behind(self, key: Hashable, order: int, newest: bool) -> Optional[PartialMatch]:
         """Return the next match of a key after an order whose match may have been removed."""
@@ -336,22 +338,22 @@ class MatchBuffer:
 
 def _linked(match: PartialMatch) -> Set[PartialMatch]:
     """Return all matches that can be reached from a match by either link."""
-    found = {match}
+    reached = {match}
     stack = [match]
     while stack:
-        one = stack.pop()
-        for other in (getattr(one, "older", None), getattr(one, "newer", None)):
-            if other is not None and other not in found:
-                found.add(other)
-                stack.append(other)
-    return found
+        current = stack.pop()
+        for linked in (getattr(current, "older", None), getattr(current, "newer", None)):
+            if linked is not None and linked not in reached:
+                reached.add(linked)
+                stack.append(linked)
+    return reached
 
 
 def _order(match: PartialMatch) -> int:
     return match.order
 
 
-def surely_same(key: Hashable, partner: PartialMatch) -> bool:
+def has_equal_key(key: Hashable, partner: PartialMatch) -> bool:
     """Return whether a partner from `MatchBuffer.partners` is known to have the shared values of the search key."""
     return key is not None and partner.buffer is not None and partner.key is not None
 
@@ -364,11 +366,11 @@ def key_function(positions: Tuple[int, ...]) -> Callable[[Values], Hashable]:
     if not positions:
         return lambda values: ()
     if len(positions) > 1:
-        return lambda values: tuple([freeze(values[at]) for at in positions])
-    at = positions[0]
+        return lambda values: tuple([freeze(values[position]) for position in positions])
+    position = positions[0]
 
     def key(values: Values) -> Hashable:
-        value = values[at]
+        value = values[position]
         return value if value.__class__ in PLAIN else freeze(value)
 
     return key

@@ -20,8 +20,8 @@ from collections import deque
 from typing import TYPE_CHECKING, Callable, Deque, Dict, Hashable, List, Optional, Sequence, Tuple
 
 from ...prolog.terms.types import Frame, Values
-from .interval_index import BEFORE, BETWEEN, LEAST, MOST
-from .match_buffer import MatchBuffer, key_function, surely_same
+from .interval_index import BEFORE, BETWEEN, MAX_VALUE, MIN_VALUE
+from .match_buffer import MatchBuffer, has_equal_key, key_function
 from .partial_matches import NetworkOptions, PartialMatch, unify_sides
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from ..network.pattern_nodes import NetworkNode
 
 
-_SPARE = 1000
+_STALE_TOLERANCE = 1000
 
 MAX_RULED_OUT = 1000
 """Ruled-out first operands of a sequence that are kept, and negated matches that are kept; see `RuledOutSweep`."""
@@ -48,23 +48,23 @@ class _Frontier:
         self.starts: List[int] = []
         self.ends: List[int] = []
         self.matches: List[PartialMatch] = []
-        self.compact_at = _SPARE
+        self.compact_at = _STALE_TOLERANCE
 
     def takes(self, match: PartialMatch) -> bool:
         """Add a match and remove the matches that it dominates; return False if the match itself is dominated."""
         starts, ends, matches = self.starts, self.ends, self.matches
         start, end = match.start, match.end
-        at = bisect_left(starts, start)
+        position = bisect_left(starts, start)
         # A match that starts no earlier and ends no later dominates the new one. Entries that are not stored any
         # more are removed on the way and dominate nothing.
-        while at < len(ends) and ends[at] <= end:
-            if matches[at].buffer is not None:
+        while position < len(ends) and ends[position] <= end:
+            if matches[position].buffer is not None:
                 return False
-            del starts[at], ends[at], matches[at]
-        last = at + 1 if at < len(starts) and starts[at] == start else at
+            del starts[position], ends[position], matches[position]
+        last = position + 1 if position < len(starts) and starts[position] == start else position
         # Entries that start no later and end no earlier are dominated by the new match. They are adjacent, because
         # starts and ends increase together.
-        first = at
+        first = position
         while first and ends[first - 1] >= end:
             first -= 1
         superfluous = matches[first:last]
@@ -83,16 +83,16 @@ class _Frontier:
         self.matches = [match for match in self.matches if match.buffer is not None]
         self.starts = [match.start for match in self.matches]
         self.ends = [match.end for match in self.matches]
-        self.compact_at = 2 * len(self.matches) + _SPARE
+        self.compact_at = 2 * len(self.matches) + _STALE_TOLERANCE
 
     def between(self, after: int, before: int) -> Optional[PartialMatch]:
         """Return a match that lies strictly between two instants, or None."""
-        at = bisect_right(self.starts, after)
-        while at < len(self.ends) and self.ends[at] < before:
-            if self.matches[at].buffer is not None:
-                return self.matches[at]
+        position = bisect_right(self.starts, after)
+        while position < len(self.ends) and self.ends[position] < before:
+            if self.matches[position].buffer is not None:
+                return self.matches[position]
             # Expired, or dropped because of the limit.
-            del self.starts[at], self.ends[at], self.matches[at]
+            del self.starts[position], self.ends[position], self.matches[position]
         return None
 
 
@@ -121,10 +121,10 @@ class NegationBuffer:
         self.ever = ever
         self.condition: Optional[Callable[[Values, PartialMatch], bool]] = None
         self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
-        self.buffer = MatchBuffer(rule, tuple(one for one, _ in self.shared))
+        self.buffer = MatchBuffer(rule, tuple(position for position, _ in self.shared))
         self.buffer.reach = BEFORE if ever else BETWEEN
         self.buffer.forbids = True
-        self.asked = MatchBuffer(rule, tuple(two for _, two in self.shared))
+        self.asked = MatchBuffer(rule, tuple(pair_position for _, pair_position in self.shared))
         self.borders: Dict[Hashable, _Frontier] = {}
         self.buffer.on_mend = self._forget_borders
 
@@ -179,8 +179,8 @@ class NegationBuffer:
         border = self.borders.get(key)
         if border is None or key not in self.buffer.newest:
             border = self.borders[key] = _Frontier()
-            for other in self.buffer.with_key(key):
-                border.takes(other)
+            for match in self.buffer.with_key(key):
+                border.takes(match)
             # Building a frontier removes dominated matches from the buffer, which may leave keys without matches.
             self._drop_empty_borders()
         return border
@@ -195,7 +195,7 @@ class NegationBuffer:
             return False
         if last.older is last:
             return last.start > end
-        return self._border(key).between(end, MOST) is not None
+        return self._border(key).between(end, MAX_VALUE) is not None
 
     def least_end(self, before: int) -> int:
         """Return the smallest end that a first operand can have if the second operand starts at ``before``.
@@ -205,21 +205,21 @@ class NegationBuffer:
         """
         last = self.buffer.newest.get(())
         if last is None:
-            return LEAST
+            return MIN_VALUE
         if last.older is last:
-            return last.start if last.end < before else LEAST
+            return last.start if last.end < before else MIN_VALUE
         border = self._border(())
         # The last match that ends before the second operand also has the largest start of those; a first operand
         # that ends before that start is ruled out.
-        at = bisect_left(border.ends, before) - 1
-        while at >= 0 and border.matches[at].buffer is None:
-            at -= 1
-        return border.starts[at] if at >= 0 else LEAST
+        position = bisect_left(border.ends, before) - 1
+        while position >= 0 and border.matches[position].buffer is None:
+            position -= 1
+        return border.starts[position] if position >= 0 else MIN_VALUE
 
     def _drop_empty_borders(self) -> None:
         """Remove the frontiers of keys without stored matches, if there are many."""
         newest = self.buffer.newest
-        if len(self.borders) > 2 * len(newest) + _SPARE:
+        if len(self.borders) > 2 * len(newest) + _STALE_TOLERANCE:
             self.borders = {key: border for key, border in self.borders.items() if key in newest}
 
     def blocks(self, values: Values, after: int, before: int) -> bool:
@@ -247,7 +247,7 @@ class NegationBuffer:
 
     def _search(self, key: Hashable, values: Values, after: int, before: int) -> bool:
         """Test the stored matches that may share the values, one by one."""
-        asked = PartialMatch(values, after, before, None, None, ())
+        pair = PartialMatch(values, after, before, None, None, ())
         condition = self.condition
         meter = self.rule.meter
         for match in self.buffer.partners(key, after, before, False):
@@ -255,13 +255,13 @@ class NegationBuffer:
                 # Pattern work is stopped: a pair that may be ruled out must not produce a result.
                 return True
             if match.end < before and (self.ever or after < match.start):
-                met, of = match, values
-                if not surely_same(key, match):
-                    sides = unify_sides(match, asked, self.shared)
+                negated_match, pair_values = match, values
+                if not has_equal_key(key, match):
+                    sides = unify_sides(match, pair, self.shared)
                     if sides is None:
                         continue
-                    met, of = sides[0], sides[1].values
-                if condition is None or condition(of, met):
+                    negated_match, pair_values = sides[0], sides[1].values
+                if condition is None or condition(pair_values, negated_match):
                     # The lineage records what prevented the pair, so that the pair is tried again if this match is
                     # retracted.
                     self.rule.network.tracker.blocker = match
@@ -292,8 +292,8 @@ class RuledOutSweep:
         self._key = key_function(tuple(positions))
         self._ruled_out: Deque[PartialMatch] = deque()
         self._negated: Deque[PartialMatch] = deque()
-        self._first_open_end = MOST
-        self._last = LEAST
+        self._first_open_end = MAX_VALUE
+        self._last = MIN_VALUE
 
     def begin(self, last: int) -> None:
         """Begin a pass.
@@ -307,7 +307,7 @@ class RuledOutSweep:
         self._last = last
         self._ruled_out.clear()
         self._negated.clear()
-        self._first_open_end = MOST
+        self._first_open_end = MAX_VALUE
 
     def visit(self, match: PartialMatch) -> None:
         """Process the next match of the rule, in order of arrival."""
@@ -328,23 +328,23 @@ class RuledOutSweep:
             self._first_open_end = min(self._first_open_end, match.end)
             return False
 
-    def drop_negated(self, most: int) -> bool:
-        """Remove up to ``most`` of the surplus negated matches; return whether all of these have been removed."""
+    def drop_negated(self, max_count: int) -> bool:
+        """Remove up to ``max_count`` surplus negated matches; return whether all of them are removed."""
         negated = self._negated
-        going: List[PartialMatch] = []
-        while len(negated) > MAX_RULED_OUT and len(going) < most:
+        surplus: List[PartialMatch] = []
+        while len(negated) > MAX_RULED_OUT and len(surplus) < max_count:
             match = negated.popleft()
             if match.buffer is not None and match.start <= self._first_open_end:
-                going.append(match)
+                surplus.append(match)
         latest: Dict[Hashable, int] = {}
-        for match in going:
+        for match in surplus:
             latest[match.key] = max(match.start, latest.get(match.key, match.start))
         # First operands leave before the negated matches: an interrupt in between must not make a prevented pair
         # possible.
-        if going:
+        if surplus:
             for match in self._ruled_out:
                 if match.buffer is not None and latest.get(self._key(match.values), match.end) > match.end:
                     match.leave()
-        for match in going:
+        for match in surplus:
             match.leave()
         return len(negated) <= MAX_RULED_OUT

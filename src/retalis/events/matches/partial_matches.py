@@ -33,7 +33,7 @@ from ...prolog.terms.types import Term, Trail, Values, Var
 from ...prolog.terms.unification import undo, unify
 
 
-class Waited(Protocol):
+class MatchHolder(Protocol):
     """The place where a match is stored: a buffer or a run group.
 
     Attributes:
@@ -92,7 +92,7 @@ class EventMatch:
     end: int
     # Declared as Any: code that reads it knows that the match is of a single event.
     term: Any
-    buffer: Optional[Waited]
+    buffer: Optional[MatchHolder]
     key: Hashable
     older: "PartialMatch"
     newer: "PartialMatch"
@@ -119,9 +119,9 @@ class EventMatch:
             """
             if name not in _LEFT_OUT:
                 raise AttributeError(name)
-            found = self.term[1:] if name == "values" else None
-            setattr(self, name, found)
-            return found
+            value = self.term[1:] if name == "values" else None
+            setattr(self, name, value)
+            return value
 
     @property
     def latest(self) -> int:
@@ -218,13 +218,13 @@ class TrackedMatch:
     @property
     def matches(self) -> List[PartialMatch]:
         """All repetitions, oldest first."""
-        found = []
-        one: Optional[TrackedMatch] = self
-        while one is not None and one.match is not None:
-            found.append(one.match)
-            one = one.earlier
-        found.reverse()
-        return found
+        repetitions = []
+        tracked: Optional[TrackedMatch] = self
+        while tracked is not None and tracked.match is not None:
+            repetitions.append(tracked.match)
+            tracked = tracked.earlier
+        repetitions.reverse()
+        return repetitions
 
 
 NOTHING_HELD = TrackedMatch(None, None)
@@ -288,14 +288,14 @@ class Identity:
         # A sequence of 10,000 events is a tree of that depth, so recursion would exceed Python's limit.
         pairs: List[Tuple[Any, Any]] = [(self, other)]
         while pairs:
-            one, two = pairs.pop()
-            if one is two:
+            left, right = pairs.pop()
+            if left is right:
                 continue
-            if one.__class__ is Identity and two.__class__ is Identity:
-                if one.hash != two.hash or len(one.parts) != len(two.parts):
+            if left.__class__ is Identity and right.__class__ is Identity:
+                if left.hash != right.hash or len(left.parts) != len(right.parts):
                     return False
-                pairs += zip(one.parts, two.parts)
-            elif one.__class__ is Identity or two.__class__ is Identity or one != two:
+                pairs += zip(left.parts, right.parts)
+            elif left.__class__ is Identity or right.__class__ is Identity or left != right:
                 return False
         return True
 
@@ -317,13 +317,13 @@ def identity(match: EventMatch) -> Hashable:
         path.append(parts[0])
     last = path[-1]
     waited = last.__class__ is PartialMatch and last.identity is not None
-    found: Hashable = last.identity if waited else _identity_of(last, ())
-    if waited and found.__class__ is Named:
-        named: Any = found
-        found = named.structure
-    for one in reversed(path[:-1]):
-        found = _identity_of(one, (found,))
-    return found
+    key: Hashable = last.identity if waited else _identity_of(last, ())
+    if waited and key.__class__ is Named:
+        named: Any = key
+        key = named.structure
+    for longer in reversed(path[:-1]):
+        key = _identity_of(longer, (key,))
+    return key
 
 
 def _identity_of(match: EventMatch, key: Tuple[Hashable, ...]) -> Hashable:
@@ -382,7 +382,7 @@ def arrival(match: PartialMatch) -> int:
     return max((getattr(token, "number", 0) for token in sources(match)), default=0)
 
 
-def taken_back(match: PartialMatch) -> bool:
+def is_retracted(match: PartialMatch) -> bool:
     """Return whether an event of a match was retracted."""
     return any(getattr(token, "gone", False) for token in leaves(match))
 
@@ -399,18 +399,20 @@ def unify_sides(
     rights = list(_renamed(right.values))
     trail: Trail = []
     result = None
-    if all(unify(lefts[one], rights[other], trail) for one, other in shared):
+    if all(
+        unify(lefts[left_position], rights[right_position], trail) for left_position, right_position in shared
+    ):
         result = (_with(left, lefts), _with(right, rights))
     # Only variables of the copies were bound, so no binding has to be undone.
     return result
 
 
-def agreed(left: Values, right: Values) -> Optional[Values]:
+def unify_values(left: Values, right: Values) -> Optional[Values]:
     """Unify values pairwise and return them; None if they do not unify."""
     trail: Trail = []
     result = None
-    if all(unify(one, other, trail) for one, other in zip(left, right)):
-        result = tuple([resolve(one) for one in left])
+    if all(unify(left_value, right_value, trail) for left_value, right_value in zip(left, right)):
+        result = tuple([resolve(left_value) for left_value in left])
     undo(trail, 0)
     return result
 

@@ -14,7 +14,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Deque, Hashable, Iterable, List, Optional
 
 from ...prolog.terms.types import Frame
-from .consumption_policy import Emit, Join, MatchSide, counted, emit_each, join_any
+from .consumption_policy import Emit, Join, MatchSide, emit_each, metered, unify_and_join
 from .match_buffer import MatchBuffer
 from .partial_matches import PartialMatch, arrival, sources
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from ..provenance.lineage import LineageTracker
 
 
-KEPT = 10_000
+MAX_RETAINED_MATCHES = 10_000
 """Second operands that are kept in one buffer."""
 
 
-def stands(match: Optional[PartialMatch]) -> bool:
+def is_valid(match: Optional[PartialMatch]) -> bool:
     """Return whether there is a match and none of its events was retracted."""
     return match is not None and not any(getattr(token, "gone", False) for token in sources(match))
 
@@ -50,19 +50,21 @@ class RetainedMatches:
         """Keep a match; see `MatchBuffer.add`."""
         self.buffer.add(match, key)
         self._kept.append(match)
-        if len(self._kept) > min(KEPT, self.buffer.rule.network.cap // 2):
+        if len(self._kept) > min(MAX_RETAINED_MATCHES, self.buffer.rule.network.cap // 2):
             self._kept.popleft().leave()
 
 
-def after_all(tracker: "LineageTracker", came: int) -> bool:
-    """Return whether a match that was complete at event ``came`` is revived.
+def is_revived(tracker: "LineageTracker", arrival_number: int) -> bool:
+    """Return whether a match that was complete at event ``arrival_number`` is revived.
 
     It lacks the event that is being served.
     """
-    return came < tracker.present()
+    return arrival_number < tracker.present()
 
 
-def first_side(tracker: "LineageTracker", side: MatchSide, uses: bool, all_too: bool, emit: Emit) -> Emit:
+def join_revived_first(
+    tracker: "LineageTracker", side: MatchSide, uses: bool, all_too: bool, emit: Emit
+) -> Emit:
     """Return the action for a first operand: it is stored, or joins with later second operands if it is revived.
 
     Args:
@@ -72,19 +74,21 @@ def first_side(tracker: "LineageTracker", side: MatchSide, uses: bool, all_too: 
         all_too: whether a second operand joins with all stored first ones and is not consumed by them.
         emit: receives the results.
     """
-    own, other = side.own, side.other
+    own_buffer, other_buffer = side.own, side.other
 
     def arrive(match: PartialMatch, after: Frame) -> Frame:
-        key = own.key_of(match)
-        came = arrival(match)
+        key = own_buffer.key_of(match)
+        arrival_number = arrival(match)
         results: List[PartialMatch] = []
-        if after_all(tracker, came):
-            for partner in counted(other.partners_now(key, match.start, match.end), own.rule.meter):
+        if is_revived(tracker, arrival_number):
+            for partner in metered(
+                other_buffer.partners_now(key, match.start, match.end), own_buffer.rule.meter
+            ):
                 # Only partners that arrived later and were not consumed by a match that is still valid would have
                 # been available.
-                if arrival(partner) <= came or (uses and not all_too and stands(partner.used)):
+                if arrival(partner) <= arrival_number or (uses and not all_too and is_valid(partner.used)):
                     continue
-                result = join_any(side, match, key, partner)
+                result = unify_and_join(side, match, key, partner)
                 if result is not None:
                     results.append(result)
                     if uses:
@@ -92,30 +96,34 @@ def first_side(tracker: "LineageTracker", side: MatchSide, uses: bool, all_too: 
                     if uses or all_too:
                         break
         if not results or not (uses or all_too):
-            own.add(match, key)
+            own_buffer.add(match, key)
         return emit_each(iter(results), emit, after)
 
     return arrive
 
 
-def in_order(tracker: "LineageTracker", join: Join) -> Join:
+def join_in_order(tracker: "LineageTracker", join: Join) -> Join:
     """Return a join of a second and a first operand for second operands that may be revived.
 
     A revived second operand joins only with first operands that arrived before it.
     """
 
     def joined(match: PartialMatch, partner: PartialMatch) -> Optional[PartialMatch]:
-        came = arrival(match)
-        if after_all(tracker, came) and arrival(partner) >= came:
+        arrival_number = arrival(match)
+        if is_revived(tracker, arrival_number) and arrival(partner) >= arrival_number:
             return None
         return join(match, partner)
 
     return joined
 
 
-def that_came_before(
-    match: PartialMatch, others: Iterable[PartialMatch], tracker: "LineageTracker"
+def earlier_partners(
+    match: PartialMatch, partners: Iterable[PartialMatch], tracker: "LineageTracker"
 ) -> Iterable[PartialMatch]:
     """Return the partners that a match may join: all, or the earlier ones if the match is revived."""
-    came = arrival(match)
-    return [one for one in others if arrival(one) < came] if after_all(tracker, came) else others
+    arrival_number = arrival(match)
+    return (
+        [partner for partner in partners if arrival(partner) < arrival_number]
+        if is_revived(tracker, arrival_number)
+        else partners
+    )

@@ -61,7 +61,7 @@ class SharedLog:
         return sums[end]
 
 
-Piece = Tuple[SharedLog, int, int]
+LogSlice = Tuple[SharedLog, int, int]
 """A log, and the positions of a slice of it."""
 
 
@@ -73,14 +73,14 @@ class BufferSlice(Repetitions):
 
     __slots__ = ("pieces", "length")
 
-    def __init__(self, pieces: Tuple[Piece, ...]):
+    def __init__(self, pieces: Tuple[LogSlice, ...]):
         self.pieces = pieces
         self.length = sum(end - begin for _, begin, end in pieces)
 
     @property
     def matches(self) -> List[PartialMatch]:
         """The repetitions."""
-        return [one for log, begin, end in self.pieces for one in log.items[begin:end]]
+        return [match for log, begin, end in self.pieces for match in log.items[begin:end]]
 
     def __hash__(self) -> int:
         total = sum(log.sum_to(end) - log.sum_to(begin) for log, begin, end in self.pieces)
@@ -92,33 +92,33 @@ class BufferSlice(Repetitions):
         if other.__class__ is not BufferSlice or self.length != other.length or hash(self) != hash(other):
             return False
         pairs = zip(self.matches, other.matches)
-        return all(one is two or identity(one) == identity(two) for one, two in pairs)
+        return all(mine is theirs or identity(mine) == identity(theirs) for mine, theirs in pairs)
 
 
 def repetitions(match: PartialMatch, times: int) -> List[PartialMatch]:
     """Return the repetitions of a match of ``times`` repetitions, oldest first."""
-    found: List[PartialMatch] = []
+    later: List[PartialMatch] = []
     while times > 1:
         parts: Any = match.parts
         if parts[0].__class__ is BufferSlice:
-            return [*parts[0].matches, *reversed(found)]
+            return [*parts[0].matches, *reversed(later)]
         match, last = parts
-        found.append(last)
+        later.append(last)
         times -= 1
-    return [match, *reversed(found)]
+    return [match, *reversed(later)]
 
 
-def joined_one_by_one(match: PartialMatch, times: int) -> None:
+def set_chain_parts(match: PartialMatch, times: int) -> None:
     """Set the parts of a match of ``times`` repetitions as a chain of `JoinNode` nodes would."""
-    first, *others, last = repetitions(match, times)
-    for one in others:
-        first = PartialMatch((), first.start, one.end, None, None, (first, one))
+    first, *middle, last = repetitions(match, times)
+    for repetition in middle:
+        first = PartialMatch((), first.start, repetition.end, None, None, (first, repetition))
     _set_parts(match, (first, last))
 
 
-def joined_at_once(match: PartialMatch, times: int) -> None:
+def set_slice_parts(match: PartialMatch, times: int) -> None:
     """Set the parts of a match of ``times`` repetitions as a run group would."""
-    _set_parts(match, (BufferSlice(pieces_of(match, times)),))
+    _set_parts(match, (BufferSlice(slices_of(match, times)),))
 
 
 def _set_parts(match: PartialMatch, parts: Parts) -> None:
@@ -126,7 +126,7 @@ def _set_parts(match: PartialMatch, parts: Parts) -> None:
     match.identity = None
 
 
-def pieces_of(match: PartialMatch, times: int) -> Tuple[Piece, ...]:
+def slices_of(match: PartialMatch, times: int) -> Tuple[LogSlice, ...]:
     """Return the slices that a match of ``times`` repetitions consists of."""
     parts: Any = match.parts
     if times > 1 and parts[0].__class__ is BufferSlice:
@@ -281,14 +281,14 @@ class RunGroup:
         )
 
     def _chain(self, token: RunCursor) -> BufferSlice:
-        before: Tuple[Piece, ...] = pieces_of(token.first, token.apart) if token.apart else ()
+        before: Tuple[LogSlice, ...] = slices_of(token.first, token.apart) if token.apart else ()
         log, last = token.log, self.log
         if log is last:
             return BufferSlice((*before, (log, token.at, len(log.items))))
         return BufferSlice((*before, (log, token.at, len(log.items)), (last, 0, len(last.items))))
 
 
-class Moving:
+class RunGroupBuffer:
     """The sequences of all run groups of a node, in the role of a buffer.
 
     Attributes:
@@ -307,14 +307,14 @@ class Moving:
 
     def mend(self) -> List[PartialMatch]:
         """Repair the groups after an interrupt; return the stored sequences, oldest first."""
-        found = []
+        sequences = []
         for key, train in list(self._node.trains.items()):
-            here = [token for _, token in train.present()]
-            train.alive = len(here)
-            if not here:
+            cursors = [token for _, token in train.present()]
+            train.alive = len(cursors)
+            if not cursors:
                 del self._node.trains[key]
-            found += here
-        return sorted(found, key=lambda token: token.order)
+            sequences += cursors
+        return sorted(sequences, key=lambda token: token.order)
 
 
 NO_ITEMS = NIL
@@ -401,12 +401,12 @@ class Run(PartialMatch):
         self.sound = 0
 
 
-def by_term(name: Callable[[PartialMatch], Hashable]) -> Callable[[Any], Hashable]:
+def identity_by_start(name: Callable[[PartialMatch], Hashable]) -> Callable[[Any], Hashable]:
     """Return the identity of runs by the identity of their starts."""
     return lambda run: name(run.first)
 
 
-def by_occurrence(name: Callable[[PartialMatch], Hashable]) -> Callable[[Any], Hashable]:
+def identity_by_start_interval(name: Callable[[PartialMatch], Hashable]) -> Callable[[Any], Hashable]:
     """Return the identity of runs by the identity and the interval of their starts."""
 
     def named(run: Run) -> Hashable:

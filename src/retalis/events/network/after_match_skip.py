@@ -8,8 +8,8 @@ in Flink CEP:
 
 One event can complete several matches of a rule. All of them are completed before anything is discarded, because the
 order of the nodes must not decide which of them fires. Stored matches that are skipped are therefore discarded when
-the next event is served. Rules may make events while an event is served, so a stack of events in progress (`Served`)
-tells a nested event, which continues the same step, from the next event.
+the next event is served. Rules may make events while an event is served, so a stack of events in progress
+(`ServedEvent`) tells a nested event, which continues the same step, from the next event.
 """
 
 from typing import TYPE_CHECKING, Any, Dict, Hashable, Iterable, List, NamedTuple, Optional, Set, Tuple
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 # Before all instants.
 _NEVER = -(1 << 80)
 # Stale entries that are tolerated in addition to the number of stored matches.
-_SPARE = 1000
+_STALE_TOLERANCE = 1000
 
 
-class Served(NamedTuple):
+class ServedEvent(NamedTuple):
     """An event that is being served, possibly because of another event that is being served.
 
     Attributes:
@@ -58,12 +58,12 @@ class AfterMatchSkip:
             part of a match any more.
     """
 
-    def __init__(self, rule: "EventRule", kind: AfterMatchSkipStrategy):
+    def __init__(self, rule: "EventRule", strategy: AfterMatchSkipStrategy):
         self._rule = rule
-        self.kind = kind
+        self.kind = strategy
         self.past = self.swept = _NEVER
         self._due: Set[int] = set()
-        self._served: List[Served] = []
+        self._served: List[ServedEvent] = []
         self._action: Optional[ActionNode] = None
         self.forget()
 
@@ -101,9 +101,9 @@ class AfterMatchSkip:
 
     def note(self, match: PartialMatch) -> None:
         """Add an entry for a match that has been stored."""
-        where = match.buffer
+        buffer = match.buffer
         # A negated match is not skipped: it must prevent later matches, too.
-        if where is None or where.forbids:
+        if buffer is None or buffer.forbids:
             return
         waiting = self._rule.waiting
         if self.kind is AfterMatchSkipStrategy.SKIP_PAST_LAST:
@@ -111,8 +111,8 @@ class AfterMatchSkip:
             return
         self._by_start.setdefault(match.start, []).append(match)
         self._filed += 1
-        if self._filed > 2 * waiting + _SPARE:
-            self.refile([one for found in self._by_start.values() for one in found])
+        if self._filed > 2 * waiting + _STALE_TOLERANCE:
+            self.refile([stored_match for matches in self._by_start.values() for stored_match in matches])
 
     def begin(self, event: Hashable) -> None:
         """Discard the skipped matches if a new event is being served."""
@@ -124,7 +124,7 @@ class AfterMatchSkip:
         while served and served[-1].token != event and served[-1].depth >= depth:
             served.pop()
         if not served or served[-1].token != event:
-            served.append(Served(depth, event, set()))
+            served.append(ServedEvent(depth, event, set()))
         self._sweep()
 
     def _sweep(self) -> None:
@@ -159,10 +159,10 @@ class AfterMatchSkip:
 
     def wakes(self) -> None:
         """Discard the skipped matches when the clock wakes a node; all of its results count as one step."""
-        self._served = [Served(0, self, set())]
+        self._served = [ServedEvent(0, self, set())]
         self._sweep()
 
-    def _now(self) -> Served:
+    def _now(self) -> ServedEvent:
         dispatcher = self._rule.network.dispatcher
         if dispatcher.current is not None:
             self.begin(dispatcher.token())
@@ -200,14 +200,14 @@ class AfterMatchSkip:
 
 def first_action(root: NetworkNode) -> Optional[ActionNode]:
     """Return the node of the goal that is called first when the whole pattern has matched; None if there is none."""
-    found, node = None, root
+    action, node = None, root
     while isinstance(node, (ActionNode, FilterNode)):
-        found = node if isinstance(node, ActionNode) else found
+        action = node if isinstance(node, ActionNode) else action
         node = node.child
-    return found
+    return action
 
 
-def skipping_by(rule: "EventRule", mode: NetworkOptions) -> Optional[AfterMatchSkip]:
+def skip_state_for(rule: "EventRule", mode: NetworkOptions) -> Optional[AfterMatchSkip]:
     """Return the skip state of a rule for the given options; None if it skips nothing.
 
     The previous state is kept if the strategy does not change.

@@ -32,13 +32,13 @@ from ..fused.fused_join import SPARE
 from ..language.pattern_tree import Pattern, RuleDefinition
 from ..language.rule_parser import alarm_of
 from ..matches.consumption_policy import Emit
-from ..matches.expiration import VISITED_SLICE, ByStart, ExpirationQueue, drop_gone
+from ..matches.expiration import VISITED_SLICE, ExpirationQueue, StartExpirationQueue, remove_stale_entries
 from ..matches.match_buffer import MatchBuffer
 from ..matches.negation import RuledOutSweep
 from ..matches.partial_matches import NetworkOptions, PartialMatch
-from .after_match_skip import AfterMatchSkip, skipping_by
+from .after_match_skip import AfterMatchSkip, skip_state_for
 from .pattern_nodes import EventNode
-from .retention import least
+from .retention import smaller_bound
 from .rule_compiler import RuleCompiler
 from .stream_node import StreamNode
 
@@ -152,7 +152,7 @@ class EventRule:
         self.order = 0
         self.arrivals: Deque[PartialMatch] = deque()
         self._visited = 0
-        self.expiries = ByStart(None)
+        self.expiries = StartExpirationQueue(None)
         self.sweep_at = _UNLIMITED
         self._sweeping = False
         self._sweeps: List[RuledOutSweep] = []
@@ -187,7 +187,7 @@ class EventRule:
         self.sound = False
         self.settle()
         self.mode = mode
-        self.skipping = skipping = skipping_by(self, mode)
+        self.skipping = skipping = skip_state_for(self, mode)
         self.window = window
         self._garbage = garbage
         self.idle = None if garbage is None else garbage[0]
@@ -195,13 +195,17 @@ class EventRule:
         self.timed = garbage is not None and not root.alone
         for node, span, limits in self.nodes:
             limit = limits.late if mode.out_of_order else limits.in_order
-            node.set_span(least(span, window) if node.windowed else span, least(limit, window))
+            node.set_span(
+                smaller_bound(span, window) if node.windowed else span, smaller_bound(limit, window)
+            )
             self.timed = self.timed or any(buffer.span is not None for buffer in node.buffers())
         spans = [buffer.span for buffer in self._buffers() if buffer.span is not None]
         self._span = max(spans, key=spans.count) if spans else None
         self._watched = self.timed or mode.tracked or skipping is not None
         # Sweeps are for matches that never expire. One with a retention time may be needed until that has passed.
-        sweeps = [one for node, _, _ in self.nodes for one in node.sweeps(mode) if one.waiting.span is None]
+        sweeps = [
+            sweep for node, _, _ in self.nodes for sweep in node.sweeps(mode) if sweep.waiting.span is None
+        ]
         self._sweeps = [] if skipping is not None else sweeps
         self._end_sweep()
         self._resettle()
@@ -233,7 +237,7 @@ class EventRule:
 
     def state(self) -> RuleState:
         """Return the state, for `restore` of another rule with the same definition."""
-        places = {id(buffer): at for at, buffer in enumerate(self._buffers())}
+        places = {id(buffer): position for position, buffer in enumerate(self._buffers())}
         firings = self.firings
         return RuleState(
             (
@@ -243,9 +247,9 @@ class EventRule:
             (self.clock, self.order, self._collected_at),
             [(type(node).__name__, node.kept()) for node, _, _ in self.nodes],
             [
-                (one, places.get(id(one.buffer), -1), one.order)
-                for one in self.arrivals
-                if one.buffer is not None
+                (match, places.get(id(match.buffer), -1), match.order)
+                for match in self.arrivals
+                if match.buffer is not None
             ],
             [(places[id(buffer)], match) for buffer, match, _ in self.later],
             self._later_event,
@@ -260,9 +264,9 @@ class EventRule:
         self.clock, self.order, self._collected_at = state.times
         if self.skipping is not None and state.skipped is not None:
             self.skipping.restore(state.skipped)
-        kinds = [type(node).__name__ for node, _, _ in self.nodes]
+        class_names = [type(node).__name__ for node, _, _ in self.nodes]
         # A newer version of the package may compile the same rule to other nodes.
-        if kinds != [kind for kind, _ in state.nodes]:
+        if class_names != [class_name for class_name, _ in state.nodes]:
             raise UsageError(f"{self.name} is made of other parts than it was")
         for (node, _, _), (_, kept) in zip(self.nodes, state.nodes):
             if kept is not None:
@@ -272,9 +276,9 @@ class EventRule:
         for match, place, order in state.arrivals:
             match.order = order
             waiting.setdefault(place, {})[match] = None
-        for place, found in waiting.items():
+        for place, matches in waiting.items():
             if place >= 0:
-                buffers[place].put_back(list(found))
+                buffers[place].put_back(list(matches))
         self._arrive_anew([match for match, _, _ in state.arrivals])
         self.waiting = len(set(self.arrivals))
         self.later = [(buffers[place], match, buffers[place].key_of(match)) for place, match in state.later]
@@ -411,13 +415,13 @@ class EventRule:
 
     def settle(self, only: Optional[MatchBuffer] = None) -> None:
         """Store all deferred matches; with ``only``, those of one buffer."""
-        for one in list(self.later):
-            buffer, match, key = one
+        for entry in list(self.later):
+            buffer, match, key = entry
             if only is None or buffer is only:
                 # Not None if an interrupt came between the next two lines.
                 if match.buffer is None:
                     buffer.add(match, key)
-                self.later.remove(one)
+                self.later.remove(entry)
 
     def tick(self, end: int) -> None:
         """Advance the rule's clock and remove the matches that have expired."""
@@ -464,7 +468,7 @@ class EventRule:
         if self.waiting > self.sweep_at or (self._sweeping and len(self.arrivals) > many):
             self._sweep()
         elif len(self.arrivals) > many:
-            self._visited = drop_gone(self.arrivals, self._visited) or 0
+            self._visited = remove_stale_entries(self.arrivals, self._visited) or 0
             # Fewer matches are stored than at the last pass, so the next one begins earlier.
             if self._sweeps:
                 self.sweep_at = min(self.sweep_at, 2 * (self.waiting + SPARE))
@@ -485,7 +489,7 @@ class EventRule:
             for sweep in self._sweeps:
                 sweep.begin(self.order)
         if self._to_visit:
-            following = drop_gone(self.arrivals, self._visited, self._visit)
+            following = remove_stale_entries(self.arrivals, self._visited, self._visit)
             self._to_visit = following is not None
             self._visited = following or 0
         if not self._to_visit and all(sweep.drop_negated(VISITED_SLICE) for sweep in self._sweeps):
@@ -527,10 +531,10 @@ class EventRule:
     def _drop_oldest(self) -> None:
         """Drop the oldest matches until the limit is met; visit at most one slice of entries."""
         arrivals, cap = self.arrivals, self.network.cap
-        most = min(VISITED_SLICE, len(arrivals))
-        for _ in range(most):
+        max_visits = min(VISITED_SLICE, len(arrivals))
+        for _ in range(max_visits):
             oldest = arrivals.popleft()
-            # The slice of `drop_gone` begins at this position, which moves with the first entry.
+            # The slice of `remove_stale_entries` begins at this position, which moves with the first entry.
             if self._visited:
                 self._visited -= 1
             if oldest.buffer is not None:

@@ -27,7 +27,7 @@ from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import are_ground, positions, variables
 from ...prolog.terms.types import Atom, EventAction, Frame, Term, Values, Var, functor
 from ..fused.fused_actions import Continuation, goal_action
-from ..matches.consumption_policy import counted, emit_each
+from ..matches.consumption_policy import emit_each, metered
 from ..matches.partial_matches import PartialMatch
 from ..streams.accumulators import ADDING, is_number, is_number_expression, unfit
 
@@ -52,7 +52,7 @@ class Buffer(Protocol):
         """Repair the buffer after an interrupt; return the stored matches, oldest first."""
 
 
-class Wakeful(Protocol):
+class TimedOwner(Protocol):
     """Owner of nodes that the clock wakes: a rule, or the output rate limiter of a subscription.
 
     Attributes:
@@ -66,7 +66,7 @@ class Wakeful(Protocol):
         """Whether it receives events."""
 
 
-class Woken(Protocol):
+class TimedNode(Protocol):
     """A node that the clock wakes.
 
     Attributes:
@@ -78,14 +78,14 @@ class Woken(Protocol):
     place: int
 
     @property
-    def rule(self) -> "Wakeful":
+    def rule(self) -> "TimedOwner":
         """The owner."""
 
     def ring(self, instant: int, after: Frame, /) -> Frame:
         """Return the frame that processes everything that is due, and continues with ``after``."""
 
 
-class UnderWay:
+class ConditionState:
     """State of condition tests, shared by all rules.
 
     Attributes:
@@ -149,12 +149,12 @@ class RuleGoal:
         try:
             if under_way.nested > _MAX_CONDITION_DEPTH:
                 raise resource_error("conditions_that_make_events")
-            given = tuple([values[at] for at in self.positions])
+            given = tuple([values[position] for position in self.positions])
             if are_ground(given):
-                found = self._plain.test(given)
-                if found is None:
+                solution = self._plain.test(given)
+                if solution is None:
                     return None
-                return values + found if found else values
+                return values + solution if solution else values
             return self._open().test(values)
         except PrologError as error:
             # An error may leave a nested dispatch unfinished; the event that was served before the condition is
@@ -186,7 +186,7 @@ class RuleGoal:
             solved: receives the match with the values of the solution appended to the others.
             after: the frame to continue with.
         """
-        given = values if self._takes_all else tuple([values[at] for at in self.positions])
+        given = values if self._takes_all else tuple([values[position] for position in self.positions])
         if ground or are_ground(given):
             goal, kept = self._plain, values
         else:
@@ -226,18 +226,18 @@ class RuleGoal:
         after: Frame,
     ) -> Frame:
         """Return the frame that continues with ``solved`` for each solution of the goal, in order; see `act`."""
-        given = tuple([values[at] for at in self.positions])
+        given = tuple([values[position] for position in self.positions])
         ground = ground or are_ground(given)
         # All solutions are computed first: events that follow from the first solution must not change the later
         # ones.
         goal = self._compile(self._inputs, self.outputs, True) if ground else self._open(True)
 
-        def each(term: Term, found: Values, start: int, end: int, after: Frame) -> Frame:
-            solutions = [tuple(list_items(item) or ()) for item in list_items(found[0]) or ()]
+        def each(term: Term, collected: Values, start: int, end: int, after: Frame) -> Frame:
+            solutions = [tuple(list_items(item) or ()) for item in list_items(collected[0]) or ()]
             if ground:
                 solutions = [values + solution for solution in solutions]
             return emit_each(
-                counted(solutions, self.rule.meter),
+                metered(solutions, self.rule.meter),
                 lambda solution, then: solved(term, solution, start, end, then),
                 after,
             )
@@ -261,18 +261,18 @@ class RuleGoal:
 
     def _compile(self, inputs: Sequence[Var], outputs: Sequence[Var], every: bool) -> CompiledGoal:
         key = (tuple(inputs), tuple(outputs), every)
-        found = self._compiled.get(key)
-        if found is None:
+        compiled = self._compiled.get(key)
+        if compiled is None:
             goal, wanted = self.goal, list(outputs)
             if every:
                 all_solutions = Var()
                 goal = (_FINDALL, make_list(outputs), goal, all_solutions)
                 wanted = [all_solutions]
             rule = self.rule
-            found = self._compiled[key] = rule.network.logic.compile_goal(
+            compiled = self._compiled[key] = rule.network.logic.compile_goal(
                 goal, list(inputs), wanted, rule.place, rule.name, self._from_outside
             )
-        return found
+        return compiled
 
     def _reported(self, values: Values, error: PrologError) -> None:
         self.failed(error)
@@ -335,39 +335,39 @@ class Evaluators:
     def __init__(self, rule: "EventRule"):
         self._rule = rule
 
-    def evaluating(self, kind: str, measured: Term, names: Sequence[Var]) -> Evaluate:
+    def evaluating(self, aggregate: str, measured: Term, names: Sequence[Var]) -> Evaluate:
         """Return a function that evaluates the expression of an aggregate by `is`.
 
         The values of its variables must be numbers: `is` would also evaluate an atom such as `e` and a text of one
         character.
 
         Args:
-            kind: name of the aggregate.
+            aggregate: name of the aggregate.
             measured: the expression in the rule.
             names: variables of the matches.
         """
         number, expression = Var(), Var()
         goal: List[CompiledGoal] = []
         places = positions(names)
-        at = [places[var] for var in variables(measured) if var in places]
-        fits = is_number_expression if kind in ADDING else is_number
+        inputs = [places[var] for var in variables(measured) if var in places]
+        fits = is_number_expression if aggregate in ADDING else is_number
 
         def evaluate(term: Term, values: Values) -> Term:
-            for place in at:
-                if not fits(values[place]):
-                    raise unfit(kind, values[place])
+            for position in inputs:
+                if not fits(values[position]):
+                    raise unfit(aggregate, values[position])
             # Compiled at the first use: most expressions are variables whose values are numbers already.
             if not goal:
                 logic = self._rule.network.logic
                 goal.append(logic.compile_goal((_IS, number, expression), [expression], [number]))
             try:
-                found = goal[0].test((term,))
+                solution = goal[0].test((term,))
             except PrologError as error:
                 keep_back(error)
-                raise RuleError(f"{unfit(kind, term).message}: {error.message}") from error
-            if found is None:
-                raise unfit(kind, term)
-            return found[0]
+                raise RuleError(f"{unfit(aggregate, term).message}: {error.message}") from error
+            if solution is None:
+                raise unfit(aggregate, term)
+            return solution[0]
 
         return evaluate
 
@@ -393,20 +393,20 @@ class Evaluators:
         state, and the third one takes a state and returns the result.
         """
         logic = self._rule.network.logic
-        value, state, found = Var(), Var(), Var()
-        begin = logic.compile_goal((functor(names[0].name, 1), found), [], [found])
-        step = logic.compile_goal((functor(names[1].name, 3), value, state, found), [value, state], [found])
-        show = logic.compile_goal((functor(names[2].name, 2), state, found), [state], [found])
+        value, state, output = Var(), Var(), Var()
+        begin = logic.compile_goal((functor(names[0].name, 1), output), [], [output])
+        step = logic.compile_goal((functor(names[1].name, 3), value, state, output), [value, state], [output])
+        show = logic.compile_goal((functor(names[2].name, 2), state, output), [state], [output])
 
         def fold(values: Sequence[Term]) -> Optional[Term]:
             try:
-                reached = begin.test(())
-                for one in values:
-                    reached = None if reached is None else step.test((one, reached[0]))
-                shown = None if reached is None else show.test((reached[0],))
+                current = begin.test(())
+                for element in values:
+                    current = None if current is None else step.test((element, current[0]))
+                result = None if current is None else show.test((current[0],))
             except PrologError as error:
                 keep_back(error)
                 raise RuleError(f"aggregate fold: {error.message}") from error
-            return None if shown is None else shown[0]
+            return None if result is None else result[0]
 
         return fold

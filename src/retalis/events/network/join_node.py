@@ -27,20 +27,20 @@ from ..language.event_operators import EventOperator
 from ..matches.consumption_policy import (
     Emit,
     MatchSide,
-    among_others,
-    taking_all,
-    taking_all_at_once,
-    taking_one,
-    waiting_only,
+    join_all_at_once,
+    join_all_partners,
+    join_one_of_others,
+    join_one_partner,
+    store_only,
 )
-from ..matches.interval_index import reach_of
+from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer
 from ..matches.negation import NegationBuffer, RuledOutSweep
-from ..matches.partial_matches import Found, NetworkOptions, PartialMatch, taken_back
-from ..matches.revision import RetainedMatches, first_side, in_order
+from ..matches.partial_matches import Found, NetworkOptions, PartialMatch, is_retracted
+from ..matches.revision import RetainedMatches, join_in_order, join_revived_first
 from .goal_evaluation import Buffer, Test
-from .pattern_nodes import EventNode, Fuse, Name, NetworkNode, found_here
-from .retention import kept_for_late
+from .pattern_nodes import EventNode, Fuse, IdentityFunction, NetworkNode, computed_values_getter
+from .retention import retention_for_late
 
 if TYPE_CHECKING:
     from .event_rule import EventRule
@@ -76,7 +76,7 @@ class JoinNode(NetworkNode):
         gap: Optional[Tuple[Var, Var]],
         captured: Sequence[Tuple[Var, Var]],
         double: bool,
-        names: Tuple[Name, Name],
+        names: Tuple[IdentityFunction, IdentityFunction],
     ):
         self.rule = rule
         self.operator = operator
@@ -86,13 +86,15 @@ class JoinNode(NetworkNode):
         self.keep = keep
         self._names = names
         in_left, in_right = positions(left.vars), positions(right.vars)
-        self.pairs = tuple((at, in_right[var]) for var, at in in_left.items() if var in in_right)
-        self.left_buffer = MatchBuffer(rule, tuple(one for one, _ in self.pairs))
-        self.right_buffer = MatchBuffer(rule, tuple(two for _, two in self.pairs))
+        self.pairs = tuple((position, in_right[var]) for var, position in in_left.items() if var in in_right)
+        self.left_buffer = MatchBuffer(rule, tuple(left_position for left_position, _ in self.pairs))
+        self.right_buffer = MatchBuffer(rule, tuple(right_position for _, right_position in self.pairs))
         # Values of the result as source expressions: variables that nothing above uses are dropped here (projection).
-        taken = [(f"lv[{at}]", var) for at, var in enumerate(left.vars) if var in keep]
+        taken = [(f"lv[{position}]", var) for position, var in enumerate(left.vars) if var in keep]
         taken += [
-            (f"rv[{at}]", var) for at, var in enumerate(right.vars) if var in keep and var not in in_left
+            (f"rv[{position}]", var)
+            for position, var in enumerate(right.vars)
+            if var in keep and var not in in_left
         ]
         if gap is not None:
             taken += [("e1", gap[0]), ("s2", gap[1])]
@@ -130,15 +132,15 @@ class JoinNode(NetworkNode):
         if mode.out_of_order or mode.tracked or mode.revised:
             # A first operand may arrive after the match that rules it out, or that match may be retracted.
             return []
-        found = []
+        sweeps = []
         for absence in self.absences:
             sources = [self.taken[position] for _, position in absence.shared]
             # If the negated pattern shares a variable with the second operand, different second operands have
             # different negated matches, and no first operand is ruled out for all of them.
             if absence.has_borders() and all(source.startswith("lv[") for source in sources):
                 positions = [int(source[3:-1]) for source in sources]
-                found.append(RuledOutSweep(self.left_buffer, absence, positions))
-        return found
+                sweeps.append(RuledOutSweep(self.left_buffer, absence, positions))
+        return sweeps
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
         """Set the interval bound and the retention time; see `NetworkNode.set_span`."""
@@ -146,7 +148,7 @@ class JoinNode(NetworkNode):
         self.left_buffer.span = self.right_buffer.span = limit
         late = self.rule.mode.out_of_order
         for absence in self.absences:
-            absence.buffer.span = kept_for_late(span, limit) if late else limit
+            absence.buffer.span = retention_for_late(span, limit) if late else limit
 
     def kept(self) -> Any:
         """Return the state of the node; see `NetworkNode.kept`."""
@@ -173,8 +175,8 @@ class JoinNode(NetworkNode):
         operator = self.operator
         self.out = out
         self.joined = self._join(True)
-        self.left_buffer.reach = reach_of(operator.name, self.span, False)
-        self.right_buffer.reach = reach_of(operator.name, self.span, True)
+        self.left_buffer.reach = interval_bounds(operator.name, self.span, False)
+        self.right_buffer.reach = interval_bounds(operator.name, self.span, True)
         self.left_buffer.least_end = None
         for absence in self.absences:
             # Without shared variables the bound is the same for all first operands, so the search can use it.
@@ -183,13 +185,13 @@ class JoinNode(NetworkNode):
         left_name, right_name = self._names if mode.policy.replacing else (None, None)
         self.left_buffer.identify(None if operator.everything else left_name)
         self.right_buffer.identify(None if self._keeps(mode) else right_name)
-        found = self._bind_sides(self._left_side(), self._right_side(mode), out, mode)
+        left_action = self._bind_sides(self._left_side(), self._right_side(mode), out, mode)
         for negated, absence in zip(self.negated, self.absences):
             _bind(negated, absence.arrive, mode, self._fuse_absence(negated, absence, mode))
             absence.bind_carried(mode)
         for absence, node in self.carried:
             absence.bind(node, mode)
-        return found
+        return left_action
 
     def _is_late(self, mode: NetworkOptions) -> bool:
         """Return whether the first operand of a sequence may arrive after the second one."""
@@ -208,10 +210,10 @@ class JoinNode(NetworkNode):
 
     def _right_side(self, mode: NetworkOptions) -> MatchSide:
         both, late, keeps = self.operator.either, self._is_late(mode), self._keeps(mode)
-        flipped = tuple((two, one) for one, two in self.pairs)
+        flipped = tuple((right_position, left_position) for left_position, right_position in self.pairs)
         join = self._join(False)
         if self._is_revised(mode) and self.revived[1]:
-            join = in_order(self.rule.network.tracker, join)
+            join = join_in_order(self.rule.network.tracker, join)
         waits, stays = both or late or keeps, late or keeps
         right = MatchSide(self.right_buffer, self.left_buffer, join, flipped, False, waits, stays)
         if keeps:
@@ -229,27 +231,31 @@ class JoinNode(NetworkNode):
         """
         policy, operator, late = mode.policy, self.operator, self._is_late(mode)
         both = operator.either
-        only_waits = waiting_only(left), self._fuse(left, False, out, mode)
+        only_waits = store_only(left), self._fuse(left, False, out, mode)
         if self._keeps(mode):
             tracker = self.rule.network.tracker
-            only_waits = first_side(tracker, left, policy.consuming, operator.everything, out), None
+            only_waits = join_revived_first(tracker, left, policy.consuming, operator.everything, out), None
         if operator.everything:
-            self.right.bind(taking_all_at_once(right, True, out), mode)
+            self.right.bind(join_all_at_once(right, True, out), mode)
             if not late:
                 return only_waits
             if policy.consuming:
-                return taking_one(left, policy.newest, True, out), self._fuse(left, True, out, mode)
-            return taking_all_at_once(left, False, out), None
+                return join_one_partner(left, policy.newest, True, out), self._fuse(left, True, out, mode)
+            return join_all_at_once(left, False, out), None
         fuse = self._fuse(right, True, out, mode)
         if not policy.consuming:
-            _bind(self.right, taking_all(right, out), mode, fuse)
-            return (taking_all(left, out), self._fuse(left, True, out, mode)) if both or late else only_waits
+            _bind(self.right, join_all_partners(right, out), mode, fuse)
+            return (
+                (join_all_partners(left, out), self._fuse(left, True, out, mode))
+                if both or late
+                else only_waits
+            )
         # `and` with one event in both operands: each event may complete one pair only.
         once = self.completed if self.double and both and operator.alone else None
-        _bind(self.right, taking_one(right, policy.newest, True, out, once), mode, fuse)
+        _bind(self.right, join_one_partner(right, policy.newest, True, out, once), mode, fuse)
         if not both and not late:
             return only_waits
-        arrive = taking_one(left, policy.newest, True, out, once)
+        arrive = join_one_partner(left, policy.newest, True, out, once)
         # The event of a right operand is stored when it has been tried as a left operand too; see `_wait_later`.
         if right.wait and both:
             return self._after_waiting(arrive), None
@@ -276,11 +282,11 @@ class JoinNode(NetworkNode):
             [absence.blocks for absence in self.absences],
             self.tests,
             self.vars[len(self.taken) :],
-            found_here(self.vars, len(self.taken), self.keep),
+            computed_values_getter(self.vars, len(self.taken), self.keep),
             whole,
         )
         newest, uses = mode.policy.newest, mode.policy.consuming
-        taking = PartnerChoice(newest, uses, among_others(side, newest, out)) if takes else None
+        taking = PartnerChoice(newest, uses, join_one_of_others(side, newest, out)) if takes else None
         return lambda plain: fused_side(side, pair, taking, rule, plain, out)
 
     def _may_fuse(self, mode: NetworkOptions) -> bool:
@@ -354,15 +360,15 @@ class JoinNode(NetworkNode):
                 "        return None",
             ]
         known = len(self.taken)
-        names["Found"], names["own"] = Found, found_here(self.vars, known, self.keep)
+        names["Found"], names["own"] = Found, computed_values_getter(self.vars, known, self.keep)
         parts = "(l, r, Found(own(values)))" if len(self.vars) > known else "(l, r)"
         lines.append(f"    return Match(values, start, end, None, None, {parts})")
-        made: Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]] = shared_function(
+        join: Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]] = shared_function(
             "\n".join(lines) + "\n", names, f"join by {operator.name}"
         )
         if self.rule.network.mode.tracked and (self.absences or self.carried):
-            return self._noting_what_is_suppressed(made, left_arrives)
-        return made
+            return self._noting_what_is_suppressed(join, left_arrives)
+        return join
 
     def _noting_what_is_suppressed(
         self, join: Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]], left_arrives: bool
@@ -387,7 +393,7 @@ class JoinNode(NetworkNode):
             return after
         if right.buffer is None and self._right_waits(mode):
             return after
-        if taken_back(left) or taken_back(right):
+        if is_retracted(left) or is_retracted(right):
             return after
         result = self.joined(left, right)
         if result is None:

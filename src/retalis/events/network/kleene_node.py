@@ -39,25 +39,25 @@ from ...prolog.terms.unification import undo, unify
 from ..dispatch.matcher_compiler import compile_builder
 from ..language.aggregate_functions import Collector
 from ..language.pattern_tree import SEQ
-from ..matches.consumption_policy import Emit, counted, emit_each
-from ..matches.interval_index import reach_of
-from ..matches.match_buffer import MatchBuffer, surely_same
+from ..matches.consumption_policy import Emit, emit_each, metered
+from ..matches.interval_index import interval_bounds
+from ..matches.match_buffer import MatchBuffer, has_equal_key
 from ..matches.negation import NegationBuffer
 from ..matches.partial_matches import (
     Found,
     NetworkOptions,
     PartialMatch,
     TrackedMatch,
-    agreed,
     arrival,
-    taken_back,
+    is_retracted,
     unify_sides,
+    unify_values,
 )
-from ..matches.revision import RetainedMatches, after_all, stands, that_came_before
-from ..matches.run_groups import NO_ITEMS, Run, by_occurrence, by_term
+from ..matches.revision import RetainedMatches, earlier_partners, is_revived, is_valid
+from ..matches.run_groups import NO_ITEMS, Run, identity_by_start, identity_by_start_interval
 from .goal_evaluation import Buffer, Test
-from .pattern_analysis import Items, with_item
-from .pattern_nodes import Name, NetworkNode, found_here
+from .pattern_analysis import RepetitionItems, append_item
+from .pattern_nodes import IdentityFunction, NetworkNode, computed_values_getter
 
 if TYPE_CHECKING:
     from .event_rule import EventRule
@@ -104,7 +104,7 @@ class KleeneValues(NetworkNode):
         outside: AbstractSet[Var],
         collector: Optional[Collector],
         result: Optional[Term],
-        items: Optional[Items],
+        items: Optional[RepetitionItems],
     ) -> None:
         """Set the values of the result, when all conditions on repetitions are known.
 
@@ -184,40 +184,40 @@ class KleeneValues(NetworkNode):
 
     def result_of(self, run: Run, values: Values) -> Optional[PartialMatch]:
         """Return the result of a run in its present state, or None if it is not to be emitted."""
-        found: Any = values
+        result_values: Any = values
         start, end = run.start, run.last
         collector = self.collector
         if collector is not None:
             value = collector.result(run.state)
             if self.open_vars:
-                found, value = self._with_open(run, found, value)
-            found = self._with_result(found, value)
+                result_values, value = self._with_open(run, result_values, value)
+            result_values = self._with_result(result_values, value)
             for test in self.late_tests:
-                if found is None:
+                if result_values is None:
                     return None
-                found = test(found, start, end)
-            if found is None:
+                result_values = test(result_values, start, end)
+            if result_values is None:
                 return None
-        own = Found(self._found(found))
+        own = Found(self._found(result_values))
         event = run.event if run.fixed is None else None
         # The `TrackedMatch` is needed even if it is empty: with one part, the match would look like a condition
         # around its start.
-        return PartialMatch(found, start, end, event, None, (run.first, run.held, own))
+        return PartialMatch(result_values, start, end, event, None, (run.first, run.held, own))
 
     def _with_open(self, run: Run, values: Values, value: Term) -> Tuple[Values, Term]:
         """Bind the variables that no repetition binds by the values that conditions gave them."""
         trail: Trail = []
-        for var, at in zip(run.open, self._open_at):
-            unify(var, values[at], trail)
-        found = tuple([resolve(one) for one in values]), resolve(value)
+        for var, position in zip(run.open, self._open_at):
+            unify(var, values[position], trail)
+        bound = tuple([resolve(element) for element in values]), resolve(value)
         undo(trail, 0)
-        return found
+        return bound
 
     def _with_result(self, values: Values, value: Term) -> Optional[Values]:
         """Put the result in the place of its variables in the values."""
         if self.result_is_open:
-            at = self._result_at
-            return (*values[:at], value, *values[at + 1 :])
+            position = self._result_at
+            return (*values[:position], value, *values[position + 1 :])
         return self._unify_result(values, value)
 
     def _unify_result(self, values: Values, value: Term) -> Optional[Values]:
@@ -225,7 +225,7 @@ class KleeneValues(NetworkNode):
         trail: Trail = []
         result = None
         if unify(term, value, trail):
-            result = tuple([resolve(one) for one in values])
+            result = tuple([resolve(element) for element in values])
         undo(trail, 0)
         return result
 
@@ -253,7 +253,7 @@ class KleeneNode(KleeneValues):
         first: NetworkNode,
         repeated: NetworkNode,
         double: bool,
-        names: Tuple[Name, Name],
+        names: Tuple[IdentityFunction, IdentityFunction],
         keep: AbstractSet[Var],
     ):
         super().__init__(first, repeated)
@@ -262,12 +262,14 @@ class KleeneNode(KleeneValues):
         self._keep = keep
         self.double = double
         in_first, in_repeated = positions(first.vars), positions(repeated.vars)
-        self.pairs = tuple((at, in_repeated[var]) for var, at in in_first.items() if var in in_repeated)
-        self.buffer = MatchBuffer(rule, tuple(one for one, _ in self.pairs))
-        self.incoming = MatchBuffer(rule, tuple(two for _, two in self.pairs))
+        self.pairs = tuple(
+            (position, in_repeated[var]) for var, position in in_first.items() if var in in_repeated
+        )
+        self.buffer = MatchBuffer(rule, tuple(first_position for first_position, _ in self.pairs))
+        self.incoming = MatchBuffer(rule, tuple(repeated_position for _, repeated_position in self.pairs))
         self.step_tests: List[Test] = []
         self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
-        self._step_at = [at for at, var in enumerate(repeated.vars) if var not in in_first]
+        self._step_at = [position for position, var in enumerate(repeated.vars) if var not in in_first]
         self.kept_sides = RetainedMatches(self.incoming)
 
     def buffers(self) -> Sequence[Buffer]:
@@ -300,11 +302,13 @@ class KleeneNode(KleeneValues):
         self.waits_later = self.late and self.double and policy.replacing
         revised = mode.revised and not self.late
         self.keeps, self.ordered = revised and self.revived[0], revised and self.revived[1]
-        self.buffer.reach = reach_of(SEQ, self.span, False)
-        self.incoming.reach = reach_of(SEQ, self.span, True)
-        self.buffer.identify((by_term if policy.replacing else by_occurrence)(self._first_name))
+        self.buffer.reach = interval_bounds(SEQ, self.span, False)
+        self.incoming.reach = interval_bounds(SEQ, self.span, True)
+        self.buffer.identify(
+            (identity_by_start if policy.replacing else identity_by_start_interval)(self._first_name)
+        )
         self.incoming.identify(self._repeated_name if policy.replacing and not self.keeps else None)
-        self._found = found_here(self.vars, self._same_at, self._keep)
+        self._found = computed_values_getter(self.vars, self._same_at, self._keep)
         self.out = out
         # The repetitions are connected first: an event that is both starts a run only after it has extended earlier
         # ones.
@@ -331,7 +335,7 @@ class KleeneNode(KleeneValues):
                 return after
             buffer.add(run, key)
             result = self._result_without(run) if fires else None
-            if self.late or (self.keeps and after_all(self.rule.network.tracker, arrival(run))):
+            if self.late or (self.keeps and is_revived(self.rule.network.tracker, arrival(run))):
                 results = [] if result is None else [result]
                 results += self._results_of_earlier(run, key)
                 return emit_each(iter(results), out, after)
@@ -345,11 +349,11 @@ class KleeneNode(KleeneValues):
         A revived start takes the repetitions that arrived after it and are still available.
         """
         results = []
-        came = arrival(run) if self.keeps else 0
-        for match in counted(self.incoming.partners_now(key, run.start, run.end), self.rule.meter):
-            if self.keeps and (arrival(match) <= came or (self.consuming and stands(match.used))):
+        arrival_number = arrival(run) if self.keeps else 0
+        for match in metered(self.incoming.partners_now(key, run.start, run.end), self.rule.meter):
+            if self.keeps and (arrival(match) <= arrival_number or (self.consuming and is_valid(match.used))):
                 continue
-            extended, result = self.extending(run, match, surely_same(key, match))
+            extended, result = self.extending(run, match, has_equal_key(key, match))
             if extended:
                 match.used = run
                 if self.consuming and self.late:
@@ -378,9 +382,9 @@ class KleeneNode(KleeneValues):
             extended, result = False, None
             runs: Iterable[PartialMatch] = self.buffer.partners(key, match.start, match.end, newest)
             if ordered:
-                runs = that_came_before(match, runs, self.rule.network.tracker)
-            for run in counted(runs, meter):
-                extended, result = extend(run, match, surely_same(key, run))
+                runs = earlier_partners(match, runs, self.rule.network.tracker)
+            for run in metered(runs, meter):
+                extended, result = extend(run, match, has_equal_key(key, run))
                 if extended:
                     match.used = run
                     break
@@ -398,7 +402,7 @@ class KleeneNode(KleeneValues):
             key = self.incoming.key_of(match)
             runs: Iterable[PartialMatch] = self.buffer.partners_now(key, match.start, match.end)
             if ordered:
-                runs = that_came_before(match, runs, self.rule.network.tracker)
+                runs = earlier_partners(match, runs, self.rule.network.tracker)
             # The repetition is stored before results are emitted: a start that follows from a result must find it.
             if waits:
                 self._wait(match, key)
@@ -406,9 +410,9 @@ class KleeneNode(KleeneValues):
                 return after
             results = (
                 result
-                for run in counted(runs, meter)
+                for run in metered(runs, meter)
                 if run.buffer is not None
-                for result in (extend(run, match, surely_same(key, run))[1],)
+                for result in (extend(run, match, has_equal_key(key, run))[1],)
                 if result is not None
             )
             return emit_each(results, out, after)
@@ -437,7 +441,7 @@ class KleeneNode(KleeneValues):
             if sides is None:
                 return False, None
             values, match = sides[0].values, sides[1]
-        step: Any = values + tuple([match.values[at] for at in self._step_at]) + run.open
+        step: Any = values + tuple([match.values[position] for position in self._step_at]) + run.open
         for test in self.step_tests:
             step = test(step, match.start, match.end)
             if step is None:
@@ -467,16 +471,16 @@ class KleeneNode(KleeneValues):
         self, run: Run, match: PartialMatch, values: Values, step: Values, last: int
     ) -> Tuple[bool, Optional[PartialMatch]]:
         """Add a repetition to a run if the values together satisfy the tests; return as `extend`."""
-        fixed: Any = tuple([step[at] for at in self.fixed_at])
+        fixed: Any = tuple([step[position] for position in self.fixed_at])
         if run.fixed is not None:
-            fixed = agreed(run.fixed, fixed)
+            fixed = unify_values(run.fixed, fixed)
             if fixed is None:
                 return False, None
         items: Term = NO_ITEMS
         if self.items is not None:
-            items = with_item(run.items, tuple([step[at] for at in self._items_at]))
-        found = self._fit(values, items, fixed, run.start, last)
-        if found is None:
+            items = append_item(run.items, tuple([step[position] for position in self._items_at]))
+        fitted = self._fit(values, items, fixed, run.start, last)
+        if fitted is None:
             return False, None
         state = run.state
         if self.collector is not None:
@@ -492,7 +496,7 @@ class KleeneNode(KleeneValues):
             run.held = TrackedMatch(match, run.held)
             run.steps.append((values, step))
             run.sound += 1
-        return True, self.result_of(run, found)
+        return True, self.result_of(run, fitted)
 
     def forget(self, run: Run, match: PartialMatch) -> bool:
         """Return True: `results_again` removes repetitions whose events were retracted."""
@@ -503,16 +507,16 @@ class KleeneNode(KleeneValues):
 
         If pattern work reaches its limit, the run has the repetitions so far.
         """
-        if taken_back(run.first):
+        if is_retracted(run.first):
             return []
-        repetitions = [pair for pair in zip(run.taken, run.steps) if stands(pair[0])]
+        repetitions = [pair for pair in zip(run.taken, run.steps) if is_valid(pair[0])]
         if len(repetitions) == len(run.taken):
             return []
         # Results before the first retracted repetition remain valid and are not emitted again.
-        sound = next(at for at, match in enumerate(run.taken) if not stands(match))
+        sound = next(index for index, match in enumerate(run.taken) if not is_valid(match))
         run.restart(self.empty)
         results = []
-        for number, (match, (values, step)) in enumerate(counted(repetitions, self.rule.meter)):
+        for number, (match, (values, step)) in enumerate(metered(repetitions, self.rule.meter)):
             _, result = self._take(run, match, values, step, max(run.last, match.end))
             if number >= sound and result is not None:
                 results.append(result)
@@ -534,7 +538,7 @@ class KleeneNode(KleeneValues):
             extended, result = self.extending(run, match, False)
             if extended:
                 match.used = run
-        if result is None or taken_back(result):
+        if result is None or is_retracted(result):
             return after
         skipping = None if self.forbids else self.rule.skipping
         return self.out(result, after) if skipping is None or skipping.takes(result.start) else after

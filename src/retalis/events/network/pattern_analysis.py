@@ -54,11 +54,11 @@ if TYPE_CHECKING:
 
 
 _ITEMS = functor("items", 2)
-ITEM = "item of a run"
+ITEM_FUNCTOR_NAME = "item of a run"
 """Functor name of the values of one repetition; a zero precedes these, because there may be none."""
 
 
-class Carrying(Protocol):
+class NegationOwner(Protocol):
     """A node or negation buffer with deferred negations.
 
     Attributes:
@@ -68,7 +68,7 @@ class Carrying(Protocol):
     carried: List[Tuple[NegationBuffer, NetworkNode]]
 
 
-class Built(NamedTuple):
+class BuiltPattern(NamedTuple):
     """A node, and properties that the nodes above need.
 
     Attributes:
@@ -91,15 +91,15 @@ class Built(NamedTuple):
         return [*self.joined, *self.single] if self.branches is None else self.branches
 
     def with_negated(
-        self, node: NetworkNode, deferred: "List[DeferredConditions]", negated: "Built"
-    ) -> "Built":
+        self, node: NetworkNode, deferred: "List[DeferredConditions]", negated: "BuiltPattern"
+    ) -> "BuiltPattern":
         """Return the result for a node above this one and above a negated pattern."""
         joined = [*self.joined, *negated.leaves]
         branches = None if self.branches is None else [*self.branches, *negated.leaves]
-        return Built(node, deferred, joined, self.single, branches)
+        return BuiltPattern(node, deferred, joined, self.single, branches)
 
 
-class Items:
+class RepetitionItems:
     """Layout of the values of each repetition of a run, for conditions on repetitions that are tested further up.
 
     Attributes:
@@ -114,7 +114,7 @@ class Items:
         self.same = same
 
 
-class Negated:
+class NegatedPattern:
     """A negated pattern, which is built once for each place that tests it: each has nodes of its own.
 
     Args:
@@ -125,8 +125,8 @@ class Negated:
 
     def __init__(
         self,
-        build: Callable[[], Built],
-        twins: List[Tuple[Built, Built]],
+        build: Callable[[], BuiltPattern],
+        twins: List[Tuple[BuiltPattern, BuiltPattern]],
         nodes: Sequence[Tuple[NetworkNode, Any, Any]],
     ):
         self._nodes = nodes
@@ -135,7 +135,7 @@ class Negated:
         self._made = False
         self.first = self._forbidden()
 
-    def _forbidden(self) -> Built:
+    def _forbidden(self) -> BuiltPattern:
         before = len(self._nodes)
         built = self._build()
         for node, _, _ in self._nodes[before:]:
@@ -144,7 +144,7 @@ class Negated:
                 buffer.forbids = True
         return built
 
-    def make(self) -> Built:
+    def make(self) -> BuiltPattern:
         """Return the nodes that were built first, or at a further call a copy."""
         if not self._made:
             self._made = True
@@ -156,8 +156,8 @@ class Negated:
     def needs(self, context: AbstractSet[Var], known: Set[Var]) -> Set[Var]:
         """Return the variables of a context that the pattern uses and that are not known."""
         mentioned = set(self.first.node.vars)
-        for one in self.first.deferred:
-            mentioned |= one.needs
+        for condition in self.first.deferred:
+            mentioned |= condition.needs
         return (mentioned & context) - known
 
 
@@ -178,13 +178,13 @@ class DeferredConditions(NamedTuple):
     needs: Set[Var]
     goal: Optional[Term]
     timed: bool
-    absent: "Optional[Tuple[Negated, bool]]"
+    absent: "Optional[Tuple[NegatedPattern, bool]]"
     start: Var
     end: Var
-    items: Optional[Items] = None
+    items: Optional[RepetitionItems] = None
     each: "Optional[DeferredConditions]" = None
 
-    def of_each(self, items: Items) -> "DeferredConditions":
+    def of_each(self, items: RepetitionItems) -> "DeferredConditions":
         """Return the same condition for each repetition of a run."""
         return self._replace(items=items, each=self)
 
@@ -193,7 +193,7 @@ class DeferredConditions(NamedTuple):
         return self.items is None and self.needs.issubset(names)
 
 
-def ready_where(
+def split_ready(
     deferred: List[DeferredConditions], sure: Set[Var], context: AbstractSet[Var]
 ) -> Tuple[List[DeferredConditions], List[DeferredConditions]]:
     """Divide conditions into those that can be tested where some variables are bound, and the others.
@@ -202,85 +202,89 @@ def ready_where(
     """
     ready: List[DeferredConditions] = []
     later: List[DeferredConditions] = []
-    for one in deferred:
-        if (one.needs - sure) & context:
-            later.append(one)
+    for condition in deferred:
+        if (condition.needs - sure) & context:
+            later.append(condition)
         else:
-            ready.append(one)
-            sure = sure if one.goal is None else sure | set(variables(one.goal))
+            ready.append(condition)
+            sure = sure if condition.goal is None else sure | set(variables(condition.goal))
     return ready, later
 
 
-def with_item(items: Term, values: Values) -> Term:
+def append_item(items: Term, values: Values) -> Term:
     """Return the list of repetition values with one more item."""
-    return (_ITEMS, (functor(ITEM, len(values) + 1), 0, *values), items)
+    return (_ITEMS, (functor(ITEM_FUNCTOR_NAME, len(values) + 1), 0, *values), items)
 
 
 def deferred_test(
-    rule: "EventRule", node: Carrying, one: DeferredConditions, names: List[Var]
+    rule: "EventRule", node: NegationOwner, condition: DeferredConditions, names: List[Var]
 ) -> Tuple[Test, List[Var]]:
     """Return the test of a condition at a node that knows all of its variables, and the variables after it.
 
     Args:
         rule: the rule of the condition.
         node: the node, or negation buffer, that tests it and owns its negation buffers.
-        one: the condition.
+        condition: the condition.
         names: variables that are known there.
     """
-    if one.items is not None and one.each is not None:
-        return _test_of_each(rule, node, one.items, one.each, names)
-    at = (names.index(one.start), names.index(one.end))
-    if one.goal is not None:
-        call = RuleGoal(rule, one.goal, names)
-        return goal_test(call, one.timed, at), call.result_vars
-    assert one.absent is not None
-    negated, ever = one.absent
+    if condition.items is not None and condition.each is not None:
+        return _test_of_each(rule, node, condition.items, condition.each, names)
+    interval_positions = (names.index(condition.start), names.index(condition.end))
+    if condition.goal is not None:
+        call = RuleGoal(rule, condition.goal, names)
+        return goal_test(call, condition.timed, interval_positions), call.result_vars
+    assert condition.absent is not None
+    negated, ever = condition.absent
     built = negated.make()
-    absence = absence_of(rule, built, names, ever)
+    absence = negation_buffer_for(rule, built, names, ever)
     node.carried.append((absence, built.node))
-    return _absence_test(absence, at, ever), names
+    return _absence_test(absence, interval_positions, ever), names
 
 
 def early_test(
-    rule: "EventRule", node: Carrying, one: DeferredConditions, names: List[Var]
+    rule: "EventRule", node: NegationOwner, condition: DeferredConditions, names: List[Var]
 ) -> Tuple[Test, List[Var]]:
     """Return a test like `deferred_test`, for a node where some required variables may be unbound.
 
     A match with such variables is passed on untested. A match that has passed is marked, and is not tested further
     up.
     """
-    test, left = deferred_test(rule, node, one, names)
+    test, result_vars = deferred_test(rule, node, condition, names)
     places = positions(names)
-    needed = [places[var] for var in one.needs]
-    mark = places[one.start]
-    new = left[len(names) :]
+    needed = [places[var] for var in condition.needs]
+    mark = places[condition.start]
+    new = result_vars[len(names) :]
 
     def early(values: Values, start: int, end: int) -> Optional[Values]:
-        if any(deref(values[at]).__class__ is Var for at in needed):
+        if any(deref(values[position]).__class__ is Var for position in needed):
             return values + tuple([Var() for _ in new])
-        found = test(values, start, end)
+        result = test(values, start, end)
         # The mark: a variable in place of the start. The tests above read it as "in a branch that was not taken"
         # and pass.
-        return None if found is None else (*found[:mark], Var(), *found[mark + 1 :])
+        return None if result is None else (*result[:mark], Var(), *result[mark + 1 :])
 
-    return early, left
+    return early, result_vars
 
 
 def _test_of_each(
-    rule: "EventRule", node: Carrying, items: Items, one: DeferredConditions, names: List[Var]
+    rule: "EventRule",
+    node: NegationOwner,
+    items: RepetitionItems,
+    condition: DeferredConditions,
+    names: List[Var],
 ) -> Tuple[Test, List[Var]]:
     # Each repetition is tested with its own values after those of the match. Bindings of variables that belong to
     # the whole match are passed from one repetition to the next.
-    at = names.index(items.var)
-    mentioned = [] if one.goal is None else variables(one.goal)
+    list_position = names.index(items.var)
+    mentioned = [] if condition.goal is None else variables(condition.goal)
     here = set(names)
     known = [*names, *(var for var in mentioned if var in items.same and var not in here)]
     width = len(known)
-    test_one, left = deferred_test(rule, node, one, [*known, *items.names])
-    items.names = left[width:]
+    test_one, result_vars = deferred_test(rule, node, condition, [*known, *items.names])
+    items.names = result_vars[width:]
 
     def test(values: Values, start: int, end: int) -> Optional[Values]:
-        rest = values[at]
+        rest = values[list_position]
         base = values + tuple([Var() for _ in known[len(values) :]])
         if rest.__class__ is Var:
             return base
@@ -291,17 +295,19 @@ def _test_of_each(
             rest = rest[2]
         tested: Term = NO_ITEMS
         for item in reversed(oldest_first):
-            found = test_one((*base, *item), start, end)
-            if found is None:
+            result = test_one((*base, *item), start, end)
+            if result is None:
                 return None
-            base = found[:width]
-            tested = with_item(tested, found[width:])
-        return (*base[:at], tested, *base[at + 1 :])
+            base = result[:width]
+            tested = append_item(tested, result[width:])
+        return (*base[:list_position], tested, *base[list_position + 1 :])
 
     return test, known
 
 
-def absence_of(rule: "EventRule", negated: Built, names: List[Var], ever: bool) -> NegationBuffer:
+def negation_buffer_for(
+    rule: "EventRule", negated: BuiltPattern, names: List[Var], ever: bool
+) -> NegationBuffer:
     """Return the negation buffer for the matches of a negated node.
 
     Args:
@@ -321,8 +327,8 @@ def absence_of(rule: "EventRule", negated: Built, names: List[Var], ever: bool) 
     at = [at for at, var in enumerate(own) if var not in places]
     known = [*names, *new]
     tests = []
-    for one in conditions:
-        test, known = deferred_test(rule, absence, one, known)
+    for deferred in conditions:
+        test, known = deferred_test(rule, absence, deferred, known)
         tests.append(test)
     tracker = rule.network.tracker
 
@@ -341,13 +347,13 @@ def absence_of(rule: "EventRule", negated: Built, names: List[Var], ever: bool) 
     return absence
 
 
-def _absence_test(absence: NegationBuffer, at: Tuple[int, int], ever: bool) -> Test:
+def _absence_test(absence: NegationBuffer, interval_positions: Tuple[int, int], ever: bool) -> Test:
     """Return the test of a negation whose gap is among the values."""
 
     def test(values: Values, start: int, end: int) -> Optional[Values]:
         # An instant, or a variable in a branch that was not taken.
-        low: Any = values[at[0]]
-        high: Any = values[at[1]]
+        low: Any = values[interval_positions[0]]
+        high: Any = values[interval_positions[1]]
         if low.__class__ is Var:
             return values
         if absence.blocks(values, low, low if ever else high):
@@ -376,12 +382,12 @@ def may_be_revived(pattern: Pattern) -> bool:
     return any(isinstance(part, kinds) for part in walk(pattern))
 
 
-def in_goals(conditions: List[Condition]) -> VarSet:
+def goal_variables(conditions: List[Condition]) -> VarSet:
     """Return the variables of conditions."""
     return frozenset(var for condition in conditions for var in variables(condition.goal))
 
 
-def those_about_a_result_last(
+def order_by_result_use(
     conditions: Sequence[TestedCondition], known: Sequence[Var], result: Sequence[Var]
 ) -> List[Tuple[bool, TestedCondition]]:
     """Return the conditions of an aggregate, and for each whether it depends on the result.
@@ -400,7 +406,7 @@ def those_about_a_result_last(
     return [*early, *late]
 
 
-def served(either: bool, left: Built, right: Built) -> List[EventNode]:
+def serving_order(either: bool, left: BuiltPattern, right: BuiltPattern) -> List[EventNode]:
     """Return the event nodes of a pair in the order in which they receive an event that matches several of them.
 
     In a sequence, the right operand comes first: it completes a pair before the left one is stored. Otherwise nodes
@@ -412,18 +418,18 @@ def served(either: bool, left: Built, right: Built) -> List[EventNode]:
     return [*left.joined, *right.joined, *right.single, *left.single]
 
 
-def meet(left: Built, right: Built) -> bool:
+def may_share_event(left: BuiltPattern, right: BuiltPattern) -> bool:
     """Return whether one event may be in both operands of a pair."""
 
-    def kinds(built: Built) -> Set[Term]:
-        found = set()
+    def kinds(built: BuiltPattern) -> Set[Term]:
+        functors = set()
         for leaf in built.leaves:
             term = leaf.term
-            found.add(term[0] if term.__class__ is tuple else term)
-        return found
+            functors.add(term[0] if term.__class__ is tuple else term)
+        return functors
 
     ours, theirs = kinds(left), kinds(right)
-    return bool(ours & theirs) or any(kind.__class__ is Var for kind in ours | theirs)
+    return bool(ours & theirs) or any(functor.__class__ is Var for functor in ours | theirs)
 
 
 def unwrap(pattern: Pattern) -> Wrapping:
@@ -443,6 +449,6 @@ def unwrap(pattern: Pattern) -> Wrapping:
         pattern = pattern.pattern
 
 
-def used_twice(terms: List[Term], pattern: Pattern) -> Set[Var]:
+def shared_variables(terms: List[Term], pattern: Pattern) -> Set[Var]:
     """Return the variables that occur more than once in terms and a pattern."""
     return {var for var, number in occurrences(terms, pattern).items() if number > 1}

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from .event_rule import EventRule
 
 
-Name = Callable[[PartialMatch], Hashable]
+IdentityFunction = Callable[[PartialMatch], Hashable]
 
 
 class MatchKeys:
@@ -63,17 +63,19 @@ class MatchKeys:
         self.carried: Set[Var] = set(shared)
         self._given: Dict[int, FrozenSet[Var]] = {}
 
-    def name(self, names: Sequence[Var], pattern: Pattern) -> Name:
+    def name(self, names: Sequence[Var], pattern: Pattern) -> IdentityFunction:
         """Return the identity function of a pattern's matches, given the variables of their values."""
-        carried = [(at, var) for at, var in enumerate(names) if var in self.carried]
-        return naming([at for at, var in carried if var not in self._by_events(pattern)])
+        carried = [(position, var) for position, var in enumerate(names) if var in self.carried]
+        return identity_by_values(
+            [position for position, var in carried if var not in self._by_events(pattern)]
+        )
 
     def _by_events(self, pattern: Pattern) -> FrozenSet[Var]:
         """Return the variables that the events of a match always bind; cached for each part of the pattern."""
-        found = self._given.get(id(pattern))
-        if found is None:
-            found = self._given[id(pattern)] = self._given_by(pattern)
-        return found
+        bound = self._given.get(id(pattern))
+        if bound is None:
+            bound = self._given[id(pattern)] = self._given_by(pattern)
+        return bound
 
     def _given_by(self, pattern: Pattern) -> FrozenSet[Var]:
         # There may be no repetition, so only the start is certain.
@@ -89,14 +91,18 @@ class MatchKeys:
         return frozenset().union(*below)
 
 
-def naming(positions: List[int]) -> Name:
+def identity_by_values(positions: List[int]) -> IdentityFunction:
     """Return an identity function by events and by the values at some positions."""
     if not positions:
         return identity
-    return lambda match: Named(identity(match), tuple([term_key(match.values[at]) for at in positions]))
+    return lambda match: Named(
+        identity(match), tuple([term_key(match.values[position]) for position in positions])
+    )
 
 
-def found_here(names: Sequence[Var], known: int, carried: AbstractSet[Var]) -> Callable[[Values], Values]:
+def computed_values_getter(
+    names: Sequence[Var], known: int, carried: AbstractSet[Var]
+) -> Callable[[Values], Values]:
     """Return a function for the values that a node has computed itself and does not pass on; see `Found`.
 
     Args:
@@ -104,10 +110,10 @@ def found_here(names: Sequence[Var], known: int, carried: AbstractSet[Var]) -> C
         known: number of values that it received.
         carried: variables that are passed on, and belong to the identity of stored matches.
     """
-    at = [place for place in range(known, len(names)) if names[place] not in carried]
-    if len(at) == len(names) - known:
+    hidden_positions = [position for position in range(known, len(names)) if names[position] not in carried]
+    if len(hidden_positions) == len(names) - known:
         return itemgetter(slice(known, None))
-    return lambda values: tuple([values[place] for place in at])
+    return lambda values: tuple([values[position] for position in hidden_positions])
 
 
 Fuse = Callable[[EventAction], EventAction]
@@ -268,7 +274,7 @@ class FilterNode(NetworkNode):
         """Connect the node; see `NetworkNode.bind`."""
         tests = self.tests
         span = self.span
-        own = found_here(self.vars, len(self.child.vars), self.keep)
+        own = computed_values_getter(self.vars, len(self.child.vars), self.keep)
 
         def arrive(match: PartialMatch, after: Frame) -> Frame:
             start = match.start
@@ -328,12 +334,12 @@ class OrNode(NetworkNode):
 
     def __init__(self, children: Sequence[NetworkNode], keep: AbstractSet[Var]):
         self.children = children
-        found: Dict[Var, None] = {}
+        kept_vars: Dict[Var, None] = {}
         for child in children:
             for var in child.vars:
                 if var in keep:
-                    found.setdefault(var)
-        self.vars = list(found)
+                    kept_vars.setdefault(var)
+        self.vars = list(kept_vars)
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
@@ -346,7 +352,7 @@ class OrNode(NetworkNode):
 
         def arrive(match: PartialMatch, after: Frame) -> Frame:
             values = match.values
-            laid = tuple([Var() if at is None else values[at] for at in layout])
+            laid = tuple([Var() if position is None else values[position] for position in layout])
             return out(PartialMatch(laid, match.start, match.end, match.event, None, (index, match)), after)
 
         return arrive
@@ -381,7 +387,7 @@ class ActionNode(NetworkNode):
         act = call.act_on_all if self.every else call.act
         tracked = mode.tracked
         span = self.span
-        own = found_here(self.vars, len(self.child.vars), self.keep)
+        own = computed_values_getter(self.vars, len(self.child.vars), self.keep)
         is_of_ground = call.rule.network.dispatcher.is_of_ground
 
         def arrive(match: PartialMatch, after: Frame) -> Frame:

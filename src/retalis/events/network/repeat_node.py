@@ -32,24 +32,24 @@ from ...prolog.terms.term_traversal import positions
 from ...prolog.terms.types import Frame, Values, Var
 from ..language.event_operators import OPERATORS
 from ..language.pattern_tree import SEQ
-from ..matches.consumption_policy import Emit, counted, emit_each
-from ..matches.interval_index import reach_of
+from ..matches.consumption_policy import Emit, emit_each, metered
+from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer, key_function
 from ..matches.partial_matches import NetworkOptions, PartialMatch, identity
 from ..matches.run_groups import (
     BufferSlice,
-    Moving,
     RunCursor,
     RunGroup,
+    RunGroupBuffer,
     SharedLog,
-    joined_at_once,
-    joined_one_by_one,
-    pieces_of,
+    set_chain_parts,
+    set_slice_parts,
+    slices_of,
 )
 from ..provenance.event_log import known_in
 from .goal_evaluation import Buffer
 from .join_node import JoinNode
-from .pattern_nodes import Name, NetworkNode
+from .pattern_nodes import IdentityFunction, NetworkNode
 
 if TYPE_CHECKING:
     from .event_rule import EventRule
@@ -96,22 +96,22 @@ class RepeatNode(NetworkNode):
         child: NetworkNode,
         times: int,
         keep: AbstractSet[Var],
-        named: Callable[[List[Var]], Name],
+        named: Callable[[List[Var]], IdentityFunction],
     ):
         self.rule = rule
         self.child = child
         self.times = times
         self.vars = [var for var in child.vars if var in keep]
         self._names = named(child.vars), named(self.vars)
-        at = positions(child.vars)
-        self._kept = tuple([at[var] for var in self.vars])
+        place_of = positions(child.vars)
+        self._kept = tuple([place_of[var] for var in self.vars])
         self._key = key_function(self._kept)
         self._buffers: Dict[int, MatchBuffer] = {}
         self._apart: Dict[Hashable, Dict[int, None]] = {}
         self._joinings: List[JoinNode] = []
         self._relays: List[_Relay] = []
         self.trains: Dict[Hashable, RunGroup] = {}
-        self._moving = Moving(self)
+        self._moving = RunGroupBuffer(self)
         self.span: Optional[int] = None
         self.limit: Optional[int] = None
         self._mode = NetworkOptions()
@@ -142,8 +142,8 @@ class RepeatNode(NetworkNode):
         else:
             self._together = True
             for number, buffer in self._buffers.items():
-                for one in buffer.all() if number > 1 else ():
-                    joined_at_once(one, number)
+                for match in buffer.all() if number > 1 else ():
+                    set_slice_parts(match, number)
                 self._set_up(buffer, number)
                 for key in buffer.newest:
                     self._apart.setdefault(key, {})[number] = None
@@ -162,7 +162,7 @@ class RepeatNode(NetworkNode):
         for number in numbers:
             self._buffer(number)
         self.trains = {train.key: train for train in trains}
-        self._apart = {key: dict.fromkeys(found) for key, found in apart}
+        self._apart = {key: dict.fromkeys(lengths) for key, lengths in apart}
 
     def number_of_buffers(self, kept: Any) -> int:
         """Return the number of buffers that the node has after it has restored a state."""
@@ -174,7 +174,7 @@ class RepeatNode(NetworkNode):
 
     def values_of(self, token: RunCursor) -> Values:
         """Return the values of a sequence."""
-        return token.values if token.apart > 1 else tuple([token.values[at] for at in self._kept])
+        return token.values if token.apart > 1 else tuple([token.values[position] for position in self._kept])
 
     def _arrive(self, match: PartialMatch, after: Frame) -> Frame:
         if self._together:
@@ -183,10 +183,10 @@ class RepeatNode(NetworkNode):
             except ValueError:
                 self._part()
             else:
-                made = self._take(match, key)
-                return after if made is None else self._out(made, after)
+                result = self._take(match, key)
+                return after if result is None else self._out(result, after)
         return emit_each(
-            counted(self._served(), self.rule.meter), lambda relay, then: relay.take(match, then), after
+            metered(self._served(), self.rule.meter), lambda relay, then: relay.take(match, then), after
         )
 
     # ---- run groups ----------------------------------------------------------------------------------
@@ -211,10 +211,10 @@ class RepeatNode(NetworkNode):
         longest = train.advance(match, self.times)
         self.trains[key] = train
         self.visits += 1
-        made = None
+        result = None
         # The result is made before its cursor leaves the group, which may drop the log.
         if longest is not None:
-            made = train.match_of(longest, self.times)
+            result = train.match_of(longest, self.times)
             longest.leave()
         token: Any = train.tokens[0]
         self.rule.keep(token, self.limit)
@@ -222,7 +222,7 @@ class RepeatNode(NetworkNode):
             self._note(train, match)
         if apart and self._mode.policy.replacing:
             self._replace(train, apart)
-        return made
+        return result
 
     def _join_train(self, train: RunGroup, match: PartialMatch, apart: Dict[int, None]) -> None:
         """Add separately stored sequences to a group, in place of those with the same length.
@@ -236,15 +236,15 @@ class RepeatNode(NetworkNode):
             if token is not None and newest and self._fits(token, match):
                 # It is newer than those that wait apart.
                 continue
-            other = self._first_fit(number, train.key, match, apart)
-            if other is None:
+            sequence = self._first_fit(number, train.key, match, apart)
+            if sequence is None:
                 continue
             if token is not None:
                 self._stop(train, token, number)
-            other.leave()
-            other = RunCursor(other, number, train)
-            train.put(number, other)
-            self.rule.keep(other, self.limit)
+            sequence.leave()
+            sequence = RunCursor(sequence, number, train)
+            train.put(number, sequence)
+            self.rule.keep(sequence, self.limit)
 
     def _leave_behind(self, train: RunGroup, match: PartialMatch) -> None:
         """Store the sequences separately that would be too long with a match that does not move the rule's clock."""
@@ -266,25 +266,29 @@ class RepeatNode(NetworkNode):
         self, train: RunGroup, match: PartialMatch, apart: Optional[Dict[int, None]]
     ) -> Optional[PartialMatch]:
         """Extend the separately stored sequences with a repetition that overlaps the last one of the group."""
-        made = None
+        result = None
         apart = apart or {}
         # Longest first: a sequence that is extended becomes one of the next length, and must not take the same
         # repetition again.
         for number in sorted(apart, reverse=True):
             self.visits += 1
-            other = self._first_fit(number, train.key, match, apart)
-            if other is None:
+            sequence = self._first_fit(number, train.key, match, apart)
+            if sequence is None:
                 continue
-            other.leave()
-            values = other.values if number > 1 else tuple([other.values[at] for at in self._kept])
-            chain = BufferSlice((*pieces_of(other, number), (SharedLog([match]), 0, 1)))
-            longer = PartialMatch(values, other.start, match.end, None, None, (chain,))
+            sequence.leave()
+            values = (
+                sequence.values
+                if number > 1
+                else tuple([sequence.values[position] for position in self._kept])
+            )
+            chain = BufferSlice((*slices_of(sequence, number), (SharedLog([match]), 0, 1)))
+            longer = PartialMatch(values, sequence.start, match.end, None, None, (chain,))
             if number + 1 == self.times:
-                made = longer
+                result = longer
             else:
                 self._set_apart(train, longer, number + 1)
         self._set_apart(train, match, 1)
-        return made
+        return result
 
     def _first_fit(
         self, number: int, key: Hashable, match: PartialMatch, apart: Dict[int, None]
@@ -295,13 +299,13 @@ class RepeatNode(NetworkNode):
             del apart[number]
             return None
         partners = buffer.partners(key, match.start, match.end, self._mode.policy.newest)
-        for one in counted(partners, self.rule.meter):
-            if one.end < match.start and self._fits(one, match):
-                return one
+        for candidate in metered(partners, self.rule.meter):
+            if candidate.end < match.start and self._fits(candidate, match):
+                return candidate
         return None
 
-    def _fits(self, one: PartialMatch, match: PartialMatch) -> bool:
-        return self.span is None or match.end - one.start <= self.span
+    def _fits(self, sequence: PartialMatch, match: PartialMatch) -> bool:
+        return self.span is None or match.end - sequence.start <= self.span
 
     def _set_apart(self, train: RunGroup, match: PartialMatch, number: int) -> None:
         """Store a new sequence separately; it is newer than the one with the same length in the group."""
@@ -332,9 +336,9 @@ class RepeatNode(NetworkNode):
         # The lengths are cleared lazily, when a key is used. Keys that are never used again would accumulate.
         if key not in self._apart and len(self._apart) > 2 * self.rule.waiting + 1000:
             self._apart = {}
-            for at, other in self._buffers.items():
-                for one in other.newest:
-                    self._apart.setdefault(one, {})[at] = None
+            for length, other_buffer in self._buffers.items():
+                for other_key in other_buffer.newest:
+                    self._apart.setdefault(other_key, {})[length] = None
         self._apart.setdefault(key, {})[number] = None
 
     def _buffer(self, number: int) -> MatchBuffer:
@@ -348,7 +352,7 @@ class RepeatNode(NetworkNode):
         return buffer
 
     def _set_up(self, buffer: MatchBuffer, number: int) -> None:
-        buffer.reach = reach_of(SEQ, self.span, False)
+        buffer.reach = interval_bounds(SEQ, self.span, False)
         # Matches of one key have the same values, so these do not belong to the identity of longer sequences.
         name = self._names[0] if number == 1 else identity
         buffer.identify(name if self._mode.policy.replacing else None)
@@ -375,15 +379,15 @@ class RepeatNode(NetworkNode):
 
     def _part(self) -> None:
         """Switch to join nodes, and move all sequences to their buffers."""
-        for train in sorted(self.trains.values(), key=lambda one: one.order):
+        for train in sorted(self.trains.values(), key=lambda stored: stored.order):
             # Oldest group first, longest sequence first: the order in which they were stored.
             for number, token in list(train.present()):
                 self._stop(train, token, number)
         self._apart = {}
         self._together = False
         for number, buffer in self._buffers.items():
-            for one in buffer.all() if number > 1 else ():
-                joined_one_by_one(one, number)
+            for stored in buffer.all() if number > 1 else ():
+                set_chain_parts(stored, number)
         if not self._joinings:
             shared = frozenset(self.vars)
             self._relays = [_Relay(self.child, shared) for _ in range(self.times)]
@@ -396,13 +400,13 @@ class RepeatNode(NetworkNode):
                 self._joinings.append(left)
         self._joinings[-1].bind(self._give if self._mode.policy.replacing else self._out, self._mode)
 
-    def _names_at(self, number: int) -> Tuple[Name, Name]:
-        one, some = self._names
-        return (one if number == 1 else some), one
+    def _names_at(self, number: int) -> Tuple[IdentityFunction, IdentityFunction]:
+        single_name, longer_name = self._names
+        return (single_name if number == 1 else longer_name), single_name
 
     def _give(self, match: PartialMatch, after: Frame) -> Frame:
         """Emit a match of all repetitions with the parts that a run group gives it; it may replace one of those."""
-        joined_at_once(match, self.times)
+        set_slice_parts(match, self.times)
         return self._out(match, after)
 
     def _served(self) -> Iterator[_Relay]:

@@ -31,7 +31,9 @@ class Retention(NamedTuple):
         """Return the retention below a ``within`` of ``span`` nanoseconds, or this one if there is no bound."""
         if span is None:
             return self
-        return Retention(least(self.in_order, span), least(self.late, span), least(self.part, span))
+        return Retention(
+            smaller_bound(self.in_order, span), smaller_bound(self.late, span), smaller_bound(self.part, span)
+        )
 
     def of_negated(self, span: Optional[int]) -> "Retention":
         """Return the retention of a pattern that is negated between two operands.
@@ -39,20 +41,20 @@ class Retention(NamedTuple):
         Args:
             span: the longest time in ns that the two operands can span together; None if unbounded.
         """
-        return Retention(self.in_order, kept_for_late(span, self.late))
+        return Retention(self.in_order, retention_for_late(span, self.late))
 
 
 UNLIMITED = Retention()
 
 
-def least(one: Optional[int], other: Optional[int]) -> Optional[int]:
+def smaller_bound(first: Optional[int], second: Optional[int]) -> Optional[int]:
     """Return the smaller of two bounds; None counts as infinity."""
-    if one is None:
-        return other
-    return one if other is None else min(one, other)
+    if first is None:
+        return second
+    return first if second is None else min(first, second)
 
 
-def kept_for_late(span: Optional[int], limit: Optional[int]) -> Optional[int]:
+def retention_for_late(span: Optional[int], limit: Optional[int]) -> Optional[int]:
     """Return the retention of a negated match if the first operand may arrive late; None means forever.
 
     Args:

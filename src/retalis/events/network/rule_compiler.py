@@ -45,24 +45,24 @@ from .goal_evaluation import Evaluators, RuleGoal, Test, goal_test
 from .join_node import JoinNode
 from .kleene_node import KleeneNode
 from .pattern_analysis import (
-    Built,
+    BuiltPattern,
     DeferredConditions,
-    Items,
-    Negated,
+    NegatedPattern,
+    RepetitionItems,
     TestedCondition,
     VarSet,
     Wrapping,
-    absence_of,
     deferred_test,
     early_test,
-    in_goals,
+    goal_variables,
     may_be_revived,
-    meet,
-    ready_where,
-    served,
-    those_about_a_result_last,
+    may_share_event,
+    negation_buffer_for,
+    order_by_result_use,
+    serving_order,
+    shared_variables,
+    split_ready,
     unwrap,
-    used_twice,
 )
 from .pattern_nodes import (
     ActionNode,
@@ -70,8 +70,8 @@ from .pattern_nodes import (
     EarlyTestNode,
     EventNode,
     FilterNode,
+    IdentityFunction,
     MatchKeys,
-    Name,
     NetworkNode,
     NotNode,
     OrNode,
@@ -106,12 +106,12 @@ class RuleCompiler(StreamCompiler):
     def __init__(self, rule: "EventRule", head: List[Term], pattern: Pattern):
         super().__init__(rule)
         self.pattern = pattern
-        self.keep = used_twice(head, pattern)
+        self.keep = shared_variables(head, pattern)
         self._counts = occurrences(head, pattern)
         self._telling = MatchKeys(self.keep)
         self.nodes: List[Tuple[NetworkNode, Optional[int], Retention]] = []
         self.ringing: List[StreamNode] = []
-        self.twins: List[Tuple[Built, Built]] = []
+        self.twins: List[Tuple[BuiltPattern, BuiltPattern]] = []
         self._bound_by: Dict[int, VarSet] = {}
 
     def build(self) -> NetworkNode:
@@ -125,15 +125,15 @@ class RuleCompiler(StreamCompiler):
             stream.place = place
         # Copies of a negated pattern receive an event together with the first one, whichever node tests them.
         for built_again, first in self.twins:
-            for leaf, other in zip(built_again.leaves, first.leaves):
-                leaf.rank = other.rank
+            for leaf, first_leaf in zip(built_again.leaves, first.leaves):
+                leaf.rank = first_leaf.rank
         node = root = built.node
         while isinstance(node, (ActionNode, FilterNode)):
             node.windowed = True
             node = node.child
         return root
 
-    def _build(self, pattern: Pattern, context: VarSet, limit: Retention) -> Built:
+    def _build(self, pattern: Pattern, context: VarSet, limit: Retention) -> BuiltPattern:
         """Build a pattern.
 
         Args:
@@ -142,7 +142,7 @@ class RuleCompiler(StreamCompiler):
             limit: smallest interval bounds above it; None for none.
         """
         pairs: List[Tuple[Pair, Wrapping, Retention]] = []
-        begun = len(self.ringing)
+        first_left_stream = len(self.ringing)
         while True:
             wrapping = unwrap(pattern)
             span = wrapping.span
@@ -156,10 +156,12 @@ class RuleCompiler(StreamCompiler):
         # Innermost pair first.
         while pairs:
             pair, wrapping, inner = pairs.pop()
-            built = self._joining(pair, wrapping, context, inner, built, begun)
+            built = self._joining(pair, wrapping, context, inner, built, first_left_stream)
         return built
 
-    def _build_core(self, core: Pattern, wrapping: Wrapping, context: VarSet, inner: Retention) -> Built:
+    def _build_core(
+        self, core: Pattern, wrapping: Wrapping, context: VarSet, inner: Retention
+    ) -> BuiltPattern:
         """Build a pattern that is not a pair."""
         if isinstance(core, (Star, Aggregate)):
             return self._running(core, wrapping, context, inner)
@@ -167,15 +169,15 @@ class RuleCompiler(StreamCompiler):
             return self._repeated(core, context, inner)
         if isinstance(core, Occurs):
             leaf = self._add(EventNode(self.rule, core.term), None, UNLIMITED)
-            built = Built(leaf, [], [], [leaf])
+            built = BuiltPattern(leaf, [], [], [leaf])
         elif isinstance(core, Either):
             branches = [self._build(branch, context, inner) for branch in core.branches]
             node: NetworkNode = OrNode([branch.node for branch in branches], self.keep)
-            deferred = [one for branch in branches for one in branch.deferred]
+            deferred = [condition for branch in branches for condition in branch.deferred]
             joined = [leaf for branch in branches for leaf in branch.joined]
             single = [leaf for branch in branches for leaf in branch.single]
             in_order = [leaf for branch in branches for leaf in branch.leaves]
-            built = Built(self._add(node, None, inner), deferred, joined, single, in_order)
+            built = BuiltPattern(self._add(node, None, inner), deferred, joined, single, in_order)
         elif isinstance(core, Absent):
             built = self._never(core, context, inner)
         elif isinstance(core, (Windowed, Shaped, Awaited)):
@@ -189,31 +191,31 @@ class RuleCompiler(StreamCompiler):
             built = below._replace(node=self._add(node, None, inner))
         return self._filtered(built, wrapping, context)
 
-    def _repeated(self, core: Repeated, context: VarSet, limit: Retention) -> Built:
+    def _repeated(self, core: Repeated, context: VarSet, limit: Retention) -> BuiltPattern:
         """Build a repeated pattern, by a `RepeatNode` if possible, else written out as a sequence."""
         if core.is_of_single_events():
             before = len(self.nodes)
-            one = self._build(core.pattern, context | self._bound(core.pattern), limit)
-            if not one.deferred:
+            built = self._build(core.pattern, context | self._bound(core.pattern), limit)
+            if not built.deferred:
                 naming = partial(self._telling.name, pattern=core.pattern)
-                repeating = RepeatNode(self.rule, one.node, core.times, self.keep, naming)
+                repeating = RepeatNode(self.rule, built.node, core.times, self.keep, naming)
                 node = self._add(repeating, None, limit)
-                return Built(node, [], one.leaves, [])
+                return BuiltPattern(node, [], built.leaves, [])
             del self.nodes[before:]
         return self._build(core.written_out(), context, limit)
 
     def _bound(self, pattern: Pattern) -> VarSet:
         """Return the variables that a match of a pattern may bind; cached for the parts of a sequence."""
-        found = self._bound_by.get(id(pattern))
-        if found is None:
+        bound = self._bound_by.get(id(pattern))
+        if bound is None:
             if isinstance(pattern, Pair) and id(pattern.left) in self._bound_by:
-                found = self._bound(pattern.left).union(bound_by(pattern.right))
+                bound = self._bound(pattern.left).union(bound_by(pattern.right))
             else:
-                found = frozenset(bound_by(pattern))
-            self._bound_by[id(pattern)] = found
-        return found
+                bound = frozenset(bound_by(pattern))
+            self._bound_by[id(pattern)] = bound
+        return bound
 
-    def _named(self, built: Built, pattern: Pattern) -> Name:
+    def _named(self, built: BuiltPattern, pattern: Pattern) -> IdentityFunction:
         return self._telling.name(built.node.vars, pattern)
 
     def _add(self, node: N, span: Optional[int], limit: Retention) -> N:
@@ -222,19 +224,19 @@ class RuleCompiler(StreamCompiler):
         self.nodes.append((node, span, limit))
         return node
 
-    def _filtered(self, built: Built, wrapping: Wrapping, context: VarSet) -> Built:
+    def _filtered(self, built: BuiltPattern, wrapping: Wrapping, context: VarSet) -> BuiltPattern:
         """Add a node with the conditions of an event, ``or`` or action above its node."""
         conditions, put_off = self._split(wrapping.conditions, wrapping.core, context)
         node = built.node
-        for one in put_off:
-            node = self._captured(node, one)
+        for deferred in put_off:
+            node = self._captured(node, deferred)
         names: List[Var] = node.vars
         tests: List[Test] = []
         for condition in conditions:
-            found = self._test(node, condition, names)
-            if found is not None:
-                tests.append(found[0])
-                names = found[1]
+            tested = self._test(node, condition, names)
+            if tested is not None:
+                tests.append(tested[0])
+                names = tested[1]
         if tests or wrapping.span is not None:
             node = self._add(FilterNode(node, names, tests, self.keep), wrapping.span, UNLIMITED)
         return built._replace(node=node, deferred=[*built.deferred, *put_off])
@@ -261,7 +263,7 @@ class RuleCompiler(StreamCompiler):
             else:
                 parted.append(condition)
                 known |= mentioned
-        return parted, [one for one in parted if isinstance(one, DeferredConditions)]
+        return parted, [part for part in parted if isinstance(part, DeferredConditions)]
 
     def _test(
         self, node: Any, condition: TestedCondition, names: List[Var]
@@ -276,46 +278,58 @@ class RuleCompiler(StreamCompiler):
         return goal_test(call, condition.timed, None), call.result_vars
 
     def _deferred(
-        self, goal: Optional[Term], timed: bool, absent: Optional[Tuple[Negated, bool]], needs: Set[Var]
+        self,
+        goal: Optional[Term],
+        timed: bool,
+        absent: Optional[Tuple[NegatedPattern, bool]],
+        needs: Set[Var],
     ) -> DeferredConditions:
         start, end = Var(), Var()
         self.keep |= {start, end}
         # Matches may differ in the node that binds these variables.
         if goal is not None:
-            found = variables(goal)
-            self.keep.update(found)
-            self._telling.carried.update(found)
+            mentioned = variables(goal)
+            self.keep.update(mentioned)
+            self._telling.carried.update(mentioned)
         return DeferredConditions(needs, goal, timed, absent, start, end)
 
-    def _captured(self, node: NetworkNode, one: DeferredConditions) -> NetworkNode:
+    def _captured(self, node: NetworkNode, deferred: DeferredConditions) -> NetworkNode:
         """Add a node that passes on the interval of a match, for a condition."""
-        return self._add(BindNode(node, one.start, one.end), None, UNLIMITED)
+        return self._add(BindNode(node, deferred.start, deferred.end), None, UNLIMITED)
 
-    def _to_the_right(self, pattern: Pattern, context: VarSet, limit: Retention, begun: int) -> Built:
-        """Build the right operand of a pair whose left one has the operators on streams from ``begun`` on."""
+    def _to_the_right(
+        self, pattern: Pattern, context: VarSet, limit: Retention, first_left_stream: int
+    ) -> BuiltPattern:
+        """Build the right operand of a pair; the streams of the left one begin at ``first_left_stream``."""
         # The clock wakes the operators of the right operand first, see `ringing`; the left ones were built before.
-        left = self.ringing[begun:]
-        del self.ringing[begun:]
+        left = self.ringing[first_left_stream:]
+        del self.ringing[first_left_stream:]
         built = self._build(pattern, context, limit)
         self.ringing += left
         return built
 
     def _joining(
-        self, core: Pair, wrapping: Wrapping, context: VarSet, limit: Retention, left: Built, begun: int
-    ) -> Built:
+        self,
+        core: Pair,
+        wrapping: Wrapping,
+        context: VarSet,
+        limit: Retention,
+        left: BuiltPattern,
+        first_left_stream: int,
+    ) -> BuiltPattern:
         here = context | self._bound(core.left)
-        right = self._to_the_right(core.right, here, limit, begun)
+        right = self._to_the_right(core.right, here, limit, first_left_stream)
         below = [*left.deferred, *right.deferred]
         sure: Set[Var] = set()
         # Only then: the analysis visits the whole left operand.
         if below or wrapping.absent is not None:
             sure = surely_bound_by(core, False, True)
-        ready, deferred = ready_where(below, sure, context) if below else ([], [])
+        ready, deferred = split_ready(below, sure, context) if below else ([], [])
         conditions, put_off = self._split(wrapping.conditions, core, context)
-        negated: Optional[Negated] = None
+        negated: Optional[NegatedPattern] = None
         needs: Set[Var] = set()
         if wrapping.absent is not None:
-            inner = here | frozenset(bound_by(core.right)) | in_goals(wrapping.conditions)
+            inner = here | frozenset(bound_by(core.right)) | goal_variables(wrapping.conditions)
             negated = self._negated(wrapping.absent, inner, limit.of_negated(wrapping.span))
             known = set(left.node.vars) | set(right.node.vars)
             needs = negated.needs(inner, known) | negated.needs(context, sure)
@@ -328,28 +342,28 @@ class RuleCompiler(StreamCompiler):
             right.node,
             self.keep,
             gap,
-            [(one.start, one.end) for one in put_off],
-            meet(left, right),
+            [(condition.start, condition.end) for condition in put_off],
+            may_share_event(left, right),
             (self._named(left, core.left), self._named(right, core.right)),
         )
         node.revived = (may_be_revived(core.left), may_be_revived(core.right))
         self._add(node, wrapping.span, limit)
         if negated is not None and gap is None:
             built = negated.make()
-            node.absent(absence_of(self.rule, built, node.vars, False), built.node)
+            node.absent(negation_buffer_for(self.rule, built, node.vars, False), built.node)
         self._test_joined(node, below, ready, conditions)
         deferred += put_off
         if negated is not None and gap is not None:
             deferred += self._test_gap(
                 node, DeferredConditions(needs, None, False, (negated, False), *gap), conditions
             )
-        joined = served(OPERATORS[core.operator].either, left, right)
+        joined = serving_order(OPERATORS[core.operator].either, left, right)
         if negated is not None:
             joined += negated.first.leaves
-        return Built(node, deferred, joined, [])
+        return BuiltPattern(node, deferred, joined, [])
 
-    def _negated(self, absent: Union[Absent, Awaited], context: VarSet, limit: Retention) -> Negated:
-        return Negated(lambda: self._build(absent.negated, context, limit), self.twins, self.nodes)
+    def _negated(self, absent: Union[Absent, Awaited], context: VarSet, limit: Retention) -> NegatedPattern:
+        return NegatedPattern(lambda: self._build(absent.negated, context, limit), self.twins, self.nodes)
 
     def _test_joined(
         self,
@@ -359,29 +373,31 @@ class RuleCompiler(StreamCompiler):
         conditions: Sequence[TestedCondition],
     ) -> None:
         """Add the conditions that the operands of a pair have deferred, and those of the pair itself."""
-        for one in below:
-            if one in ready:
-                node.test(*deferred_test(self.rule, node, one, node.vars))
-            elif one.may_be_tried(node.vars):
-                node.test(*early_test(self.rule, node, one, node.vars))
+        for deferred in below:
+            if deferred in ready:
+                node.test(*deferred_test(self.rule, node, deferred, node.vars))
+            elif deferred.may_be_tried(node.vars):
+                node.test(*early_test(self.rule, node, deferred, node.vars))
         for condition in conditions:
-            found = self._test(node, condition, node.vars)
-            if found is not None:
-                node.test(*found)
+            tested = self._test(node, condition, node.vars)
+            if tested is not None:
+                node.test(*tested)
 
     def _test_gap(
-        self, node: JoinNode, one: DeferredConditions, conditions: Sequence[TestedCondition]
+        self, node: JoinNode, gap_condition: DeferredConditions, conditions: Sequence[TestedCondition]
     ) -> List[DeferredConditions]:
         """Test a negation with conditions on outer variables, or return it for the nodes above."""
-        if not one.needs - in_goals([test for test in conditions if isinstance(test, Condition)]):
+        if not gap_condition.needs - goal_variables(
+            [test for test in conditions if isinstance(test, Condition)]
+        ):
             # The conditions of the pair bind all of its variables.
-            node.test(*deferred_test(self.rule, node, one, node.vars))
+            node.test(*deferred_test(self.rule, node, gap_condition, node.vars))
             return []
-        if one.may_be_tried(node.vars):
-            node.test(*early_test(self.rule, node, one, node.vars))
-        return [one]
+        if gap_condition.may_be_tried(node.vars):
+            node.test(*early_test(self.rule, node, gap_condition, node.vars))
+        return [gap_condition]
 
-    def _never(self, core: Absent, context: VarSet, limit: Retention) -> Built:
+    def _never(self, core: Absent, context: VarSet, limit: Retention) -> BuiltPattern:
         below = self._build(core.pattern, context, limit)
         here = context | frozenset(bound_by(core.pattern))
         negated = self._negated(core, here, UNLIMITED)
@@ -389,41 +405,43 @@ class RuleCompiler(StreamCompiler):
         needs = negated.needs(here, set(below.node.vars)) | negated.needs(context, sure)
         if not needs:
             built = negated.make()
-            absence = absence_of(self.rule, built, below.node.vars, True)
+            absence = negation_buffer_for(self.rule, built, below.node.vars, True)
             node: NetworkNode = self._add(
                 NotNode(self.rule, below.node, built.node, absence), None, UNLIMITED
             )
             return below.with_negated(node, below.deferred, negated.first)
-        one = self._deferred(None, False, (negated, True), needs)
-        node = self._captured(below.node, one)
-        if one.may_be_tried(node.vars):
+        gap_condition = self._deferred(None, False, (negated, True), needs)
+        node = self._captured(below.node, gap_condition)
+        if gap_condition.may_be_tried(node.vars):
             node = self._add(EarlyTestNode(self.rule, node), None, UNLIMITED)
-            node.test, _ = early_test(self.rule, node, one, node.vars)
-        return below.with_negated(node, [*below.deferred, one], negated.first)
+            node.test, _ = early_test(self.rule, node, gap_condition, node.vars)
+        return below.with_negated(node, [*below.deferred, gap_condition], negated.first)
 
     def _running(
         self, core: Union[Star, Aggregate], wrapping: Wrapping, context: VarSet, limit: Retention
-    ) -> Built:
+    ) -> BuiltPattern:
         here = context | frozenset(bound_by(core.first))
         pattern = core.repeated if isinstance(core, Star) else core.collected
-        begun = len(self.ringing)
+        first_left_stream = len(self.ringing)
         first = self._build(core.first, context, limit)
-        repeated = self._to_the_right(pattern, here, limit, begun)
+        repeated = self._to_the_right(pattern, here, limit, first_left_stream)
         naming = self._named(first, core.first), self._named(repeated, pattern)
-        node = KleeneNode(self.rule, first.node, repeated.node, meet(first, repeated), naming, self.keep)
+        node = KleeneNode(
+            self.rule, first.node, repeated.node, may_share_event(first, repeated), naming, self.keep
+        )
         node.revived = (may_be_revived(core.first), may_be_revived(pattern))
         self._add(node, wrapping.span, limit)
         measured = [core.value] if isinstance(core, Aggregate) and core.value is not None else []
         outside = self._outside(pattern, measured)
         for value in measured:
             node.open([var for var in variables(value) if var in outside])
-        items = Items(outside)
+        items = RepetitionItems(outside)
         sure = surely_bound_by(core.first, False, True) | surely_bound_by(pattern, False, True)
-        ready, further = ready_where(repeated.deferred, sure, context)
-        for one in ready:
-            test, node.step_vars = deferred_test(self.rule, node, one, node.step_vars)
+        ready, further = split_ready(repeated.deferred, sure, context)
+        for pending in ready:
+            test, node.step_vars = deferred_test(self.rule, node, pending, node.step_vars)
             node.step_tests.append(test)
-        deferred = [*first.deferred, *(one.of_each(items) for one in further)]
+        deferred = [*first.deferred, *(pending.of_each(items) for pending in further)]
         carried = items if further else None
         self.keep.add(items.var)
         if isinstance(core, Aggregate):
@@ -431,16 +449,16 @@ class RuleCompiler(StreamCompiler):
         else:
             node.finish(outside, None, None, carried)
         conditions, put_off = self._split(wrapping.conditions, wrapping.core, context)
-        for one in put_off:
-            node.capture(one.start, one.end)
-        for one in first.deferred:
-            if one.may_be_tried(node.vars):
-                node.test(*early_test(self.rule, node, one, node.vars), False)
-        for late, condition in those_about_a_result_last(conditions, node.vars, node.result_new):
-            found = self._test(node, condition, node.vars)
-            if found is not None:
-                node.test(*found, late)
-        return Built(node, [*deferred, *put_off], [*repeated.leaves, *first.joined], first.single)
+        for pending in put_off:
+            node.capture(pending.start, pending.end)
+        for pending in first.deferred:
+            if pending.may_be_tried(node.vars):
+                node.test(*early_test(self.rule, node, pending, node.vars), False)
+        for late, condition in order_by_result_use(conditions, node.vars, node.result_new):
+            tested = self._test(node, condition, node.vars)
+            if tested is not None:
+                node.test(*tested, late)
+        return BuiltPattern(node, [*deferred, *put_off], [*repeated.leaves, *first.joined], first.single)
 
     def _outside(self, pattern: Pattern, values: Sequence[Term] = ()) -> Set[Var]:
         """Return the variables that are used in the rule outside of a pattern and of the given terms."""

@@ -57,7 +57,7 @@ from ..streams.windows import (
     TumblingCountWindow,
 )
 from .goal_evaluation import Evaluate, Evaluators, Folding, Holding
-from .pattern_analysis import Built, Negated, VarSet, absence_of
+from .pattern_analysis import BuiltPattern, NegatedPattern, VarSet, negation_buffer_for
 from .pattern_nodes import MatchKeys
 from .retention import UNLIMITED, Retention
 from .stream_node import Result, StreamNode, StreamNodeSpec
@@ -70,7 +70,7 @@ GivenGoal = Callable[[Term, Sequence[Var], str], Holding]
 """Returns a function that calls a goal, given the goal, its variables, and its name in reports."""
 
 
-def planned(form: WindowForm, before: int, holding: GivenGoal) -> RowPatternNFA:
+def compile_row_pattern(form: WindowForm, before: int, holding: GivenGoal) -> RowPatternNFA:
     """Return the NFA of the row pattern of a window.
 
     Args:
@@ -78,35 +78,37 @@ def planned(form: WindowForm, before: int, holding: GivenGoal) -> RowPatternNFA:
         before: number of values of an element that precede those that conditions use.
         holding: returns a function that calls a goal.
     """
-    places = {var: at for at, var in enumerate(form.looked_at, before)}
-    names = [one.name for one in form.steps]
+    places = {var: position for position, var in enumerate(form.looked_at, before)}
+    names = [step_form.name for step_form in form.steps]
     marks: Dict[StepNavigation, int] = {}
 
-    def test(goal: Term, at: int, called: str) -> Tuple[StepTest, ...]:
-        made = []
-        for one in conditions(goal, names, at, places):
-            own = [var for var in variables(one.goal) if var in places]
-            holds = holding(one.goal, [*own, *(back.stands for back in one.back)], called)
+    def test(goal: Term, position: int, called: str) -> Tuple[StepTest, ...]:
+        tests = []
+        for condition in conditions(goal, names, position, places):
+            own = [var for var in variables(condition.goal) if var in places]
+            holds = holding(condition.goal, [*own, *(back.stands for back in condition.back)], called)
             # Each navigation (PREV, LAST of a step) is registered once for the whole pattern, and conditions refer
             # to it by number.
             back = [
                 marks.setdefault(
                     StepNavigation(back.kind, -1 if back.kind == "prev" else back.step), len(marks)
                 )
-                for back in one.back
+                for back in condition.back
             ]
-            values = [places[var] for var in own], [places[back.var] for back in one.back]
-            made.append(StepTest(tuple(back), partial(_holds, holds, *values)))
-        return tuple(made)
+            values = [places[var] for var in own], [places[back.var] for back in condition.back]
+            tests.append(StepTest(tuple(back), partial(_holds, holds, *values)))
+        return tuple(tests)
 
-    def step(at: int, one: StepForm) -> RowPatternVariable:
+    def step(position: int, step_form: StepForm) -> RowPatternVariable:
         tests, until = [
-            () if goal is None else test(goal, at, f"{called} of the step {one.name}")
-            for goal, called in ((one.goal, "the condition"), (one.until, "until"))
+            () if goal is None else test(goal, position, f"{called} of the step {step_form.name}")
+            for goal, called in ((step_form.goal, "the condition"), (step_form.until, "until"))
         ]
-        return RowPatternVariable(one.least, one.most, one.reluctant, one.later, tests, until)
+        return RowPatternVariable(
+            step_form.least, step_form.most, step_form.reluctant, step_form.later, tests, until
+        )
 
-    steps = [step(at, one) for at, one in enumerate(form.steps)]
+    steps = [step(position, step_form) for position, step_form in enumerate(form.steps)]
     return RowPatternNFA(steps, list(marks))
 
 
@@ -115,12 +117,12 @@ def _holds(
     own: Sequence[int],
     backs: Sequence[int],
     item: StreamElement,
-    asked: Sequence[StreamElement],
+    targets: Sequence[StreamElement],
 ) -> bool:
     """Return whether a goal has a solution for values of an element and of the elements that it navigates to."""
-    values = [item.values[at] for at in own]
+    values = [item.values[position] for position in own]
     if backs:
-        values += [one.values[at] for one, at in zip(asked, backs)]
+        values += [element.values[position] for element, position in zip(targets, backs)]
     return holds(tuple(values))
 
 
@@ -145,12 +147,12 @@ _LATE_DEBOUNCED = "an event came when the time was over in which a newer one cou
 _LATE_AWAITED = "an event came when the time was over in which something was not to happen after it"
 
 
-def stream_of_shape(part: Shaped) -> StreamOperator:
+def rate_operator(part: Shaped) -> StreamOperator:
     """Return the operator of ``P with S``."""
     return _SHAPES[part.shape](part.span)
 
 
-def shaping(part: Shaped, names: Sequence[Var]) -> StreamNodeSpec:
+def rate_node_spec(part: Shaped, names: Sequence[Var]) -> StreamNodeSpec:
     """Return the specification of a node of ``P with S``, given the variables of P's matches."""
     by = _builder(part.by, names)
     value = _builder(() if part.value is None else (part.value,), names)
@@ -159,11 +161,11 @@ def shaping(part: Shaped, names: Sequence[Var]) -> StreamNodeSpec:
         return by(values), value(values)
 
     return StreamNodeSpec(
-        lambda mode: stream_of_shape(part), item, None, part.shape == "debounce", _LATE_DEBOUNCED
+        lambda mode: rate_operator(part), item, None, part.shape == "debounce", _LATE_DEBOUNCED
     )
 
 
-def measuring(
+def window_node_spec(
     part: Windowed,
     names: Sequence[Var],
     groups: Sequence[Var],
@@ -180,41 +182,45 @@ def measuring(
         asking: compiles the goals.
     """
     places = positions(names)
-    at = [places[var] for var in groups]
-    only = at[0] if len(at) == 1 else None
+    key_positions = [places[var] for var in groups]
+    only = key_positions[0] if len(key_positions) == 1 else None
     taken = [value for value in part.values if value is not None]
     looked_at = part.window.looked_at
     build, seen = _builder(taken, names), [places[var] for var in looked_at]
     numeric = [
-        _evaluating(asking.evaluating(kind, value, names), scope) if MEASURES[kind].numeric else None
+        _lenient_evaluation(asking.evaluating(kind, value, names), scope) if MEASURES[kind].numeric else None
         for kind, value, scope in zip(part.kinds, part.values, part.scopes)
         if value is not None
     ]
     numbers = any(numeric)
 
     def item(values: Values) -> Tuple[Values, Values]:
-        found = build(values)
+        measured = build(values)
         # Values are nearly always numbers, so expressions are evaluated only if one is not.
         if numbers:
-            for value in found:
+            for value in measured:
                 if value.__class__ not in (int, float):
-                    found = tuple([_number(one, evaluate, values) for one, evaluate in zip(found, numeric)])
+                    measured = tuple(
+                        [_number(element, evaluate, values) for element, evaluate in zip(measured, numeric)]
+                    )
                     break
         if seen:
-            found = (*found, *(values[place] for place in seen))
-        return ((values[only],) if only is not None else tuple([values[place] for place in at])), found
+            measured = (*measured, *(values[place] for place in seen))
+        return (
+            (values[only],) if only is not None else tuple([values[place] for place in key_positions])
+        ), measured
 
     measures = _measures(part, asking.folded)
     form = part.window
     if form.kind == "steps":
-        plan = planned(form, len(taken), asking.holding)
+        plan = compile_row_pattern(form, len(taken), asking.holding)
         return StreamNodeSpec(
             lambda mode: RowPatternWindow(measures, part.scopes, plan),
             item,
             result,
             False,
             _LATE,
-            any(one.tests or one.until for one in plan.steps),
+            any(variable.tests or variable.until for variable in plan.steps),
         )
     make = partial(_WINDOWS[form.kind], measures, form)
     clocked = form.kind == "first" or (form.kind == "every" and not form.running)
@@ -245,7 +251,7 @@ def _fresh(part: Windowed, groups: Sequence[Var]) -> Optional[List[Var]]:
     return fresh if len(set(fresh)) == len(part.results) else None
 
 
-def _evaluating(evaluate: Evaluate, scope: Optional[int]) -> Evaluate:
+def _lenient_evaluation(evaluate: Evaluate, scope: Optional[int]) -> Evaluate:
     """Return the evaluation of an expression.
 
     For a measure of one step, an expression without a value is returned as it is.
@@ -269,19 +275,19 @@ def _number(value: Term, evaluate: Optional[Evaluate], values: Values) -> Term:
 
 def _measures(part: Windowed, folded: Callable[[Any], Folding]) -> Callable[[], List[Any]]:
     """Return a function that creates the accumulators of one key."""
-    made = []
+    makers = []
     place = 0
     for kind, setting, value in zip(part.kinds, part.settings, part.values):
         if kind == "rate":
             setting = Fraction(part.window.span, SECOND) if part.window.span else None
         elif kind == "fold":
             setting = folded(setting)
-        made.append(partial(MEASURES[kind].make, place, kind, setting))
+        makers.append(partial(MEASURES[kind].make, place, kind, setting))
         place += value is not None
-    return lambda: [one() for one in made]
+    return lambda: [make() for make in makers]
 
 
-def awaiting(
+def absence_node_spec(
     span: int,
     names: Sequence[Var],
     absent: Sequence[Var],
@@ -298,8 +304,11 @@ def awaiting(
         name: returns the identity of a match of P.
     """
     places = positions(names)
-    shared = [(at, places[var]) for at, var in enumerate(absent) if var in places]
-    keys = [key_function(tuple(two for _, two in shared)), key_function(tuple(one for one, _ in shared))]
+    shared = [(position, places[var]) for position, var in enumerate(absent) if var in places]
+    keys = [
+        key_function(tuple(match_position for _, match_position in shared)),
+        key_function(tuple(absent_position for absent_position, _ in shared)),
+    ]
 
     def key(match: PartialMatch, channel: int) -> Hashable:
         try:
@@ -307,8 +316,8 @@ def awaiting(
         except ValueError:
             return None
 
-    def rules_out(match: PartialMatch, other: PartialMatch) -> bool:
-        sides = unify_sides(other, match, tuple(shared))
+    def rules_out(match: PartialMatch, absent_match: PartialMatch) -> bool:
+        sides = unify_sides(absent_match, match, tuple(shared))
         if sides is None:
             return False
         return condition is None or condition(sides[1].values, sides[0])
@@ -328,10 +337,10 @@ def _builder(terms: Sequence[Term], names: Sequence[Var]) -> Callable[[Values], 
     if len(built) == 1:
         only = built[0]
         return lambda values: (only(values),)
-    return lambda values: tuple([one(values) for one in built])
+    return lambda values: tuple([build(values) for build in built])
 
 
-def resulting(part: Windowed, groups: Sequence[Var]) -> Tuple[List[Var], Result]:
+def window_result(part: Windowed, groups: Sequence[Var]) -> Tuple[List[Var], Result]:
     """Return the variables of a window's matches, and the function that makes their values.
 
     The function takes the values of the key and the results. It returns None if the term of a result does not unify
@@ -341,21 +350,25 @@ def resulting(part: Windowed, groups: Sequence[Var]) -> Tuple[List[Var], Result]
     fresh = _fresh(part, groups)
     if fresh is not None:
         if listed:
-            return [*groups, *fresh], lambda by, found: (*by, make_list(list(found)))
-        return [*groups, *fresh], lambda by, found: (*by, *found)
-    new = [var for var in dict.fromkeys(one for term in terms for one in variables(term)) if var not in known]
+            return [*groups, *fresh], lambda by, output: (*by, make_list(list(output)))
+        return [*groups, *fresh], lambda by, output: (*by, *output)
+    new = [
+        var
+        for var in dict.fromkeys(element for term in terms for element in variables(term))
+        if var not in known
+    ]
     names = [*groups, *new]
     builders = [compile_builder(term, names, "result of an aggregate") for term in terms]
 
-    def fitted(by: Values, found: Values) -> Optional[Values]:
+    def fitted(by: Values, output: Values) -> Optional[Values]:
         own = (*by, *(Var() for _ in new))
-        results = (make_list(list(found)),) if listed else found
+        results = (make_list(list(output)),) if listed else output
         trail: List[Any] = []
-        made = None
+        unified = None
         if all(unify(build(own), value, trail) for build, value in zip(builders, results)):
-            made = tuple([resolve(one) for one in own])
+            unified = tuple([resolve(element) for element in own])
         undo(trail, 0)
-        return made
+        return unified
 
     return names, fitted
 
@@ -372,7 +385,7 @@ class StreamCompiler:
     def __init__(self, rule: "EventRule"):
         self.rule = rule
 
-    def _build(self, pattern: Pattern, context: VarSet, limit: Retention) -> Built:
+    def _build(self, pattern: Pattern, context: VarSet, limit: Retention) -> BuiltPattern:
         raise NotImplementedError
 
     def _add(self, node: StreamNode, span: Optional[int], limit: Retention) -> StreamNode:
@@ -381,12 +394,12 @@ class StreamCompiler:
     def _outside(self, pattern: Pattern, values: Sequence[Term]) -> Set[Var]:
         raise NotImplementedError
 
-    def _negated(self, absent: Awaited, context: VarSet, limit: Retention) -> Negated:
+    def _negated(self, absent: Awaited, context: VarSet, limit: Retention) -> NegatedPattern:
         raise NotImplementedError
 
     def _streamed(
         self, core: Union[Windowed, Shaped, Awaited], context: VarSet, part: Optional[int]
-    ) -> Built:
+    ) -> BuiltPattern:
         """Build an operator on streams.
 
         Args:
@@ -403,8 +416,8 @@ class StreamCompiler:
             raise RuleError(f"a condition in {what} looks at a pattern to the left of it", self.rule.place)
         names = below.node.vars
         if isinstance(core, Shaped):
-            node = StreamNode(self.rule, [below.node], names, shaping(core, names), core)
-            built = below if core.shape != "debounce" else Built(node, [], below.leaves, [])
+            node = StreamNode(self.rule, [below.node], names, rate_node_spec(core, names), core)
+            built = below if core.shape != "debounce" else BuiltPattern(node, [], below.leaves, [])
             return built._replace(node=self._add(node, None, Retention(part, part)))
         if any(var in context and var not in names for goal in core.window.goals for var in variables(goal)):
             raise RuleError(
@@ -413,13 +426,13 @@ class StreamCompiler:
         values = [value for value in core.values if value is not None]
         outside = self._outside(pattern, [*values, *core.window.looked_at])
         groups = [var for var in names if var in outside]
-        own, result = resulting(core, groups)
+        own, result = window_result(core, groups)
         asking = Evaluators(self.rule)
-        making = measuring(core, names, groups, result, asking)
+        making = window_node_spec(core, names, groups, result, asking)
         node = self._add(StreamNode(self.rule, [below.node], own, making, core), None, Retention(part, part))
-        return Built(node, [], below.leaves, [])
+        return BuiltPattern(node, [], below.leaves, [])
 
-    def _awaited(self, core: Awaited, context: VarSet) -> Built:
+    def _awaited(self, core: Awaited, context: VarSet) -> BuiltPattern:
         """Build a pattern after which another one must not happen for some time."""
         below = self._build(core.pattern, context, UNLIMITED)
         here = context | frozenset(bound_by(core.pattern))
@@ -432,10 +445,10 @@ class StreamCompiler:
             )
             raise RuleError(message, self.rule.place)
         built = negated.make()
-        absence = absence_of(self.rule, built, names, False)
+        absence = negation_buffer_for(self.rule, built, names, False)
         name = self._telling.name(names, core.pattern)
-        making = awaiting(core.span, names, built.node.vars, absence.condition, name)
+        making = absence_node_spec(core.span, names, built.node.vars, absence.condition, name)
         node = StreamNode(self.rule, [below.node, built.node], names, making, core)
         node.carried = absence.carried
         self._add(node, None, UNLIMITED)
-        return Built(node, below.deferred, [*negated.first.leaves, *below.leaves], [])
+        return BuiltPattern(node, below.deferred, [*negated.first.leaves, *below.leaves], [])

@@ -40,7 +40,7 @@ from ..dispatch.dispatcher import Dispatcher
 from ..fused.fused_actions import Continuation
 from ..fused.fused_window import FusedWindow, fused_window
 from ..language.pattern_tree import Pattern
-from ..matches.consumption_policy import Emit, counted, emit_each
+from ..matches.consumption_policy import Emit, emit_each, metered
 from ..matches.negation import NegationBuffer
 from ..matches.partial_matches import (
     NOTHING_HELD,
@@ -49,7 +49,7 @@ from ..matches.partial_matches import (
     PartialMatch,
     TrackedMatch,
     arrival,
-    taken_back,
+    is_retracted,
 )
 from ..provenance.event_log import known_in
 from ..streams.row_pattern import MAX_WAYS_PER_START
@@ -57,13 +57,13 @@ from ..streams.stream_elements import KeyBounds, KnownState, StreamElement, Stre
 from ..streams.windows import KeyedWindow
 from .goal_evaluation import Buffer
 from .pattern_nodes import NetworkNode
-from .retention import least
+from .retention import smaller_bound
 
 if TYPE_CHECKING:
     from .event_rule import EventRule
 
 
-PutOff = Callable[[Frame], Frame]
+DeferredWork = Callable[[Frame], Frame]
 """Does deferred work, and returns the next frame; takes the frame to continue with."""
 
 
@@ -79,7 +79,7 @@ class ReentrancyQueue:
 
     def __init__(self, dispatcher: Dispatcher):
         self._dispatcher = dispatcher
-        self._steps: Deque[Tuple[Any, PutOff]] = deque()
+        self._steps: Deque[Tuple[Any, DeferredWork]] = deque()
         self.at_work = False
 
     def clear(self) -> None:
@@ -87,7 +87,7 @@ class ReentrancyQueue:
         self.at_work = False
         self._steps.clear()
 
-    def put_off(self, step: PutOff) -> None:
+    def put_off(self, step: DeferredWork) -> None:
         """Defer work."""
         self._steps.append((self._dispatcher.current, step))
 
@@ -116,7 +116,7 @@ class ReentrancyQueue:
         return step(frame)
 
 
-KEPT = 10_000
+MAX_REPLAYED_ELEMENTS = 10_000
 """Elements that are remembered in one node; older ones are final, except those in the operator's state."""
 
 
@@ -130,7 +130,7 @@ class Replay:
 
     def __init__(self, begin: Callable[[], StreamOperator], known: KnownState = ()):
         self._begin = begin
-        self._base: KnownState = _copied(known)
+        self._base: KnownState = _copy_state(known)
         self._taken: List[Tuple[int, StreamElement, int]] = []
         self._given: List[Tuple[StreamOutput, TrackedMatch]] = []
         self._new: List[StreamOutput] = []
@@ -144,13 +144,13 @@ class Replay:
 
         Called before the operator processes an element or an alarm.
         """
-        if len(self._taken) >= KEPT or len(self._given) >= KEPT:
-            self._base = _copied(stream.kept())
+        if len(self._taken) >= MAX_REPLAYED_ELEMENTS or len(self._given) >= MAX_REPLAYED_ELEMENTS:
+            self._base = _copy_state(stream.kept())
             self._taken, self._given = [], []
 
     def took(self, channel: int, item: StreamElement, now: int) -> None:
         """Record an element."""
-        self._taken.append((channel, _again(item), now))
+        self._taken.append((channel, _fresh_element(item), now))
 
     def gave(self, output: StreamOutput, held: TrackedMatch) -> None:
         """Record an output, and the object that represents it in the lineage."""
@@ -176,15 +176,15 @@ class Replay:
             retracted.
         """
         forgotten = self._forgotten
-        self._taken = [one for one in self._taken if id(one[1].match) not in forgotten]
+        self._taken = [entry for entry in self._taken if id(entry[1].match) not in forgotten]
         self._forgotten = {}
         stream = self._begin()
         if self._base:
-            stream.restore(_without_what_is_gone(_copied(self._base)))
+            stream.restore(_without_retracted(_copy_state(self._base)))
         outputs: List[StreamOutput] = []
-        for channel, item, instant in counted(self._taken, meter):
+        for channel, item, instant in metered(self._taken, meter):
             outputs += stream.ring(instant)
-            outputs += stream.take(_again(item), instant, channel)
+            outputs += stream.take(_fresh_element(item), instant, channel)
         outputs += stream.ring(now)
         if meter is not None and meter(0):
             return None
@@ -216,8 +216,8 @@ class Replay:
 
     def take_new(self) -> List[StreamOutput]:
         """Return the outputs that are new after `run_again`, once."""
-        found, self._new = self._new, []
-        return found
+        outputs, self._new = self._new, []
+        return outputs
 
     def kept(self) -> Tuple[Any, ...]:
         """Return the log; see `restore`."""
@@ -230,37 +230,41 @@ class Replay:
         self._given = [(StreamOutput(tuple(items), *rest), held) for (items, *rest), held in given]
         # A state that cannot be restored must fail now, not at a retraction.
         if self._base:
-            self._begin().restore(_copied(self._base))
+            self._begin().restore(_copy_state(self._base))
 
 
-def _again(item: StreamElement) -> StreamElement:
+def _fresh_element(item: StreamElement) -> StreamElement:
     """Return a copy of an element as it was received."""
     return StreamElement(item.match, item.start, item.end, item.by, item.values)
 
 
-def _copied(data: Any) -> Any:
+def _copy_state(data: Any) -> Any:
     """Return the state of an operator with copies of its elements, which the operator changes."""
     if isinstance(data, StreamElement):
-        made = _again(data)
-        made.order = data.order
-        return made
+        copy = _fresh_element(data)
+        copy.order = data.order
+        return copy
     if data.__class__ is list:
-        return [_copied(one) for one in data]
-    if data.__class__ is tuple and any(one.__class__ in (list, tuple, StreamElement) for one in data):
-        return tuple([_copied(one) for one in data])
+        return [_copy_state(element) for element in data]
+    if data.__class__ is tuple and any(element.__class__ in (list, tuple, StreamElement) for element in data):
+        return tuple([_copy_state(element) for element in data])
     return data
 
 
-def _without_what_is_gone(data: Any) -> Any:
+def _without_retracted(data: Any) -> Any:
     """Return the state of an operator without the elements whose events were retracted."""
     if data.__class__ is list:
         return [
-            _without_what_is_gone(one)
-            for one in data
-            if not (isinstance(one, StreamElement) and one.match is not None and taken_back(one.match))
+            _without_retracted(element)
+            for element in data
+            if not (
+                isinstance(element, StreamElement)
+                and element.match is not None
+                and is_retracted(element.match)
+            )
         ]
-    if data.__class__ is tuple and any(one.__class__ in (list, tuple) for one in data):
-        return tuple([_without_what_is_gone(one) for one in data])
+    if data.__class__ is tuple and any(element.__class__ in (list, tuple) for element in data):
+        return tuple([_without_retracted(element) for element in data])
     return data
 
 
@@ -268,8 +272,8 @@ def _key(output: StreamOutput) -> Hashable:
     """Return the identity of an output: its last element, its interval, and its results."""
     last = output.items[-1]
     named = last.by if output.found else ()
-    found = tuple([term_key(one) for one in (*named, *output.found)])
-    return (id(last.match) if not output.found else None, output.start, output.end, found)
+    results = tuple([term_key(term) for term in (*named, *output.found)])
+    return (id(last.match) if not output.found else None, output.start, output.end, results)
 
 
 Result = Callable[[Values, Values], Optional[Values]]
@@ -356,7 +360,7 @@ class StreamNode(NetworkNode):
         """Set the interval bound and the retention time; see `NetworkNode.set_span`."""
         self.span = span
         rule = self.rule
-        self._bounds = KeyBounds(limit, least(limit, rule.idle), rule.network.key_bounds.keys)
+        self._bounds = KeyBounds(limit, smaller_bound(limit, rule.idle), rule.network.key_bounds.keys)
         self.stream.set_bounds(self._bounds)
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
@@ -384,10 +388,10 @@ class StreamNode(NetworkNode):
             if result is None or len(outputs) > 1 or outputs[0].error is not None:
                 return self._give(outputs, after)
             output = outputs[0]
-            found = result(output.items[-1].by, output.found)
-            if found is None or (self.span is not None and output.end - output.start > self.span):
+            result_values = result(output.items[-1].by, output.found)
+            if result_values is None or (self.span is not None and output.end - output.start > self.span):
                 return after
-            return complete(None, found, output.start, output.end, after)  # type: ignore[arg-type]
+            return complete(None, result_values, output.start, output.end, after)  # type: ignore[arg-type]
 
         def too_large(group: KeyedWindow, after: Frame) -> Frame:
             output = group.output(False)
@@ -556,27 +560,27 @@ class StreamNode(NetworkNode):
         if self.stream.evicted != self.evicted:
             self._report_dropped()
         self._wake()
-        came = self.rule.network.tracker.wakes() if self.stream.tracked else 0
-        return self._give(outputs, after, came)
+        arrival_number = self.rule.network.tracker.wakes() if self.stream.tracked else 0
+        return self._give(outputs, after, arrival_number)
 
-    def _give(self, outputs: List[StreamOutput], after: Frame, came: int = 0) -> Frame:
-        return emit_each(counted(self._matches(outputs, came), self.rule.meter), self.out, after)
+    def _give(self, outputs: List[StreamOutput], after: Frame, arrival_number: int = 0) -> Frame:
+        return emit_each(metered(self._matches(outputs, arrival_number), self.rule.meter), self.out, after)
 
-    def _matches(self, outputs: Iterable[StreamOutput], came: int = 0) -> Iterator[PartialMatch]:
+    def _matches(self, outputs: Iterable[StreamOutput], arrival_number: int = 0) -> Iterator[PartialMatch]:
         """Yield the matches of outputs, without those that are too long or do not unify.
 
         Args:
             outputs: the outputs.
-            came: number of the event that caused them, if it is none of their own; else 0.
+            arrival_number: number of the event that caused them, if it is none of their own; else 0.
         """
         span = self.span
         for output in outputs:
             if span is None or output.end - output.start <= span:
-                match = self._match(output, came)
+                match = self._match(output, arrival_number)
                 if match is not None:
                     yield match
 
-    def _match(self, output: StreamOutput, came: int) -> Optional[PartialMatch]:
+    def _match(self, output: StreamOutput, arrival_number: int) -> Optional[PartialMatch]:
         """Return the match of an output; None if its results do not unify with the terms of the rule."""
         if output.error is not None:
             self.rule.network.rule_failed(self.rule, output.error)
@@ -588,7 +592,7 @@ class StreamNode(NetworkNode):
             return None
         # Each output has its own lineage object, so it can be retracted without the others that contain the same
         # matches.
-        held = self._held(output, came) if self.stream.tracked else ()
+        held = self._held(output, arrival_number) if self.stream.tracked else ()
         if result is not None:
             start, end = output.start, output.end
             if end.__class__ is int:
@@ -603,13 +607,13 @@ class StreamNode(NetworkNode):
             return match
         return PartialMatch(match.values, match.start, match.end, match.event, match.term, (match, *held))
 
-    def _held(self, output: StreamOutput, came: int) -> Tuple[TrackedMatch, ...]:
+    def _held(self, output: StreamOutput, arrival_number: int) -> Tuple[TrackedMatch, ...]:
         """Return the lineage object of an output, which refers to the matches that it consists of."""
         parts = tuple(
             [item.match for item in output.items if item.match is not None]
         )  # untracked elements have no match
         held = TrackedMatch(PartialMatch((), output.start, output.end, None, None, parts), NOTHING_HELD)
-        held.number = max(held.number, came)
+        held.number = max(held.number, arrival_number)
         if self.replay is not None:
             self.replay.gave(output, held)
         return (held,)
@@ -631,12 +635,12 @@ class StreamNode(NetworkNode):
         """Return the lineage objects of outputs that are invalid without the excluded matches."""
         if self.replay is None:
             return []
-        found = self.replay.run_again(self.rule.network.time(), self.rule.meter)
-        if found is None:
+        rerun = self.replay.run_again(self.rule.network.time(), self.rule.meter)
+        if rerun is None:
             # Its outputs so far remain valid.
             self._begin_anew()
             return []
-        self.stream, lost = found
+        self.stream, lost = rerun
         self.late, self.evicted = self.stream.late, self.stream.evicted
         self._wake()
         return lost
@@ -649,7 +653,7 @@ class StreamNode(NetworkNode):
 
     def retry(self, what: PartialMatch, after: Frame) -> Frame:
         """Emit such a match."""
-        return after if taken_back(what) else self.out(what, after)
+        return after if is_retracted(what) else self.out(what, after)
 
     # ---- state ---------------------------------------------------------------------------------------
 

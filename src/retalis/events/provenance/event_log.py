@@ -36,7 +36,7 @@ from ...prolog.terms.timestamps import interval_term
 from ...prolog.terms.types import SLASH, Atom, Frame, Functor, Term, Trail, Values, Var, deref, functor
 from ...prolog.terms.unification import undo, unify
 from ..dispatch.listeners import Listener, ListenerPhase
-from ..matches.partial_matches import Holder, PartialMatch, TrackedMatch, leaves, sources, taken_back
+from ..matches.partial_matches import Holder, PartialMatch, TrackedMatch, is_retracted, leaves, sources
 
 if TYPE_CHECKING:
     from ..network.event_rule import EventRule
@@ -158,7 +158,7 @@ class Suppressed:
             return False
         self.freed = True
         matches = (self.what,) if isinstance(self.what, PartialMatch) else self.what
-        return not any(taken_back(match) for match in matches)
+        return not any(is_retracted(match) for match in matches)
 
 
 def occurrences_in(match: PartialMatch) -> List[Occurrence]:

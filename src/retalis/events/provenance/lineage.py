@@ -32,7 +32,7 @@ from ...prolog.machine.resource_limits import Meter
 from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.types import Frame, Term, Values, Var, functor
 from ..dispatch.listeners import CAUSE, END, PARENT, START, TERM, TOKEN, Context, Listener, ListenerPhase
-from ..matches.consumption_policy import counted
+from ..matches.consumption_policy import metered
 from ..matches.partial_matches import PartialMatch, TrackedMatch, sources
 from ..matches.run_groups import Run
 from .event_log import Occurrence, Suppressed, Tracked, Tried, TriesAgain, following, known_in
@@ -230,7 +230,7 @@ class LineageTracker:
             unmade, again = removed
         else:
             meter = self._meter(token.rule)
-        work = _RetractionSteps(counted(self._steps([*retracted, *unmade], again, start, end), meter))
+        work = _RetractionSteps(metered(self._steps([*retracted, *unmade], again, start, end), meter))
         return work.run((work, after))
 
     def _meter(self, rule: object) -> Optional[Meter]:

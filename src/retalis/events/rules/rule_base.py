@@ -23,7 +23,7 @@ from ..language.pattern_tree import RuleDefinition
 from ..language.rule_parser import Property, is_absolute, is_rule
 from ..matches.partial_matches import NetworkOptions, with_property
 from ..network.event_rule import EventRule
-from ..network.goal_evaluation import UnderWay, Woken
+from ..network.goal_evaluation import ConditionState, TimedNode
 from ..program.event_file_checker import FileChecker, nowhere
 from ..program.event_file_loader import EventFileLoader
 from ..program.source_files import SourceFiles
@@ -150,7 +150,7 @@ class RuleBase:
         self.fired_before = 0
         self.on_reset = on_reset
         self.on_warning = on_warning
-        self.under_way = UnderWay()
+        self.under_way = ConditionState()
         self._table = RuleIndex()
         self.flags = Flags(self._flag_changed)
         self.declared = EventTypes(self, is_external_event)
@@ -448,7 +448,7 @@ class RuleBase:
         ringing = self.clock.ringing
         return self.clock.reached() if ringing is None else ringing
 
-    def wake(self, node: Woken, instant: int) -> None:
+    def wake(self, node: TimedNode, instant: int) -> None:
         """Have a node ring when an instant has come."""
         self.deadlines.add(node, instant)
 

@@ -39,7 +39,7 @@ from ...prolog.terms.types import Term, Var, atom, deref, functor
 from ...prolog.terms.unification import may_unify
 from ..dispatch.dispatcher import Dispatcher
 from ..language.rule_parser import TIMER, Schedule, schedule_of
-from ..network.goal_evaluation import Woken
+from ..network.goal_evaluation import TimedNode
 from ..provenance.event_log import Occurrence
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ _SMALL_QUEUE = 64
 _BEFORE_ALL = -1
 """The order of its alarm among those of the same instant."""
 
-_Deadline = Tuple[int, int, int, int, Woken]
+_Deadline = Tuple[int, int, int, int, TimedNode]
 """An instant, which rule and which of its nodes, the order in which it was asked for, and the node."""
 
 
@@ -118,7 +118,7 @@ class NodeTimers:
         """
         return len(self._heap)
 
-    def add(self, node: Woken, instant: int) -> None:
+    def add(self, node: TimedNode, instant: int) -> None:
         """Have a node ring at an instant."""
         heapq.heappush(self._heap, (instant, node.rule.serial, node.place, next(self._numbers), node))
         if len(self._heap) > self._most:
