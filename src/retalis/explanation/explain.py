@@ -36,7 +36,7 @@ _MAX_SUBSCRIPTIONS = 20
 
 
 class WhyNotSent:
-    """Explains why subscriptions did not select events that happened.
+    """Why-not provenance of subscriptions: why they did not select events that happened.
 
     Args:
         logic: evaluates conditions.
@@ -187,7 +187,7 @@ class Explanation(NamedTuple):
 
 
 def record_origins(engine: Engine) -> None:
-    """Let an engine record the lineage of events; to be called before anything is loaded.
+    """Enable the recording of event lineage; call this before anything is loaded.
 
     >>> engine = Engine()
     >>> record_origins(engine)

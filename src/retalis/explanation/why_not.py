@@ -176,16 +176,20 @@ class WhyNot:
 
     Args:
         logic: evaluates conditions.
-        kept: the recorded events.
+        occurrences: the recorded events.
         rule: the rule; its head is unified with the event that is explained.
         origin: reference of relative times; None for absolute times.
     """
 
     def __init__(
-        self, logic: PrologSystem, kept: Sequence[Occurrence], rule: EventRule, origin: Optional[int] = None
+        self,
+        logic: PrologSystem,
+        occurrences: Sequence[Occurrence],
+        rule: EventRule,
+        origin: Optional[int] = None,
     ):
         self._logic = logic
-        self._occurrences = kept
+        self._occurrences = occurrences
         own_variables = [
             var
             for term in (rule.definition.term, rule.definition.head)

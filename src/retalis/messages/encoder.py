@@ -220,7 +220,7 @@ def _number_packer(slot: Field) -> Callable[[Term], bytes]:
     size = Struct("<" + code).size
 
     def encode(term: Term) -> bytes:
-        # An array that nobody decoded keeps the bytes of the message: they are copied as they are. The same `make`
+        # An array that was not decoded still has the bytes of the message, which are copied. The same `make`
         # guarantees the same element type.
         if term.__class__ is Lazy and term.make is make and term.made is None:
             raw = bytes(term.source)

@@ -414,7 +414,7 @@ def _sizes(slot: Field) -> List[int]:
 
 
 def _aligned(sizes: List[int], phase: int) -> str:
-    """Return the format of numbers that begin at a place, given modulo 8."""
+    """Return the `struct` format of numbers that begin at an offset, given modulo 8."""
     codes, offset = [], phase
     for size in sizes:
         if size > 0:

@@ -168,8 +168,6 @@ class Definition:
         fields: the slots in order.
         constants: the constants in order.
         text: the definition's own text.
-        event: what its event terms are called, where that is not ``pkg__0__Type``.
-        md5sum: the checksum by which ROS tells versions of a type apart.
         event: name of its event terms if it differs from ``pkg__0__Type``.
         md5sum: checksum that identifies the version of the type in ROS.
         measure: size of its messages.
@@ -352,7 +350,7 @@ class _Truncated(Exception):
 
 
 class _Walk:
-    """Skips over the slots of a serialized message without decoding them, and counts zero-byte elements."""
+    """Traversal of a serialized message that skips its slots without decoding, and counts zero-byte elements."""
 
     def __init__(self, data: bytes):
         self.data = data

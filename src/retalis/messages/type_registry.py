@@ -252,7 +252,7 @@ MAX_ADDED_CHARACTERS = 16_000_000
 """Maximum total length of their definitions."""
 
 _BYTES_PER_SLOT = 2000
-"""Bytes that a slot takes in a definition or in the functions of its type, as measured."""
+"""Measured memory of a slot in a definition or in the generated functions of its type."""
 
 
 class Learned(NamedTuple):

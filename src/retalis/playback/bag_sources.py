@@ -126,7 +126,7 @@ class MergedBag:
         """
         start = self.start if start is None else max(start, self.start)
         ends = [end for end in (stop, self._stop) if end is not None]
-        # Each bag is filtered by itself, by its index where it has one, before the streams are merged.
+        # Each bag is filtered by itself, by its index if it has one, before the streams are merged.
         streams = [bag.records(topics, start, min(ends, default=None)) for bag in self._bags]
         return streams[0] if len(streams) == 1 else iter(merge(*streams, key=attrgetter("time")))
 

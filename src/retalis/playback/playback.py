@@ -278,7 +278,7 @@ class Playback:
         self._new_topics.add(name)
 
     def _ring_until(self, first_time: int, limit: int) -> None:
-        """Let each alarm ring at its own time, as on a robot, instead of at the time of the next message."""
+        """Fire each alarm at its own time, as on a robot, instead of at the time of the next message."""
         clock = self.clock
         # Timers that were started before the bag count from its first message.
         if not clock.reached():

@@ -73,7 +73,7 @@ ObjectRow = List[Any]
 
 
 class GraphWriter:
-    """Assigns numbers to objects and creates their rows.
+    """Writer that assigns numbers to objects and creates their rows.
 
     Args:
         rules: rules with known numbers. Deleted rules that are still referred to are added after them.
@@ -150,7 +150,7 @@ _NUMBER = optional(count)
 
 
 class GraphReader:
-    """Creates objects from rows, with a check of each attribute.
+    """Reader that creates objects from rows, with a check of each attribute.
 
     Attributes refer to other objects by their numbers; checks restrict the kinds of these objects. No object may
     directly or indirectly consist of itself (`_sources`), otherwise traversals would not terminate.

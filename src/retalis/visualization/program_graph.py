@@ -202,7 +202,7 @@ class _GraphBuilder:
         self._goals(query, [head[2]])
 
     def _memory(self, instance: Any) -> None:
-        # Ids can be compound terms, so the text is used where there is no name.
+        # Ids can be compound terms, so the text is used if there is no name.
         name = self._text(instance.id)
         plain_name = getattr(instance.id, "name", name)
         memory = self._node("memory", plain_name, f"memory {name}", name)
