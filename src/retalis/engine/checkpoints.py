@@ -1,9 +1,14 @@
-"""The state of an engine in an SQLite file, written again and again while it runs.
+"""Checkpoints: periodic, incremental copies of an engine's state in an SQLite file.
 
-What has not changed is not written again: the program is there once, and of memories only the records that are new.
-Each time is one transaction, in write-ahead mode: a process that is killed leaves the state of the last one.
+A checkpoint consists of sections (the program's clauses, rules with their partial matches, timers, counters) and of
+the records of each memory. Only the difference to the previous checkpoint is written: a section if it has changed,
+and the records that a memory has stored since. Each checkpoint is one transaction in write-ahead mode (SQLite manual,
+"Write-Ahead Logging"), so a process that is killed leaves the last complete checkpoint. `Checkpointer` takes the
+state in its own thread while the engine is idle for that moment, and encodes and writes it afterwards.
 
-Keeping the state of a running engine in a file, and taking it up from there.
+A file is not trusted when it is read: its schema, sizes and checksums are verified, no SQL of the file is executed,
+and data is decoded by a codec that creates only known types. `resume` creates an engine from a file if the program's
+own files are the same as when the checkpoint was written.
 """
 
 import os
@@ -41,7 +46,7 @@ from .runtime.clock import Clock
 from .runtime.problem_reports import Reports
 
 APPLICATION = 0x72746C73
-"""``PRAGMA application_id`` of a checkpoint."""
+"""``PRAGMA application_id`` of a checkpoint file, the letters ``rtls``."""
 
 _TABLES = """
 CREATE TABLE IF NOT EXISTS sections (name TEXT PRIMARY KEY, data BLOB NOT NULL, checked INTEGER NOT NULL);
@@ -50,37 +55,40 @@ CREATE TABLE IF NOT EXISTS records (memory INTEGER, first INTEGER, number INTEGE
 """
 
 _ASIDE = ".aside"
-"""Suffix of a refused file."""
+"""Suffix of a file that `resume` has refused."""
 
 ProgramFiles = List[Tuple[str, str]]
-"""The files that a program is read from: their paths and the digests of what they say."""
+"""Paths of the files that a program was read from, with digests of their contents."""
 
 
 MAX_REFUSED_FILES = 9
-"""Refused files that are kept."""
+"""Refused files that are kept; the last one is overwritten by the next."""
 
 MAX_FILE_BYTES = (1 << 31) - 1
-"""The largest file that is read: SQLite takes no higher limit."""
+"""Maximum size of a checkpoint in bytes. SQLite accepts no higher length limit."""
 
 _STEP, _STEPS, _BYTES_PER_STEP = 1000, 200, 250
-"""Reading ends after so many times so many instructions of SQLite, and as many more for so many bytes of the file."""
+"""Limit of the SQLite instructions for reading: `_STEPS` times `_STEP`, plus `_STEP` per `_BYTES_PER_STEP` bytes.
+
+A crafted file cannot make a query run forever.
+"""
 
 _PICKLED = b"\x80\x04"
-"""First bytes of a section in older files."""
+"""First bytes of a section in files of format 5 and older, which were pickles."""
 
 
 class FileTaken(UsageError):
-    """Another process keeps its state in the file now."""
+    """Another process has opened the checkpoint file for writing; this process writes no more."""
 
 
 class RecordBatch(NamedTuple):
-    """Records of a memory that came one after the other.
+    """Consecutive records of a memory, encoded.
 
     Attributes:
-        memory: its number in the file.
-        first: how many records there were before.
-        number: how many they are.
-        data: they, as bytes.
+        memory: number of the memory in the file.
+        first: number of records that the memory had stored before the first one of the batch.
+        number: count of records in the batch.
+        data: the encoded records.
     """
 
     memory: int
@@ -93,10 +101,10 @@ class Checkpoint(NamedTuple):
     """Contents of a checkpoint file.
 
     Attributes:
-        sections: of the state, as data.
-        records: of each memory, in parts.
-        files: that the program was read from.
-        made: when it was written, in seconds since the epoch.
+        sections: decoded sections of the state, by name.
+        records: for each memory its batches of records.
+        files: files that the program was read from.
+        made: time at which the checkpoint was written, in seconds since the epoch.
     """
 
     sections: Dict[str, Any]
@@ -106,16 +114,16 @@ class Checkpoint(NamedTuple):
 
 
 class CheckpointStorage:
-    """A file that a state is written to.
+    """A checkpoint file that is open for writing.
 
     Args:
-        path: of the file; where there is one, it goes on to hold what it holds until `write`.
+        path: path of the file. An existing checkpoint stays valid until the first `write`.
 
     Attributes:
-        next_number: a number that no memory in the file has, and none above it.
+        next_number: a memory number greater than all numbers in the file.
 
     Raises:
-        UsageError: where it cannot be written.
+        UsageError: if the file cannot be opened for writing.
     """
 
     def __init__(self, path: Path):
@@ -124,12 +132,18 @@ class CheckpointStorage:
             self._base = sqlite3.connect(str(path), isolation_level=None, check_same_thread=False)
             _value(self._base, "PRAGMA journal_mode = WAL")
             self._base.execute("PRAGMA synchronous = NORMAL")
-            # At once, so that whoever reads the file meanwhile, or after a kill, finds nothing or all of it.
+            # One transaction creates all tables and the application id, so that a reader, also after a kill, finds
+            # either an
+            # empty database or a complete schema.
+            # The schema of an existing file is not trusted: functions in its views and triggers must not run.
             self._base.execute("PRAGMA trusted_schema = OFF")
             self._base.executescript(f"BEGIN; PRAGMA application_id = {APPLICATION}; {_TABLES} COMMIT;")
             _check_schema(self._base)
             newest = _value(self._base, "SELECT max(memory) FROM records")
             self.next_number: int = 0 if newest is None else newest + 1
+            # The last process that opens the file owns it. `write` compares the number, so that a second engine that
+            # starts
+            # with the same file does not mix its records with those of the first one.
             self._owner = SystemRandom().randrange(1 << 31)
             self._base.execute(f"PRAGMA user_version = {self._owner}")
         except sqlite3.Error as error:
@@ -138,15 +152,18 @@ class CheckpointStorage:
     def write(
         self, sections: Dict[str, bytes], batches: Iterable[RecordBatch], oldest: Dict[int, int]
     ) -> None:
-        """Write what has changed, all of it or nothing.
+        """Write the changes since the previous checkpoint in one transaction.
 
         Args:
-            sections: the sections that are other ones than they were.
-            batches: records; those take the place of all of their memory from the same one on.
-            oldest: of each memory that there is how many records came before the first that it still has.
+            sections: the sections that have changed, encoded.
+            batches: new records; a batch replaces all records of its memory from its first record on.
+            oldest: for each existing memory the number of records that were stored before the oldest one that it
+                still has.
 
         Raises:
-            UsageError: where it cannot be written; the file has what it had before. `FileTaken` where that is so.
+            UsageError: if the transaction fails; the file keeps the previous checkpoint. `FileTaken` if another
+                process
+                writes to the file.
         """
         base = self._base
         try:
@@ -158,8 +175,11 @@ class CheckpointStorage:
                 [(name, data, crc32(data)) for name, data in sections.items()],
             )
             for one in batches:
+                # A memory that was cleared after its clock went back continues with lower numbers: later batches are
+                # stale.
                 base.execute("DELETE FROM records WHERE memory = ? AND first >= ?", (one.memory, one.first))
                 base.execute("INSERT INTO records VALUES (?, ?, ?, ?, ?)", (*one, crc32(one.data)))
+            # A batch is deleted when all of its records have left the memory; batches are never split.
             base.executemany(
                 "DELETE FROM records WHERE memory = ? AND first + number <= ?", list(oldest.items())
             )
@@ -171,7 +191,7 @@ class CheckpointStorage:
             self._give_up()
 
     def _give_up(self) -> None:
-        """Take back what has been begun and not ended."""
+        """Roll back a transaction that was not committed."""
         try:
             if self._base.in_transaction:
                 self._base.execute("ROLLBACK")
@@ -185,18 +205,19 @@ class CheckpointStorage:
             self._base.executemany("DELETE FROM records WHERE memory = ?", gone)
 
     def close(self) -> None:
-        """Be done with the file."""
+        """Close the file."""
         self._base.close()
 
 
 def read_checkpoint(path: Path) -> Optional[Checkpoint]:
-    """Return what a file holds; None where there is no file, or nothing was written to it yet.
+    """Return the contents of a checkpoint file; None if there is no file or it is empty.
 
-    Nothing is written to the file, and nothing in it is executed.
+    The file is opened read-only, and no SQL of the file is executed.
 
     Raises:
-        UsageError: where it is no checkpoint, is damaged, or comes from another version.
+        UsageError: if the file is not a checkpoint, is damaged, or has another format version.
     """
+    # Pages that were not yet moved into the main file are in the write-ahead log, so the two sizes are added.
     size = sum(one.stat().st_size for one in (path, Path(f"{path}-wal")) if one.is_file())
     if not path.exists() or (path.is_file() and not path.stat().st_size):
         return None
@@ -215,7 +236,7 @@ def read_checkpoint(path: Path) -> Optional[Checkpoint]:
 
 
 def _limit(base: sqlite3.Connection, size: int) -> None:
-    """Have the reading of a database end after as many steps, and at as many bytes, as its file can need."""
+    """Limit the instructions and the value lengths of queries to what a file of ``size`` bytes can need."""
     steps = iter(range(_STEPS + size // _BYTES_PER_STEP))
     base.set_progress_handler(lambda: next(steps, None) is None, _STEP)
     if hasattr(base, "setlimit"):  # since Python 3.11
@@ -229,11 +250,12 @@ def _schema(base: sqlite3.Connection) -> List[Tuple[Any, ...]]:
 
 
 def _check_schema(base: sqlite3.Connection) -> None:
-    """Check that a database has the tables of a checkpoint, and no views, triggers, indexes or further tables.
+    """Check that a database has exactly the tables of a checkpoint: no views, triggers, indexes or further tables.
 
     Raises:
-        UsageError: where it has not.
+        UsageError: if the schema differs.
     """
+    # SQLite stores the text of CREATE statements, so equal schemas have equal rows in ``sqlite_master``.
     ours = sqlite3.connect(":memory:")
     try:
         ours.executescript(_TABLES)
@@ -244,13 +266,15 @@ def _check_schema(base: sqlite3.Connection) -> None:
 
 
 def _check_lengths(base: sqlite3.Connection, size: int) -> None:
-    """Check that what the tables say they contain fits into the file, before any of it is read."""
+    """Check that the lengths in the tables fit into the file before any value is read."""
     total = 0
     for table, *columns in (("sections", "name", "data"), ("records", "data")):
+        # ``total`` returns a float and does not overflow, as ``sum`` would for crafted lengths.
         for column in columns:
             total += _value(base, f"SELECT total(length({column})) FROM {table}")
         if _value(base, f"SELECT count(*) FROM {table} WHERE typeof(data) <> 'blob'"):
             raise UsageError(f"it is damaged: the table {table} has data of another type")
+    # Written as `not <=` because the total can be NaN for a crafted file.
     if not total <= size:
         raise UsageError("it is damaged: it says that it contains more than the file has")
 
@@ -284,10 +308,10 @@ def _read(base: sqlite3.Connection, size: int) -> Optional[Checkpoint]:
 
 
 def _about(data: bytes) -> Dict[str, Any]:
-    """Return what a file says of itself.
+    """Return the decoded section ``about`` of a file.
 
     Raises:
-        UsageError: where it comes from another version, or is damaged.
+        UsageError: if the file has another format version or is damaged.
     """
     if data.startswith(_PICKLED):
         raise UsageError(
@@ -295,6 +319,7 @@ def _about(data: bytes) -> Dict[str, Any]:
             f"read; this version reads format {FORMAT}"
         )
     found = from_bytes(data)
+    # The version is checked before the full schema: a file of another version has other fields.
     said = dict_of(text, anything)(found)
     check_version(said.get("format"), said.get("layout"))
     checked: Dict[str, Any] = about(found)
@@ -302,19 +327,22 @@ def _about(data: bytes) -> Dict[str, Any]:
 
 
 def _value(base: sqlite3.Connection, query: str) -> Any:
-    """Return the one value of a query, which is read to its end: one that waits to go on holds up a commit."""
+    """Return the single value of a query.
+
+    All rows are fetched, because a statement that is not exhausted keeps a read lock and blocks the commit.
+    """
     ((value,),) = base.execute(query).fetchall()
     return value
 
 
 def _records(base: sqlite3.Connection, number: int, oldest: int, end: Any) -> List[Any]:
-    """Return the records of a memory, in parts.
+    """Return the batches of records of a memory.
 
     Args:
-        base: the file.
-        number: of the memory.
-        oldest: how many records came before the first that it had.
-        end: what comes after its last one.
+        base: the open file.
+        number: number of the memory in the file.
+        oldest: number of records that were stored before the oldest one of the memory.
+        end: an empty batch, positioned after the newest record.
     """
     query = "SELECT data, checked FROM records WHERE memory = ? ORDER BY first"
     parts = [read_records(_whole(*row)) for row in base.execute(query, (number,))]
@@ -331,23 +359,23 @@ def _whole(data: bytes, check: int) -> bytes:
 
 
 def about_state(files: ProgramFiles, memories: List[Any], made: float) -> Dict[str, Any]:
-    """Return what a file says of itself.
+    """Return the contents of section ``about``.
 
     Args:
-        files: that the program was read from.
-        memories: of each, in their order, its number in the file, how many records came before the first that it has,
-            and what comes after its last one: no records.
-        made: when it was written, in seconds since the epoch.
+        files: files that the program was read from.
+        memories: for each memory, in order: its number in the file, the number of records that were stored before its
+            oldest one, and an empty batch positioned after its newest record.
+        made: time of writing, in seconds since the epoch.
     """
     found = [list(one) for one in files]
     return {"format": FORMAT, "layout": LAYOUT, "files": found, "memories": memories, "made": made}
 
 
 def put_aside(path: Path) -> Path:
-    """Rename a file that is not taken up, with what belongs to it; `MAX_REFUSED_FILES` of them are kept.
+    """Rename a refused checkpoint file, with its write-ahead log; at most `MAX_REFUSED_FILES` are kept.
 
     Raises:
-        UsageError: where it is no file, or that is not allowed.
+        UsageError: if the path is not a file or renaming is not permitted.
     """
     if not path.is_file():
         raise UsageError(f"{path} is no file")
@@ -356,6 +384,7 @@ def put_aside(path: Path) -> Path:
     ]
     aside = next((name for name in names if not name.exists()), names[-1])
     try:
+        # The main file is renamed last: after a crash in between, the next start finds and refuses it again.
         for ending in ("-wal", "-shm", ""):
             source, target = Path(f"{path}{ending}"), Path(f"{aside}{ending}")
             if source.exists():
@@ -368,39 +397,42 @@ def put_aside(path: Path) -> Path:
 
 
 EVERY = 0.5
-"""Seconds from one checkpoint to the next where they cost little."""
+"""Minimum interval between two checkpoints, in seconds."""
 
 SHARE = 20
-"""A checkpoint is followed by that many times the time that it took, at least."""
+"""The pause after a checkpoint is at least this multiple of the time that it took, so writing uses at most 5 % of the
+
+time.
+"""
 
 RECORDS_PER_STEP = 200
-"""Records that are made to bytes in one step, while no other thread of Python runs."""
+"""Records that are encoded in one step; other Python threads wait for the duration of a step."""
 
 FINAL_WRITE_SECONDS = 5.0
-"""Seconds that the end of a node waits for the last time."""
+"""Maximum duration of the final write when a node ends, in seconds."""
 
 
 class _InFile(NamedTuple):
-    """What the file has of a memory: its number there, and how many records it ever had."""
+    """Position of a memory in the file: its number, and the number of records ever written."""
 
     number: int
     added: int
 
 
 class Checkpointer:
-    """Writes the state of an engine to a file while it runs.
+    """Periodic writer of an engine's state, in its own thread.
 
     Args:
-        engine: whose state.
-        file: where to.
-        program: the program's folder.
-        reports: takes what goes wrong.
-        every: seconds from one time to the next.
-        files: that the program was read from, where the engine goes on from a checkpoint.
+        engine: the engine.
+        file: the checkpoint file.
+        program: folder of the program.
+        reports: receives errors.
+        every: minimum interval between checkpoints, in seconds.
+        files: files that the program was read from, if the engine was created by `resume`.
 
     Attributes:
-        written: how many times it has been written.
-        longest: the longest time for which the engine had to wait, in seconds.
+        written: number of checkpoints written.
+        longest: longest time for which the engine was blocked, in seconds.
     """
 
     def __init__(
@@ -432,11 +464,11 @@ class Checkpointer:
         self._look_at_files()
 
     def begin(self) -> None:
-        """Write from now on, in a thread of its own."""
+        """Start the thread that writes."""
         self._thread.start()
 
     def end(self) -> None:
-        """Write once more, and no more after that; an engine that is at work without end is not waited for."""
+        """Write a last checkpoint and stop; wait at most `FINAL_WRITE_SECONDS` for a busy engine."""
         self._ending.set()
         if self._thread.ident is None:
             self._finish()
@@ -459,9 +491,12 @@ class Checkpointer:
             self._file.close()
 
     def _write(self) -> bool:
-        """Write, report what goes wrong, and tell whether to go on."""
+        """Write a checkpoint and report errors; return whether to continue."""
         try:
             self.write()
+        # Any exception is reported here and does not end the thread: the next attempt may succeed, for example when
+        # the
+        # disk has space again. The failed attempt has consumed the change marks, so the next one writes everything.
         except Exception as error:  # of whatever kind: the next time may be better, and nobody else says it
             self._keeper = EngineSnapshot(self._engine)  # what has changed is not known any more
             self._memories = {}
@@ -470,12 +505,13 @@ class Checkpointer:
         return True
 
     def write(self) -> None:
-        """Write what has changed since the last time.
+        """Write the changes since the previous checkpoint.
 
         Raises:
-            UsageError: where that cannot be written.
+            UsageError: if the file cannot be written.
         """
         parts = self._engine
+        # Only taking the state blocks the engine; encoding of clauses and records and the disk access do not.
         found = parts.executor.call(lambda: parts.dispatcher.undisturbed(self._take), (REQUEST,))
         sections, clauses, records = found
         if clauses is not None:
@@ -488,7 +524,10 @@ class Checkpointer:
         self.written += 1
 
     def _look_at_files(self) -> None:
-        """Note what files say when they are read: all where the program was loaded or read again, else new ones."""
+        """Update the digests of the program's files.
+
+        After a load or reload all files are read again; otherwise only files that are new.
+        """
         parts = self._engine
         standings = list(parts.deployments.values())
         if len(standings) != len(self._standings) or any(
@@ -500,17 +539,20 @@ class Checkpointer:
             self._files = {name: self._files.get(name) or digest(name) for name in names}
 
     def _take(self) -> "Tuple[Dict[str, bytes], Any, List[Tuple[int, NewRecords]]]":
-        """Take what has changed, while nothing else is done."""
+        """Return what has changed since the previous checkpoint; the engine must not work meanwhile."""
         begin = time.monotonic()
         found = self._keeper.take(whole=False)
         clauses = found.pop("clauses", None)
-        # What is bound for a while has to be made to bytes before anybody goes on; clauses and records never are.
+        # Variables of matches and values may be bound only for the moment, so these sections are encoded before the
+        # engine
+        # continues. Clauses and records are immutable and can be encoded later.
         sections = {name: to_bytes(data) for name, data in found.items()}
         memories: Dict[MemoryInstance, _InFile] = {}
         records = []
         for instance in self._engine.knowledge.memories:
             known = self._memories.get(instance)
             memory = instance.memory
+            # `memory.changed` is the lowest record number whose value was changed since the previous checkpoint.
             since = 0 if known is None else min(known.added, memory.changed)
             memory.changed = NEVER
             number = next(self._numbers) if known is None else known.number
@@ -522,7 +564,7 @@ class Checkpointer:
 
 
 def _batches(number: int, new: NewRecords) -> Iterator[RecordBatch]:
-    """Yield records as bytes, not too many at once: Python's other threads wait meanwhile."""
+    """Yield records in encoded batches, and let other Python threads run between two batches."""
     for at in range(0, len(new.records), RECORDS_PER_STEP):
         part = new.part(at, at + RECORDS_PER_STEP)
         yield RecordBatch(number, part.first, len(part.records), to_bytes(keep_records(part)))
@@ -533,15 +575,15 @@ def own_files(folder: Path, loaded: Sequence[str]) -> List[str]:
     """Return the paths of the files that a program is read from.
 
     Args:
-        folder: the program's.
-        loaded: the event files that it has loaded.
+        folder: folder of the program.
+        loaded: paths of the event files that it has loaded.
     """
     own = [str(folder.absolute() / name) for name in (GOALS, TOPICS)]
     return [*own, *(one for one in sorted(loaded) if one not in own)]
 
 
 def digest(name: str) -> str:
-    """Return a digest of what a file says; "none" where it is not there."""
+    """Return the SHA-256 digest of a file, or "none" if it cannot be read."""
     from hashlib import sha256  # noqa: PLC0415 - loads OpenSSL, and only nodes have checkpoints
 
     try:
@@ -558,18 +600,18 @@ def resume(
     reports: Reports,
     definitions: Optional[Definitions] = None,
 ) -> Optional[Tuple[Engine, Checkpoint]]:
-    """Return an engine that goes on from a file, with what the file held; None where there is none.
+    """Return an engine created from a checkpoint, and the checkpoint; None if there is none.
 
     Args:
-        path: of the file.
-        folder: of the program that is to run.
-        clock: of the engine; where an error is raised it may have been changed.
-        settings: of the engine.
-        reports: of the engine.
-        definitions: of the engine.
+        path: path of the checkpoint file.
+        folder: folder of the program that is to run.
+        clock: clock of the engine; it may have been changed if an error is raised.
+        settings: settings of the engine.
+        reports: reports of the engine.
+        definitions: known message types.
 
     Raises:
-        UsageError: why it cannot go on from there.
+        UsageError: the reason why the checkpoint cannot be used.
     """
     found = checked(lambda: read_checkpoint(path))
     if found is None:
@@ -585,10 +627,10 @@ def resume(
 
 
 def _check_files(files: ProgramFiles, folder: Path) -> None:
-    """Check that a program's files say what they said.
+    """Check that a program's files have not changed since the checkpoint.
 
     Raises:
-        UsageError: where they do not.
+        UsageError: if a file has changed, or the checkpoint belongs to another program.
     """
     if not files or files[0][0] != str(folder.absolute() / GOALS):
         raise UsageError(f"it is of another program: {files[0][0] if files else 'none'}")

@@ -1,6 +1,8 @@
-"""What there is of a program at one moment, and what one load of its folder has made of that.
+"""Deployments: the rules, clauses and other items of a program, and the part that one folder has created.
 
-What each folder of a program has made, as data: by places among what there is.
+A deployment (Esper's term for everything that one load has created) is the difference between two states of the
+program: `standing` reads all items, and `Deployment.since` subtracts an earlier state. A reload replaces exactly the
+items of the folder's deployment. In a saved state, items are referred to by their positions in the program's lists.
 """
 
 from pathlib import Path
@@ -28,20 +30,20 @@ Clauses = Dict[Predicate, List[Clause]]
 
 
 class Deployment(NamedTuple):
-    """What there is of a program.
+    """Items of a program.
 
     Attributes:
-        rules: the event rules, in order.
-        clauses: of each predicate that is not the system's, in order.
-        memories: by their ids.
-        subscriptions: by topic and id.
-        properties: of labels.
-        flags: those of ``set_etalis_flag/2``.
-        dynamic: the predicates that are declared so.
-        replaced: the predicates of the library that the program has of its own.
-        files: those that have been loaded.
-        timers: by their keys.
-        states: by their keys.
+        rules: event rules, in order.
+        clauses: clauses in order, by predicate; without the system's predicates.
+        memories: memories by id.
+        subscriptions: subscriptions by topic and id.
+        properties: properties by label.
+        flags: flags of ``set_etalis_flag/2``.
+        dynamic: predicates that are declared dynamic.
+        replaced: library predicates that the program redefines.
+        files: loaded files.
+        timers: timers by key.
+        states: declared states by key.
     """
 
     rules: List[EventRule]
@@ -57,7 +59,8 @@ class Deployment(NamedTuple):
     states: Dict[Hashable, DeclaredState]
 
     def since(self, before: "Deployment") -> "Deployment":
-        """Return what has come since a moment before."""
+        """Return the items that were added after an earlier state."""
+        # Items are compared by identity, not by equality: an item that was deleted and defined again is a new one.
         rules, files = set(before.rules), before.files
         clauses = {one: _without(found, before.clauses.get(one, ())) for one, found in self.clauses.items()}
         properties = {
@@ -79,7 +82,7 @@ class Deployment(NamedTuple):
         )
 
     def and_then(self, other: "Deployment") -> "Deployment":
-        """Return what this and a later load have made."""
+        """Return the union of this deployment and a later one."""
         clauses = {one: [*self.clauses.get(one, ()), *found] for one, found in other.clauses.items()}
         properties = {key: [*self.properties.get(key, ()), *found] for key, found in other.properties.items()}
         return Deployment(
@@ -98,12 +101,13 @@ class Deployment(NamedTuple):
 
 
 NOTHING = Deployment([], {}, {}, {}, {}, {}, set(), set(), set(), {}, {})
-"""What a program has made that was not loaded."""
+"""The empty deployment."""
 
 
 def standing(logic: PrologSystem, rules: RuleBase, knowledge: KnowledgeBase) -> Deployment:
-    """Return what there is of an engine's program now."""
+    """Return all items of an engine's program."""
     database = logic.database
+    # A tabled predicate is wrapped; its clauses belong to the inner predicate.
     found = [one.tabled or one for one in list(database.predicates.values())]
     own = [one for one in found if one.kind == "user" and not one.library]
     return Deployment(
@@ -122,15 +126,16 @@ def standing(logic: PrologSystem, rules: RuleBase, knowledge: KnowledgeBase) -> 
 
 
 def clause_key(clause: Clause) -> Hashable:
-    """Return what is equal for clauses that are the same but for the names of variables."""
+    """Return a key that is equal for clauses that differ only in the names of variables."""
     return term_key((_CLAUSE, clause.head, clause.body))
 
 
 def paired(
     old: Sequence[EventRule], new: Sequence[EventRule], key: Callable[[EventRule], Hashable]
 ) -> Dict[EventRule, EventRule]:
-    """Return for new rules the old ones that say the same, each once, the first ones first."""
+    """Pair new rules with equal old rules, in order; each old rule is used once."""
     waiting: Dict[Hashable, List[EventRule]] = {}
+    # In reverse order, so that `pop` returns the first of several equal rules.
     for rule in reversed(old):
         waiting.setdefault(key(rule), []).append(rule)
     found: List[Tuple[EventRule, EventRule]] = []
@@ -156,7 +161,7 @@ def _new_in(items: Dict[ItemKey, Item], before: Dict[ItemKey, Item]) -> Dict[Ite
 def keep_standings(
     programs: Dict[str, Deployment], logic: PrologSystem, knowledge: KnowledgeBase, named: List[EventRule]
 ) -> Dict[str, Any]:
-    """Return for each folder what it has made of what is there."""
+    """Return the deployments as data for a saved state."""
     rules = {id(rule): at for at, rule in enumerate(named)}
     predicates = program_predicates(logic)
     clauses = {id(one): at for found in predicates for at, one in enumerate(found.live())}
@@ -168,6 +173,9 @@ def keep_standings(
             "rules": [rules[id(rule)] for rule in made.rules if id(rule) in rules],
             "clauses": [
                 (one.functor, [clauses[id(clause)] for clause in found if id(clause) in clauses])
+                # A retracted clause has no position any more. It is saved in full, because a reload compares the
+                # clauses that it
+                # has loaded with those that still exist, see `ReloadTransaction._leave_retracted`.
                 for one, found in made.clauses.items()
             ],
             "retracted": [
@@ -204,9 +212,9 @@ def restore_standings(
     timers: Timers,
     named: List[EventRule],
 ) -> Dict[str, Deployment]:
-    """Return what the folders have made, in an engine that has taken up a state.
+    """Return the deployments from a saved state.
 
-    Timers that have rung for the last time since then are there no more.
+    One-shot timers that have fired since are omitted.
     """
     memories = list(knowledge.memories.instances.items())
     subscriptions = knowledge.subscriptions.items()
@@ -238,7 +246,7 @@ def _predicate(logic: PrologSystem, functor: Functor) -> Predicate:
 
 
 def _clauses(logic: PrologSystem, made: Dict[str, Any]) -> Dict[Predicate, List[Clause]]:
-    """Return the clauses that a folder has made: those that are there, then those that were retracted since."""
+    """Return a deployment's clauses by predicate: existing clauses first, then retracted ones."""
     clauses: Dict[Predicate, List[Clause]] = {}
     for key, places in made["clauses"]:
         predicate = _predicate(logic, key)
@@ -248,6 +256,7 @@ def _clauses(logic: PrologSystem, made: Dict[str, Any]) -> Dict[Predicate, List[
         predicate = _predicate(logic, key)
         for head, body, place in gone:
             clause = Clause(predicate, head, body, place)
+            # Marked as dead from the beginning, so that no goal sees the clause.
             clause.died = 0
             clauses.setdefault(predicate, []).append(clause)
     return clauses

@@ -57,7 +57,7 @@ from .runtime.watchdog import watch
 
 
 class OnOutput(Protocol):
-    """What `Engine.on_output` takes: called with the term, the topic and the subscription's id of each output.
+    """A callback for `Engine.on_output`: called with the term, the topic and the subscription id of each output.
 
     >>> def tell(term: Term, topic: str, name: Term) -> None:
     ...     print(topic, engine.show(term), engine.show(name))
@@ -69,11 +69,11 @@ class OnOutput(Protocol):
     """
 
     def __call__(self, term: Term, topic: str, name: Term, /) -> object:
-        """Take an output."""
+        """Process an output."""
 
 
 class OnEvent(Protocol):
-    """What `Engine.on_event` takes: called with the term, and start and end in nanoseconds, of each event.
+    """A callback for `Engine.on_event`: called with the term, start and end (ns since the epoch) of each event.
 
     >>> def tell(term: Term, start: int, end: int) -> None:
     ...     print(engine.show(term), start, end)
@@ -88,12 +88,12 @@ class OnEvent(Protocol):
     """
 
     def __call__(self, term: Term, start: int, end: int, /) -> object:
-        """Take an event."""
+        """Process an event."""
 
 
 READ = ReadFlags()
 MADE = ReadFlags(made=True)
-"""How a text is read that is a goal or pattern, and one that is an event."""
+"""Read flags for goals and patterns, and for events."""
 
 Instant = Union[int, Term]
 Result = TypeVar("Result")
@@ -103,20 +103,23 @@ Made = TypeVar("Made", bound="Engine")
 class Engine:
     """A running program.
 
-    Events go in (`event`, `post`), outputs come out (`on_output`), questions are answered (`query`). Calls may
-    come from any thread: one at a time does the work. What goes wrong in a rule, goal or callback is logged (logger
-    ``retalis``) with its place, and the rest goes on.
+    Events are given to the engine (`event`, `post`), outputs are passed to callbacks (`on_output`), and queries are
+    answered (`query`). Methods may be called from any thread; the engine executes one call at a time. An error in a
+    rule, goal or callback is logged (logger ``retalis``) with its place, and does not affect other rules.
 
-    A callback (`on_output`, `on_event`, a foreign predicate) may ask the engine itself, and `post` from any thread.
-    It must not wait for another thread that asks: that one waits for the callback. Where it does so all the same,
-    the other thread gets a `UsageError` when the one callback has taken ``settings.patience`` seconds.
+    A callback (`on_output`, `on_event`, a foreign predicate) may call the engine, and any thread may `post`. A
+    callback
+    must not wait for another thread that calls the engine, because that thread waits for the callback. If it does,
+    the
+    other thread gets a `UsageError` after the callback has taken ``settings.patience`` seconds.
 
-    An interrupt (Ctrl-C) may come at any moment. The event or goal that is worked on is over then: what it has
-    done stays done, what follows from that and has not been done is left out, no cleanup is. Everything else is as
-    if nothing had been: no event that comes later is served in another way.
+    An interrupt (Ctrl-C) may arrive at any time. It ends the current event or goal: effects that have occurred
+    remain,
+    consequences that have not been derived are omitted, and the engine's data structures are made consistent. Later
+    events are processed normally.
 
-    In a forked process (``os.fork``, ``multiprocessing``) an engine goes on by itself. If another thread was at work
-    in it at that moment, its calls raise a `UsageError` there.
+    In a forked process (``os.fork``, ``multiprocessing``) the engine continues independently. If another thread was
+    using it at the time of the fork, calls raise a `UsageError` in the new process.
 
     >>> engine = Engine()
     >>> engine.load(rules="alarm(X) <- smoke(X) seq heat(X).", goals="subscribe(alarm(_), [], _, alarms, a)")
@@ -126,10 +129,12 @@ class Engine:
     alarms alarm(kitchen)
 
     Args:
-        clock: what time it is; by default a `StreamClock` that follows the stamps of events and never goes back.
+        clock: the time of the program; by default a `StreamClock` that follows the timestamps of events and never
+            goes
+            back.
         settings: limits and sizes.
-        reports: takes what goes wrong while events flow; by default it is logged.
-        definitions: the message types whose slots a program may name; by default those that are installed.
+        reports: receives errors and warnings while events are processed; by default they are logged.
+        definitions: the message types whose fields a program may name; by default the installed ones.
 
     Attributes:
         clock: the time of the program.
@@ -148,6 +153,7 @@ class Engine:
         reports: Optional[Reports] = None,
         definitions: Optional[Definitions] = None,
     ):
+        # A clock that the caller provides is moved by the caller only; timestamps of events do not move it.
         followed = StreamClock() if clock is None else None  # somebody's own clock is moved by its owner
         self.clock: Clock = clock or followed  # type: ignore[assignment]
         self.settings = settings = Settings() if settings is None else settings
@@ -159,7 +165,9 @@ class Engine:
         self.logic.now = self.clock.now
         self.dispatcher = Dispatcher(self.logic, max_depth=settings.max_depth)
         self.reports = reports = Reports() if reports is None else reports
-        # Rules and knowledge need each other: the rules get functions that find the knowledge when they are called.
+        # Rules and knowledge depend on each other. The rules receive functions that look up the knowledge when they
+        # are
+        # called, which is after both exist.
         self.rules = RuleBase(
             self.logic,
             self.dispatcher,
@@ -202,7 +210,7 @@ class Engine:
         self._observed = False
         self._foreign: List[Tuple[object, ...]] = []
         self.deployments: Dict[str, Deployment] = {}
-        """What the folder of a program has made, by its real path."""
+        """Deployments by the real path of the program's folder."""
         self.loader = ProgramLoader(
             self.logic, self.rules, self.executor, self.dispatcher, settings.limit_start, self._once
         )
@@ -239,14 +247,16 @@ class Engine:
         >>> engine.load(rules="alarm <- fire.", goals="memorize(fire, [], _, fires, 10)")
 
         Args:
-            rules: an event file's text.
-            goals: a goal file's text.
-            source: what errors call them.
-            folder: the program's own, which its goals may read from then on, and where relative paths start;
-                without one the texts name files from the working directory on, and later goals read nothing.
+            rules: text of an event file.
+            goals: text of a goal file.
+            source: name of the texts in errors.
+            folder: folder of the program: later goals may read files in it, and relative paths start there. Without a
+                folder,
+                paths start in the working directory and later goals may not read files.
 
         Raises:
-            ProgramErrors: all errors; goals before a failed one have been called, of wrong rules none is active.
+            ProgramErrors: all errors. Goals before a failed one have been called; if a rule is wrong, no rule is
+                active.
         """
         self.loader.load(rules, goals, source, folder)
 
@@ -256,34 +266,36 @@ class Engine:
         >>> Engine().load_rules("alarm <- fire seq smoke.", "mine")
 
         Raises:
-            ProgramErrors: all errors; nothing of the text is active then. What is wrong in a text without event rules
-                is left out, with a warning (an `Omission`), where anything of it is left.
+            ProgramErrors: all errors; nothing of the text is active. In a text without event rules, wrong clauses are
+                omitted with a warning (an `Omission`) if any clause is accepted.
         """
         self.loader.load_rules(text, source, folder)
 
     def load_program(self, folder: Union[str, Path]) -> None:
-        """Call the goals of ``goalPredicates.txt`` in a program's folder; they name the rule files.
+        """Call the goals of ``goalPredicates.txt`` in a program's folder; these goals name the rule files.
 
-        Given a file in place of a folder, load that event file.
+        If the path is a file, load it as an event file.
 
         >>> engine = Engine()
         >>> engine.load_program(folder)
 
         Raises:
-            ProgramErrors: the goals that did not read, failed or raised; the others have been called.
-            UsageError: where the file cannot be read.
+            ProgramErrors: the goals that have a syntax error, fail or raise; the other goals have been called.
+            UsageError: if the file cannot be read.
         """
         load_folder(self, Path(folder))
 
     def reload(self, folder: Union[str, Path]) -> List[str]:
-        """Read a program's folder again, all or nothing: what `load_program` has made of it goes, and what it says
-        now comes; return what has changed, a line each.
+        """Load a program's folder again in one transaction, and return a description of the changes, one per line.
 
-        Memories keep their records where their definition is the same, rules that say the same what waits in them.
-        What was added since by others or at run time stays. The folder is loaded twice: first into another engine
-        with these settings, so that errors leave this one untouched. So its goals are called twice, and what they do
-        outside of an engine is done twice. The limits of a request hold for each time. An event file in place of a
-        folder is loaded once, into this engine.
+        Everything that `load_program` has created from the folder is replaced. A memory with an unchanged definition
+        keeps its records, and an unchanged rule keeps its partial matches. Anything that was added by services or at
+        run
+        time remains. The folder is loaded twice, first into a separate engine with the same settings, so that errors
+        do
+        not affect this engine. Its goals are therefore called twice, and their external effects occur twice. The
+        limits
+        of a request apply to each load. An event file is loaded once, into this engine.
 
         >>> engine = Engine()
         >>> engine.load_program(folder)
@@ -291,13 +303,13 @@ class Engine:
         'rules: 0 new'
 
         Raises:
-            ProgramErrors: what is wrong; the program is what it was.
-            UsageError: where a file cannot be read, or a goal or callback of this engine calls it.
+            ProgramErrors: all errors; the program is unchanged.
+            UsageError: if a file cannot be read, or if a goal or callback of this engine calls this method.
         """
         return reload_folder(self, Path(folder), self._trial)
 
     def _trial(self) -> "Engine":
-        """Return another engine with these settings, for which it is as late."""
+        """Return a second engine with the same settings, the same time and the same foreign predicates."""
         trial = Engine(
             clock_at(self.clock.now()), trial_settings(self.settings), NullReports(), self.slots.definitions
         )
@@ -307,12 +319,12 @@ class Engine:
         return trial
 
     def call_goals(self, text: str, source: str, folder: Optional[Path] = None) -> None:
-        """Call the goals of a goal file one after the other; see `load`.
+        """Call the goals of a goal file in order; see `load`.
 
         >>> Engine().call_goals("memorize(fire, [], _, fires, 10)", "mine")
 
         Raises:
-            ProgramErrors: all that did not read, failed or raised; the others have been called.
+            ProgramErrors: all goals that have a syntax error, fail or raise; the other goals have been called.
         """
         self.loader.call_goals(text, source, folder)
 
@@ -321,7 +333,7 @@ class Engine:
     def event(
         self, term: Union[str, Term], start: Optional[Instant] = None, end: Optional[Instant] = None
     ) -> None:
-        """Take an event and return when all that follows from it is done.
+        """Process an event; return when all derived events have been processed.
 
         >>> engine = Engine()
         >>> engine.event("fire(kitchen)", 1.5, 2)
@@ -330,97 +342,102 @@ class Engine:
 
         Args:
             term: the event, as a term or its text.
-            start: when it began: a stamp term or a number of seconds; by default now, by the clock.
-            end: when it ended; as ``start`` by default.
+            start: start time, a timestamp term or a number of seconds; by default the clock's present time.
+            end: end time; by default ``start``.
 
         Raises:
-            UsageError: for a wrong stamp, an end before the start, what does not fit the event's declaration, or no
-                start if the clock was never set, as that of an engine without a clock of its own is not before the
-                first event that has a time.
-            SyntaxFault: for a text that is not a term.
+            UsageError: for an invalid timestamp, an end before the start, or an event that does not match its
+                declaration.
+                Also if there is no start and the clock was never set: a default clock is not set before the first
+                    event that
+                has a time.
+            SyntaxFault: if the text is not a term.
         """
         first = None if start is None else timestamps.from_any(start)
         last = first if end is None else timestamps.from_any(end)
         self.event_at(self._read(term, MADE), first, last)
 
     def event_at(self, term: Term, start: Optional[int], end: Optional[int]) -> None:
-        """Take an event whose interval is given as instants in nanoseconds; see `event`.
+        """Process an event with an interval in nanoseconds; see `event`.
 
         >>> Engine().event_at(atom("fire"), 1_500_000_000, 2_000_000_000)
         """
         self.executor.call(lambda: self._take_fitting(term, start, end), (term,))
 
     def post(self, term: Term, instant: Optional[int] = None) -> None:
-        """Queue a message and return without waiting for others.
+        """Queue a message for processing and return immediately.
 
         >>> Engine().post(functor("battery", 1)(87), 1_500_000_000)
 
         Args:
             term: the event, without variables.
-            instant: when it happened, in nanoseconds; by default now, by the clock.
+            instant: time of the event in nanoseconds; by default the clock's present time.
         """
         if instant is None:
             self.executor.post(self._message, term)
         else:
+            # `WholeSeconds` is the form that the message converter produces; the rules compare it fastest.
             stamped = WholeSeconds(instant)  # the form in which the converter writes it
             self.executor.post(self._take, term, stamped, stamped, True)
 
     def post_each(self, messages: Iterable[Tuple[Term, Optional[int]]]) -> None:
-        """Queue messages as `post` does, in less time: for those that are there together.
+        """Queue several messages; faster than calling `post` for each.
 
         >>> battery = functor("battery", 1)
         >>> Engine().post_each([(battery(87), 1_500_000_000), (battery(86), None)])
 
         Args:
-            messages: events without variables, each with the instant when it happened, in nanoseconds; None for now.
-                Asked for the next one when the one before is done, or queued behind others; must not use the engine.
-                What asking raises is raised here, when all before it is done.
+            messages: events without variables, each with its time in nanoseconds or None for the present time. The
+                iterable
+                is advanced when the previous message is processed or queued; it must not use the engine. An exception
+                that it
+                raises is raised here after all previous messages are processed.
         """
         self.executor.post_each(self._message, messages)
 
     def post_text(self, text: str) -> None:
-        """Queue an event as other nodes send it: ``event(E)``, ``event(E,[T1,T2])`` or ``new_event(...)``.
+        """Queue an event as text: ``event(E)``, ``event(E,[T1,T2])`` or ``new_event(...)``.
 
-        What is none of these is refused with a warning, unless the settings allow any goal.
+        Other goals are rejected with a warning, unless the settings allow any goal.
 
         >>> Engine().post_text("event(fire(kitchen), [1.5,2])")
         """
         self.executor.post(self._text_input.take, text)
 
     def advance(self, move: Optional[Callable[[], object]] = None) -> None:
-        """Do what has come due by the clock: alarms, and starting anew where it went back.
+        """Run the alarms that are due, and reset the program if the clock went back.
 
         >>> engine = Engine(StreamClock())
         >>> engine.clock.move_to(1_000_000_000)
         >>> engine.advance()
 
         Args:
-            move: moves the clock first, when all that was posted before has been taken.
+            move: moves the clock first, after all messages that were posted before.
         """
         self.executor.post(self.event_input.watch_clock, move)
 
     def call(self, goal: Union[str, Term]) -> bool:
-        """Call a goal once; returns whether it has a solution.
+        """Call a goal once; return whether it has a solution.
 
         >>> engine = Engine()
         >>> engine.call("assertz(room(hall))"), engine.call("room(attic)")
         (True, False)
 
         Raises:
-            PrologError: what the goal raised.
+            PrologError: the error that the goal raised.
         """
         term = self._read(goal)
         return self.do(lambda: self._once(term), term)
 
     def query(self, goal: Union[str, Term], most: Optional[int] = None) -> List[Dict[str, Term]]:
-        """Return the solutions of a goal, each as its variables' values by name.
+        """Return the solutions of a goal, each a dictionary from variable names to values.
 
         >>> Engine().query("member(X, [1, 2, 3])", most=2)
         [{'X': 1}, {'X': 2}]
 
         Raises:
-            SyntaxFault: for a text that is not a term.
-            PrologError: what the goal raised.
+            SyntaxFault: if the text is not a term.
+            PrologError: the error that the goal raised.
         """
         if isinstance(goal, str):
             read = read_term(goal, self.logic.operators, "query")
@@ -431,22 +448,22 @@ class Engine:
         return self.do(lambda: self._solutions(term, names, most), term)
 
     def do(self, work: Callable[[], Result], what: Term = REQUEST) -> Result:
-        """Do a piece of work on the engine while nothing else does; return its result.
+        """Execute a function exclusively, with no events processed meanwhile, and return its result.
 
         >>> engine = Engine()
         >>> engine.do(lambda: engine.call("assertz(door(open))") and engine.query("door(X)"))
         [{'X': atom('open')}]
 
         Args:
-            work: does it.
-            what: is named where it takes long.
+            work: the function.
+            what: name of the work in warnings about its duration.
         """
         return self.executor.call(lambda: self.dispatcher.undisturbed(work), (what,))
 
-    # ---- what comes out ------------------------------------------------------------------------------
+    # ---- callbacks and text --------------------------------------------------------------------------
 
     def on_output(self, callback: OnOutput) -> None:
-        """Have ``callback`` called with term, topic and subscription id of each output.
+        """Register a callback for outputs; it is called with term, topic and subscription id.
 
         >>> engine = Engine()
         >>> engine.on_output(lambda term, topic, name: print(topic, engine.show(term)))
@@ -457,7 +474,7 @@ class Engine:
         self._outputs.append(callback)
 
     def on_event(self, callback: OnEvent) -> None:
-        """Have ``callback`` called with term, start and end of each event, in the order of dispatch.
+        """Register a callback for all events; it is called with term, start and end in the order of dispatch.
 
         >>> engine = Engine()
         >>> engine.on_event(lambda term, start, end: print(engine.show(term), end))
@@ -473,7 +490,7 @@ class Engine:
         self._observed = True
 
     def show(self, term: Term) -> str:
-        """Return a term as text that reads back.
+        """Return a term as text that can be read back.
 
         >>> Engine().show(functor("said", 1)(atom("Good day")))
         "said('Good day')"
@@ -481,18 +498,18 @@ class Engine:
         return self.logic.show(term)
 
     def brief(self, term: Term) -> str:
-        """Return a term as errors show it: its beginning where it is long.
+        """Return a term as text for messages; a long term is shortened.
 
         >>> len(Engine().brief(make_list(range(10000)))) < 1000
         True
         """
         return self.logic.brief(term)
 
-    # ---- what is there -------------------------------------------------------------------------------
+    # ---- introspection -------------------------------------------------------------------------------
 
     @property
     def operators(self) -> Operators:
-        """The operators by which texts are read and written; a program may add to them.
+        """The operators for reading and writing texts; a program may add operators.
 
         >>> engine = Engine()
         >>> engine.call("op(700, xfx, near)"), "near" in engine.operators
@@ -501,7 +518,7 @@ class Engine:
         return self.logic.operators
 
     def output_topics(self) -> List[str]:
-        """Return the topics to which subscriptions send, in the order of the alphabet.
+        """Return the topics of all subscriptions, sorted.
 
         >>> engine = Engine()
         >>> engine.load(goals="subscribe(fire, [], _, alarms, a)")
@@ -511,7 +528,7 @@ class Engine:
         return sorted({topic for topic, _ in self.knowledge.subscriptions})
 
     def summary(self) -> str:
-        """Say how many rules, memories and subscriptions there are.
+        """Return the number of rules, memories and subscriptions as text.
 
         >>> Engine().summary()
         '0 event rules, 0 memories, 0 subscriptions'
@@ -529,7 +546,7 @@ class Engine:
         topics: Optional[Topics] = None,
         direct: Iterable[TopicType] = (),
     ) -> Iterator[RetalisError]:
-        """Yield a warning for each thing in the program that reads well and is probably not meant.
+        """Yield warnings about likely mistakes in the program.
 
         >>> engine = Engine()
         >>> engine.load(rules="alarm <- fire where prev(fires, _, 1, 2, _). fire <- fire.")
@@ -537,10 +554,10 @@ class Engine:
         'fire/0 fires itself, at once and without end'
 
         Args:
-            folder: the program's own.
-            definitions: the message types that are known.
-            topics: the program's; by default none.
-            direct: further topics that become events.
+            folder: folder of the program.
+            definitions: known message types.
+            topics: topics of the program; by default none.
+            direct: further topics whose messages become events.
         """
         topics = self.input_topics.joined(Topics() if topics is None else topics)
         program = ProgramModel(
@@ -549,9 +566,9 @@ class Engine:
         return (finding.problem for finding in look_through(program) if finding.severity != INFO)
 
     def status(self, most: int = DEFAULT_LISTED) -> Status:
-        """Tell what the engine is doing and what it holds.
+        """Return the activity and contents of the engine, without waiting for it.
 
-        It does not wait for the engine: where that is busy, ``work`` says with what and for how long.
+        If the engine is busy, ``work`` describes the current call and its duration.
 
         >>> engine = Engine()
         >>> engine.load(rules="alarm <- fire.", goals="memorize(alarm, [], _, alarms, 10)")
@@ -561,13 +578,13 @@ class Engine:
         (1, 1, 1, None)
 
         Args:
-            most: how many rules, memories, subscriptions and queries are listed; the others are counted.
+            most: limit for the listed rules, memories, subscriptions and queries; ``left_out`` counts the others.
         """
         return self._status.read(most)
 
     @property
     def dropped(self) -> int:
-        """How many events were dropped because the queue was full.
+        """Number of events that were dropped because the queue was full.
 
         >>> Engine().dropped
         0
@@ -577,7 +594,7 @@ class Engine:
     # ---- memories and subscriptions ----
 
     def has_memory(self, name: Term) -> bool:
-        """Tell whether there is a memory with an id.
+        """Return whether a memory with an id exists.
 
         >>> engine = Engine()
         >>> engine.load(goals="memorize(fire, [], _, fires, 10)")
@@ -589,7 +606,7 @@ class Engine:
     def add_memory(
         self, event: Term, conditions: Sequence[Term], record: Term, name: Term, size: Term
     ) -> None:
-        """Add a memory as goal ``memorize/5`` does: under its limits, and with the events that tell of it.
+        """Add a memory as goal ``memorize/5`` does, with the same limits and the same events that report it.
 
         >>> engine = Engine()
         >>> engine.add_memory(atom("fire"), [], atom("fire"), atom("fires"), 10)
@@ -597,24 +614,25 @@ class Engine:
         True
 
         Args:
-            event: the pattern of the events that it keeps.
-            conditions: goals, which share variables with the pattern.
-            record: what it keeps of an event; a variable for the event itself.
-            name: its id.
-            size: how many records it keeps.
+            event: pattern of the events to store.
+            conditions: goals that share variables with the pattern.
+            record: term to store for an event; a variable stores the event itself.
+            name: id of the memory.
+            size: maximum number of records.
 
         Raises:
-            PrologError: where there is one of this id, or these are not what a memory is made of.
+            PrologError: if the id exists or an argument is invalid.
         """
         self._achieve((MEMORIZE, event, make_list(conditions), record, name, size))
 
     def delete_memory(self, name: Term) -> bool:
-        """Delete the memory with an id, as goal ``delete_memory/1`` does; return whether there was one.
+        """Delete a memory as goal ``delete_memory/1`` does; return whether it existed.
 
         >>> Engine().delete_memory(atom("fires"))
         False
         """
 
+        # Both steps in one exclusive call: no other thread can delete the memory between them.
         def work() -> bool:  # nobody deletes it in between
             found = self.has_memory(name)
             if found:
@@ -624,7 +642,7 @@ class Engine:
         return self.executor.call(lambda: self.dispatcher.undisturbed(work), (REQUEST,))
 
     def has_subscription(self, topic: Term, name: Term) -> bool:
-        """Tell whether there is a subscription with a topic and an id.
+        """Return whether a subscription with a topic and an id exists.
 
         >>> engine = Engine()
         >>> engine.load(goals="subscribe(fire, [], _, alarms, a)")
@@ -645,19 +663,19 @@ class Engine:
         alarms burning
 
         Args:
-            event: the pattern of the events that go out.
-            conditions: goals, which share variables with the pattern.
-            form: what goes out for an event; a variable for the event itself.
-            topic: where to.
-            name: its id; together with the topic it is the only one.
+            event: pattern of the events to send.
+            conditions: goals that share variables with the pattern.
+            form: term to send for an event; a variable sends the event itself.
+            topic: name of the topic.
+            name: id of the subscription, unique for the topic.
 
         Raises:
-            PrologError: where there is one of this topic and id, or these are not what a subscription is made of.
+            PrologError: if the subscription exists or an argument is invalid.
         """
         self._achieve((SUBSCRIBE, event, make_list(conditions), form, topic, name))
 
     def delete_subscription(self, topic: Term, name: Term) -> bool:
-        """Delete the subscription with a topic and an id; return whether there was one.
+        """Delete a subscription; return whether it existed.
 
         >>> Engine().delete_subscription(atom("alarms"), atom("a"))
         False
@@ -670,7 +688,7 @@ class Engine:
     # ---- state ----
 
     def snapshot(self) -> bytes:
-        """Return all that the engine knows and that waits in it, as bytes: see docs/state.md.
+        """Return the complete state of the engine as bytes; see docs/state.md.
 
         >>> engine = Engine()
         >>> engine.load(rules="alarm(X) <- smoke(X) seq heat(X).")
@@ -682,11 +700,13 @@ class Engine:
         alarm(kitchen) 2000000000
 
         Raises:
-            UsageError: where a goal or callback of this engine calls it.
+            UsageError: if a goal or callback of this engine calls this method.
         """
 
         def work() -> Dict[str, bytes]:
-            # To bytes while nothing else is done: what is asked binds variables of rules for a while.
+            # The state is encoded within the exclusive call, because the variables of rules may be bound to other
+            # values as
+            # soon as the engine continues.
             keeper = EngineSnapshot(self)
             return coded(keeper.take(), keeper.records())
 
@@ -703,10 +723,11 @@ class Engine:
         foreign: Tuple[object, ...] = (),
         folder: Optional[Path] = None,
     ) -> Made:
-        """Return a new engine that goes on where the one was whose `snapshot` this is.
+        """Create an engine from the result of `snapshot`.
 
-        It has the program, memories, partial matches, waiting queries, alarms and counters. Callbacks have to be
-        given again, as all that is not of the program.
+        The new engine has the program, memories, partial matches, pending queries, alarms and counters. Callbacks
+        must be
+        registered again, because they are not part of the program.
 
         >>> engine = Engine()
         >>> engine.load(goals="memorize(fire(_), [], _, fires, 10)")
@@ -715,16 +736,16 @@ class Engine:
         [{'N': 10, 'C': 1}]
 
         Args:
-            data: from `snapshot`.
-            clock: as for a new engine; by default one that goes on from the instant of the other's.
+            data: a result of `snapshot`.
+            clock: as for a new engine; by default a clock that continues at the time of the snapshot.
             settings: as for a new engine; they are not part of the state.
             reports: as for a new engine.
             definitions: as for a new engine.
-            foreign: what `add_foreign` was given.
-            folder: the program's, from which Python modules may be loaded again that it had asked for.
+            foreign: the arguments that `add_foreign` was called with.
+            folder: folder of the program; Python modules that the program has loaded are loaded again from there.
 
         Raises:
-            UsageError: for what is no state, is damaged, or comes from another version.
+            UsageError: if the data is not a snapshot, is damaged, or has another format version.
         """
         found = checked(lambda: unpack(data))
         sections = checked(lambda: decoded(found))
@@ -740,7 +761,7 @@ class Engine:
         return checked(work)
 
     def add_foreign(self, *sources: object) -> List[Functor]:
-        """Define Python functions that have the decorator `foreign`, and those of modules, as predicates.
+        """Define decorated Python functions, or all decorated functions of modules, as predicates (see `foreign`).
 
         >>> @foreign
         ... def half(number: int) -> float:
@@ -749,11 +770,11 @@ class Engine:
         [functor('half', 2)]
 
         Returns:
-            The functors of the predicates.
+            The functors of the new predicates.
 
         Raises:
-            UsageError: for a function without the decorator, or a module in which none has it.
-            PrologError: where a predicate of the system has that name.
+            UsageError: if a function is not decorated, or a module has no decorated function.
+            PrologError: if a system predicate has the same name.
         """
         found = self.executor.call(lambda: define_foreign(self.logic, self.executor, *sources))
         self._foreign.append(sources)
@@ -762,10 +783,10 @@ class Engine:
     # ---- implementation ----
 
     def _take_fitting(self, term: Term, start: Optional[int], end: Optional[int]) -> None:
-        """Take an event that is no message of a topic.
+        """Process an event that is not a message of a topic.
 
         Raises:
-            UsageError: where it does not fit its declaration.
+            UsageError: if it does not match its declaration.
         """
         declared = self.rules.declared
         wrong = declared.refusal(term) if declared.in_use else ""
@@ -777,8 +798,12 @@ class Engine:
         return read_term(term, self.logic.operators, "text", flags).term if isinstance(term, str) else term
 
     def _once(self, goal: Term) -> bool:
-        """Call a goal once; where nothing else is under way nobody will undo its bindings: no trail of them stays."""
+        """Call a goal once.
+
+        The trail is cleared afterwards if no other goal or event is active, because nothing will undo these bindings.
+        """
         machine = self.logic.machine
+        # Inside another goal or event the trail still belongs to an outer choice point and must stay.
         outermost = not machine.trail and not machine.choices and self.dispatcher.current is None
         try:
             return self.logic.once(goal)
@@ -790,7 +815,7 @@ class Engine:
         return self.dispatcher.undisturbed(lambda: self._once(goal))
 
     def _start_anew(self) -> None:
-        """Forget what waits and what is remembered: time went back."""
+        """Clear all memories, pending queries and partial matches, because time went back."""
         self.knowledge.clear()
         self.rules.clear()
 
@@ -799,11 +824,13 @@ class Engine:
             self._call_back("a callback of on_output", callback, term, topic, name)
 
     def _call_back(self, what: str, callback: Callable[..., object], *arguments: object) -> None:
+        # The executor names this callback in the error of a thread that waits for it; see `patience`.
         runner = self.executor
         outer = runner.callback
         runner.callback = (what,)
         try:
             callback(*arguments)
+        # An error in a callback of one subscriber must not prevent the remaining consequences of the event.
         except Exception as error:  # a subscriber's own fault must not cut off what follows of the event
             self.reports.error(error)
         runner.callback = outer
@@ -817,7 +844,9 @@ class Engine:
         found: List[Dict[str, Term]] = []
         with closing(self.logic.solutions(term)) as solutions:
             for _ in solutions:
-                # A variable in two values stays one variable. The copies count for the goal.
+                # Values are copied before the next solution undoes their bindings. The dictionary keeps a variable
+                # that occurs
+                # in two values one variable. The copies count against the memory limit of the goal.
                 shared: Dict[Var, Term] = {}
                 with self.logic.machine.budget.watching():
                     found.append({name: copy(value, shared) for name, value in names.items()})
@@ -826,6 +855,6 @@ class Engine:
         return found
 
     def _achieve(self, goal: Term) -> None:
-        """Call a goal that has to have a solution."""
+        """Call a goal that must succeed."""
         if not self.executor.call(lambda: self._call_undisturbed(goal), (goal,)):
             raise UsageError(f"{self.logic.brief(goal)} fails")

@@ -1,4 +1,4 @@
-"""The state of an engine taken as data, and taken up by another engine."""
+"""Snapshots of an engine: conversion of its state to data, and restoration into a new engine."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence, TypeVar
@@ -36,17 +36,17 @@ if TYPE_CHECKING:
     from .engine import Engine
 
 Sections = Dict[str, Any]
-"""Parts of a state: data that `to_bytes` takes."""
+"""Parts of a state by name, as data that `to_bytes` accepts."""
 
 
 Result = TypeVar("Result")
 
 
 class EngineSnapshot:
-    """Takes the state of an engine, and has one take it up.
+    """Reads the state of an engine, or restores a state into it.
 
     Args:
-        engine: nothing else is done in it meanwhile.
+        engine: the engine; it must be idle meanwhile.
     """
 
     def __init__(self, engine: "Engine"):
@@ -55,16 +55,17 @@ class EngineSnapshot:
         self._signature: Any = None
 
     def take(self, whole: bool = True) -> Sections:
-        """Return all but the records of memories; those are sections of their own, see `keep_records`.
+        """Return the state without the records of memories, which are separate sections; see `keep_records`.
 
         Args:
-            whole: give the program too where it is the same as the last time.
+            whole: include the program also if it has not changed since the last call.
 
         Raises:
-            UsageError: where an event or goal is being worked on.
+            UsageError: if an event or goal is active.
         """
         engine, parts = self._engine, self._parts
         logic, rules, knowledge = parts.logic, parts.rules, parts.knowledge
+        # In the middle of a goal, choice points and bindings on the trail would belong to the state.
         if parts.dispatcher.current is not None or logic.machine.choices:
             raise UsageError("a goal or callback of an engine cannot have its state taken")
         matches, named = keep_matches(rules, knowledge, engine.clock, rules.rules)
@@ -77,6 +78,7 @@ class EngineSnapshot:
             "sent": keep_sent(knowledge),
         }
         sections = {"values": tuple(keep_values(logic)), "matches": matches, "run": run}
+        # The program rarely changes, so checkpoints omit it while its signature stays the same.
         signature = self._sign(named)
         if whole or signature != self._signature:
             self._signature = signature
@@ -87,9 +89,11 @@ class EngineSnapshot:
         return sections
 
     def _sign(self, named: List[EventRule]) -> object:
-        """Return what is another where the program has changed."""
+        """Return a value that changes whenever the program changes."""
         parts = self._parts
         rules, knowledge = parts.rules, parts.knowledge
+        # Lists of objects are compared by identity: definitions are immutable, so a change replaces an object. The
+        # objects stay referenced by the signature, so no new object can get the address of an old one.
         return (
             parts.logic.database.changes,
             len(parts.logic.database.predicates),
@@ -131,15 +135,15 @@ class EngineSnapshot:
         return [keep_records(new_records(instance)) for instance in self._parts.knowledge.memories]
 
     def take_up(self, sections: Sections, records: Sequence[Sequence[Any]], folder: Optional[Path]) -> None:
-        """Have a new engine know what another one knew.
+        """Restore a state into a new engine.
 
         Args:
-            sections: from `take`.
-            records: of each memory, in parts.
-            folder: where Python modules may lie that the program has asked for.
+            sections: a result of `take`.
+            records: the records of each memory, in batches.
+            folder: folder from which Python modules of the program may be loaded.
 
         Raises:
-            RetalisError: what is wrong.
+            RetalisError: the reason why the state cannot be restored.
         """
         self._parts.executor.call(lambda: self._take_up(sections, records, folder))
 
@@ -147,6 +151,9 @@ class EngineSnapshot:
         engine, parts = self._engine, self._parts
         logic, rules, knowledge = parts.logic, parts.rules, parts.knowledge
         program, run = sections["program"], sections["run"]
+        # The order matters: event types and foreign predicates are needed to compile clauses, clauses to compile
+        # rules,
+        # rules and memories to restore partial matches and records, and all of them to refer to items by position.
         parts.slots.events.update(program["events"])
         self._load_foreign(program["foreign"], folder)
         self._load_swi([SwiFile(*one) for one in program.get("swi", ())], folder)
@@ -166,20 +173,25 @@ class EngineSnapshot:
             restore_records(instance, found)
         restore_matches(rules, knowledge, engine.clock, sections["matches"], named)
         rules.files.loaded = set(map(Path, program["network"]["loaded"]))
+        # Each event checks the flag before it looks up a declaration; here it is not known whether there are any.
         rules.declared.in_use = True  # what is there is looked at with the first event
         parts.deployments.update(
             restore_standings(program["standings"], logic, knowledge, rules.timers, named)
         )
         parts.input_topics.restore(AskedTopic(*one) for one in program["topics"])
+        # Last, because adding rules and timers above may read the clock or set alarms.
         engine.clock.restore(run["clock"])
         parts.event_input.taken = run["taken"]
         parts.executor.dropped = run["dropped"]
         parts.dispatcher.tokens = run["tokens"]
 
     def _load_foreign(self, modules: Sequence[str], folder: Optional[Path]) -> None:
-        """Load the Python modules again that the program had loaded, from its folder only."""
+        """Load the Python modules of the program again; they must be in its folder."""
         engine, parts = self._engine, self._parts
         for name in modules:
+            # The state is data from outside: it must not make the engine execute a module that the settings or the
+            # location
+            # would not allow.
             path = Path(name)
             if not engine.settings.allow_foreign:
                 raise UsageError(
@@ -195,7 +207,7 @@ class EngineSnapshot:
             parts.logic.foreign_modules[name] = None
 
     def _load_swi(self, found: Sequence[SwiFile], folder: Optional[Path]) -> None:
-        """Have SWI-Prolog load the files again that the program had it load, from its folder only."""
+        """Make SWI-Prolog load the files of the program again; they must be in its folder."""
         engine, parts = self._engine, self._parts
         for one in found:
             if not engine.settings.allow_swi:
@@ -213,19 +225,19 @@ class EngineSnapshot:
 
 
 def clock_for(run: Dict[str, Any]) -> Optional[StreamClock]:
-    """Return a clock for an engine that is given none: None where stamped events are to move its own."""
+    """Return the clock for an engine without one; None for the default, which follows the timestamps of events."""
     return None if run["followed"] else StreamClock()
 
 
 def coded(sections: Sections, records: Sequence[Any]) -> Dict[str, bytes]:
-    """Return sections and the records of memories as bytes by name."""
+    """Return sections and records as bytes by name."""
     made = {name: to_bytes(data) for name, data in sections.items()}
     made.update({f"memory {at}": to_bytes(one) for at, one in enumerate(records)})
     return made
 
 
 def decoded(found: Dict[str, bytes]) -> Sections:
-    """Return the sections of bytes, without records."""
+    """Return the decoded sections, without records."""
     missing = SECTIONS.keys() - found.keys()
     if missing:
         raise UsageError(f"the state is damaged: it has no section {', '.join(sorted(missing))}")
@@ -233,14 +245,16 @@ def decoded(found: Dict[str, bytes]) -> Sections:
 
 
 def checked(work: Callable[[], Result]) -> Result:
-    """Return what work returns that takes up a state; whatever it stumbles over means that the state is damaged.
+    """Call a function that restores a state; convert any exception to a `UsageError`.
 
     Raises:
-        UsageError: what is wrong.
+        UsageError: the reason of the failure.
     """
     try:
         return work()
     except RetalisError as error:
         raise UsageError(error.message) from error
+    # A damaged state can raise any exception in the functions that use its values. The engine that was begun is
+    # discarded, so nothing inconsistent remains.
     except Exception as error:  # of whatever kind: nothing that was begun is kept
         raise UsageError(f"the state is damaged ({type(error).__name__}: {error})") from error

@@ -1,9 +1,10 @@
-"""What an engine is doing and what it holds, as plain records that turn into JSON.
+"""Status of an engine: activity, counters and contents as records that can be converted to JSON.
 
-All of it is read without the engine's lock, so it is there also while a goal does not end: lists and dictionaries
-are copied in one step of the interpreter, and counters may be those of the event that is at work.
+The status is read from other threads without the engine's lock, so it is available even if a goal does not
+terminate. Lists and dictionaries are copied in one step of the interpreter, so they are consistent; counters may
+already
+include the event that is being processed.
 
-Looking at an engine from outside: what `Status` tells, read without its lock.
 """
 
 import time
@@ -22,26 +23,26 @@ from .runtime.serial_executor import SerialExecutor
 from .runtime.watchdog import Watchdog, at_work
 
 DEFAULT_LISTED = 100
-"""How many rules, memories, subscriptions and queries are listed, if nothing else is said."""
+"""Default limit for the listed rules, memories, subscriptions and queries."""
 
 MAX_AWAITED_LISTED = 20
-"""How many memories are listed for a query that waits."""
+"""Maximum number of memories listed for a pending query."""
 
 Json = Union[None, bool, int, float, str, List[Any], Dict[str, Any]]
 
 
 class Work(NamedTuple):
-    """What an engine is busy with.
+    """The work in progress.
 
     >>> Engine().status().work is None
     True
 
     Attributes:
-        what: what came in: the functor of an event or goal, or the beginning of a text.
-        seconds: how long it has been at work; seen by looking every now and then, so up to half a second less.
-        goal: the goal that runs, with its rule; empty where none does.
-        event: the functor of the event that is being served; empty where none is.
-        place: where the goal stands, as file, line and column; empty where that is not known.
+        what: functor of the event or goal that was received, or the beginning of a text.
+        seconds: duration so far, sampled by the watchdog and therefore up to half a second too short.
+        goal: the running goal and its rule; empty if none is running.
+        event: functor of the event that is being processed; empty if there is none.
+        place: position of the goal as file, line and column; empty if unknown.
     """
 
     what: str
@@ -52,7 +53,7 @@ class Work(NamedTuple):
 
 
 class RuleStatus(NamedTuple):
-    """A rule that takes events.
+    """An event rule.
 
     >>> engine = Engine()
     >>> engine.load(rules="hot : alarm(X) <- smoke(X) where X > 1.", source="mine")
@@ -64,16 +65,16 @@ class RuleStatus(NamedTuple):
     (1, 5000000000)
 
     Attributes:
-        label: its label; empty where it has none.
-        text: the beginning of the rule.
-        place: where it stands, as file, line and column; empty for one that was made at run time.
-        fired: how often its pattern was matched as a whole, whether or not anybody wanted the event.
-        last_fired: the end of the last of these matches, in nanoseconds; None before the first.
-        errors: how many errors stopped it.
-        waiting: how many partial matches it has, with the items of windows and other operators on streams.
-        dropped: how many of them, or of keys, were dropped because there were too many.
-        keys: number of keys that have a state: values that partial matches share, or that group what windows hold.
-        bytes: estimate of the memory of all that: the numbers of items and keys, times constants that were measured.
+        label: label of the rule; empty if it has none.
+        text: beginning of the rule.
+        place: position as file, line and column; empty for a rule that was added at run time.
+        fired: number of complete matches, including those whose event had no listener.
+        last_fired: end of the last match in nanoseconds; None if there was none.
+        errors: number of errors in its goals.
+        waiting: number of partial matches and of elements in its windows and other stream operators.
+        dropped: number of these, and of keys, that were dropped because of a limit.
+        keys: number of keys with a state: values that partial matches share, or by which windows are grouped.
+        bytes: estimated memory of these: numbers of elements and keys times measured constants.
     """
 
     label: str
@@ -99,13 +100,13 @@ class MemoryStatus(NamedTuple):
     MemoryStatus(id='fires', event='fire(_)', size=2, records=2, added=3, oldest=2000000000, newest=3000000000)
 
     Attributes:
-        id: its id.
-        event: the pattern of the events that it takes.
-        size: how many records it keeps.
-        records: how many it has.
-        added: how many it ever took.
-        oldest: the end of the oldest record, in nanoseconds; None where there is none.
-        newest: the end of the newest event that it took; None before the first.
+        id: id of the memory.
+        event: pattern of the events to store.
+        size: maximum number of records.
+        records: present number of records.
+        added: number of records ever stored.
+        oldest: end of the oldest record in nanoseconds; None if empty.
+        newest: end of the newest event that was stored; None if there was none.
     """
 
     id: str
@@ -127,12 +128,12 @@ class SubscriptionStatus(NamedTuple):
     SubscriptionStatus(topic='alarms', id='a', event='fire(_)', sent=1, late=0, dropped=0)
 
     Attributes:
-        topic: where its events go.
-        id: its id.
-        event: their pattern.
-        sent: how many have gone.
-        late: how many came too late for its shape, ``P with S``, to look at.
-        dropped: how many events or keys its shape had to forget because there were too many.
+        topic: topic of the outputs.
+        id: id of the subscription.
+        event: pattern of the events.
+        sent: number of outputs.
+        late: number of events that arrived too late for the stream operator of ``P with S``.
+        dropped: number of events or keys that the stream operator dropped because of a limit.
     """
 
     topic: str
@@ -150,9 +151,9 @@ class AwaitedMemory(NamedTuple):
     1000000000
 
     Attributes:
-        id: its id.
-        instant: the instant that it has to reach, in nanoseconds.
-        behind: how many nanoseconds it is short of that; None where it has taken no event.
+        id: id of the memory.
+        instant: the time that the memory has to reach, in nanoseconds.
+        behind: the missing time in nanoseconds; None if the memory has stored no event.
     """
 
     id: str
@@ -161,7 +162,7 @@ class AwaitedMemory(NamedTuple):
 
 
 class WaitingStatus(NamedTuple):
-    """A synchronized query that waits for memories.
+    """A synchronized query that is pending until memories have reached a time.
 
     >>> engine = Engine()
     >>> engine.load(rules="synchronized(seen(X), true, [[odom, 7]]) <- marker(X).")
@@ -174,10 +175,10 @@ class WaitingStatus(NamedTuple):
     AwaitedMemory(id='odom', instant=7000000000, behind=5000000000)
 
     Attributes:
-        event: what it triggers.
-        since: the end of the event that asked, in nanoseconds.
-        memories: those that have not got there.
-        left_out: how many more of them there are.
+        event: event that the query triggers.
+        since: end of the event that started the query, in nanoseconds.
+        memories: memories that have not reached the time.
+        left_out: number of such memories that are not listed.
     """
 
     event: str
@@ -187,7 +188,7 @@ class WaitingStatus(NamedTuple):
 
 
 class LeftOut(NamedTuple):
-    """How many more there are than a `Status` lists.
+    """Numbers of items that a `Status` does not list.
 
     >>> engine = Engine()
     >>> engine.load(rules="a <- b. c <- d.")
@@ -202,9 +203,9 @@ class LeftOut(NamedTuple):
 
 
 class Status(NamedTuple):
-    """What an engine is doing and what it holds; made by `Engine.status`.
+    """Activity and contents of an engine; created by `Engine.status`.
 
-    Instants are nanoseconds since the epoch, by the engine's clock.
+    Times are nanoseconds since the epoch by the engine's clock.
 
     >>> engine = Engine()
     >>> engine.load(rules="alarm <- fire. evacuate <- alarm.")
@@ -217,24 +218,24 @@ class Status(NamedTuple):
     'alarm<-fire'
 
     Attributes:
-        now: what time it is by the engine's clock, in nanoseconds.
-        taken: how many events came in.
-        fired: how often rules fired, and so derived an event where they have a head.
-        queued: how many events wait for their turn.
-        queue: how many may wait.
-        callers: how many queries and other calls wait for their turn.
-        dropped: how many events were dropped because the queue was full.
-        errors: how many errors were reported.
-        warnings: the same of warnings.
-        matches: how many partial matches all rules have.
-        alarms: how many alarms are set.
-        next_alarm: the instant of the next one; None where there is none.
-        work: what the engine is busy with; None while it is idle.
-        rules: the rules, the oldest first; where not all are listed, those that had most errors are.
-        memories: the memories, the oldest first.
-        subscriptions: the subscriptions, the oldest first.
-        waiting: the queries that wait, the oldest first.
-        left_out: how many more there are of these four.
+        now: present time.
+        taken: number of events received.
+        fired: number of complete matches of all rules.
+        queued: number of queued events.
+        queue: maximum number of queued events.
+        callers: number of threads whose query or other call waits.
+        dropped: number of events dropped because the queue was full.
+        errors: number of reported errors.
+        warnings: number of reported warnings.
+        matches: number of partial matches of all rules.
+        alarms: number of alarms that are set.
+        next_alarm: time of the next alarm; None if there is none.
+        work: the work in progress; None if the engine is idle.
+        rules: rules, oldest first; if not all are listed, those with the most errors.
+        memories: memories, oldest first.
+        subscriptions: subscriptions, oldest first.
+        waiting: pending queries, oldest first.
+        left_out: numbers of items of these four kinds that are not listed.
     """
 
     now: int
@@ -257,7 +258,7 @@ class Status(NamedTuple):
     left_out: LeftOut
 
     def json(self) -> Dict[str, Any]:
-        """Return the same as dictionaries and lists, for ``json.dumps``.
+        """Return the status as dictionaries and lists, for ``json.dumps``.
 
         >>> Engine().status().json()["left_out"]
         {'rules': 0, 'memories': 0, 'subscriptions': 0, 'waiting': 0}
@@ -266,7 +267,7 @@ class Status(NamedTuple):
 
 
 def as_json(value: Any) -> Json:
-    """Return a record of this file, or a part of one, as dictionaries, lists and plain values."""
+    """Convert a record of this module, or a part of one, to dictionaries, lists and plain values."""
     if hasattr(value, "_asdict"):
         return {name: as_json(part) for name, part in value._asdict().items()}
     if isinstance(value, (tuple, list)):
@@ -278,17 +279,17 @@ _Item = TypeVar("_Item")
 _Told = TypeVar("_Told")
 
 _Text = Callable[[Term, Optional[Mapping[Var, str]]], str]
-"""Gives the beginning of a term's text, by the names of its variables if they are known."""
+"""A function that returns the beginning of a term's text, given names of its variables if they are known."""
 
 _ShownTexts = Dict[int, Tuple[Term, str]]
 
 
 class EngineView(NamedTuple):
-    """The parts of an engine that are looked at.
+    """The components of an engine that the status is read from.
 
     Attributes:
-        taken: tells how many events came in.
-        queue: how many may wait.
+        taken: returns the number of events received.
+        queue: maximum number of queued events.
     """
 
     logic: PrologSystem
@@ -304,9 +305,9 @@ class EngineView(NamedTuple):
 
 
 class StatusReader:
-    """Reads what an engine is doing and what it holds, from any thread.
+    """Reads the status of an engine from any thread.
 
-    The texts of rules and patterns are kept from one look to the next, as long as these are listed.
+    Texts of rules and patterns are cached between calls, as long as their items are listed.
     """
 
     def __init__(self, seen: EngineView):
@@ -314,7 +315,11 @@ class StatusReader:
         self._texts: _ShownTexts = {}
 
     def read(self, most: int) -> Status:
-        """Return the status; at most so many of each kind are listed."""
+        """Return the status.
+
+        Args:
+            most: limit for the listed items of each kind.
+        """
         seen = self._seen
         texts: _ShownTexts = {}
         text = self._writer(texts)
@@ -346,10 +351,12 @@ class StatusReader:
         )
 
     def held_records(self) -> int:
-        """Return the number of partial matches and of records in memories, in little time."""
+        """Return the number of partial matches and of records in memories."""
+        # Called during garbage collections, so it adds up counters and does not visit records.
         memories = [instance.memory for instance in list(self._seen.knowledge.memories)]
         return self._seen.rules.waiting + sum(min(len(memory.ends), memory.size) for memory in memories)
 
+    # `ends` is longer than `size` until the next removal of old records, which happens in blocks.
     def _work(self) -> Optional[Work]:
         held = self._seen.watchdog.held(time.monotonic())
         if held is None:
@@ -360,10 +367,11 @@ class StatusReader:
         return Work(found.entry, round(seconds, 3), found.goal, found.event, place)
 
     def _writer(self, texts: _ShownTexts) -> _Text:
-        """Return what gives texts, and notes in ``texts`` those that it has given."""
+        """Return a function that converts terms to text with a cache, and stores the used texts in ``texts``."""
         known, show = self._texts, self._seen.logic.brief
 
         def write(term: Term, names: Optional[Mapping[Var, str]] = None) -> str:
+            # The cached tuple holds a reference to the term, so its id cannot be reused for another term.
             key = id(term)  # the term is kept beside its text, so nothing else has its id
             found = known.get(key)
             if found is None:
@@ -375,14 +383,15 @@ class StatusReader:
 
 
 def _next_alarm(clock: Clock) -> Optional[int]:
-    """Return the instant of the next alarm; None where there is none, or no time yet that it could be of."""
+    """Return the time of the next alarm; None if there is none, or only alarms for the start of the clock."""
     instant = clock.next_alarm()
     return None if instant is None or instant <= BEGIN else instant
 
 
 def _letters(term: Term) -> Dict[Var, str]:
-    """Return names for variables, which have none of their own at run time: ``_`` for those that stand there once."""
+    """Return names for the variables of a term: ``_`` for those that occur once, else ``X1``, ``X2`` and so on."""
     times: Dict[Var, int] = {}
+    # An explicit stack, because a term that is built at run time can be deeper than Python's recursion limit.
     left: List[Any] = [term]
     while left:
         part = deref(left.pop())
@@ -397,9 +406,10 @@ def _letters(term: Term) -> Dict[Var, str]:
 def _rules(
     rules: RuleBase, text: _Text, show: Callable[[Term], str], most: int
 ) -> Tuple[Tuple[RuleStatus, ...], int]:
-    """Return what is to be told of rules, and how many are left out: those with the fewest errors first."""
+    """Return the status of rules, and the number of rules that are not listed: those with the fewest errors."""
     found = rules.rules
     if len(found) > most:
+        # The sort is stable, so rules without errors keep their order, and the result is in order of the rules again.
         chosen = set(sorted(found, key=lambda rule: -rule.firings.errors)[: max(0, most)])
         found = [rule for rule in found if rule in chosen]
 
@@ -424,10 +434,12 @@ def _rules(
 def _memories(
     knowledge: KnowledgeBase, text: _Text, show: Callable[[Term], str], most: int
 ) -> Tuple[Tuple[MemoryStatus, ...], int]:
-    """Return what is to be told of memories, and how many are left out."""
+    """Return the status of memories, and the number of memories that are not listed."""
 
     def told(instance: Any) -> MemoryStatus:
         memory = instance.memory
+        # The list only grows; removal of records replaces it. So `ends` and the length read here belong together even
+        # while the engine adds records.
         ends = memory.ends  # this list only grows: where records go, another one takes its place
         number = len(ends)
         records = min(number, memory.size)
@@ -447,7 +459,7 @@ def _memories(
 def _subscriptions(
     knowledge: KnowledgeBase, text: _Text, show: Callable[[Term], str], most: int
 ) -> Tuple[Tuple[SubscriptionStatus, ...], int]:
-    """Return what is to be told of subscriptions, and how many are left out."""
+    """Return the status of subscriptions, and the number of subscriptions that are not listed."""
 
     def told(item: Any) -> SubscriptionStatus:
         (topic, _), one = item
@@ -463,7 +475,7 @@ def _subscriptions(
 def _waiting(
     knowledge: KnowledgeBase, show: Callable[[Term], str], most: int
 ) -> Tuple[Tuple[WaitingStatus, ...], int]:
-    """Return what is to be told of queries that wait, and how many are left out."""
+    """Return the status of pending queries, and the number of queries that are not listed."""
 
     def told(one: Any) -> WaitingStatus:
         _, asked, values, _, end, missing = one
@@ -484,6 +496,6 @@ def _behind(instance: Any, instant: int) -> Optional[int]:
 
 
 def _some(found: Sequence[_Item], told: Callable[[_Item], _Told], most: int) -> Tuple[Tuple[_Told, ...], int]:
-    """Return what is told of the first ones, and how many are left out."""
+    """Return the status of the first items, and the number of items that are not listed."""
     chosen = found[: max(0, most)]
     return tuple([told(one) for one in chosen]), len(found) - len(chosen)

@@ -1,8 +1,12 @@
-"""Event input: timestamps, due alarms, and dispatch.
+"""Event input: events of callers, of messages and of texts, and the topics that goals subscribe to.
 
-Topics whose messages become events because a goal says so: ``subscribe_to/2,3``.
+`EventInput` moves the clock, runs the alarms that are due, and dispatches one event. An event with a timestamp moves
+the clock of an engine that has no clock of its own (stream time); an event without one gets the clock's present time.
+Alarms that are due come first, so that an event never overtakes a timeout that precedes it. If time goes back by more
+than `clock.JUMP`, for example because a bag is played again, the program is reset first.
 
-Events that come as text, as other nodes send them.
+`TextInput` parses events from String topics. `InputTopics` implements the goal ``subscribe_to/2,3``: an engine has no
+topics itself, so a node or a bag player registers a function that subscribes.
 """
 
 import logging
@@ -29,18 +33,18 @@ log = logging.getLogger("retalis")
 
 
 class EventInput:
-    """Takes the events of an engine, one at a time.
+    """Dispatch of single events, in step with the clock.
 
     Args:
-        logic: whose machine runs what events start.
-        dispatcher: serves them.
-        clock: what time it is.
-        followed: the same clock where stamped events move it; None if only its owner moves it.
-        start_anew: called where time went back.
+        logic: the Prolog system whose machine runs the consequences of an event.
+        dispatcher: dispatches the events.
+        clock: the clock of the engine.
+        followed: the same clock if timestamps of events move it; None if only its owner moves it.
+        start_anew: called if time went back.
 
     Attributes:
-        taken: how many events came in.
-        followed: the clock, where stamped events move it.
+        taken: number of events received.
+        followed: the clock if timestamps of events move it.
     """
 
     def __init__(
@@ -61,12 +65,13 @@ class EventInput:
     def take(
         self, term: Term, start: Optional[int], end: Optional[int], ground: Optional[bool] = None
     ) -> None:
-        """Dispatch an event; without a start it is stamped by the clock.
+        """Dispatch an event; an event without a start gets the clock's present time.
 
         Raises:
-            UsageError: if it ends before it starts, or has no start and the clock is not set.
+            UsageError: if the event ends before it starts, or if it has no start and the clock is not set.
         """
         if start is None or end is None:
+            # The common case, in which no alarm is due and time did not go back, takes one call.
             start = self._clock.stamp_at_once()
             if start is None:
                 start = self._stamp_after_alarms(term)
@@ -81,7 +86,7 @@ class EventInput:
         self._serve(term, start, end, ground)
 
     def take_message(self, term: Term, instant: Optional[int] = None) -> None:
-        """Dispatch a message, now or of an instant: as `take`."""
+        """Dispatch a message with a time in nanoseconds, by default the clock's present time; see `take`."""
         if instant is None:
             stamp = self._clock.stamp_at_once()
             if stamp is None:
@@ -95,7 +100,7 @@ class EventInput:
         self._serve(term, stamp, stamp, True)
 
     def _stamp_after_alarms(self, term: Term) -> int:
-        """Return the time of an event that has none, after the alarms that are due.
+        """Run the alarms that are due and return the present time for an event.
 
         Raises:
             UsageError: if the clock is not set.
@@ -110,15 +115,16 @@ class EventInput:
         return clock.stamp(self._look_at_clock())
 
     def _move_clock(self, instant: int) -> None:
-        """Move the clock to the instant of an event, and let alarms ring that are due."""
+        """Move the clock to the time of an event and run the alarms that are due."""
         followed = self.followed
         if followed is not None:
-            followed.now()  # a clock that was set back is noticed first
+            # Reading the clock first detects that its owner has set it back; `move_to` would hide that.
+            followed.now()
             followed.move_to(instant)
         self._look_at_clock()
 
     def _look_at_clock(self) -> int:
-        """Look what time it is, let alarms ring that are due, and return the time."""
+        """Read the clock, run the alarms that are due, and return the time."""
         clock = self._clock
         now = clock.now()
         if clock.behind or clock.alarms:
@@ -126,37 +132,41 @@ class EventInput:
         return now
 
     def watch_clock(self, move: Optional[Callable[[], object]] = None) -> None:
-        """Start anew where time went back, and let alarms ring that are due; ``move`` moves the clock first."""
+        """Reset the program if time went back, and run the alarms that are due; ``move`` moves the clock first."""
         if move is not None:
             move()
         clock = self._clock
         if clock.went_back():
             log.warning("time went back: memories, waiting queries and partial matches are cleared")
             self._start_anew()
-        until = clock.reached()  # what comes due while alarms ring waits: events come in between
+        # Only alarms up to the present moment run here. An alarm that becomes due meanwhile waits, so that events get
+        # their turn even if alarms set new alarms.
+        until = clock.reached()
         while True:
             due = clock.due(until)
             if due is None:
                 return
             instant, alarm = due
+            # Goals of the alarm see its own instant as the present time, even if the clock has moved further.
             clock.ringing = instant
             try:
+                # Each alarm has its own limits: one that exceeds them must not prevent the others.
                 self._logic.machine.budget.apart(("an alarm", instant), lambda: alarm(instant))  # noqa: B023
             finally:
                 clock.ringing = None
 
 
 MAX_INPUT_TOPICS = 1000
-"""Topics that goals may subscribe."""
+"""Maximum number of topics that goals subscribe to."""
 
 
 class AskedTopic(NamedTuple):
     """A topic whose messages become events.
 
     Attributes:
-        topic: its name, as written.
-        kind: its message type.
-        event: what the events are called; "" where they are called by the type.
+        topic: name of the topic as written in the goal.
+        kind: message type.
+        event: name of the events; "" for the name of the message type.
     """
 
     topic: str
@@ -168,24 +178,25 @@ class AskedTopic(NamedTuple):
 
 
 Subscribe = Callable[[AskedTopic], object]
-"""Has the messages of a topic become events; it must not wait for the engine."""
+"""A function that subscribes to a topic and makes its messages events; it must not wait for the engine."""
 
 
 def by_name(topic: str) -> str:
-    """Return a topic's name without the slash before it."""
+    """Return the name of a topic without leading slashes."""
     return topic.lstrip("/")
 
 
 class InputTopics:
-    """The topics that goals of a program subscribe.
+    """The topics that goals of a program subscribe to.
 
-    An engine has no topics: who feeds it does what the goals ask for, a node or a bag. Where nobody does, a goal
-    succeeds with a warning, so that a program can be tried without topics.
+    A node or a bag player calls `begin` with a function that subscribes. Without it the goal succeeds with a warning,
+    so
+    that a program can be tested without topics.
 
     Args:
-        logic: of the program.
-        slots: are told what type the events of a name have.
-        reports: takes the warning.
+        logic: Prolog system of the program.
+        slots: receives the message types of event names.
+        reports: receives the warning.
     """
 
     def __init__(self, logic: PrologSystem, slots: SlotNames, reports: Reports):
@@ -206,18 +217,19 @@ class InputTopics:
         direct: Iterable[TopicType] = (),
         plain: Callable[[str], str] = by_name,
     ) -> None:
-        """Have somebody do what goals ask for from now on.
+        """Set the function that subscribes from now on.
 
         Args:
-            subscribe: does it; called once for each topic.
-            topics: what ``pub_sub.xml`` says, which is done already.
-            direct: further topics of which that is so.
-            plain: gives the form of a name by which two are compared.
+            subscribe: called once for each topic.
+            topics: contents of ``pub_sub.xml``; these topics are subscribed already.
+            direct: further topics that are subscribed already.
+            plain: returns the canonical form of a topic name.
         """
         self._subscribe = subscribe
         self._plain = plain
-        self._taken = {plain(one.topic): one for one in self._asked}  # of a program that was begun elsewhere
-        # The direct ones come first: a node subscribes them as they are here.
+        # Goals of a program that was restored or loaded before may have asked for topics.
+        self._taken = {plain(one.topic): one for one in self._asked}
+        # Direct topics precede those of `pub_sub.xml`, because a node subscribes to them with these names.
         for topic, kind in (*direct, *topics.subscribed):
             try:
                 self._taken.setdefault(plain(topic), AskedTopic(topic, kind, topics.event_of(topic, plain)))
@@ -227,25 +239,26 @@ class InputTopics:
             subscribe(wanted)
 
     def kept(self) -> List[AskedTopic]:
-        """Return what goals have asked for; see `restore`."""
+        """Return the topics that goals have asked for; see `restore`."""
         return list(self._asked)
 
     def restore(self, asked: Iterable[AskedTopic]) -> None:
-        """Have been asked for topics, which are subscribed when somebody begins to do so."""
+        """Restore topics that goals have asked for; they are subscribed by `begin`."""
         for wanted in asked:
             self._taken[self._plain(wanted.topic)] = wanted
             self._asked.append(wanted)
 
     def try_out(self, others: "InputTopics") -> None:
-        """Be as the topics of another engine, whose program is tried in this one; subscribe nothing."""
+        """Copy the topics of another engine for a trial of its program; subscribe to nothing."""
         self._taken = dict(others._taken)  # noqa: SLF001 - its own kind
         self._asked = list(others._asked)  # noqa: SLF001
         self._plain = others._plain  # noqa: SLF001
         self._subscribe = lambda wanted: None
 
     def joined(self, topics: Topics) -> Topics:
-        """Return what ``pub_sub.xml`` says together with what goals have asked for."""
-        asked = list(self._asked)  # another thread may be at work
+        """Return the topics of ``pub_sub.xml`` together with those that goals have asked for."""
+        # Copied, because the thread of the engine may append meanwhile.
+        asked = list(self._asked)
         events = [TopicEvent(one.topic, one.event) for one in asked if one.event]
         return topics._replace(
             subscribed=(*topics.subscribed, *(TopicType(one.topic, one.kind) for one in asked)),
@@ -253,7 +266,7 @@ class InputTopics:
         )
 
     def event_types(self) -> Dict[str, str]:
-        """Return the message types of the events to which goals have given names."""
+        """Return the message types by the event names that goals have given."""
         return {one.event: one.kind for one in reversed(self._asked) if one.event}
 
     def _goal(self, machine: Machine, topic: Term, kind: Term, *event: Term) -> bool:
@@ -266,6 +279,7 @@ class InputTopics:
             key = self._plain(wanted.topic)
         except UsageError as error:
             raise domain_error("topic", deref(topic), error.message) from error
+        # A second identical request is not an error: a reload calls the goals of a program again.
         before = self._taken.get(key)
         if before is None:
             self._add(key, wanted)
@@ -282,6 +296,7 @@ class InputTopics:
     def _add(self, key: str, wanted: AskedTopic) -> None:
         if len(self._asked) >= MAX_INPUT_TOPICS:
             raise resource_error("topics", reason=f"goals subscribe {MAX_INPUT_TOPICS} topics at most")
+        # Subscribed first: if that raises, the goal fails and nothing is recorded.
         self._subscribe(wanted)
         self._taken[key] = wanted
         self._asked.append(wanted)
@@ -297,7 +312,7 @@ class InputTopics:
 
 
 def _text(term: Term) -> str:
-    """Return an argument as text."""
+    """Return the text of an argument."""
     found: Any = deref(term)
     if found.__class__ is Var:
         raise instantiation_error()
@@ -309,20 +324,20 @@ def _text(term: Term) -> str:
 
 
 MAX_EVENT_TEXT_CHARACTERS = 10_000_000
-"""Characters of an event as text. Reading is not under the limits of what the event starts, so it has its own."""
+"""Maximum length of an event as text. Parsing is not subject to the resource limits of goals, so it has this one."""
 
 Take = Callable[[Term, Optional[int], Optional[int], Optional[bool]], None]
 
 
 class TextInput:
-    """Reads events from text and refuses what is none; not for use by two threads at once.
+    """Reads events from text; not thread-safe.
 
     Args:
-        operators: those that hold in the texts.
-        take: takes an event, its interval, and whether it is ground, where somebody has looked.
-        call: calls a goal once; None where only events are accepted.
-        reports: takes a warning of what is refused.
-        declared: the events that have been declared, which the others have to fit.
+        operators: operators of the texts.
+        take: dispatches an event with its interval and whether it is known to be ground.
+        call: calls a goal once; None if only events are accepted.
+        reports: receives warnings about rejected texts.
+        declared: declarations that events must match.
     """
 
     def __init__(
@@ -340,7 +355,7 @@ class TextInput:
         self._declared = declared
 
     def take(self, text: str) -> None:
-        """Take a text: ``event/1,2`` and ``new_event/2,3,5``, and any goal where goals are accepted."""
+        """Process a text: ``event/1,2``, ``new_event/2,3,5``, or any goal if goals are accepted."""
         if len(text) > MAX_EVENT_TEXT_CHARACTERS:
             self._refuse(
                 f"{beginning(text)}: it has {len(text)} characters, at most {MAX_EVENT_TEXT_CHARACTERS} are allowed"

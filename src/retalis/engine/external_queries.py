@@ -1,6 +1,8 @@
-"""Questions to a running program by others than itself: bounded in time, number and length, with answers as text.
+"""Requests of services and of the dashboard: queries with limits, and rules that are added and deleted at run time.
 
-Event rules that others add and delete while the program runs.
+Such a request is not part of the program. It is limited in time, number and length of solutions, and it may not
+change flags unless the settings allow it. Answers are converted to text before the engine continues, because bindings
+of a solution are undone by the next one.
 """
 
 from contextlib import closing
@@ -21,18 +23,18 @@ from .engine import Engine
 from .program_loader import REQUEST
 
 MAX_ANSWER_CHARACTERS = 1_000_000
-"""Characters that all solutions of an answer may have together, as JSON."""
+"""Maximum length of all solutions of an answer together, in characters of JSON."""
 
 WAITING = functor("wait_for", 1)
 _LOOK_AGAIN = 0.2
-"""Seconds after which one who waits for memories looks whether he still does."""
+"""Interval in seconds for checking whether a waiting request can still be completed."""
 
 T = TypeVar("T")
 _Number = TypeVar("_Number", int, float)
 
 
 class Binding(NamedTuple):
-    """What a variable is bound to, as a term's text and as JSON."""
+    """The value of a variable, as text of a term and as JSON."""
 
     name: str
     text: str
@@ -40,7 +42,7 @@ class Binding(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """Solutions of a goal; ``complete`` where these are all of them."""
+    """Solutions of a goal; ``complete`` tells whether there are no others."""
 
     solutions: List[List[Binding]]
     complete: bool
@@ -53,19 +55,19 @@ def ask(
     limits: Optional[Limits] = None,
     largest: int = MAX_ANSWER_CHARACTERS,
 ) -> Answer:
-    """Return the first solutions of a goal, as texts.
+    """Return the first solutions of a goal as text.
 
     Args:
-        engine: is asked.
-        goal: the goal's text.
-        most: solutions that are wanted.
-        limits: of this goal; those of the engine hold besides.
-        largest: characters that the solutions may have together.
+        engine: the engine.
+        goal: text of the goal.
+        most: maximum number of solutions.
+        limits: limits of this goal, in addition to those of the engine.
+        largest: maximum length of all solutions together, in characters of JSON.
 
     Raises:
-        SyntaxFault: for a text that is not a term.
-        PrologError: what the goal raised.
-        UsageError: where the first solution alone is too long.
+        SyntaxFault: if the text is not a term.
+        PrologError: the error that the goal raised.
+        UsageError: if the first solution alone is too long.
     """
     read = read_term(goal, engine.operators, "goal")
     names = {name: var for name, var in read.names.items() if not name.startswith("_")}
@@ -79,9 +81,11 @@ def ask(
         try:
             with closing(logic.solutions(read.term)) as solutions:
                 for _ in solutions:
+                    # The loop asks for one solution more than is wanted, only to know whether the answer is complete.
                     if len(found) >= most:
                         return Answer(found, False)
                     try:
+                        # Conversion to text counts against the limits of the goal: a small term can have a huge text.
                         with logic.machine.budget.watching():
                             values = _values(engine, names, left)
                     except UsageError:
@@ -94,11 +98,12 @@ def ask(
             logic.limits = before
         return Answer(found, True)
 
+    # Executed exclusively, so the changed limits of the logic apply to this goal only.
     return do_for_others(engine, work, read.term)
 
 
 def do_for_others(engine: Engine, work: Callable[[], T], what: Term = REQUEST) -> T:
-    """Do a piece of work, see `Engine.do`; its goals, and those that it gives the program, may not change flags."""
+    """Execute a function as `Engine.do`; its goals, and those of rules that it adds, may not change flags."""
 
     def locked() -> T:
         with engine.logic.for_others():
@@ -108,8 +113,9 @@ def do_for_others(engine: Engine, work: Callable[[], T], what: Term = REQUEST) -
 
 
 def _values(engine: Engine, names: Dict[str, Var], most: int) -> List[Binding]:
-    """Return the values of variables in the solution at hand."""
+    """Return the values of variables in the current solution."""
     logic = engine.logic
+    # One dictionary for all variables, so that a variable in two values gets the same name.
     unbound: Dict[Var, str] = {}
     values = []
     for name, var in names.items():
@@ -133,16 +139,18 @@ def _least(one: Optional[_Number], other: Optional[_Number]) -> Optional[_Number
 
 
 def await_memories(engine: Engine, names: Sequence[Term], instant: int, seconds: float) -> None:
-    """Return when each of some memories has taken an event that ends at an instant or later; others work meanwhile.
+    """Wait until each of several memories has stored an event that ends at or after a time.
+
+    The engine continues with other work meanwhile.
 
     Args:
-        engine: whose memories they are.
-        names: their ids.
-        instant: in nanoseconds.
-        seconds: to wait at most, by the clock on the wall: that of the program may stand still.
+        engine: the engine with the memories.
+        names: ids of the memories.
+        instant: the time to reach, in nanoseconds of the engine's clock.
+        seconds: maximum waiting time in real time; the engine's clock may stand still.
 
     Raises:
-        UsageError: for an unknown memory, one that is deleted meanwhile, and where the time is up.
+        UsageError: for an unknown memory, a memory that is deleted meanwhile, and at the end of the waiting time.
     """
     knowledge = engine.knowledge
     arrived = Event()
@@ -158,17 +166,19 @@ def await_memories(engine: Engine, names: Sequence[Term], instant: int, seconds:
         return
     end = monotonic() + seconds
     try:
+        # A deleted memory never sets the event, so the loop checks regularly whether the request still exists.
         while not arrived.wait(min(_LOOK_AGAIN, max(0.0, end - monotonic()))):
             if not knowledge.waiting.waits(order) and not arrived.is_set():
                 raise UsageError("a memory was deleted, or time went back, while the query waited for it")
             if monotonic() >= end:
                 raise UsageError(f"{_late(engine, names, instant)} after {seconds:g} s")
+    # Also after an interrupt: an entry that is not withdrawn would keep its memory's index growing.
     finally:
         engine.do(lambda: knowledge.waiting.withdraw(order))
 
 
 def _late(engine: Engine, names: Sequence[Term], instant: int) -> str:
-    """Return which memories have not got to an instant, and how far behind they are."""
+    """Return a description of the memories that have not reached a time, with the missing time."""
     late = engine.do(lambda: engine.knowledge.behind(names, instant))
     said = []
     for one, wanted in late:
@@ -179,27 +189,28 @@ def _late(engine: Engine, names: Sequence[Term], instant: int) -> str:
 
 
 _NEW = "added_"
-"""How the label of a rule begins that was given none."""
+"""Prefix of the labels of rules that are added without a label."""
 
 
 def add_rule(engine: Engine, text: str, label: str = "") -> str:
-    """Add one event rule, with the checks of an event file; return the label by which `delete_rule` knows it.
+    """Add one event rule with the checks of an event file; return its label for `delete_rule`.
 
     Args:
-        engine: takes it.
-        text: the rule.
-        label: its label; by default its own, or a new one.
+        engine: the engine.
+        text: text of the rule.
+        label: label of the rule; by default its own, or a new one.
 
     Raises:
-        SyntaxFault: for a text that is not a term.
-        ProgramErrors: what else is wrong in it, each with its place.
-        UsageError: for what is no rule, and for a label that is taken.
+        SyntaxFault: if the text is not a term.
+        ProgramErrors: all other errors in the rule, with their places.
+        UsageError: if the text is not an event rule, or the label is in use.
     """
     read = read_term(text, engine.operators, "rule")
     term: Any = deref(read.term)
     if not is_rule(term):
         raise UsageError("expected one event rule, as in Head <- Pattern")
 
+    # The label is chosen within the exclusive call: another request could use it in between.
     def work() -> str:
         name = _label(engine, read, label)
         engine.rules.loader.load_read(read)
@@ -209,7 +220,7 @@ def add_rule(engine: Engine, text: str, label: str = "") -> str:
 
 
 def _label(engine: Engine, read: ReadTerm, wanted: str) -> Term:
-    """Return the label of a rule that was read, which is given one where it has none."""
+    """Return the label of a parsed rule; add one to the rule if it has none."""
     term: Any = deref(read.term)
     own, _ = labelled(term)
     name = _named(engine, wanted) if wanted.strip() else own
@@ -226,10 +237,10 @@ def _label(engine: Engine, read: ReadTerm, wanted: str) -> Term:
 
 
 def delete_rule(engine: Engine, label: str) -> None:
-    """Delete the event rules with a label, and what waits in them.
+    """Delete all event rules with a label, and their partial matches.
 
     Raises:
-        UsageError: where there are none.
+        UsageError: if there are none.
     """
     name = _named(engine, label)
     if not engine.do(lambda: engine.rules.delete(name), REQUEST):
@@ -237,7 +248,7 @@ def delete_rule(engine: Engine, label: str) -> None:
 
 
 def _named(engine: Engine, text: str) -> Term:
-    """Return the label that a text is."""
+    """Parse a label."""
     if not text.strip():
         raise UsageError("label is empty")
     name = deref(read_term(text, engine.operators, "label").term)

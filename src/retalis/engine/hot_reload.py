@@ -1,11 +1,14 @@
-"""What has changed where a program was read again, as lines for people.
+"""Hot reload of a program's folder as a transaction, with a description of the changes.
 
-A program's folder read again while the program runs: all of it, or nothing.
+1. The folder is loaded into a trial engine that receives no events. Errors show there, and the running program is not
+   affected.
+2. While the running engine is idle, everything that the folder has created (its `Deployment`) is set aside: rules are
+   deactivated, clauses removed, memories and subscriptions detached. Then the folder is loaded again.
+3. Items that are the same as before continue with their state: a rule with an equal definition keeps its partial
+   matches, a memory with an equal definition its records, a timer its next instant. Items that are gone are deleted.
+4. If the second load fails all the same (a goal may depend on time or on files), the old deployment is restored.
 
-The folder is first loaded into an engine of its own, which takes no events. What is wrong with it shows there, and
-the running program is not touched. Then, while nothing else is done, what the folder had made is set aside, the
-folder is loaded, and what is the same as before is put back with what it holds. Where something goes wrong even
-then, the old program is put back.
+Items that services or other goals have added since the first load do not belong to the deployment and stay unchanged.
 """
 
 import os
@@ -36,20 +39,20 @@ if TYPE_CHECKING:
 Timed = Dict[Hashable, ProgramTimer]
 
 _MAX_NAMED_CHANGES = 20
-"""How many of one kind are named."""
+"""Maximum number of changes that are listed per kind of item."""
 
 
 def changes(
     logic: PrologSystem, old: Deployment, new: Deployment, kept: Dict[EventRule, EventRule], clauses: Clauses
 ) -> List[str]:
-    """Return what has changed.
+    """Return a description of the changes, in lines for people.
 
     Args:
-        logic: shows names.
-        old: what there was of the program.
-        new: what there is of it.
-        kept: for new rules the old ones that go on in their places.
-        clauses: those that the program has had, which may have been retracted since.
+        logic: converts terms to text.
+        old: the deployment before the reload.
+        new: the deployment after it.
+        kept: the old rule for each new rule that replaces it unchanged.
+        clauses: all clauses of the earlier loads, including those that have been retracted since.
     """
     return [
         *_rules(old.rules, new.rules, kept),
@@ -157,7 +160,7 @@ def _predicates(old: Clauses, new: Clauses) -> List[str]:
 
 
 def _told(what: str, fresh: List[str], gone: List[str], changed: List[str], kept: str) -> List[str]:
-    """Return a line of numbers, and one for each thing that is not what it was."""
+    """Return a line with counts, and a line for each item that is new, changed or gone."""
     other = f"{len(changed)} changed, " if changed else ""
     return [
         f"{what}: {len(fresh)} new, {other}{len(gone)} gone, {kept}",
@@ -180,43 +183,45 @@ _LOADING = atom("the program's folder")
 
 
 class NullReports(Reports):
-    """Keeps to itself what is said again when the program is loaded in earnest."""
+    """Reports that discard everything: the same problems are reported again by the load into the running engine."""
 
     def _log(self, level: int, key: object, text: str, texts: int = 1, once: bool = False) -> None:
-        """Say nothing."""
+        """Discard a message."""
 
 
 def standing_of(engine: "Engine") -> Deployment:
-    """Return what there is of an engine's program now."""
+    """Return everything that the engine's program consists of now."""
     parts = engine
     return standing(parts.logic, parts.rules, parts.knowledge)
 
 
 def clock_at(instant: int) -> Clock:
-    """Return a clock that stands at an instant until somebody moves it."""
+    """Return a clock that stays at an instant until it is moved."""
     clock = StreamClock()
     clock.move_to(instant)
     return clock
 
 
 def trial_settings(settings: Settings) -> Settings:
-    """Return the settings of an engine in which the program of another is tried."""
+    """Return the settings for a trial engine."""
     return settings._replace(limit_start=True, watchdog=None)
 
 
 def load_folder(engine: "Engine", folder: Path) -> None:
-    """Load a program's folder, or one event file, and note what that makes; see `Engine.load_program`."""
+    """Load a program's folder or an event file, and record its deployment; see `Engine.load_program`."""
     programs, key = engine.deployments, _real(folder)
     before = standing_of(engine)
     try:
         _load(engine, folder)
     finally:
+        # Also after an error: what was loaded before the error belongs to the folder, and a reload replaces it.
         programs[key] = programs.get(key, NOTHING).and_then(standing_of(engine).since(before))
 
 
 def _real(folder: Path) -> str:
     try:
         return os.path.realpath(folder)
+    # `realpath` raises ValueError for a name with a NUL character or with surrogates.
     except ValueError as error:  # what no folder is called: a NUL, surrogates
         raise UsageError(f"cannot read {str(folder)!r}: {error}") from error
 
@@ -230,15 +235,18 @@ def _load(engine: "Engine", folder: Path) -> None:
         raise UsageError(f"cannot read {folder}: there is no such file or folder")
     path = folder / GOALS
     parts = engine
+    # Types of event names must be known before the goals run: rules in the folder are checked against them.
     parts.slots.events = {**parts.input_topics.event_types(), **event_types(folder)}
     own_files.call_goals(read_text(path), str(path), folder)
 
 
 def reload_folder(engine: "Engine", folder: Path, new_engine: Callable[[], "Engine"]) -> List[str]:
-    """Read a program's folder again; see `Engine.reload`."""
+    """Load a program's folder again; see `Engine.reload`."""
     parts, key = engine, _real(folder)
+    # The executor would run the reload inside the goal that requests it, whose own clauses would be removed.
     if parts.executor.thread == get_ident():
         raise UsageError("a goal or callback of an engine cannot have it read its program again")
+    # An event file may need definitions of other files, so it is not loaded alone into a trial engine.
     if os.path.isfile(folder):  # it may need what other files say, so it is not tried alone
         tried = standing_of(new_engine())
     else:
@@ -256,22 +264,24 @@ def reload_folder(engine: "Engine", folder: Path, new_engine: Callable[[], "Engi
 
 
 def try_program(engine: "Engine", trial: "Engine", made: Deployment, folder: Path) -> Deployment:
-    """Load a program into an engine of its own; return what it has made there.
+    """Load a program into a trial engine; return the deployment there.
 
     Args:
-        engine: the one that runs.
-        trial: the other.
-        made: what the program has made in the one that runs.
-        folder: the program's.
+        engine: the running engine.
+        trial: the trial engine.
+        made: deployment of the folder in the running engine.
+        folder: folder of the program.
 
     Raises:
-        ProgramErrors: what is wrong, and what the program makes that services have added to the one that runs.
+        ProgramErrors: all errors of the program, and ids that services have used for their own items meanwhile.
     """
     logic = trial.logic
     logic.output = logic.error_output = lambda text: None
     with trial.rules.files.loading_again(engine.rules.files.omitted):
         trial.executor.call(lambda: _load(trial, folder), (_LOADING,))
     found = standing_of(trial)
+    # An id that exists in the running engine but not in the deployment was added by a service. Loading the folder
+    # would fail on it only after the old program has been set aside, so it is reported here.
     now = engine.executor.call(lambda: standing_of(engine))
     taken = Errors()
     show = engine.logic.brief
@@ -293,12 +303,12 @@ def try_program(engine: "Engine", trial: "Engine", made: Deployment, folder: Pat
 
 
 class ReloadTransaction:
-    """Exchanges what a folder has made in an engine for what it makes now.
+    """Replacement of a folder's old deployment by its new one.
 
     Args:
-        engine: nothing else is done in it meanwhile.
-        made: what the folder has made.
-        trial: what it makes elsewhere.
+        engine: the running engine; it must be idle during `run`.
+        made: the old deployment.
+        trial: the deployment that the trial engine has produced.
     """
 
     def __init__(self, engine: "Engine", made: Deployment, trial: Deployment):
@@ -309,23 +319,26 @@ class ReloadTransaction:
         self._made = made
         self._trial = trial
         self.made = made
-        """What the folder has made now."""
+        """Deployment of the folder at present."""
 
     def run(self, load: Callable[[], None]) -> List[str]:
-        """Do it; return what has changed, a line each.
+        """Replace the deployment; return the changes, one per line.
 
         Raises:
-            RetalisError: what went wrong; the old program is at work again.
+            RetalisError: the reason of a failure; the old program has been restored.
         """
         budget = self._parts.logic.machine.budget
         try:
             self._set_aside()
+            # `rest` is the program without the folder. The difference to it after the load is the new deployment.
             rest = standing_of(self._engine)
             budget.apart((_LOADING,), load)
+            # Answers of tabled predicates may depend on clauses that were replaced.
             self._parts.logic.once(_FORGET_TABLES)
             self.made = standing_of(self._engine).since(rest)
             told = changes(self._parts.logic, self._old, self.made, self._kept_rules(), self._made.clauses)
             self._put_back(rest)
+        # Also for an interrupt: a program that is loaded half-way must not receive events.
         except BaseException as error:
             self._undo_after(error)
             raise
@@ -333,7 +346,7 @@ class ReloadTransaction:
         return told
 
     def _still_there(self, made: Deployment) -> Deployment:
-        """Return of what was made what nobody has deleted or replaced since."""
+        """Return the part of a deployment that has not been deleted or replaced since."""
         now = self._before
         rules, memories, subscriptions = set(now.rules), now.memories, now.subscriptions
         clauses: Clauses = {}
@@ -352,6 +365,8 @@ class ReloadTransaction:
     # ---- taking out ----------------------------------------------------------------------------------
 
     def _set_aside(self) -> None:
+        # Items are set aside, not deleted: the load finds equal definitions there and reactivates them with their
+        # state.
         rules, knowledge, old = self._parts.rules, self._parts.knowledge, self._old
         for rule in old.rules:
             rules.set_aside(rule)
@@ -367,6 +382,8 @@ class ReloadTransaction:
         }
         rules.restore_properties({key: found for key, found in properties.items() if found})
         rules.files.loaded -= old.files
+        # A flag is reset only if it still has the folder's value; otherwise the program or a service has changed it
+        # later.
         for name, value in old.flags.items():
             wanted = self._trial.flags[name]
             if wanted is not None and rules.flags.get(name) == value:
@@ -377,6 +394,7 @@ class ReloadTransaction:
             predicate.remove(clause)
         if len(predicate):
             return
+        # The predicate starts again as if it had never been loaded: uncompiled, and not dynamic unless declared so.
         predicate.compile_after = self._parts.logic.database.compile_after
         if predicate in self._old.dynamic:
             predicate.dynamic = False
@@ -384,16 +402,18 @@ class ReloadTransaction:
         library = self._parts.logic.database.library.kept.get(key)
         if key in self._old.replaced and library is not None:
             self._parts.logic.database.give_back(library)
+        # A predicate of the library that the folder had redefined becomes visible again.
         elif not predicate.dynamic:
             predicate.kind = "undefined"
 
     # ---- putting back --------------------------------------------------------------------------------
 
     def _kept_rules(self) -> Dict[EventRule, EventRule]:
-        """Return for new rules the old ones that go on in their places, with what waits in them.
+        """Return the old rule for each new rule that is equal to it.
 
-        Where the program has begun or ceased to have a predicate of the library of its own, what was compiled calls
-        the one that was there: no rule goes on then.
+        No rule continues if the folder has started or stopped redefining a library predicate: compiled goals of the
+            old
+        rules call the predicate that was there before.
         """
         if self.made.replaced != self._old.replaced:
             return {}
@@ -406,6 +426,8 @@ class ReloadTransaction:
         for rule in self.made.rules:
             old = kept.get(rule)
             if old is not None:
+                # The partial matches refer to the old rule object, so the old object continues and takes the new
+                # position.
                 old.place = rule.place
             mine.append(old or rule)
         made = set(self.made.rules)
@@ -417,15 +439,16 @@ class ReloadTransaction:
             self._leave_retracted(predicate, clauses, rest.clauses.get(predicate, []))
 
     def _leave_retracted(self, predicate: Predicate, clauses: List[Clause], others: List[Clause]) -> None:
-        """Take out of a dynamic predicate what the program had made before and has retracted since.
+        """Remove clauses of a dynamic predicate that the old program had loaded and retracted at run time.
 
-        Not where it was changed by the load itself: then it begins as the program says.
+        If the load itself has changed the clauses, they are left as the load has made them.
         """
         live = set(predicate.live())
         if not predicate.dynamic or not live.issuperset(others):
             return
         there = set(self._old.clauses.get(predicate, ()))
         made = self._made.clauses.get(predicate, ())
+        # Clauses are compared by content and counted, because the load has created new clause objects.
         gone = Counter(clause_key(one) for one in made if one not in there)
         for clause in clauses:
             key = clause_key(clause)
@@ -434,7 +457,7 @@ class ReloadTransaction:
                 predicate.remove(clause)
 
     def _forget(self) -> None:
-        """Let go of what is not there any more, and tell of it."""
+        """Delete the items that were set aside and not reactivated; emit the events for deleted memories."""
         knowledge = self._parts.knowledge
         knowledge.subscriptions.forget_aside()
         self._parts.rules.timers.forget_aside()
@@ -451,12 +474,13 @@ class ReloadTransaction:
     # ---- where it went wrong -------------------------------------------------------------------------
 
     def _undo_after(self, error: BaseException) -> None:
-        """Have the program be what it was.
+        """Restore the old program after an error.
 
         Raises:
-            UsageError: where not even that can be done.
+            UsageError: if restoring fails.
         """
         try:
+            # The restoration has limits of its own: the failed load may have used up those of the request.
             self._parts.logic.machine.budget.apart((_UNDOING,), self._undo)
         except Exception as second:
             raise UsageError(
@@ -464,7 +488,7 @@ class ReloadTransaction:
             ) from error
 
     def _undo(self) -> None:
-        """Have the program be what it was."""
+        """Restore flags, rules, memories, subscriptions, timers, states and clauses."""
         rules, knowledge, before = self._parts.rules, self._parts.knowledge, self._before
         for name, value in before.flags.items():
             if value is not None:
@@ -480,7 +504,7 @@ class ReloadTransaction:
         self._parts.logic.once(_FORGET_TABLES)
 
     def _undo_clauses(self) -> None:
-        """Have each predicate have the clauses that it had; those that were taken out cannot be put in again."""
+        """Restore the clauses of all predicates; removed clause objects cannot be added again, so they are copied."""
         database = self._parts.logic.database
         for predicate, clauses in standing_of(self._engine).clauses.items():
             if predicate not in self._before.clauses:
@@ -489,12 +513,14 @@ class ReloadTransaction:
         for predicate, clauses in self._before.clauses.items():
             if list(predicate.live()) == clauses:
                 continue
+            # A removed clause is marked as dead for running goals (logical update view), and this cannot be undone.
             predicate.clear()
             database.take_back(predicate)
             predicate.dynamic = predicate in self._before.dynamic
             for clause in clauses:
                 new = again[clause] = Clause(predicate, clause.head, clause.body, clause.place)
                 predicate.add(new)
+        # The deployment must refer to the copies, or the next reload would not find its clauses.
         made = {
             one: [again.get(clause, clause) for clause in found] for one, found in self._made.clauses.items()
         }

@@ -1,4 +1,4 @@
-"""A program checked without running it: it is loaded into an engine of its own, and looked through."""
+"""Check of a program: errors and likely mistakes, found by loading it into an engine that receives no events."""
 
 import os
 import time
@@ -29,20 +29,21 @@ from .runtime.problem_reports import Reports
 
 
 class Problems(Reports):
-    """Keeps what is reported while a program is loaded."""
+    """Reports that collect problems as findings."""
 
     def __init__(self) -> None:
         super().__init__()
         self.found: List[Finding] = []
 
     def error(self, error: Exception, kind: object = None) -> None:
-        """Keep an error."""
+        """Collect an error."""
         self.errors += 1
         self._keep(ERROR, error)
 
     def warning(self, problem: object, kind: object = None, texts: int = 1, once: bool = False) -> None:
-        """Keep a warning."""
+        """Collect a warning."""
         self.warnings += 1
+        # A clause that is omitted makes the loaded program differ from the file, which is an error for a check.
         self._keep(ERROR if isinstance(problem, Omission) else WARNING, problem)
 
     def _keep(self, severity: str, problem: object) -> None:
@@ -50,7 +51,7 @@ class Problems(Reports):
         self.found.append(Finding(severity, "load", one))
 
     def all_of(self, error: RetalisError) -> None:
-        """Keep all errors of a program."""
+        """Collect all errors of a program."""
         for one in error.errors if isinstance(error, ProgramErrors) else [error]:
             self._keep(ERROR, one)
 
@@ -61,15 +62,15 @@ def check_program(
     direct: DirectTopics = AUTO,
     settings: Optional[Settings] = None,
 ) -> List[Finding]:
-    """Return all that is wrong with a program, or hardly meant, in the order of its files.
+    """Return the errors and likely mistakes of a program, in the order of its files.
 
-    Its goals are called, as a node calls them when it starts.
+    The goals of the program are called, as a node calls them at its start.
 
     Args:
-        folder: the program's; or a file of rules alone, whose events others may make and take.
-        definitions: the message types that are known.
-        direct: the value of ``~direct``: topics that become events besides those in ``pub_sub.xml``.
-        settings: of the engine.
+        folder: folder of the program, or a single event file, whose events may have other sources and listeners.
+        definitions: known message types.
+        direct: value of ``~direct``: topics whose messages become events, in addition to those of ``pub_sub.xml``.
+        settings: settings of the engine.
     """
     problems = Problems()
     topics = Topics()
@@ -89,6 +90,8 @@ def check_program(
         problems.all_of(error)
     topics = parts.input_topics.joined(topics)
     program = ProgramModel(parts.rules, parts.knowledge, definitions, topics, own, folder, observed=alone)
+    # After an error part of the program is missing, and checks of the whole program would report consequences of
+    # that.
     sound = not any(one.severity == ERROR for one in problems.found)
     said = {one.problem.place for one in problems.found if one.problem.place is not None}
     new = [one for one in look_through(program, sound) if one.problem.place not in said]
@@ -98,9 +101,9 @@ def check_program(
 def never_comes(
     engine: Engine, pattern: Term, definitions: Definitions, topics: Topics, direct: Iterable[TopicType]
 ) -> str:
-    """Return why events of a pattern will hardly come, "" where they may.
+    """Return the reason why events of a pattern will not occur, or "" if they may occur.
 
-    Messages may come of topics that are subscribed later.
+    Messages of topics that are subscribed to later are not known.
     """
     parts = engine
     topics = parts.input_topics.joined(topics)
@@ -109,15 +112,15 @@ def never_comes(
 
 
 def never_sent(subscription: CompoundTerm, topic: str, kind: str, definitions: Definitions) -> str:
-    """Return why no output of a subscription can be a message of its topic's type.
+    """Return the reason why no output of a subscription matches the message type of its topic.
 
-    Return "" if some may be, or the type is not known.
+    Return "" if an output may match, or if the type is unknown.
 
     Args:
         subscription: the goal ``subscribe/5``.
-        topic: is named in the answer.
-        kind: the type of the topic.
-        definitions: the message types that are known.
+        topic: name of the topic, for the message.
+        kind: message type of the topic.
+        definitions: known message types.
     """
     try:
         definition = definitions.find(kind)
@@ -127,7 +130,7 @@ def never_sent(subscription: CompoundTerm, topic: str, kind: str, definitions: D
 
 
 def _in_order(found: List[Finding]) -> List[Finding]:
-    """Order findings by file, in the order in which the files came up, and there by line and column."""
+    """Sort findings by file, in the order in which the files first occur, then by line and column."""
     files: Dict[Optional[str], int] = {}
     for one in found:
         files.setdefault(_source(one.problem.place), len(files))

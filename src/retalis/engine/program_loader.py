@@ -1,4 +1,4 @@
-"""Loading what a program's own files say: their goals have other rights and limits than those that come later."""
+"""Loading of a program's own files: its goals have other permissions and limits than goals that run later."""
 
 from pathlib import Path
 from typing import Callable, Optional, TypeVar
@@ -15,7 +15,7 @@ from .runtime.serial_executor import SerialExecutor
 Result = TypeVar("Result")
 
 REQUEST = atom("a request")
-"""What is named where work takes long that has no name."""
+"""Name of unnamed work in warnings about its duration."""
 
 
 class ProgramLoader:
@@ -23,10 +23,10 @@ class ProgramLoader:
 
     Args:
         logic: calls goals.
-        rules: takes rules.
-        runner: lets one piece of work at a time be done, and is told which goal that is.
-        dispatcher: of the engine's events, which are not disturbed.
-        limited: whether the limits of later goals hold for these too.
+        rules: receives rules.
+        runner: executes the goals exclusively and is told which goal runs.
+        dispatcher: dispatches the events of the engine; none is dispatched in the middle of a goal.
+        limited: whether the limits of later goals apply.
         once: calls a goal.
     """
 
@@ -48,8 +48,9 @@ class ProgramLoader:
         self._once = once
 
     def load(self, rules: str, goals: str, source: str, folder: Optional[Path]) -> None:
-        """Load the texts of a program, which belong together; see `Engine.load`."""
+        """Load the texts of a program; see `Engine.load`."""
         together = bool(rules and goals)
+        # Goals and rules may refer to each other, so warnings about unknown predicates wait until both are loaded.
         if together:
             self._rules.loader.gather()
         try:
@@ -70,6 +71,8 @@ class ProgramLoader:
         """Call the goals of a goal file; see `Engine.call_goals`."""
         self._own(folder)
         errors = Errors()
+        # Each goal is read after the previous one has run, because a goal may define operators for the rest of the
+        # file.
         for goal in goals_of(text, source, folder, self._logic.operators, self._files, self._load):
             if isinstance(goal, RetalisError):
                 errors.append(goal)
@@ -85,6 +88,7 @@ class ProgramLoader:
     def _start(self, goal: FileGoal) -> bool:
         """Call a goal of a goal file."""
         budget = self._logic.machine.budget
+        # The watchdog names this entry, with its place in the file, if the goal takes long.
         self._runner.entry = goal
         limits = budget.limits
         if not self._limited:
@@ -95,12 +99,12 @@ class ProgramLoader:
             budget.allow(limits)
 
     def _own(self, folder: Optional[Path]) -> None:
-        """Count a folder as the program's own."""
+        """Register a folder as the program's own."""
         if folder is not None:
             self._files.door.add_own(folder)
 
     def _load(self, folder: Optional[Path], work: Callable[[], Result]) -> Result:
-        """Do work of the program's own files, which stand in a folder: it may name any file."""
+        """Execute a function with the permission to read any file; relative paths start in ``folder``."""
 
         def run() -> Result:
             with self._files.loading(folder):
