@@ -1,9 +1,8 @@
 """Status of an engine: activity, counters and contents as records that can be converted to JSON.
 
-The status is read from other threads without the engine's lock, so it is available even if a goal does not
-terminate. Lists and dictionaries are copied in one step of the interpreter, so they are consistent; counters may
-already
-include the event that is being processed.
+The status is read from other threads without the engine's lock, so it is available even if a goal does not terminate.
+Lists and dictionaries are copied in one step of the interpreter, so they are consistent; counters may already include
+the event that is being processed.
 
 """
 

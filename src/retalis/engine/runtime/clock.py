@@ -1,4 +1,13 @@
-"""What time it is for a program: rising stamps, alarms, and noticing that time went back."""
+"""Clocks: present time, monotonic timestamps, alarms, and detection of time jumps.
+
+A `Clock` reads a source of time, for example the computer's clock or ROS time. A `StreamClock` is event time: it
+stands still until it is moved by the timestamps of events or by a bag player. Alarms are stored in a binary heap,
+ordered by instant and then by order of setting; the engine asks for those that are due before each event.
+
+Timestamps that a clock assigns increase strictly, so that events which arrive within the resolution of the source are
+still ordered. If the source goes back by more than `JUMP`, a new clock epoch begins: alarms are dropped, and the
+engine clears all state that depends on time. Smaller steps back, as by NTP corrections, are ignored.
+"""
 
 import heapq
 import time
@@ -10,13 +19,13 @@ from ...prolog.terms.timestamps import SECOND, WholeSeconds
 Alarm = Callable[[int], None]
 
 JUMP = SECOND
-"""A clock that goes back by more than this (a looped bag) starts a new run."""
+"""Minimum step back in ns that starts a new clock epoch, for example when a bag is played again."""
 
 
 class Clock:
-    """A clock over some source of time, with alarms.
+    """A clock with alarms over a source of time.
 
-    Nothing here waits: whoever owns the clock asks `due` for alarms when time may have passed.
+    The clock has no thread: its owner calls `due` whenever time may have passed.
 
     >>> engine = Engine(Clock(lambda: 5_000_000_000))
     >>> engine.on_event(lambda term, start, end: print(engine.show(term), start))
@@ -24,13 +33,13 @@ class Clock:
     tick 5000000000
 
     Args:
-        source: returns the present instant (ns since the epoch); the system's clock by default.
+        source: returns the present time in ns since the epoch; by default the computer's clock.
 
     Attributes:
-        is_set: whether it has a time.
-        alarms: a heap of those that are set.
-        ringing: the instant of the alarm that is being called; None between alarms.
-        behind: whether time was seen to go back, and nobody has asked `went_back` since.
+        is_set: whether the clock has a time.
+        alarms: heap of alarms: instant, order, function.
+        ringing: instant of the alarm that is being called; None between alarms.
+        behind: whether a step back was detected and `went_back` has not been called since.
     """
 
     is_set = True
@@ -45,17 +54,18 @@ class Clock:
         self._order = count()
 
     def kept(self) -> List[int]:
-        """Return what it knows beside its source and its alarms; see `restore`.
+        """Return the state of the clock without its source and its alarms; see `restore`.
 
         >>> Clock(lambda: 5_000_000_000).kept()
         [-1, 0, 0, 0]
         """
+        # `count` has no way to read its next value without taking it.
         order = next(self._order)
         self._order = count(order)
         return [self._last_stamp, self._newest, int(self.behind), order]
 
     def restore(self, kept: Sequence[int]) -> None:
-        """Know what another clock knew; an order given to alarms again is none of those before.
+        """Restore the state of another clock; later alarms come after those that are set again with their old order.
 
         >>> clock, other = StreamClock(7), StreamClock()
         >>> other.restore(clock.kept())
@@ -67,7 +77,7 @@ class Clock:
         self._order = count(order)
 
     def now(self) -> int:
-        """Return the present instant, and notice where time went back by more than `JUMP`.
+        """Return the present time, and detect a step back by more than `JUMP`.
 
         >>> Clock(lambda: 5_000_000_000).now()
         5000000000
@@ -81,7 +91,7 @@ class Clock:
         return instant
 
     def present(self) -> int:
-        """Return the present instant and notice nothing: for those who look from another thread.
+        """Return the present time without detecting steps back; may be called from any thread.
 
         >>> Clock(lambda: 5_000_000_000).present()
         5000000000
@@ -89,7 +99,7 @@ class Clock:
         return self._source()
 
     def stamp(self, now: Optional[int] = None) -> int:
-        """Return an instant for an event: now, but always after the last one given out.
+        """Return the present time as a timestamp, increased if necessary to be later than all earlier timestamps.
 
         >>> clock = Clock(lambda: 5_000_000_000)
         >>> clock.stamp(), clock.stamp()
@@ -102,7 +112,9 @@ class Clock:
         return WholeSeconds(instant)
 
     def stamp_at_once(self) -> Optional[int]:
-        """Return `stamp` of now; None if the clock is not set, or alarms or time that went back come first.
+        """Return a timestamp for the present time; None if the clock is not set or must be processed first.
+
+        It must be processed first if an alarm is due or time went back.
 
         >>> clock = Clock(lambda: 5_000_000_000)
         >>> clock.call_at(6_000_000_000, print)
@@ -112,7 +124,8 @@ class Clock:
         >>> clock.stamp_at_once()
         """
         instant = self._source()
-        if (  # as `is_quiet`, whose call would be 2 % of a short event
+        # The same test as in `is_quiet`, repeated because the call would take 2 % of a short event.
+        if (
             instant < self._newest
             or self.behind
             or not self.is_set
@@ -127,7 +140,7 @@ class Clock:
         return WholeSeconds(instant)
 
     def is_quiet(self) -> bool:
-        """Look what time it is; tell whether neither alarms nor time that went back have to be looked at.
+        """Read the source; return whether no alarm is due and time has not gone back.
 
         >>> clock = Clock(lambda: 5_000_000_000)
         >>> clock.is_quiet()
@@ -148,11 +161,11 @@ class Clock:
         return True
 
     def _due_by(self, instant: int) -> int:
-        """Return up to where alarms are due, at an instant of the source: `reached`, without asking it again."""
+        """Return the instant up to which alarms are due; as `reached`, given a reading of the source."""
         return instant
 
     def call_at(self, instant: int, alarm: Alarm) -> None:
-        """Have ``alarm`` called with the instant when that has come.
+        """Call a function with ``instant`` when the clock reaches it.
 
         >>> clock = StreamClock()
         >>> clock.call_at(2_000_000_000, lambda instant: print("alarm at", instant))
@@ -163,7 +176,7 @@ class Clock:
         heapq.heappush(self.alarms, (instant, next(self._order), alarm))
 
     def put_back(self, instant: int, order: int, alarm: Alarm) -> None:
-        """Set an alarm that another clock had, in its place among those of the same instant.
+        """Set an alarm of another clock with its order among alarms of the same instant.
 
         >>> clock = Clock(lambda: 5_000_000_000)
         >>> clock.put_back(6_000_000_000, 2, print)
@@ -180,11 +193,12 @@ class Clock:
         >>> clock.next_alarm()
         2000000000
         """
-        first = self.alarms[:1]  # in one step: another thread may be taking it
+        # Sliced in one step of the interpreter, because the engine's thread may remove the alarm meanwhile.
+        first = self.alarms[:1]
         return first[0][0] if first else None
 
     def due(self, until: Optional[int] = None) -> Optional[Tuple[int, Alarm]]:
-        """Take and return the next alarm that is due now (or at ``until``); None where there is none.
+        """Remove and return the next alarm that is due now or at ``until``; None if none is due.
 
         >>> clock = Clock(lambda: 5_000_000_000)
         >>> clock.call_at(2_000_000_000, print)
@@ -200,7 +214,7 @@ class Clock:
         return instant, alarm
 
     def drop(self, is_dead: Callable[[Alarm], bool]) -> None:
-        """Take the alarms out that are not to be called any more.
+        """Remove the alarms for which a function returns true.
 
         >>> clock = Clock(lambda: 5_000_000_000)
         >>> clock.call_at(6_000_000_000, print)
@@ -208,6 +222,7 @@ class Clock:
         >>> clock.alarms
         []
         """
+        # In place, because the list is known elsewhere.
         self.alarms[:] = [one for one in self.alarms if not is_dead(one[2])]
         heapq.heapify(self.alarms)
 
@@ -220,7 +235,7 @@ class Clock:
         return self.now()
 
     def coming(self) -> int:
-        """Return the instant to which time is being moved: later than `reached` where that takes several steps.
+        """Return the instant to which time is being moved; later than `reached` during a move in several steps.
 
         >>> Clock(lambda: 5_000_000_000).coming()
         5000000000
@@ -228,7 +243,7 @@ class Clock:
         return self.reached()
 
     def went_back(self) -> bool:
-        """Tell whether time has gone back by more than `JUMP` since the last call; the clock starts anew then.
+        """Return whether time has gone back by more than `JUMP` since the last call; reset the clock if so.
 
         >>> times = [5_000_000_000, 1_000_000_000, 1_000_000_000]
         >>> clock = Clock(lambda: times.pop(0))
@@ -242,7 +257,7 @@ class Clock:
         return True
 
     def reset(self) -> None:
-        """Drop the alarms and the memory of the last stamp.
+        """Drop the alarms and the last timestamp.
 
         >>> clock = Clock(lambda: 5_000_000_000)
         >>> clock.call_at(6_000_000_000, print)
@@ -258,8 +273,9 @@ class Clock:
 class StreamClock(Clock):
     """A clock that stands still until it is moved: the time of a stream of events or of a bag.
 
-    A clock that is pinned says the same time for ever; alarms go by the stream's time all the same. A clock that has
-    neither a start nor been moved or pinned is not set: it has no time for an event that comes without one.
+    A pinned clock always returns the same time, but its alarms follow the stream's time. A clock without a start that
+    was
+    neither moved nor pinned is not set, and has no time for events without timestamps.
 
     >>> clock = StreamClock()
     >>> engine = Engine(clock)
@@ -283,7 +299,7 @@ class StreamClock(Clock):
         return self._time if self._pinned is None else self._pinned
 
     def kept(self) -> List[int]:
-        """Return what it knows; see `Clock.kept`.
+        """Return the state of the clock; see `Clock.kept`.
 
         >>> StreamClock(7).kept()
         [-1, 0, 0, 0, 7]
@@ -293,7 +309,7 @@ class StreamClock(Clock):
         return [*super().kept(), self._time, *([] if self._pinned is None else [self._pinned])]
 
     def restore(self, kept: Sequence[int]) -> None:
-        """Know what another clock knew; see `Clock.restore`.
+        """Restore the state of another clock; see `Clock.restore`.
 
         >>> clock, other = StreamClock(7), StreamClock()
         >>> other.restore(clock.kept())
@@ -307,9 +323,9 @@ class StreamClock(Clock):
             self._pinned = kept[5]
 
     def pin(self, instant: int) -> None:
-        """Have the clock say an instant from now on, whatever moves the stream's time.
+        """Make the clock return a constant time, independent of the stream's time.
 
-        Events that it stamps come after that instant, 1 ns apart.
+        Timestamps that it assigns are later than that time, with steps of 1 ns.
 
         >>> clock = StreamClock()
         >>> clock.pin(1_000_000_000)
@@ -323,7 +339,7 @@ class StreamClock(Clock):
         self._time = max(self._time, self._pinned)
 
     def move_to(self, instant: int, back: bool = False) -> None:
-        """Move the stream's time forward; with ``back`` also backwards.
+        """Move the stream's time forward; with ``back`` also backward.
 
         >>> clock = StreamClock(1_000_000_000)
         >>> clock.move_to(500_000_000)
@@ -338,7 +354,7 @@ class StreamClock(Clock):
             self._time = int(instant)
 
     def follow(self, instant: int) -> bool:
-        """Move to the instant of an event, where nothing has to be looked at before and after that; else do nothing.
+        """Move to the timestamp of an event if no alarm is due and time did not go back; return whether it has moved.
 
         >>> clock = StreamClock()
         >>> clock.follow(1_000_000_000), clock.now()
@@ -347,6 +363,7 @@ class StreamClock(Clock):
         >>> clock.follow(3_000_000_000), clock.now()
         (False, 1000000000)
         """
+        # The common case of each event, so the tests of `now`, `move_to` and `due` are combined here.
         time = self._time
         if time < self._newest or self.behind or self._pinned is not None:
             return False
@@ -359,7 +376,7 @@ class StreamClock(Clock):
         return True
 
     def move_by(self, nanoseconds: int) -> None:
-        """Let some of the stream's time pass.
+        """Advance the stream's time by a duration.
 
         >>> clock = StreamClock(1_000_000_000)
         >>> clock.move_by(500)
@@ -370,7 +387,7 @@ class StreamClock(Clock):
         self._time += nanoseconds
 
     def head_for(self, instant: int) -> None:
-        """Say where the stream's time is being moved, by who moves it from one alarm to the next.
+        """Announce the instant to which the stream's time is being moved, for a move in several steps.
 
         >>> clock = StreamClock(1_000_000_000)
         >>> clock.head_for(2_000_000_000)
@@ -380,10 +397,11 @@ class StreamClock(Clock):
         self._heading = instant
 
     def _due_by(self, instant: int) -> int:
-        return self._time  # also where the clock is pinned
+        # The stream's time, also if the clock is pinned.
+        return self._time
 
     def reached(self) -> int:
-        """Return the instant up to which alarms are due: the stream's time, also where the clock is pinned.
+        """Return the instant up to which alarms are due: the stream's time, also if the clock is pinned.
 
         >>> StreamClock(1_000_000_000).reached()
         1000000000
@@ -399,7 +417,7 @@ class StreamClock(Clock):
         return max(self._time, self._heading)
 
     def due(self, until: Optional[int] = None) -> Optional[Tuple[int, Alarm]]:
-        """Take and return the next alarm that is due by the stream's time.
+        """Remove and return the next alarm that is due by the stream's time.
 
         >>> clock = StreamClock()
         >>> clock.call_at(2_000_000_000, print)

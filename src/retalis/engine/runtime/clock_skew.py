@@ -1,4 +1,17 @@
-"""Stamps that are far from what their topic and frame had so far."""
+"""Clock skew monitor: detection of timestamps that do not fit the earlier ones of their topic and frame.
+
+A wrong clock on a robot shows as timestamps that jump relative to earlier timestamps of the same publisher. Absolute
+comparison with the time of receipt would be useless: a bag is years old, and clocks of different computers differ.
+The monitor therefore keeps a `FrameClock` per topic and ``frame_id`` and predicts the next timestamp in several ways:
+the same as the last one, or advanced by the real time, by the node's time, or by the progress of other topics. The
+distance to the nearest prediction is the skew.
+
+A bag can be paused or played faster than real time, so the highest observed rate (pace) is a factor of the
+prediction. After `AGREEING` distant timestamps that agree with each other, the clock counts as set, and they become
+the reference. At a jump of time back, messages that were still queued belong to the epoch before (refused), and
+messages of the next epoch can precede the clock (`Early`); both are recognized if the frame's timestamps followed the
+node's time before.
+"""
 
 import time
 from typing import Callable, Dict, Iterator, List, Optional
@@ -12,25 +25,25 @@ from .clock import JUMP
 from .problem_reports import Reports
 
 FAR = 10 * SECOND
-"""How far a stamp may be from what is expected, without a word."""
+"""Maximum distance in ns of a timestamp from a prediction without a warning."""
 
 AGREEING = 10
-"""Stamps in a row that agree among themselves after which a clock counts as set."""
+"""Number of consecutive distant timestamps in agreement after which the clock counts as set."""
 
 PACE = 10.0
-"""How many times faster than time a bag may be played, where nothing else tells how far stamps should have got."""
+"""Maximum pace of a bag relative to real time while no pace was measured."""
 
 LONG_ENOUGH = SECOND // 2
-"""For how long stamps have to go on as time does, to count as such that do."""
+"""Minimum duration in ns for deciding whether timestamps follow the node's time."""
 
 LOOKS = 100
-"""Messages of a frame that are all looked at while that is not known; afterwards one a second is."""
+"""Number of messages of a frame that are all checked at the beginning; afterwards one in a second is checked."""
 
 FRAMES = 5000
-"""Frames that are kept for a topic."""
+"""Maximum number of frames per topic."""
 
 SIZE = 16 << 20
-"""Bytes that what is known of the frames of all topics may take; what was known of the run before, the same."""
+"""Maximum memory in bytes for the frames of all topics, and separately for those of the previous epoch."""
 
 TOPICS = 1000
 
@@ -38,33 +51,33 @@ _UNKNOWN = -1
 
 
 class Refused(Exception):
-    """A message whose stamp is further away than the program allows; counted and reported already."""
+    """Raised for a message with a timestamp that is too far away or of the previous epoch; already reported."""
 
 
 class Early(Exception):
-    """A message that may be of a run that the clock has not begun; see `ClockRuns`."""
+    """Raised for a message that may belong to an epoch that the clock has not begun; see `ClockEpochs`."""
 
 
 class FrameClock:
-    """What is known of the stamps of one frame on one topic.
+    """Timestamps of one frame on one topic.
 
     Attributes:
-        second: the second of the last stamp, by which most are known to fit; negative where each has to be looked at.
-        stamp: the last stamp.
-        now: the time of its receipt by the node's clock, which may be simulated.
-        wall: the same by a clock that nobody sets.
-        progress: how far the stamps of all topics had got then.
-        pace: the most by which stamps went faster than wall time; None where that is not known.
-        since: the stamp and the wall time from which the pace is measured.
-        other: the first of those in a row that are far from the last one and agree among themselves.
-        agreeing: how many these are.
-        told: whether somebody has been warned.
-        least: the least by which stamps were ahead of the node's time at receipt; below 0 where they were behind it.
-        most: the most by which they were.
-        begun: the node's time of the receipt to which later ones are compared: 0 before that time is known.
-        ahead: by how much its stamp was ahead.
-        followed: whether stamps went on as the node's time did.
-        looks: how many fitted.
+        second: second of the last timestamp if messages of the same second need no check; negative if all need one.
+        stamp: last timestamp.
+        now: node's time at its receipt, which may be simulated.
+        wall: monotonic real time at its receipt.
+        progress: progress of the timestamps of all topics at its receipt.
+        pace: highest rate of timestamps relative to real time; None if unknown.
+        since: timestamp and real time from which the pace is measured.
+        other: first of consecutive distant timestamps that agree with each other.
+        agreeing: number of these.
+        told: whether a warning was logged.
+        least: minimum of timestamp minus node's time at receipt, negative if behind.
+        most: maximum of this difference.
+        begun: node's time at the receipt that later ones are compared with; 0 before the node has a time.
+        ahead: timestamp minus node's time at that receipt.
+        followed: whether the timestamps have advanced like the node's time.
+        looks: number of timestamps that fitted.
     """
 
     __slots__ = (
@@ -101,11 +114,13 @@ class FrameClock:
         self.least = self.most = self.ahead = stamp - now
 
     def distance(self, stamp: int, now: int, wall: int, progress: int) -> int:
-        """Return how far a stamp is from the nearest one that could be expected, later ones as positive numbers.
+        """Return the signed distance of a timestamp from the nearest prediction, in ns; positive if later.
 
-        It may be as the last one, or later by what has passed since by one of the clocks or on other topics. A bag
-        may be paused and need not be played at its own pace: all up to the time that has passed will do, as often as
-        the highest pace says that was seen, and ten times where a pause may have hidden the pace.
+        Predictions are the last timestamp, and the last one advanced by the time that has passed by one of the clocks
+        or
+        on other topics. A bag may be paused and may be played at another rate, so any timestamp up to the passed real
+        time
+        times the highest measured pace fits; times `PACE` if a pause may have hidden the pace.
         """
         step, passed = stamp - self.stamp, wall - self.wall
         if 0 <= step <= passed * (PACE if passed >= SECOND or self.pace is None else self.pace):
@@ -113,7 +128,9 @@ class FrameClock:
         return min((step - one for one in (0, passed, now - self.now, progress - self.progress)), key=abs)
 
     def move_to(self, stamp: int, now: int, wall: int, exact: bool) -> None:
-        """Note a stamp that fits."""
+        """Record a timestamp that fits."""
+        # The pace is measured over at least half a second, because single intervals vary with the load of the
+        # machine.
         passed = wall - self.since[1]
         if passed >= SECOND // 2:
             self.pace = max(self.pace or 1.0, min((stamp - self.since[0]) / passed, PACE))
@@ -122,22 +139,27 @@ class FrameClock:
         self.progress += stamp - self.stamp
         self.stamp, self.now, self.wall = stamp, now, wall
         self.looks += 1
+        # The decoder skips messages of the same second as the last one, once enough is known about the frame.
         self.second = _UNKNOWN if exact or not (self.followed or self.looks > LOOKS) else stamp // SECOND
         self.other, self.agreeing = None, 0
 
     def _compare(self, stamp: int, now: int) -> None:
-        """Note by how much a stamp is ahead, and see whether they go on as the node's time does.
+        """Update the differences to the node's time, and decide whether timestamps advance like it.
 
-        A busy machine holds messages up, which makes them look as if their stamps lagged. So a stamp that lags tells
-        nothing; one that is further ahead than before tells that those before it were held up, or go on too fast.
+        A busy machine delays messages, so that their timestamps seem to lag. A lagging timestamp therefore means
+        nothing. One
+        that is further ahead than before means that earlier ones were delayed, or that the timestamps advance too
+        fast.
         """
         ahead = stamp - now
-        if not self.begun:  # there was no time yet
+        # The node had no time at the first receipt.
+        if not self.begun:
             self.begun = now
             self.least = self.most = self.ahead = ahead
         passed = now - self.begun
         self.least, self.most = min(self.least, ahead), max(self.most, ahead)
-        if stamp < self.stamp - JUMP:  # taken, so time did not go back
+        # The message was accepted although it goes back, so the publisher's clock was set, and time did not go back.
+        if stamp < self.stamp - JUMP:
             self.begun, self.ahead, self.followed = now, ahead, False
         elif not self.followed and ahead > self.ahead + passed / 4:
             self.begun, self.ahead = now, ahead
@@ -145,16 +167,16 @@ class FrameClock:
             self.followed = ahead >= self.ahead - passed / 4
 
     def is_early(self, stamp: int, now: int) -> bool:
-        """Tell whether a stamp goes back to where it fits an earlier time only."""
+        """Return whether a timestamp goes back so far that it fits an earlier time only."""
         return stamp < self.stamp - JUMP and stamp - now < self.least - JUMP and self.followed
 
     def is_left_over(self, stamp: int, end: int, now: int) -> bool:
-        """Tell whether a stamp goes on where this run ended, at an instant, and is ahead of the present one."""
+        """Return whether a timestamp continues the epoch that ended at ``end``, and is ahead of the present."""
         goes_on = self.stamp <= stamp <= end + self.most + JUMP + (self.most - self.least)
         return goes_on and stamp - now > self.most + JUMP and self.followed
 
     def agree(self, stamp: int, now: int, wall: int, progress: int, most: int) -> bool:
-        """Note a stamp that is far away; tell whether enough of them in a row agree."""
+        """Record a distant timestamp; return whether enough consecutive ones agree."""
         other = self.other
         if other is not None and abs(other.distance(stamp, now, wall, progress)) <= most:
             self.agreeing += 1
@@ -166,16 +188,16 @@ class FrameClock:
 
 
 class TopicTimes(Cache[bytes, FrameClock]):
-    """What is known of the stamps of a topic, by the bytes of its frames.
+    """Timestamps of a topic, by the bytes of the frame id.
 
     Attributes:
-        name: the topic's.
-        before: what was known of the run before, until a frame has begun again.
-        far: how many messages had a stamp that was far away.
-        refused: how many of them were not taken.
-        step: by how much the frame was far that was warned of first.
-        together: whether it has been said that others were as far.
-        clock: how far the clock was set of which was told last.
+        name: name of the topic.
+        before: frames of the previous epoch that have not occurred in the present one.
+        far: number of messages with a distant timestamp.
+        refused: number of these that were refused.
+        step: distance of the first frame that was warned of.
+        together: whether a warning about other frames at the same distance was logged.
+        clock: step of the last setting of the clock that was reported.
     """
 
     __slots__ = ("name", "before", "far", "refused", "step", "together", "clock")
@@ -190,24 +212,25 @@ class TopicTimes(Cache[bytes, FrameClock]):
         self.clock: Optional[int] = None
 
     def clear(self) -> None:
-        """Forget all, also for those who hold what is known of a frame."""
+        """Remove all frames, and invalidate references to them."""
         for known in list(self.values()):
             known.second = _UNKNOWN
         super().clear()
 
 
 class ClockSkewMonitor:
-    """Looks at the stamps of messages: warns of those that are far from what their topic and frame had so far.
+    """Checks the timestamps of messages against those of the same topic and frame.
 
-    Neither the receipt nor other frames count: a bag is years old, and clocks of a robot differ. A frame's first
-    stamp says where it is.
+    Neither the time of receipt nor other frames are a reference: bags are old, and the clocks of a robot differ. The
+        first
+    timestamp of a frame defines its reference.
 
     Args:
-        reports: takes a warning for each topic and frame.
-        now: the present by the node's clock.
-        wall: the present by a clock that nobody sets.
-        most: seconds; a message whose stamp is further away is refused. None for no limit.
-        may_wait: tells whether messages may be `Early`.
+        reports: receives a warning per topic and frame.
+        now: returns the node's time.
+        wall: returns monotonic real time.
+        most: distance in seconds from which messages are refused; None for no limit.
+        may_wait: returns whether messages may be delayed as `Early`.
     """
 
     def __init__(
@@ -234,32 +257,37 @@ class ClockSkewMonitor:
         return iter(list(self._topics.values()))
 
     def watch(self, decoder: Decoder, topic: str, publisher: str = "") -> Decoder:
-        """Return a decoder that looks at all stamps of a message besides, where both its functions are called.
+        """Return a decoder that also checks all timestamps of a message, whichever of its two functions is called.
 
-        One of them raises `Refused` for a message that is not to be taken, and `Early` for one that is to wait.
+        The check raises `Refused` for a message to be dropped, and `Early` for one to be delayed.
 
         Args:
-            decoder: of the messages' type.
-            topic: where they come from.
-            publisher: who sends them.
+            decoder: decoder of the message type.
+            topic: name of the topic.
+            publisher: name of the publisher, for warnings.
         """
         times = self._topics.get(topic)
         if times is None:
             if len(self._topics) >= TOPICS:
-                self.forget()  # also for those who go on with what they know
+                # Also invalidates the references that existing decoders hold.
+                self.forget()
                 self._topics.clear()
             times = self._topics[topic] = TopicTimes(topic)
         known = times
         return watched(decoder, known, lambda found: self._look(known, publisher, found))
 
     def forget(self) -> None:
-        """Forget what was known: another stream begins."""
+        """Remove all frames, because another stream begins."""
         for times in self:
             times.before = {}
         self._clear()
 
     def begin_run(self, ended: int) -> None:
-        """Begin anew: time went back. What is left over of the run before, which ended at an instant, is refused."""
+        """Begin a new epoch after time went back.
+
+        Args:
+            ended: last instant of the previous epoch; messages that continue it are refused.
+        """
         self._ended = ended
         for times in self:
             times.before = dict(times)
@@ -271,7 +299,7 @@ class ClockSkewMonitor:
         self._held = 0
 
     def sum_up(self) -> None:
-        """Say how many messages of each topic had such a stamp, where that was more than one."""
+        """Log the number of messages with distant timestamps per topic, if more than one."""
         for times in self:
             if times.far > 1:
                 refused = f", {times.refused} of them not taken" if times.refused else ""
@@ -280,11 +308,11 @@ class ClockSkewMonitor:
                 )
 
     def _look(self, times: TopicTimes, publisher: str, found: List[FrameStamp]) -> None:
-        """Compare the stamps of a message with those before.
+        """Check the timestamps of a message.
 
         Raises:
-            Refused: where one is further away than is allowed, or is of the run before.
-            Early: where one may be of the next run.
+            Refused: if a timestamp is too far away, or belongs to the previous epoch.
+            Early: if a timestamp may belong to the next epoch.
         """
         now, wall = self._now(), self._wall()
         farthest = 0
@@ -294,6 +322,7 @@ class ClockSkewMonitor:
             if known is None:
                 self._keep(times, key, FrameClock(stamp, now, wall, self._progress))
                 continue
+            # Most timestamps are near the last one, which saves the full prediction.
             far, distance = self._far, stamp - known.stamp
             if not -far <= distance <= far:
                 distance = known.distance(stamp, now, wall, self._progress)
@@ -303,7 +332,8 @@ class ClockSkewMonitor:
                     self._warn(times, known, key, distance, publisher)
                     continue
                 self._tell_of_set_clock(times, key, stamp - known.stamp)
-                known.stamp, known.since = stamp, (stamp, wall)  # which is no progress
+                # A set clock is a step and not progress, so the common progress must not follow it.
+                known.stamp, known.since = stamp, (stamp, wall)
             known.move_to(stamp, now, wall, self._exact)
             if known.progress > self._progress:
                 self._progress = known.progress
@@ -314,11 +344,11 @@ class ClockSkewMonitor:
                 raise Refused
 
     def _look_at_runs(self, times: TopicTimes, found: List[FrameStamp], now: int) -> None:
-        """See whether a message is of another run than the one at hand.
+        """Check whether a message belongs to another epoch.
 
         Raises:
-            Refused: where it is of the run before.
-            Early: where it may be of the next one.
+            Refused: if it belongs to the previous epoch.
+            Early: if it may belong to the next epoch.
         """
         before = times.before
         for key, stamp in found:
@@ -334,10 +364,11 @@ class ClockSkewMonitor:
                     ("left over", times.name),
                 )
                 raise Refused
-            del before[key]  # it has begun again
+            # The frame has occurred in the present epoch.
+            del before[key]
 
     def _keep(self, times: TopicTimes, key: bytes, known: FrameClock) -> None:
-        """Keep what is known of a frame; all topics start anew where they would hold more than they may together."""
+        """Store a frame. If the frames of all topics exceed the limit together, all are removed."""
         held = times.held
         times.keep(key, known, 2 * len(key) + 500)
         self._held += times.held - held
@@ -353,7 +384,8 @@ class ClockSkewMonitor:
         topic = times.name
         if times.step is None:
             times.step = distance
-        elif abs(times.step - distance) <= FAR:  # of all frames at once, which need not be named one by one
+        # If the clock of the publisher was set, all of its frames are equally far; one warning covers them.
+        elif abs(times.step - distance) <= FAR:
             self._tell_of_all(times, distance)
             return
         where = f"topic {topic}, frame {_shown(key)}"
@@ -389,7 +421,7 @@ class ClockSkewMonitor:
 
 
 TEXTS = 20
-"""Frames of a topic that are named."""
+"""Maximum number of frames of a topic that are named in warnings."""
 
 
 def _shown(key: bytes) -> str:

@@ -1,4 +1,9 @@
-"""Who holds up the engine: a thread that looks once in a while at what is at work."""
+"""Watchdog: a thread that samples the running work, warns about long durations and enforces time limits.
+
+The engine stores its current entry (event, query or other call) anyway, so sampling costs the events nothing. Unlike
+the inference counter of the machine, sampling also covers matching of patterns, many short goals, and slow callbacks.
+An entry that exceeds its time limit is marked in its budget; the machine stops at the next check.
+"""
 
 import os
 import threading
@@ -18,23 +23,23 @@ from .problem_reports import Reports
 Warn = Callable[[float, object], None]
 
 _LOOKS = 5
-"""Looks within the shortest of the times that matter."""
+"""Samples within the shortest of the configured times."""
 
 _MAX_CONJUNCTION_DEPTH = 1000
-"""Conjunctions within another's first goal that are looked into."""
+"""Maximum depth of conjunctions for finding the first goal."""
 
 _SHORTEST = 0.005
 _MAX_LOOK_SECONDS = 0.5
 
 
 class AtWork(NamedTuple):
-    """What is at work.
+    """A description of the running work.
 
     Attributes:
-        entry: what came in.
-        goal: the goal that runs, with its rule; empty for none.
-        event: the event that is being served; empty for none.
-        place: where the goal stands.
+        entry: event, goal or text that was received.
+        goal: running goal and its rule; empty if none.
+        event: event that is being processed; empty if none.
+        place: position of the goal.
     """
 
     entry: str
@@ -44,16 +49,13 @@ class AtWork(NamedTuple):
 
 
 class Watchdog:
-    """Warns of an entry (see `Budget`) that is at work for long, and ends it past its seconds.
-
-    What is at work is noted by whoever works in any case, so looking from outside costs events nothing, and it finds
-    also what no goal counts: patterns at work, many short goals, a receiver of outputs that waits.
+    """Warns about an entry (see `Budget`) that runs for a long time, and ends it at its time limit.
 
     Args:
-        turn: tells what is at work: its ``thread`` and ``entry``.
-        budget: tells what it may use.
-        patience: seconds after which is warned, and again after twice that time, and so on; None for never.
-        warn: called in the watchdog's thread with the seconds and the entry, while that may still be at work.
+        turn: the executor, with the current ``thread`` and ``entry``.
+        budget: limits of the entry.
+        patience: seconds until the first warning, and again after twice that time, and so on; None for no warning.
+        warn: called in the watchdog's thread with the duration in seconds and the entry.
     """
 
     def __init__(self, turn: Turn, budget: Budget, patience: Optional[float], warn: Warn):
@@ -66,16 +68,18 @@ class Watchdog:
         self._next: Optional[float] = patience
 
     def look(self, now: float) -> None:
-        """Look what is at work at an instant of the monotonic clock."""
+        """Sample the running work at a time of the monotonic clock."""
         budget = self._budget
         entry = None if self._turn.thread is None else self._turn.entry
-        if entry is None or entry is not self._entry:  # it is held, so no other is taken for it
+        # The reference keeps the entry alive, so another entry cannot have the same identity.
+        if entry is None or entry is not self._entry:
             self._entry = entry
             self._since = now
             self._next = self._patience
             return
         ran = now - self._since
         seconds = budget.limits.seconds
+        # `rounds` counts the limits that were granted so far: a goal may catch the first resource error and continue.
         if seconds is not None and ran >= seconds * budget.rounds:
             budget.expire(entry)
         if self._next is not None and ran >= self._next:
@@ -83,7 +87,7 @@ class Watchdog:
             self._warn(ran, entry)
 
     def held(self, now: float) -> Optional[Tuple[object, float]]:
-        """Return what is at work, and for how many seconds by the looks so far; None where nothing is."""
+        """Return the running entry and its sampled duration in seconds; None if nothing is running."""
         entry = None if self._turn.thread is None else self._turn.entry
         if entry is None:
             return None
@@ -94,7 +98,7 @@ class Watchdog:
         return entry, now - self._since
 
     def pause(self) -> float:
-        """Return the seconds to the next look."""
+        """Return the time until the next sample in seconds."""
         times = [time for time in (self._patience, self._budget.limits.seconds) if time is not None]
         return max(_SHORTEST, min(_MAX_LOOK_SECONDS, min(times, default=_MAX_LOOK_SECONDS) / _LOOKS))
 
@@ -102,13 +106,14 @@ class Watchdog:
 def watch(
     turn: Turn, logic: PrologSystem, dispatcher: Dispatcher, reports: Reports, patience: Optional[float]
 ) -> Watchdog:
-    """Return what watches an engine as long as somebody holds it, and have it reported what it finds."""
+    """Create the watchdog of an engine and start its thread; it reports what it finds."""
     budget = logic.machine.budget
 
     def warn(seconds: float, entry: object) -> None:
         try:
             reports.warning(*_held_up(logic, dispatcher, entry, seconds))
-        except Exception as error:  # it is at work in another thread; the watch goes on all the same
+        # Reads data of another thread that may change meanwhile; the watchdog must survive errors from that.
+        except Exception as error:
             reports.error(error)
 
     def refused(number: int, what: str, entry: object) -> None:
@@ -127,6 +132,7 @@ def watch(
     budget.on_stopped = stopped
     watchdog = Watchdog(turn, budget, patience, warn)
     if patience is not None or budget.limits.seconds is not None:
+        # Without a warning and a time limit there is nothing to sample, so no thread is started.
         _begin(watchdog)
         _BEGUN.add(watchdog)
     return watchdog
@@ -144,17 +150,20 @@ def _begin_in_child() -> None:
         _begin(watchdog)
 
 
-if hasattr(os, "register_at_fork"):  # not on Windows; a forked process has none of the threads
+# A forked process has none of the threads of its parent. Not available on Windows.
+if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_begin_in_child)
 
 
 def _run(known: "ref[Watchdog]") -> None:
     while True:
+        # A weak reference, so that the thread ends when the engine is deleted.
         watchdog = known()
         if watchdog is None:
             return
         watchdog.look(time.monotonic())
         pause = watchdog.pause()
+        # The reference must not be held during the sleep, or the engine would never be deleted.
         del watchdog
         time.sleep(pause)
 
@@ -162,9 +171,9 @@ def _run(known: "ref[Watchdog]") -> None:
 def _held_up(
     logic: PrologSystem, dispatcher: Dispatcher, entry: object, seconds: float
 ) -> Tuple[RuleError, Tuple[str, str]]:
-    """Return a warning of what is at work, and what tells it from others.
+    """Return a warning about the running work, and the key by which equal warnings are counted.
 
-    Terms of events and questions are not shown but named: they may be large, and change in the other thread.
+    Terms of events and queries are not shown, only named: they may be large, and the other thread may change them.
     """
     found = at_work(logic, dispatcher, entry)
     who = found.goal or "no goal"
@@ -174,7 +183,7 @@ def _held_up(
 
 
 def at_work(logic: PrologSystem, dispatcher: Dispatcher, entry: object) -> AtWork:
-    """Return what is at work in an engine, named by a thread that looks from outside."""
+    """Return a description of the running work; may be called from any thread."""
     goal, current = logic.machine.budget.goal, dispatcher.current
     place: Optional[Place] = getattr(entry, "place", None)
     who = ""
@@ -187,7 +196,7 @@ def at_work(logic: PrologSystem, dispatcher: Dispatcher, entry: object) -> AtWor
 
 
 def _first(term: Any) -> Any:
-    """Return a term, or the first goal of a conjunction: a name of the conjunction says nothing."""
+    """Return the first goal of a conjunction, because its own functor says nothing; else the term."""
     term = deref(term)
     for _ in range(_MAX_CONJUNCTION_DEPTH):
         if term.__class__ is not tuple or term[0] is not COMMA:
@@ -197,7 +206,7 @@ def _first(term: Any) -> Any:
 
 
 def _name(entry: object) -> str:
-    """Name what came in: the functor of a term, the beginning of a text."""
+    """Return a name of an entry: the functor of a term or the beginning of a text."""
     what = _first(entry[0]) if isinstance(entry, tuple) and entry else None
     if isinstance(what, str):
         return beginning(what)

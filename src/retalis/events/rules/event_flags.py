@@ -1,4 +1,4 @@
-"""Flags of the event language: their values, defaults, and what they do to the network."""
+"""Flags of the event language: values, defaults, and the network options that they determine."""
 
 from difflib import get_close_matches
 from math import inf
@@ -15,14 +15,14 @@ _SWITCH = ("off", "on")
 
 
 class Flag(NamedTuple):
-    """A flag: its default, and the names it takes (none: a number).
+    """A flag with its default and its values: names, or numbers if there are no names.
 
     Attributes:
-        default: the default.
-        values: the names.
-        takes: the numbers that it takes, for errors.
-        least: the smallest of these, apart from the default.
-        whole: whether they are whole.
+        default: default value.
+        values: permitted names.
+        takes: description of the permitted numbers for error messages.
+        least: minimum of the numbers; the default may be less.
+        whole: whether numbers must be integers.
     """
 
     default: Term
@@ -38,6 +38,7 @@ def _switch(default: str = "off") -> Flag:
 
 _SECONDS = Flag(-1, (), "a number of seconds from 0, or -1 for none", 0)
 
+# Flags without effect here exist in ETALIS, and programs written for it set them.
 FLAGS: Dict[str, Flag] = {
     "event_consumption_policy": Flag(atom("recent"), tuple(policy.value for policy in ConsumptionPolicy)),
     "out_of_order": _switch(),
@@ -65,10 +66,10 @@ FLAGS: Dict[str, Flag] = {
 
 
 class Flags:
-    """The values of all flags.
+    """Values of all flags.
 
     Args:
-        on_change: called with the name of a flag that was given another value.
+        on_change: called with the name of a flag when its value has changed.
     """
 
     def __init__(self, on_change: Callable[[str], None]):
@@ -79,7 +80,7 @@ class Flags:
         self._changing: Optional[str] = None
 
     def get(self, name: str) -> Optional[Term]:
-        """Return the value of a flag, or None where there is no such flag."""
+        """Return the value of a flag, or None if the flag does not exist."""
         return self._values.get(name)
 
     def names(self) -> List[str]:
@@ -90,7 +91,7 @@ class Flags:
         """Set a flag.
 
         Raises:
-            UsageError: for an unknown flag or a value that it does not take.
+            UsageError: if the flag does not exist or the value is invalid.
         """
         flag = FLAGS.get(name)
         if flag is None:
@@ -101,18 +102,20 @@ class Flags:
                 raise UsageError(f"{name} takes {', '.join(flag.values)}")
         elif (
             not isinstance(value, (int, float))
-            or not (flag.least <= value < inf or value == flag.default)  # nan is neither
+            # NaN is neither in the range nor equal to the default.
+            or not (flag.least <= value < inf or value == flag.default)
             or (flag.whole and value % 1)
         ):
             raise UsageError(f"{name} takes {flag.takes}")
         if value != self._values[name]:
+            # An interrupt may come before the listeners have been called; `mend` calls them then.
             self._changing = name
             self._values[name] = value
             self._tell(name)
             self._changing = None
 
     def set_default(self, name: str, value: Term) -> None:
-        """Set a flag, also to come back to when all are reset."""
+        """Set a flag and make the value its default."""
         self.set(name, value)
         self._defaults[name] = value
 
@@ -121,7 +124,7 @@ class Flags:
         self._followers[name] = callback
 
     def changed(self) -> Dict[str, Term]:
-        """Return the flags that have other values than by default."""
+        """Return the flags whose values differ from their defaults."""
         return {name: value for name, value in self._values.items() if value != self._defaults[name]}
 
     def _tell(self, name: str) -> None:
@@ -130,22 +133,22 @@ class Flags:
             self._followers[name](self.number(name))
 
     def mend(self) -> None:
-        """Have what follows from a flag be done that was being set when an interrupt came."""
+        """Call the listeners of a flag that was being changed when an interrupt came."""
         if self._changing is not None:
             self._tell(self._changing)
             self._changing = None
 
     def reset(self) -> None:
-        """Set all flags to their defaults."""
+        """Reset all flags to their defaults."""
         for name, value in self._defaults.items():
             self.set(name, value)
 
     def is_on(self, name: str) -> bool:
-        """Tell whether a switch is on."""
+        """Return whether a switch is on."""
         return self._values[name] is atom("on")
 
     def number(self, name: str) -> float:
-        """Return the value of a flag that is a number."""
+        """Return the value of a numeric flag."""
         value = self._values[name]
         assert isinstance(value, (int, float))
         return value
@@ -156,7 +159,7 @@ class Flags:
         return value.name
 
     def mode(self) -> NetworkOptions:
-        """Return how the network is to run."""
+        """Return the network options that the flags determine."""
         return NetworkOptions(
             ConsumptionPolicy(self._text("event_consumption_policy")),
             self.is_on("out_of_order"),
@@ -165,18 +168,19 @@ class Flags:
         )
 
     def key_bounds(self) -> KeyBounds:
-        """Return the bounds of the states of keys, for what has no properties."""
+        """Return the limits for keyed state, for rules without properties."""
         ttl = self.number("state_ttl")
         return KeyBounds(None, from_seconds(ttl) if ttl > 0 else None, int(self.number("max_keys")))
 
     def garbage_control(self, properties: Dict[str, List[int]]) -> Optional[Tuple[int, int]]:
-        """Return window and step of the garbage control of a rule with these properties, or None.
+        """Return window and step of the garbage control for a rule with the given properties, or None.
 
-        A time to live is a garbage control of that window: at each event, all goes that is older.
+        A time to live acts as garbage control with that window and step 0: each event removes everything older.
         """
         ttl = self.key_bounds().idle
+        # A property of the label overrides the flag; 0 turns the time to live off.
         if "ttl" in properties:
-            ttl = min([one for one in properties["ttl"] if one], default=None)  # 0 means that nothing ends
+            ttl = min([one for one in properties["ttl"] if one], default=None)
         found = self._garbage_control(properties)
         return (ttl, 0) if ttl is not None and (found is None or ttl < found[0]) else found
 

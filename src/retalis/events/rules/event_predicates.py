@@ -1,10 +1,9 @@
-"""What goals of the event language are given: names of files, lists, intervals.
+"""Event input as goals: ``event/1,2``, ``new_event/2,3,5``, and the goals that fire lists and files of events.
 
-Events written as goals: ``event/1,2`` and ``new_event/2,3,5``, in programs and on the String topics.
-
-The goals with which a program makes events at times of its own: ``new_event/2,3,5``.
-
-Goals that fire events: one, a list, a file.
+`InputReader` parses the same goals from text, as other nodes send them. Most texts are ``event(E,[T,T])`` with two
+equal timestamps; they are read by a shorter way that caches the seconds and parses only the event as a term.
+`define_new_event` defines the goals that emit events with given timestamps, `define_firing` those of the event
+language.
 """
 
 import re
@@ -31,10 +30,10 @@ EVENT2 = functor("event", 2)
 
 
 def path_of(term: Term) -> str:
-    """Return the name of a file.
+    """Return the name of a file that a term denotes.
 
     Raises:
-        PrologError: where it is none.
+        PrologError: if the term is not an atom or string.
     """
     term = deref(term)
     if term.__class__ is Var:
@@ -48,7 +47,7 @@ def items_of(term: Term) -> List[Term]:
     """Return the items of a list.
 
     Raises:
-        PrologError: where it is none.
+        PrologError: if the term is not a list.
     """
     items = list_items(term)
     if items is None:
@@ -57,10 +56,10 @@ def items_of(term: Term) -> List[Term]:
 
 
 def interval_of(term: Term) -> Tuple[int, int]:
-    """Return the interval of ``[T1,T2]``.
+    """Return start and end of an interval ``[T1,T2]``.
 
     Raises:
-        PrologError: where it is none, or reversed.
+        PrologError: if the term is not an interval, or the end precedes the start.
     """
     stamps = list_items(term)
     if stamps is None or len(stamps) != 2:
@@ -79,10 +78,10 @@ _NANOSECOND = re.compile(r"\d{1,9}\)", re.ASCII)
 
 
 class InputEvent(NamedTuple):
-    """An event and the two instants of its interval; None where the clock is to stamp it.
+    """An event with its interval; start and end are None if the clock is to provide them.
 
     Attributes:
-        ground: whether the event has no variables; None where nobody has looked.
+        ground: whether the event has no variables; None if unknown.
     """
 
     term: Term
@@ -92,10 +91,10 @@ class InputEvent(NamedTuple):
 
 
 class InputReader:
-    """Reads events from the text of their goals; not for use by two threads at once.
+    """Parses events from the text of goals; not thread-safe.
 
     Args:
-        operators: those that hold in the texts.
+        operators: operators of the texts.
     """
 
     def __init__(self, operators: Operators):
@@ -103,19 +102,19 @@ class InputReader:
         self._seconds: Cache[str, int] = Cache(64, 1 << 16)
 
     def goal(self, text: str) -> Term:
-        """Return the goal of a text.
+        """Parse a goal.
 
         Raises:
-            SyntaxFault: where it is none.
+            SyntaxFault: if the text is not a term.
         """
         return self._reader.read(text)
 
     def event(self, text: str) -> Optional[InputEvent]:
-        """Return the event that a text makes, or None where it is another goal.
+        """Parse a goal and return the event that it denotes, or None for another goal.
 
         Raises:
-            SyntaxFault: where it is not a goal.
-            PrologError: where it is such a goal with arguments that make no event.
+            SyntaxFault: if the text is not a term.
+            PrologError: if the arguments of the goal are invalid.
         """
         if text.startswith("event("):
             found = self._stamped(text)
@@ -124,17 +123,21 @@ class InputReader:
         return event_of(self._reader.read(text))
 
     def _stamped(self, text: str) -> Optional[InputEvent]:
-        """Read ``event(E,[T,T])`` as other nodes write it, the two stamps by their own short way; None if it is not.
+        """Parse ``event(E,[T,T])`` with two equal timestamps as other nodes write it; return None for other texts.
 
-        That the text up to the stamps and ``)`` is ``event(E)`` makes sure that they stand where they seem to.
+        The text before the timestamps, closed by ``)``, must read as ``event(E)``. This proves that the timestamps
+        are the
+        second argument and not part of a quoted text in the event.
         """
         at = text.rfind(",[datime(")
         stamps = text[at + 2 :]
         middle = (len(stamps) - 3) // 2
         stamp = stamps[:middle]
+        # Two equal timestamps, compared as text.
         if at < 0 or stamps != f"{stamp},{stamp}])":
             return None
         last = stamp.rfind(",") + 1
+        # Texts of one second share their first six numbers, so the cache saves the conversion of the calendar date.
         second = self._seconds.get(stamp[:last])
         if second is None:
             second = self._learn(stamp[:last])
@@ -142,7 +145,8 @@ class InputReader:
             return None
         try:
             goal = self._reader.read(text[:at] + ")")
-        except SyntaxFault:  # for the one that names the place in the whole text
+        # The general way reports the error with its position in the whole text.
+        except SyntaxFault:
             return None
         if goal.__class__ is not tuple or goal[0] is not EVENT1:
             return None
@@ -150,7 +154,7 @@ class InputReader:
         return InputEvent(callable_of(goal[1]), instant, instant, self._reader.ground)
 
     def _learn(self, text: str) -> Optional[int]:
-        """Return the instant of a datime's text up to its nanoseconds, and remember it; None where it is none."""
+        """Convert the text of a datime without its nanoseconds to an instant and cache it; return None if invalid."""
         found = _SECOND.fullmatch(text)
         if found is None:
             return None
@@ -162,10 +166,10 @@ class InputReader:
 
 
 def event_of(goal: Term) -> Optional[InputEvent]:
-    """Return the event that a goal makes, or None where it is another goal.
+    """Return the event that a goal denotes, or None for another goal.
 
     Raises:
-        PrologError: where it is such a goal with arguments that make no event.
+        PrologError: if the arguments of the goal are invalid.
     """
     goal = deref(goal)
     if goal.__class__ is not tuple:
@@ -176,7 +180,8 @@ def event_of(goal: Term) -> Optional[InputEvent]:
 
 def _event1(arguments: Sequence[Term]) -> InputEvent:
     term = callable_of(arguments[0])
-    if term.__class__ is tuple and term[0] is _EVENT2:  # event(event(E,[T1,T2])) is event(E,[T1,T2])
+    # event(event(E,[T1,T2])) is the same as event(E,[T1,T2]).
+    if term.__class__ is tuple and term[0] is _EVENT2:
         return _with_interval(term[1:])
     return InputEvent(term, None, None)
 
@@ -217,11 +222,12 @@ def _checked(arguments: Sequence[Term], start: int, end: int) -> InputEvent:
 
 
 def define_new_event(logic: PrologSystem, dispatcher: Dispatcher) -> None:
-    """Define ``new_event``: with a list of two stamps, with seconds and nanoseconds, with those of start and end."""
+    """Define ``new_event/2,3,5``: with an interval, with seconds and nanoseconds, and with those of start and end."""
     dispatch = dispatcher.dispatch
 
     def at_instant(machine: Machine, arguments: Sequence[Term], after: Frame, plain: bool = False) -> Frame:
         event, seconds, nanoseconds = arguments
+        # The common case of two integers in range avoids the general conversion.
         if seconds.__class__ is int and nanoseconds.__class__ is int:
             instant = seconds * SECOND + nanoseconds
             if FIRST <= instant < LAST:
@@ -229,6 +235,7 @@ def define_new_event(logic: PrologSystem, dispatcher: Dispatcher) -> None:
         return general(machine, arguments, after)
 
     def general(machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
+        # `own=False`: the event is dispatched as if it came from outside, not as derived from the current event.
         made = READERS[functor("new_event", len(arguments))](arguments)
         return dispatch(made.term, made.start, made.end, after, own=False)
 
@@ -241,12 +248,12 @@ _EVENT1 = functor("event", 1)
 
 
 def define_firing(rules: Any) -> None:
-    """Define the goals that fire events for a program's rules."""
+    """Define the goals that fire events."""
     _FiringGoals(rules).define(rules.logic)
 
 
 class _FiringGoals:
-    """Goals that fire events: one, a list, a file."""
+    """The goals that fire one event, a list of events, or a file."""
 
     def __init__(self, rules: Any):
         self.rules = rules
@@ -260,7 +267,7 @@ class _FiringGoals:
         logic.define("exists_file", 1, self.exists)
 
     def event(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Optional[Frame]:
-        """Dispatch an event, with the interval given or stamped by the clock."""
+        """Dispatch an event with a given interval or the clock's present time."""
         term = callable_of(arguments[0])
         interval: Optional[Term] = arguments[1] if len(arguments) == 2 else None
         if interval is None and term.__class__ is tuple and term[0] is EVENT2:
@@ -281,6 +288,7 @@ class _FiringGoals:
                 UsageError("fire_event_list takes a list; what it was given is fired as a single event")
             )
             goals = [callable_of(arguments[0])]
+        # The terms are copied, because their variables may be bound or unbound again before their turn.
         return self._each([copy(goal) for goal in goals], after)
 
     def fire_and_return(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Optional[Frame]:
@@ -309,13 +317,13 @@ class _FiringGoals:
         return self._each(goals, after)
 
     def _each(self, goals: Sequence[Term], after: Frame) -> Optional[Frame]:
-        """Return the frame that calls the goals in order; what fails or raises is reported, and the rest goes on."""
+        """Return a frame that calls the goals in order; goals that fail or raise are reported and skipped."""
         stream = _Stream(self.rules, goals)
         return stream.run((stream, after))
 
 
 class _Stream:
-    """Code of a frame that calls the goals that are left."""
+    """Code of a frame that calls the remaining goals of a stream, one for each activation of the frame."""
 
     def __init__(self, rules: Any, goals: Sequence[Term]):
         self.rules = rules
@@ -325,6 +333,7 @@ class _Stream:
         self.call = rules.logic.compile_goal((functor("call", 1), query), [query], [])
 
     def run(self, frame: Frame) -> Optional[Frame]:
+        # Only the first remaining goal: the frame is activated again when the goal and its consequences are done.
         for goal in self.goals:
             found: Optional[Frame] = self.machine.attempt(
                 self.call, (goal,), self._done(frame), (_FAILED, self, goal, frame), self._raised(goal)
@@ -338,6 +347,7 @@ class _Stream:
 
     def _raised(self, goal: Term) -> Callable[[PrologError], None]:
         def report(error: PrologError) -> None:
+            # A goal that raises also fails; the mark tells `_Failed` that it has been reported.
             self.goals = iter([_RAISED, *self.goals])
             text = self.rules.logic.show(goal)
             self.rules.on_error(UsageError(f"{text} in an event stream: {error.message}"))
@@ -349,7 +359,7 @@ _RAISED: Any = object()
 
 
 class _Failed:
-    """Code of the frame for a goal of a stream that failed (or raised, which is reported already)."""
+    """Code of the frame for a goal of a stream that has failed or raised."""
 
     @staticmethod
     def run(frame: Frame) -> Frame:

@@ -1,4 +1,8 @@
-"""The events that a program has declared: kept as clauses, so that they come and go with the program's others."""
+"""Event schemas: the declarations ``declare_event/1`` of a program, and the check of events against them.
+
+Declarations are stored as clauses of a hidden predicate. So they are removed, reloaded and saved together with the
+other clauses of a program, without code of their own. The parsed form is cached per clause.
+"""
 
 from typing import Any, Callable, Dict, Iterable, List
 
@@ -19,15 +23,16 @@ _NONE: List[Clause] = []
 
 
 class EventTypes:
-    """The declarations of a program.
+    """Declared events of a program.
 
     Args:
-        rules: of the program, whose flag says whether every event is to be declared.
+        rules: rules of the program; a flag tells whether each event must be declared.
+        is_external_event: returns whether events of a functor need no declaration, because they are messages or
+            events of
+            the package itself.
 
     Attributes:
-        in_use: whether anything has ever been declared: where not, no event is looked at.
-        others: tells of the functor of an event whether it needs no declaration, as those that the package makes
-            by itself and messages.
+        in_use: whether anything has been declared. If not, events are not checked at all.
     """
 
     def __init__(self, rules: Any, is_external_event: Callable[[Functor], bool]):
@@ -44,7 +49,7 @@ class EventTypes:
         logic.define(DECLARE_EVENT.name, 1, self._declare)
 
     def now(self) -> Declarations:
-        """Return the declarations that hold, to which others may be added without anybody seeing it."""
+        """Return a copy of the present declarations; additions to it have no effect on others."""
         return Declarations(
             self._logic.brief,
             self._found(),
@@ -54,7 +59,8 @@ class EventTypes:
 
     def _found(self) -> Iterable[Declaration]:
         predicate = self._logic.database.predicates.get(_DECLARED)
-        before, self._read = self._read, {}  # what has gone since is not kept
+        # The new dictionary keeps only clauses that still exist.
+        before, self._read = self._read, {}
         for clause in () if predicate is None else predicate.live():
             known = before.get(clause)
             if known is None:
@@ -78,16 +84,19 @@ class EventTypes:
         return True
 
     def clear(self) -> None:
-        """Forget all declarations."""
+        """Remove all declarations."""
         predicate = self._logic.database.predicates.get(_DECLARED)
         if predicate is not None:
             predicate.clear()
 
     def refusal(self, term: Term) -> str:
-        """Return why an event that has come does not fit its declaration, "" where it does."""
+        """Return the reason why an event does not match its declaration, or "" if it matches."""
         predicate = self._logic.database.predicates.get(_DECLARED)
         clauses, dead = (_NONE, 0) if predicate is None else (predicate.clauses, predicate.dead)
         strict = self._flags.get(UNDECLARED.name) is STRICTLY
+        # The declarations are parsed again if the clauses have changed. A list of clauses only grows, or is replaced
+        # by
+        # another list, so its identity and length, the number of dead clauses and the flag identify its contents.
         number = len(
             clauses
         )  # a list of clauses is only ever added to; else there is another one in its place
@@ -102,10 +111,10 @@ class EventTypes:
         return self._known.refusal(term)
 
     def require(self, pattern: Term) -> None:
-        """Look at a pattern or event of a goal.
+        """Check a pattern or event in a goal.
 
         Raises:
-            PrologError: where it does not fit its declaration.
+            PrologError: if it does not match its declaration.
         """
         wrong = self.refusal(pattern) if self.in_use else ""
         if wrong:
@@ -116,5 +125,6 @@ def _read(clause: Clause) -> List[Declaration]:
     assert isinstance(clause.head, tuple)
     try:
         return [one for one, _ in declared_in(clause.head, nowhere)]
-    except RuleError:  # asserted by the program, and no declaration
+    # Asserted by the program under the hidden name, and not a declaration.
+    except RuleError:
         return []

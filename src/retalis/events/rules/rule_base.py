@@ -1,6 +1,9 @@
-"""The rules that take events, in order, and found by label and by what they say.
+"""The rule base: the event rules of a program, found by label and by definition, and the flags that configure them.
 
-All event rules of a program and the flags by which they run.
+A rule is compiled to a network (`EventRule`) and activated, which makes its nodes listen to events. Rules fire in the
+order in which they were activated. Flags and properties of labels (consumption policy, garbage control, time to live)
+are applied at once to all active rules. The rule base also reports problems of rules, with exponentially decreasing
+frequency, so that a rule that fails at each event does not flood the log.
 """
 
 import logging
@@ -41,7 +44,7 @@ _Groups = Dict[Hashable, Dict[EventRule, None]]
 
 
 class RuleIndex:
-    """The rules of a program, the oldest first."""
+    """Active rules in order, with indexes by label and by definition."""
 
     def __init__(self) -> None:
         self._all: Dict[EventRule, None] = {}
@@ -52,12 +55,12 @@ class RuleIndex:
         return iter(self._all)
 
     def add(self, rule: EventRule) -> None:
-        """Take a rule in, after all others."""
+        """Add a rule at the end."""
         self._all[rule] = None
         self._file(rule)
 
     def take_out(self, rule: EventRule) -> bool:
-        """Take a rule out; returns whether it was there."""
+        """Remove a rule; return whether it was present."""
         if self._all.pop(rule, 0) is not None:
             return False
         _take_out(self._by_label, term_key(label_of(rule)), rule)
@@ -65,15 +68,15 @@ class RuleIndex:
         return True
 
     def labelled(self, label: Term) -> List[EventRule]:
-        """Return the rules that have a label."""
+        """Return the rules with a label."""
         return list(self._by_label.get(term_key(label), ()))
 
     def alike(self, key: Hashable) -> List[EventRule]:
-        """Return the rules that say the same, see `RuleDefinition.key`."""
+        """Return the rules with an equal definition; see `RuleDefinition.key`."""
         return list(self._by_key.get(key, ()))
 
     def mend(self) -> None:
-        """Put right what an interrupt may have left half done: a rule is found in every way, or in none."""
+        """Rebuild the indexes after an interrupt, which may have come between two of their updates."""
         self._by_label, self._by_key = {}, {}
         for rule in self._all:
             self._file(rule)
@@ -89,7 +92,7 @@ def label_of(rule: EventRule) -> Term:
 
 
 def _take_out(groups: _Groups, key: Hashable, rule: EventRule) -> None:
-    """Take a rule out from among those of a key."""
+    """Remove a rule from the group of a key, and an empty group from the index."""
     del groups[key][rule]
     if not groups[key]:
         del groups[key]
@@ -107,24 +110,24 @@ class RuleBase:
     """The event rules of a program.
 
     Args:
-        logic: where goals are compiled and clauses are kept.
-        dispatcher: whose events the rules take, and which takes theirs.
-        clock: gives ``now()`` and takes alarms by ``call_at(instant, callback)``.
-        cap: how many partial matches a rule may have (the oldest go), and how many alarms may be set (further ones
-            are dropped).
-        future: by how many nanoseconds a stamp may be ahead of the clock to move the clocks of rules.
+        logic: compiles goals and stores clauses.
+        dispatcher: dispatches events to the rules and receives derived events.
+        clock: provides the time and alarms.
+        cap: maximum number of partial matches of a rule (the oldest are dropped) and of alarms (further ones are
+            dropped).
+        future: maximum time in ns by which a timestamp may be ahead of the clock and still advance windows.
         on_error: called with each error of a rule or goal while events are processed; by default it is logged.
         on_warning: called with each warning; by default it is logged.
-        on_reset: called if a goal drops partial matches; its argument tells whether stored events are dropped, too.
-        is_external_event: tells whether events of a functor come from outside the program without a declaration.
+        on_reset: called if a goal drops partial matches; the argument tells whether stored events are dropped, too.
+        is_external_event: returns whether events of a functor come from outside the program without a declaration.
 
     Attributes:
-        warn_singletons: whether variables that stand in a clause only once are worth a warning.
+        warn_singletons: whether to warn of variables that occur only once in a clause.
         flags: the flags of ``set_etalis_flag/2``.
-        declared: the events that have been declared.
-        mode: what the flags say about how the network runs.
-        key_bounds: the bounds of the states of keys that flags set.
-        fired_before: how many whole matches rules had that were deleted.
+        declared: declared events.
+        mode: network options derived from the flags.
+        key_bounds: limits for keyed state derived from the flags.
+        fired_before: number of complete matches of deleted rules.
     """
 
     def __init__(
@@ -173,17 +176,17 @@ class RuleBase:
         """Load the text of an event file.
 
         Raises:
-            ProgramErrors: all errors; nothing of the text is active then.
+            ProgramErrors: all errors; nothing of the text is active.
         """
         self.loader.load_text(text, source, folder)
 
     def load_file(self, path: Union[str, "PathLike[str]"]) -> None:
-        """Load an event file of the program's own, whose folder its goals may read from then on.
+        """Load an event file of the program and allow its goals to read files in the same folder later.
 
         Raises:
-            ProgramErrors: all errors; nothing of the file is active then.
-            PrologError: where it is not there, or no file can have that name.
-            UsageError: where it cannot be read.
+            ProgramErrors: all errors; nothing of the file is active.
+            PrologError: if the file does not exist or the name is invalid.
+            UsageError: if the file cannot be read.
         """
         with self.files.loading():
             found = self.files.resolve(path)
@@ -191,10 +194,10 @@ class RuleBase:
             self.loader.load_file(found)
 
     def load_terms(self, terms: Sequence[Tuple[Term, Optional[Place]]]) -> None:
-        """Load terms as if they were an event file.
+        """Load terms like the contents of an event file.
 
         Raises:
-            ProgramErrors: all errors; nothing is active then.
+            ProgramErrors: all errors; nothing is active.
         """
         self.loader.load_terms(terms)
 
@@ -202,44 +205,45 @@ class RuleBase:
 
     @property
     def rules(self) -> List[EventRule]:
-        """The rules that take events, oldest first."""
+        """The active rules, oldest first."""
         return list(self._table)
 
     def add(self, definition: RuleDefinition) -> EventRule:
-        """Add a rule after all others; it sees later events only."""
+        """Add a rule at the end; it receives later events only."""
         rule = self.compile(definition)
         self.activate(rule)
         return rule
 
     def compile(self, definition: RuleDefinition) -> EventRule:
-        """Build a rule without having it take events.
+        """Compile a rule without activating it.
 
         Raises:
-            RetalisError: where a goal or pattern cannot be compiled.
+            RetalisError: if a goal or pattern cannot be compiled.
         """
         self.serial += 1
         return EventRule(self, definition, self.serial, self._name(definition))
 
     def activate(self, rule: EventRule) -> None:
-        """Have a rule take events."""
+        """Activate a rule, so that it receives events."""
         self._table.add(rule)
         self._configure(rule)
 
     def insert(self, term: Term) -> bool:
-        """Add one rule given as a term; anything else is added as a clause, and the result is False.
+        """Add a term as a rule or, if it is not a rule, as a clause; return whether it is a rule.
 
         Raises:
-            ProgramErrors: where the rule cannot fire.
+            ProgramErrors: if the rule is invalid.
         """
+        # The goal's term is copied, because its bindings are undone when the goal is left.
         term = copy(term)
         self.loader.load_terms([(term, None)])
         return is_rule(term)
 
     def delete(self, term: Term) -> bool:
-        """Delete by label (all rules with it), or by rule: exactly that one, and its partial matches.
+        """Delete all rules with a label, or the first rule that is equal to a term, with their partial matches.
 
         Returns:
-            Whether there was one.
+            Whether a rule was deleted.
         """
         term = deref(term)
         if is_rule(term):
@@ -251,7 +255,7 @@ class RuleBase:
         return bool(found)
 
     def delete_by_head(self, head: Term) -> bool:
-        """Delete all rules whose head unifies with a term; returns whether there were any."""
+        """Delete all rules whose head unifies with a term; return whether there were any."""
         found = []
         for rule in self.rules:
             trail: Trail = []
@@ -263,7 +267,7 @@ class RuleBase:
         return bool(found)
 
     def remove(self, rule: EventRule) -> None:
-        """Take a rule out, with its partial matches."""
+        """Remove a rule and its partial matches."""
         known = self._table.take_out(rule)
         rule.unlisten()
         rule.clear()
@@ -271,17 +275,18 @@ class RuleBase:
             self.fired_before += rule.firings.number
 
     def set_aside(self, rule: EventRule) -> None:
-        """Have a rule take no events for now; what waits in it stays."""
+        """Deactivate a rule and keep its partial matches."""
         self._table.take_out(rule)
         rule.unlisten()
 
     def arrange(self, rules: Sequence[EventRule], gone: Sequence[EventRule] = ()) -> None:
-        """Have these rules take events, in this order, and no others; what waits in them stays.
+        """Activate exactly these rules, in this order; they keep their partial matches.
 
         Args:
-            rules: new ones, those that take events, and those that were set aside.
-            gone: what was set aside for good.
+            rules: new, active or deactivated rules.
+            gone: deactivated rules to be deleted.
         """
+        # `remove` below counts their matches in `fired_before` only if they are in the table.
         for rule in gone:
             self._table.add(rule)
         kept = set(rules)
@@ -291,18 +296,22 @@ class RuleBase:
             else:
                 self.remove(rule)
         for rule in rules:
+            # The serial number defines the order of firing, so it must follow the new positions.
             self.serial += 1
             rule.serial = self.serial
             self.activate(rule)
 
     def mend(self) -> None:
-        """Put right what an interrupt may have left half done: a rule is there and listens, or neither."""
+        """Restore consistency after an interrupt: each rule is in all indexes and listens, or neither."""
+        # The loader rolls an interrupted load back, which uses the table and changes it; so it is mended twice.
         self._table.mend()
         self.loader.mend()
         self._table.mend()
         self.flags.mend()
+        # All listeners that no rule owns are removed: an interrupt may have left those of a half-removed rule.
         chosen = set(self.tracker.listeners)
-        self.deadlines.clear()  # each node asks anew
+        # Each node sets its timeout again.
+        self.deadlines.clear()
         for rule in self.rules:
             rule.mend()
             if not rule.sound:
@@ -317,16 +326,17 @@ class RuleBase:
         checker.term(copy(term), nowhere, None)
         if not checker.rules:
             return []
+        # The label is part of the identity only if the given term has one.
         wanted = checker.rules[0]
         found = self._table.alike(wanted.key)
         return [rule for rule in found if wanted.label is None or label_of(rule) is wanted.label]
 
     def note_conditions(self, conditions: Term, caller: str) -> None:
-        """Warn of predicates that the conditions of a memory or subscription call and that are not there."""
+        """Warn of unknown predicates in the conditions of a memory or subscription."""
         self.loader.note_calls(called_by(conditions, caller))
 
     def terms(self) -> List[Term]:
-        """Return the rules as they were written, and the bodies of the program's clauses."""
+        """Return the terms of all rules and the bodies of all clauses of the program."""
         predicates = [one for one in self.logic.database.predicates.values() if one.kind == "user"]
         bodies = [clause.body for one in predicates if not one.library for clause in one.live()]
         return [*(rule.definition.term for rule in self.rules), *bodies]
@@ -334,6 +344,7 @@ class RuleBase:
     def _name(self, definition: RuleDefinition) -> str:
         show = self.logic.brief
         head = "(no head)"
+        # Variables of a rule that was added at run time have no names; numbered ones would differ in each message.
         if (
             definition.head is not None
         ):  # a rule made at run time has no names; its own would be ever new ones
@@ -345,8 +356,10 @@ class RuleBase:
     # ---- how they run --------------------------------------------------------------------------------
 
     def set_property(self, one: Property) -> None:
-        """Give a label a property; it holds for the rules that have the label, at once."""
+        """Set a property of a label; it is applied at once to the rules with the label."""
         known = self._properties.setdefault(term_key(one.label), [])
+        # A property with a word has one value, so it replaces the previous one. Numbers of a window accumulate; the
+        # smallest applies.
         if one.word is not None:
             known[:] = [other for other in known if other.name != one.name]
         if one not in known:
@@ -355,11 +368,11 @@ class RuleBase:
             self._configure(rule)
 
     def all_properties(self) -> Dict[Hashable, List[Property]]:
-        """Return the properties of all labels, as `restore_properties` takes them."""
+        """Return the properties by label; see `restore_properties`."""
         return {key: list(found) for key, found in self._properties.items()}
 
     def restore_properties(self, properties: Dict[Hashable, List[Property]]) -> None:
-        """Have the labels have these properties and no others; this holds for their rules at once."""
+        """Replace the properties of all labels, and apply them to the rules."""
         if properties != self._properties:
             self._properties = properties
             for rule in self.rules:
@@ -385,22 +398,24 @@ class RuleBase:
             self.mode = self.flags.mode()
             self.key_bounds = self.flags.key_bounds()
             self.tracker.configure()
+            # Options are compiled into the nodes, so a change reconfigures all rules.
             for rule in self.rules:
                 self._configure(rule)
         elif name == "store_fired_events":
             self.store.keep_all(self.flags.is_on(name))
         elif name == UNDECLARED.name:
+            # The flag makes undeclared events errors, so each event must be checked even if nothing is declared.
             self.declared.in_use = True
 
     def newest_allowed(self) -> int:
-        """Return the newest stamp that may move the clock of a rule: some time after that by which alarms are due.
+        """Return the latest timestamp that may advance the clock of a rule: `future` after the time of due alarms.
 
-        A pinned clock says the same instant for ever; the time of its stream goes on.
+        A pinned clock always returns the same time, while the time of its stream advances, so the later one applies.
         """
         return max(self.clock.now(), self.clock.reached()) + self.future
 
     def clear(self) -> None:
-        """Drop all partial matches and what is kept of past events: time went back. Timers go on from there."""
+        """Remove all partial matches and stored events after time went back; timers start again."""
         self.deadlines.clear()
         for rule in self.rules:
             rule.clear()
@@ -408,7 +423,7 @@ class RuleBase:
         self.timers.start_anew()
 
     def reset(self) -> None:
-        """Drop all rules, properties, partial matches, stored events and timers; set all flags to their defaults."""
+        """Remove all rules, properties, partial matches, stored events and timers, and reset all flags."""
         for rule in list(self.rules):
             self.remove(rule)
         self.on_reset(True)
@@ -422,12 +437,12 @@ class RuleBase:
 
     @property
     def fired(self) -> int:
-        """How many whole matches all rules had, those that were deleted included."""
+        """Number of complete matches of all rules, including deleted ones."""
         return self.fired_before + sum(rule.firings.number for rule in self.rules)
 
     @property
     def waiting(self) -> int:
-        """How many partial matches there are."""
+        """Number of partial matches."""
         return sum(rule.held for rule in self.rules)
 
     # ---- alarms and reports --------------------------------------------------------------------------
@@ -435,7 +450,7 @@ class RuleBase:
     def set_alarm(
         self, rule: EventRule, term: Term, start: int, instant: int, token: Optional[Occurrence] = None
     ) -> None:
-        """Have an event fire when its instant has come."""
+        """Emit an event when the clock reaches an instant."""
         if len(self.clock.alarms) >= self.cap:
             rule.alarms_dropped += 1
             text = f": more than {self.cap} alarms are set; {rule.alarms_dropped} have been dropped so far"
@@ -444,21 +459,21 @@ class RuleBase:
         self.clock.call_at(instant, RuleAlarm(self, rule, term, start, instant, token))
 
     def time(self) -> int:
-        """Return the present instant by which alarms ring; while one rings, its own."""
+        """Return the present time for alarms; in a goal of an alarm, its instant."""
         ringing = self.clock.ringing
         return self.clock.reached() if ringing is None else ringing
 
     def wake(self, node: TimedNode, instant: int) -> None:
-        """Have a node ring when an instant has come."""
+        """Wake a node when the clock reaches an instant."""
         self.deadlines.add(node, instant)
 
     def came_late(self, rule: EventRule, what: str) -> None:
-        """Report that a match of a rule came too late to be taken."""
+        """Report that a match was too late to be used."""
         rule.late += 1
         self._warn_seldom(rule, rule.late, f": {what}; {rule.late} so far")
 
     def look_at_alarm(self, rule: EventRule, head: Term, alarm: Optional[Tuple[Term, int, int]]) -> None:
-        """Report an alarm for an instant that is over: one before its own start is None here, and rings never."""
+        """Report an alarm for a past instant; ``alarm`` is None if the instant precedes the event's own start."""
         if not is_absolute(head) or (alarm is not None and alarm[2] >= self.clock.now()):
             return
         rule.alarms_past += 1
@@ -467,7 +482,7 @@ class RuleBase:
         self._warn_seldom(rule, rule.alarms_past, text)
 
     def took_nothing_back(self, term: Term, rule: Optional[EventRule]) -> None:
-        """Report an event ``rev(E)`` where there is no E to take back; at 1, 2, 4, 8 ... of them."""
+        """Report an event ``rev(E)`` without an event E to retract, at the occurrences 1, 2, 4, 8 and so on."""
         self.revs_of_nothing += 1
         number = self.revs_of_nothing
         if number & (number - 1) == 0:
@@ -477,20 +492,21 @@ class RuleBase:
             self.on_warning(RuleError(f"{text}; {number} so far", place))
 
     def rule_failed(self, rule: EventRule, error: RuleError) -> None:
-        """Report what stopped a rule from firing."""
+        """Report an error that prevented a rule from firing."""
         rule.firings.errors += 1
         context = self.dispatcher.current
         met = "" if context is None else f", at event {self.logic.brief(context[TERM])}"
         self.on_error(RuleError(f"{rule.name}{met}: {error.message}", rule.place))
 
     def goal_failed(self, rule: EventRule, goal: Term, error: RetalisError) -> None:
-        """Report an error that a goal of a rule raised, or stopped for."""
+        """Report an error of a goal of a rule."""
+        # Only the first goals over a limit are reported one by one; the others are counted, see `Budget`.
         if keep_back(error):
             shown = self.logic.brief(goal, names=rule.definition.names)
             self.rule_failed(rule, RuleError(f"goal {shown}: {error.message}"))
 
     def dropped(self, rule: EventRule, ways: int = 0) -> None:
-        """Report that a rule has too many partial matches, or more than `ways` ways to take steps from one start."""
+        """Report that partial matches of a rule were dropped, or more than ``ways`` runs from one start."""
         text = f" has more than {self.cap} partial matches; {rule.dropped} of the oldest have been dropped so far"
         if ways:
             text = (
@@ -500,7 +516,7 @@ class RuleBase:
         self._warn_seldom(rule, rule.dropped, text)
 
     def dropped_key(self, rule: EventRule) -> None:
-        """Report that an operator of a rule has too many keys."""
+        """Report that keys of a rule were dropped."""
         text = (
             f" has more than {self.key_bounds.keys} keys; {rule.dropped} of the least recently used have been "
             "dropped so far; flag max_keys sets the number, property(ttl, SECONDS) of a label ends idle keys"
@@ -508,6 +524,6 @@ class RuleBase:
         self._warn_seldom(rule, rule.dropped, text)
 
     def _warn_seldom(self, rule: EventRule, number: int, text: str) -> None:
-        """Report what has happened to a rule a number of times; at 1, 2, 4, 8 ... of them."""
+        """Log a warning at the occurrences 1, 2, 4, 8 and so on."""
         if number & (number - 1) == 0:
             self.on_warning(RuleError(f"{rule.name}{text}", rule.place))

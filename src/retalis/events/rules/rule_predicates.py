@@ -1,6 +1,7 @@
-"""Goals of other Prologs that load files, and what is known of the file that is being loaded.
+"""Predicates of the event language: rules, flags, counters, files, and queries about stored and explained events.
 
-The goals of the event language: rules, flags, files, stored events; those that fire are in `firing`.
+Predicates that load files follow SWI-Prolog (``consult/1``, ``use_module/1,2``, ``ensure_loaded/1``,
+``load_files/2``). Those of ETALIS are named as there (``ins_event_rule/1``, ``set_etalis_flag/2``).
 """
 
 from pathlib import Path
@@ -26,7 +27,7 @@ _ONCE = ("not_loaded", "changed")
 
 
 def define_load_goals(rules: Any) -> None:
-    """Define the goals; those of the event language's own are in `predicates`."""
+    """Define the predicates of Prolog that load files; those of the event language are in `_RuleGoals`."""
     logic, loader = rules.logic, rules.loader
 
     def load(machine: Machine, names: Term, options: Term = NIL) -> bool:
@@ -43,6 +44,8 @@ def define_load_goals(rules: Any) -> None:
     def context(machine: Machine, key: Term, value: Term) -> Iterator[bool]:
         path = rules.files.innermost
         for one in () if path is None else _known(path):
+            # Bindings are undone before the next solution, as each solution of a nondeterministic predicate starts
+            # afresh.
             mark = len(machine.trail)
             if machine.unify_all((key, one[0]), (value, one[1])):
                 yield True
@@ -62,7 +65,7 @@ def define_load_goals(rules: Any) -> None:
 
 
 def _known(path: Path) -> Tuple[Tuple[Term, Term], ...]:
-    """Return what is known of the file at a path while it is loaded."""
+    """Return the properties of the file that is being loaded, as ``prolog_load_context/2`` reports them."""
     return (
         (atom("directory"), atom(str(path.parent))),
         (atom("source"), atom(str(path))),
@@ -73,7 +76,7 @@ def _known(path: Path) -> Tuple[Tuple[Term, Term], ...]:
 
 
 def define_predicates(rules: Any) -> None:
-    """Define all goals of the event language for a program's rules."""
+    """Define all predicates of the event language for a program's rules."""
     logic = rules.logic
     _RuleGoals(rules).define(logic)
     _FlagGoals(rules).define(logic)
@@ -84,7 +87,8 @@ def define_predicates(rules: Any) -> None:
 
 
 def _each(machine: Machine, terms: Sequence[Term], found: Iterator[Tuple[Term, ...]]) -> Iterator[bool]:
-    """Unify terms with one solution after the other."""
+    """Unify terms with one solution after another."""
+    # The solutions are collected first, because a goal may change what they are computed from.
     for solution in list(found):
         mark = len(machine.trail)
         if all(machine.unify(term, value) for term, value in zip(terms, solution)):
@@ -93,7 +97,7 @@ def _each(machine: Machine, terms: Sequence[Term], found: Iterator[Tuple[Term, .
 
 
 class _RuleGoals:
-    """Goals that add and delete rules."""
+    """Predicates that add and delete rules and load files."""
 
     def __init__(self, rules: Any):
         self.rules = rules
@@ -164,6 +168,7 @@ class _RuleGoals:
         return True
 
     def reset(self, machine: Machine) -> bool:
+        # A service must not be able to change flags by resetting all of them; see `PrologSystem.require_flags`.
         for name in self.rules.flags.changed():
             self.rules.logic.require_flags(atom(name))
         self.rules.reset()
@@ -171,11 +176,12 @@ class _RuleGoals:
 
 
 class _FlagGoals:
-    """Goals that set and read flags and counters."""
+    """Predicates that set and read flags and counters."""
 
     def __init__(self, rules: Any):
         self.rules = rules
-        state = rules.logic.state  # where it is kept with what built-ins keep
+        # Stored with the state of the built-ins, so that snapshots include it.
+        state = rules.logic.state
         self.counters: Dict[Hashable, int] = state.setdefault("counters of events", {})
         self.values: Dict[Hashable, Term] = state.setdefault("flags of events", {})
 
@@ -206,6 +212,7 @@ class _FlagGoals:
     def get_flag(self, machine: Machine, name: Term, value: Term) -> Iterator[bool]:
         name = deref(name)
         names = list(FLAGS) if name.__class__ is Var else [name.name if name.__class__ is Atom else ""]
+        # An unknown name that is given is an error; with a variable all flags are enumerated.
         for one in names:
             found = self.rules.flags.get(one)
             if found is None:
@@ -228,6 +235,7 @@ class _FlagGoals:
         return True
 
     def set_value(self, machine: Machine, name: Term, value: Term) -> bool:
+        # `nil` is the value of a flag that is not set, so setting it removes the entry.
         key, value = _key(name), copy(value)
         if value is _NO_VALUE:
             self.values.pop(key, None)
@@ -250,7 +258,7 @@ def _key(term: Term) -> Hashable:
 
 
 class _ListingGoals:
-    """Goals that look at what is there."""
+    """Predicates that query intervals, stored events and explanations."""
 
     def __init__(self, rules: Any):
         self.rules = rules
@@ -264,6 +272,7 @@ class _ListingGoals:
         logic.define("see_db", 0, self.see)
         logic.define_nondeterministic("justify_event", 3, self.justify)
         logic.define_nondeterministic("justification_edge", 2, self.edges)
+        # Declared dynamic, so that a call without any property fails and does not raise an existence error.
         logic.database.predicate(functor("event_rule_property", 3)).dynamic = True
 
     def checked(self, machine: Machine, instant: Term, at: int) -> bool:

@@ -1,12 +1,14 @@
-"""The clock, as rules know it.
+"""Timer service: timeouts of network nodes, alarms of rules, and the timers of goals ``timer/2``.
 
-When nodes are to be woken: one alarm of the clock for all of them, at the earliest of their instants.
+All of them are alarms of the engine's clock (a binary heap by time and order of setting), as the per-key timers of
+Flink's timer service are entries of one queue.
 
-Alarms that rules have set: events that fire when an instant has come.
-
-Timers that a program has set: events at instants that the clock reaches, once or again and again.
-
-The goals that set timers, cancel and list them: ``timer/2``, ``cancel_timer/1,2``, ``timers/1``.
+* `NodeTimers` has one alarm for all nodes with timeouts, such as ``within`` bounds and windows. A node that moves its
+  timeout does not search the heap: the old entry stays and is skipped when it is reached (lazy deletion). The heap is
+  rebuilt when more than half of it is stale.
+* `RuleAlarm` emits an event of a rule at a future instant (``exceptionAlarm``).
+* `Timers` holds the timers of the program, once or periodic. A jump of time, as at the start of a bag, would fire a
+  periodic timer millions of times; beyond `MAX_RINGS_PER_JUMP` only the last instant fires, with a warning.
 """
 
 import heapq
@@ -47,7 +49,7 @@ if TYPE_CHECKING:
 
 
 class Timing(Protocol):
-    """A clock with alarms.
+    """Interface of a clock with alarms.
 
     Attributes:
         ringing: the instant of the alarm that is being called; None between alarms.
@@ -57,46 +59,48 @@ class Timing(Protocol):
 
     @property
     def alarms(self) -> List[Tuple[int, int, Any]]:
-        """Those that are set: when, in which order, and what is called."""
+        """The alarms that are set: instant, order and callback."""
 
     def now(self) -> int:
-        """Return the present instant."""
+        """Return the present time in ns since the epoch."""
 
     def stamp(self) -> int:
-        """Return the present instant, later than all that were returned before."""
+        """Return the present time, increased to be later than all earlier results."""
 
     def call_at(self, instant: int, alarm: Callable[[int], None], /) -> None:
-        """Have a function called when an instant has come."""
+        """Call a function when the clock reaches an instant."""
 
     def put_back(self, instant: int, order: int, alarm: Callable[[int], None], /) -> None:
-        """Set an alarm that another clock had."""
+        """Set an alarm of another clock, with its order."""
 
     def drop(self, is_dead: Callable[[Any], bool], /) -> None:
-        """Take alarms out that are not to be called any more."""
+        """Remove the alarms for which a function returns true."""
 
     def reached(self) -> int:
-        """Return the instant up to which alarms are due; 0 where there is no time yet."""
+        """Return the instant up to which alarms are due; 0 if the clock has no time yet."""
 
     def coming(self) -> int:
-        """Return the instant up to which time is being moved, maybe in several steps."""
+        """Return the instant to which the clock is being moved, possibly in several steps."""
 
 
+# Heaps up to this size are never rebuilt.
 _SMALL_QUEUE = 64
 _BEFORE_ALL = -1
-"""The order of its alarm among those of the same instant."""
+"""Order of the node alarm: before all other alarms of the same instant."""
 
 _Deadline = Tuple[int, int, int, int, TimedNode]
-"""An instant, which rule and which of its nodes, the order in which it was asked for, and the node."""
+"""Instant, serial number of the rule, place of the node in it, order of the request, and the node."""
 
 
 class NodeTimers:
-    """The instants for which nodes have asked.
+    """Timeouts of network nodes.
 
-    At one instant the nodes of older rules ring first, and of one rule those that stand further right or below. Each
-    rings by itself: where the limits of one are met, or its goals raise an error, the others ring all the same.
+    At one instant, nodes of older rules come first, and within a rule nodes further right or below. Each node has its
+    own
+    limits and error handling, so a failure of one does not affect the others.
 
     Args:
-        rules: of the program.
+        rules: the rules of the program.
     """
 
     def __init__(self, rules: Any):
@@ -107,28 +111,28 @@ class NodeTimers:
         self._armed: List[int] = []
 
     def clear(self) -> None:
-        """Forget all: the clock has begun anew, without the alarm that was set."""
+        """Remove all timeouts; the clock has been reset and has dropped the alarm."""
         self._heap = []
         self._armed = []
 
     def __len__(self) -> int:
-        """Return how many instants are remembered, those that nobody asks for any more included.
+        """Return the number of entries, including stale ones.
 
-        They are never more than twice as many as nodes wait, and some.
+        Bounded by twice the number of waiting nodes plus a constant.
         """
         return len(self._heap)
 
     def add(self, node: TimedNode, instant: int) -> None:
-        """Have a node ring at an instant."""
+        """Set the timeout of a node; a later one replaces an earlier one."""
         heapq.heappush(self._heap, (instant, node.rule.serial, node.place, next(self._numbers), node))
         if len(self._heap) > self._most:
             self._drop_all_not_wanted()
         self._arm()
 
     def _arm(self) -> None:
-        """Have the clock call at the earliest instant, before all alarms that are set for it.
+        """Set the clock's alarm for the earliest timeout.
 
-        An alarm that was set for a later one stays and is not set again.
+        An alarm for a later instant stays in the clock.
         """
         self._drop_those_not_wanted()
         heap, armed = self._heap, self._armed
@@ -137,20 +141,25 @@ class NodeTimers:
             self._rules.clock.put_back(heap[0][0], _BEFORE_ALL, self._ring)
 
     def _drop_those_not_wanted(self) -> None:
-        """Drop from the top what its node, or nobody any more, asks for: it wants to be woken earlier by now."""
+        """Remove stale entries from the top of the heap."""
+        # An entry is stale if its node has asked for another instant since, or has been woken.
         heap = self._heap
         while heap and not _is_wanted(heap[0]):
             heapq.heappop(heap)
 
     def _drop_all_not_wanted(self) -> None:
-        """Drop all that no node asks for, or asks for once more."""
+        """Remove all stale and duplicate entries."""
         wanted = {id(entry[-1]): entry for entry in self._heap if _is_wanted(entry)}
         self._heap = list(wanted.values())
         heapq.heapify(self._heap)
         self._most = 2 * len(self._heap) + _SMALL_QUEUE
 
     def _ring(self, instant: int) -> None:
-        """Have the first node ring that is due, and set the next alarm."""
+        """Wake the first node that is due, and set the next alarm.
+
+        Only one node per call: events at the same instant may have to come between two nodes.
+        """
+        # Alarms up to this instant have been called, so they are not in the clock any more.
         while self._armed and self._armed[0] <= instant:
             heapq.heappop(self._armed)
         self._drop_those_not_wanted()
@@ -159,9 +168,11 @@ class NodeTimers:
             if heap and heap[0][0] <= instant:
                 at, *_, node = heapq.heappop(heap)
                 node.woken = None
-                if node.rule.active:  # else it is woken anew where its rule is connected again
+                # An inactive rule is being reloaded; its nodes set their timeouts again if the rule is activated.
+                if node.rule.active:
                     machine = self._rules.logic.machine
                     self._rules.dispatcher.apart(lambda: machine.run(node.ring(at, machine.done)))
+        # Also after an error or interrupt, otherwise no later node would be woken.
         finally:
             self._arm()
 
@@ -171,15 +182,15 @@ def _is_wanted(entry: _Deadline) -> bool:
 
 
 class RuleAlarm:
-    """An event of a rule that is to fire, called by the clock when its instant has come.
+    """An event of a rule that is emitted when the clock reaches an instant.
 
     Args:
-        rules: of the program.
-        rule: the one that has set the alarm.
+        rules: the rules of the program.
+        rule: the rule that has set the alarm.
         term: the event.
-        start: where its interval starts.
-        instant: when it fires, where the interval ends.
-        token: of the event, where it is kept what events came from.
+        start: start of the event's interval.
+        instant: end of the interval, at which the event is emitted.
+        token: occurrence of the event if lineage is tracked.
     """
 
     __slots__ = ("rules", "rule", "term", "start", "instant", "token")
@@ -201,7 +212,7 @@ class RuleAlarm:
         self.token = token
 
     def __call__(self, now: int) -> None:
-        """Fire the event, unless what it came from was taken back meanwhile."""
+        """Emit the event, unless an event that it was derived from has been retracted."""
         token = self.token
         if token is not None:
             if token.gone:
@@ -215,48 +226,49 @@ class RuleAlarm:
 
 
 MAX_TIMERS = 10_000
-"""Timers that may be set at once."""
+"""Maximum number of timers."""
 
 MAX_RINGS_PER_JUMP = 10_000
-"""How many times one timer rings for a jump of time; of more only the last is made up for."""
+"""Maximum number of events of one timer for one jump of time; beyond that only the last one is emitted."""
 
 BEGIN = 1
-"""The instant of the alarm that waits for there to be a time."""
+"""Instant of an alarm that waits for the clock's first time."""
 
+# Stale alarms are removed from the clock if they outnumber the others by this.
 _SPARE = 16
 
 KeptTimer = Tuple[Term, Term, Optional[int], int, int]
-"""Event, schedule, the instant at which it rings, and the alarm's in the clock with its order."""
+"""Event, schedule, next instant, and instant and order of the alarm in the clock."""
 
 
 class TimedProgram(Protocol):
-    """All rules of a program, as its timers see them."""
+    """Interface of a program that timers need."""
 
     @property
     def logic(self) -> PrologSystem:
-        """Whose machine runs what an event starts."""
+        """The Prolog system."""
 
     @property
     def dispatcher(self) -> Dispatcher:
-        """Serves the events."""
+        """The dispatcher of events."""
 
     @property
     def clock(self) -> Timing:
-        """Rings."""
+        """The clock."""
 
     @property
     def on_warning(self) -> Any:
-        """Called with each warning."""
+        """Callback for warnings."""
 
 
 class ProgramTimer:
-    """One timer.
+    """A timer of the program.
 
     Attributes:
-        key: tells it from others: its event and when it rings.
-        name: equal for those of the same event; None for events with variables.
-        instant: when it rings next; None where there is no time yet.
-        set_for: the instant of its alarm in the clock, which may be earlier; None where it has none.
+        key: identity of the timer: its event and schedule.
+        name: key of the event; None for an event with variables.
+        instant: the next instant; None before the clock has a time.
+        set_for: instant of the alarm in the clock, at most `instant`; None if there is no alarm.
     """
 
     __slots__ = ("key", "name", "event", "schedule", "instant", "set_for")
@@ -278,10 +290,10 @@ def _name_of(event: Term) -> Hashable:
 
 
 class TimerTable:
-    """Timers by their keys, the oldest first, and by their events.
+    """Timers by key, oldest first, and by event.
 
     Args:
-        timers: that are there from the beginning.
+        timers: initial timers.
     """
 
     def __init__(self, timers: Iterable[ProgramTimer] = ()):
@@ -291,12 +303,12 @@ class TimerTable:
             self.add(timer)
 
     def add(self, timer: ProgramTimer) -> None:
-        """Have a timer in the place of any with the same key."""
+        """Add a timer, or replace the one with the same key."""
         self.by_key[timer.key] = timer
         self._by_name.setdefault(timer.name, {})[timer.key] = timer
 
     def remove(self, key: Hashable) -> ProgramTimer:
-        """Take a timer out."""
+        """Remove and return a timer."""
         timer = self.by_key.pop(key)
         same = self._by_name[timer.name]
         del same[key]
@@ -305,7 +317,7 @@ class TimerTable:
         return timer
 
     def unifying(self, event: Term) -> List[ProgramTimer]:
-        """Return those whose events unify with a term; of one without variables these are found by it."""
+        """Return the timers whose events unify with a term; ground events are found by their key."""
         name = _name_of(event)
         if name is None:
             return [timer for timer in self.by_key.values() if may_unify(timer.event, event)]
@@ -315,13 +327,14 @@ class TimerTable:
 
 
 class Timers:
-    """All timers of a program.
+    """The timers of a program.
 
-    A timer has one alarm in the clock that counts. Where it is set again for later, that alarm stays, and sets
-    another one when it rings; those of timers that are gone are taken out of the clock when they are the most.
+    Each timer has at most one valid alarm in the clock. If a timer is set to a later instant, its alarm stays and
+    sets
+    the next one when it is called. Alarms of removed timers are deleted from the clock when they are the majority.
 
     Attributes:
-        left_out: how many events of timers were left out since time had jumped.
+        left_out: number of events omitted because of jumps of time.
     """
 
     def __init__(self, program: TimedProgram):
@@ -337,17 +350,17 @@ class Timers:
         return len(self._all.by_key)
 
     def __iter__(self) -> Iterator[ProgramTimer]:
-        """Yield those that are set, the oldest first."""
+        """Yield the timers, oldest first."""
         return iter(list(self._all.by_key.values()))
 
-    # ---- what goals ask for --------------------------------------------------------------------------
+    # ---- goals ---------------------------------------------------------------------------------------
 
     def set(self, event: Term, when: Term) -> None:
-        """Have an event happen when its instant has come; one that is set already is counted from now.
+        """Set a timer; an existing timer with the same event and schedule starts again.
 
         Raises:
-            UsageError: what was expected.
-            PrologError: where there are too many.
+            UsageError: if the schedule is invalid.
+            PrologError: if there are too many timers.
         """
         timer = ProgramTimer(copy(event), schedule_of(copy(when)))
         known = self._all.by_key.get(timer.key) or self._aside.pop(timer.key, None)
@@ -359,14 +372,15 @@ class Timers:
                 self._over(timer)
                 return
             known = timer
-        elif known.key not in self._all.by_key and known.set_for is not None:  # as the program had it before
+        # During a reload an unchanged timer is reactivated with its alarm, so its period does not start again.
+        elif known.key not in self._all.by_key and known.set_for is not None:
             self._all.add(known)
             return
         self._all.add(known)
         self._count(known, now)
 
     def cancel(self, event: Term) -> int:
-        """Take the timers out whose events unify with a term; return how many there were."""
+        """Remove the timers whose events unify with a term; return their number."""
         found = self._all.unifying(event)
         for timer in found:
             self._all.remove(timer.key)
@@ -377,12 +391,16 @@ class Timers:
         """Return the timer of an event and a schedule, or None."""
         return self._all.by_key.get(term_key((TIMER, event, when)))
 
-    # ---- ringing -------------------------------------------------------------------------------------
+    # ---- alarms --------------------------------------------------------------------------------------
 
     def _present(self) -> int:
-        """Return the instant from which a goal counts: of what rings and has called it, though time may jump further.
+        """Return the present time for a goal that sets a timer.
 
-        Of goals of one jump only so many count so: one that sets itself again would go on for the whole of it.
+        In a goal of an alarm this is the alarm's instant, even if the clock has jumped further, so that a chain of
+        timers
+        runs through all instants of the jump. After `MAX_RINGS_PER_JUMP` goals it is the clock's time: a timer that
+        sets
+        itself again would otherwise run through the whole jump, step by step.
         """
         clock = self._program.clock
         reached, ringing = clock.reached(), clock.ringing
@@ -393,7 +411,7 @@ class Timers:
         return reached if ringing is None or self._behind > MAX_RINGS_PER_JUMP else ringing
 
     def _count(self, timer: ProgramTimer, now: int) -> None:
-        """Have a timer ring when its schedule says, counted from now or from when there is a time."""
+        """Compute the next instant of a timer, from the given time or from the clock's first time."""
         timer.instant = timer.schedule.next(now) if now > 0 else None
         if now > 0 and timer.instant is None:
             self._all.remove(timer.key)
@@ -405,6 +423,7 @@ class Timers:
     def _set_alarm(self, timer: ProgramTimer) -> None:
         instant = BEGIN if timer.instant is None else timer.instant
         if timer.set_for is not None:
+            # An earlier alarm is kept; `ring` sets the alarm for the later instant.
             if timer.set_for <= instant:
                 return
             self._dead += 1
@@ -412,24 +431,25 @@ class Timers:
         self._program.clock.call_at(instant, TimerAlarm(self, timer, instant))
 
     def _left(self, timer: ProgramTimer) -> None:
-        """Forget the alarm of a timer that is gone."""
+        """Invalidate the alarm of a removed timer."""
         if timer.set_for is None:
             return
         timer.set_for = None
         self._dead += 1
+        # Lazy deletion as in `NodeTimers`: amortized constant cost per removal.
         clock = self._program.clock
         if 2 * self._dead > len(clock.alarms) + _SPARE:
             clock.drop(lambda alarm: isinstance(alarm, TimerAlarm) and not self.is_sound(alarm))
             self._dead = 0
 
     def is_sound(self, alarm: "TimerAlarm") -> bool:
-        """Tell whether an alarm is the one of a timer that is set."""
+        """Return whether an alarm is the valid one of an existing timer."""
         timer = alarm.timer
         there = self._all.by_key.get(timer.key) is timer or self._aside.get(timer.key) is timer
         return there and timer.set_for == alarm.set_for
 
     def ring(self, alarm: "TimerAlarm") -> None:
-        """Do what is to be done when an alarm of a timer rings."""
+        """Process an alarm of a timer."""
         if not self.is_sound(alarm):
             self._dead -= 1
             return
@@ -437,10 +457,12 @@ class Timers:
         timer.set_for = None
         instant = timer.instant
         if instant is None:
-            self._count(timer, self._program.clock.reached())  # that there is a time has rung
+            # The clock has got its first time: now the schedule can be computed.
+            self._count(timer, self._program.clock.reached())
         elif instant > alarm.set_for or self._skips(timer, instant):
             self._set_alarm(timer)
         else:
+            # The next alarm is set before the event is dispatched, so that its goals can cancel or replace the timer.
             if timer.schedule.repeats:
                 timer.instant = instant + timer.schedule.period
                 self._set_alarm(timer)
@@ -449,7 +471,7 @@ class Timers:
             self._dispatch(timer.event, WholeSeconds(instant))
 
     def _skips(self, timer: ProgramTimer, instant: int) -> bool:
-        """Have a timer go on at the last of its instants that is over, where too many are; tell whether they are."""
+        """If too many instants of a periodic timer have passed, move it to the last one; return whether it moved."""
         schedule = timer.schedule
         if not schedule.repeats:
             return False
@@ -459,6 +481,7 @@ class Timers:
         timer.instant = instant + behind * schedule.period
         self._jumps += 1
         self.left_out += behind
+        # Warned at jump 1, 2, 4, 8 and so on.
         if self._jumps & (self._jumps - 1) == 0:
             show = self._program.logic.brief
             seconds = behind * schedule.period // SECOND
@@ -482,18 +505,18 @@ class Timers:
             UsageError(f"timer {show(timer.event)}, {show(timer.schedule.term)}: that instant is over")
         )
 
-    # ---- from outside --------------------------------------------------------------------------------
+    # ---- lifecycle -----------------------------------------------------------------------------------
 
     def clear(self) -> None:
-        """Drop all."""
+        """Remove all timers."""
         for timer in self:
             self._all.remove(timer.key)
             self._left(timer)
 
     def start_anew(self) -> None:
-        """Go on from the present: time went back, and the clock has dropped its alarms.
+        """Restart the timers after time went back and the clock dropped its alarms.
 
-        Those that wait for so many seconds are dropped, as alarms are: nothing of before is waited for.
+        Timers with a relative time are removed, like other alarms, because they belong to the time before.
         """
         self._dead = 0
         for timer in self:
@@ -504,7 +527,9 @@ class Timers:
                 self._count(timer, self._program.clock.reached())
 
     def mend(self) -> None:
-        """Have each timer have its alarm, after an interrupt."""
+        """Make each timer have its alarm again, after an interrupt."""
+        # An interrupt may have come between two assignments of `TimerTable.add` or `remove`, so the indexes are
+        # rebuilt.
         self._all = TimerTable(self)
         alarms = {
             alarm.timer: alarm
@@ -517,22 +542,22 @@ class Timers:
                 self._set_alarm(timer)
 
     def standing(self) -> Dict[Hashable, ProgramTimer]:
-        """Return those that are set, by their keys."""
+        """Return the timers by key."""
         return dict(self._all.by_key)
 
     def set_aside(self, timers: Mapping[Hashable, ProgramTimer]) -> None:
-        """Take timers out; those that are set again as they were go on."""
+        """Deactivate timers; those that are set again unchanged continue."""
         for key in timers:
             self._aside[key] = self._all.remove(key)
 
     def forget_aside(self) -> None:
-        """Forget what was set aside."""
+        """Remove the deactivated timers."""
         gone, self._aside = list(self._aside.values()), {}
         for timer in gone:
             self._left(timer)
 
     def restore_standing(self, timers: Mapping[Hashable, ProgramTimer]) -> None:
-        """Have these timers, which have been set aside meanwhile or not, and no others."""
+        """Restore exactly these timers, whether or not they have been deactivated."""
         gone = [timer for timer in self if timers.get(timer.key) is not timer]
         self._all, self._aside = TimerTable(timers.values()), {}
         for timer in gone:
@@ -540,7 +565,7 @@ class Timers:
         self.mend()
 
     def kept(self) -> List[KeptTimer]:
-        """Return all as data; see `restore`."""
+        """Return all timers as data; see `restore`."""
         return [
             (alarm.timer.event, alarm.timer.schedule.term, alarm.timer.instant, alarm.set_for, order)
             for _, order, alarm in sorted(self._program.clock.alarms, key=lambda one: one[:2])
@@ -548,7 +573,7 @@ class Timers:
         ]
 
     def restore(self, kept: Sequence[KeptTimer], left_out: int) -> None:
-        """Have the timers that another one had, with their alarms."""
+        """Restore timers and their alarms from data."""
         self.left_out = left_out
         for event, when, instant, set_for, order in kept:
             timer = ProgramTimer(event, schedule_of(when))
@@ -561,9 +586,9 @@ class TimerAlarm:
     """The alarm of a timer in the clock.
 
     Args:
-        timers: all of the program.
-        timer: whose it is.
-        set_for: the instant at which it rings.
+        timers: the timers of the program.
+        timer: the timer.
+        set_for: instant of the alarm.
     """
 
     __slots__ = ("timers", "timer", "set_for")
@@ -574,7 +599,7 @@ class TimerAlarm:
         self.set_for = set_for
 
     def __call__(self, now: int) -> None:
-        """Ring."""
+        """Process the alarm."""
         self.timers.ring(self)
 
 
@@ -583,12 +608,12 @@ _WAITS = atom("waits")
 
 
 def define_timers(logic: PrologSystem, timers: Timers, require: Callable[[Term], None]) -> None:
-    """Define the goals of timers; ``require`` raises an error for an event that is declared otherwise."""
+    """Define the timer goals; ``require`` raises an error for an event that does not match its declaration."""
     _TimerGoals(timers, require).define(logic)
 
 
 class _TimerGoals:
-    """Goals of timers."""
+    """The goals ``timer/2``, ``cancel_timer/1,2`` and ``timers/1``."""
 
     def __init__(self, timers: Timers, require: Callable[[Term], None]):
         self.timers = timers
