@@ -74,7 +74,7 @@ class Request:
 
     @property
     def begun(self) -> bool:
-        """Whether the work has begun and has not ended."""
+        """True while the work is in progress."""
         return not self._ticket and not self.over
 
     def abandon(self) -> None:
@@ -158,7 +158,7 @@ class SerialExecutor:
         self._running: Optional[int] = None
         """The working thread. If it is set although the lock is free, the last work was interrupted."""
         self._patient = True
-        """Whether to wait for room in the queue; False after a timeout until the queue has been empty."""
+        """True if `post` waits for room in the queue; False after a timeout until the queue has been empty."""
         self._on_drop = on_drop
         self._on_error = on_error
         self._recovery = Recovery() if recovery is None else recovery

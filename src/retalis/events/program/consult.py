@@ -1,11 +1,10 @@
-"""What files are loaded into, as those who load or check them know it.
+"""Consulting of Prolog files: each clause and directive takes effect before the next one is read.
 
-Prolog files: loaded clause by clause, as other Prologs do, so that what is wrong costs itself and nothing else.
-
-A file of event rules is read and checked as a whole, and accepted or refused as a whole (see `loading`). A file that
-has none is a Prolog program: each of its directives runs before the next term is read, so that operators, flags and
-``term_expansion/2`` hold from there on, and a term that does not read, a clause that cannot be added or a directive
-that raises an error is left out, with a warning. A file of which nothing is left is refused.
+A file with event rules is checked as a whole and accepted or rejected as a whole (see `event_file_loader`). A file
+without them is a Prolog program and is consulted as other Prolog systems do: each directive runs before the next term
+is read, so that operators, flags and ``term_expansion/2`` apply from there on. A term with a syntax error, a clause
+that cannot be added, or a directive that raises an error is omitted with a warning. A file of which every term is
+omitted is rejected. During a reload, a file is also rejected if more terms must be omitted than before.
 """
 
 from typing import TYPE_CHECKING, Any, Callable, List, NamedTuple, Optional
@@ -37,25 +36,25 @@ if TYPE_CHECKING:
 _END = atom("end_of_file")
 _MODULES = frozenset((functor("module", 2), functor("module", 3)))
 _OF_FILES = ("double_quotes", "back_quotes")
-"""Flags that hold to the end of the file that sets them."""
+"""Flags that apply until the end of the file that sets them."""
 
 Use = Callable[[Term, bool], None]
 
 
 class Consulted(NamedTuple):
-    """The text of a Prolog file, to be loaded when its turn comes."""
+    """The text of a Prolog file that is to be consulted."""
 
     text: str
     source: str
 
 
 class Consultation:
-    """Loads Prolog files.
+    """Consults Prolog files.
 
     Args:
-        rules: takes what they say.
+        rules: receives clauses and rules.
         directives: runs directives.
-        use: loads another file, or does so once.
+        use: loads another file, optionally only once.
     """
 
     def __init__(self, rules: "RuleBase", directives: Directives, use: Use):
@@ -64,11 +63,11 @@ class Consultation:
         self._use = use
 
     def load(self, one: Consulted, note_calls: Callable[[List[Unknown]], None]) -> None:
-        """Load a file.
+        """Consult a file.
 
         Raises:
-            ProgramErrors: all errors, where nothing of the file is left.
-            LimitError: where it takes longer than it may.
+            ProgramErrors: all errors, if the whole file is rejected.
+            LimitError: if a resource limit is exceeded.
         """
         flags = self._rules.logic.flags
         kept = {name: flags[name] for name in _OF_FILES}
@@ -79,11 +78,14 @@ class Consultation:
 
 
 class _Omissions:
-    """What is left out of a file: told as it is found, as soon as something of the file is not.
+    """Terms that are omitted from a file.
 
-    Args:
-        tell: takes warnings.
-        most: how much may be left out; None for any number.
+    They are reported as warnings when the first term is accepted; before that, the file may still be rejected as a
+    whole, and
+    they would be reported as errors.
+
+        tell: receives warnings.
+        most: maximum number of omitted terms; None for any number.
     """
 
     def __init__(self, tell: Callable[[RetalisError], None], most: Optional[int]):
@@ -96,24 +98,25 @@ class _Omissions:
         return len(self._found) + self._found.more
 
     def append(self, error: RetalisError) -> None:
-        """Take a problem."""
+        """Record an omitted term."""
         before = len(self._found)
         self._found.append(error)
         if self._left and len(self._found) > before:
             self._tell(Omission(error))
 
+    # Memory for errors is bounded: `Errors` counts those beyond its limit, and these are not reported one by one.
     def accept(self) -> None:
-        """Note that something of the file is left."""
+        """Record that a term was accepted."""
         if not self._left:
             self._left = True
             for error in self._found:
                 self._tell(Omission(error))
 
     def end(self) -> None:
-        """Refuse the file where nothing is left of it, or more is left out than may be.
+        """Reject the file if no term was accepted or too many were omitted.
 
         Raises:
-            ProgramErrors: all that is wrong with it.
+            ProgramErrors: the errors of all omitted terms.
         """
         too_many = self._most is not None and len(self) > self._most
         if too_many or self._found and not self._left:
@@ -123,7 +126,7 @@ class _Omissions:
 
 
 class _PrologFile:
-    """A Prolog file that is being loaded."""
+    """A Prolog file that is being consulted."""
 
     def __init__(
         self,
@@ -145,7 +148,7 @@ class _PrologFile:
         self._late: List[FileEntry] = []
 
     def load(self, one: Consulted) -> None:
-        """Load its text, then run the goals that are called when it has been loaded."""
+        """Consult the text, then run the goals that are scheduled for the end."""
         omitted = self._omitted = _Omissions(self._rules.on_warning, self._files.may_omit(one.source))
         program = read_program(one.text, self._logic.operators, one.source, OF_FILES)
         self._terms(program)
@@ -156,7 +159,8 @@ class _PrologFile:
         self._files.note_omitted(one.source, len(omitted))
 
     def _at_end(self) -> None:
-        """Take in what the program puts at the end of its files, and call what was put off until then."""
+        """Expand ``end_of_file``, and run the goals of ``initialization/1``."""
+        # As in SWI-Prolog, `term_expansion/2` is called for `end_of_file` and may append clauses.
         try:
             self._expanded(_END, None, None)
         except RetalisError as error:
@@ -168,7 +172,7 @@ class _PrologFile:
                 self._omit(error, step.place)
 
     def _terms(self, program: Program) -> None:
-        """Take in the terms of a text, and in their places those of files that it includes."""
+        """Process the terms of a text; the terms of included files take the place of the ``include`` directive."""
         for read in program:
             if isinstance(read, SyntaxFault):
                 if not self._conditions.skip:
@@ -181,6 +185,8 @@ class _PrologFile:
             try:
                 if term.__class__ is tuple and term[0] in DIRECTIVES:
                     self._directive(read, program)
+                    # Operators are shared with the reader. Flags are copied at its start, so a directive's change
+                    # must be passed on.
                     self._follow_flags(program)
                 elif not self._conditions.skip:
                     self._read(read, place)
@@ -203,7 +209,7 @@ class _PrologFile:
             self._omit(error, place)
 
     def _name_module(self, goal: Term) -> None:
-        """Give a module whose name is a variable that of its file."""
+        """Bind the name of a module to the name of its file if it is a variable."""
         goal, path = deref(goal), self._files.innermost
         if goal.__class__ is tuple and goal[0] in _MODULES and path is not None:
             name = deref(goal[1])
@@ -219,7 +225,7 @@ class _PrologFile:
         self._take(self._expansion.goals(term), read, place)
 
     def _expanded(self, term: Term, read: Optional[ReadTerm], place: Optional[Place]) -> bool:
-        """Take in what the program puts in the place of a term; return whether it does."""
+        """Process the expansion of a term by ``term_expansion/2``; return whether there is one."""
         found = self._expansion.terms(term)
         for one in found or ():
             if one is not _END:
@@ -227,7 +233,7 @@ class _PrologFile:
         return found is not None
 
     def _take(self, term: Term, read: Optional[ReadTerm], place: Optional[Place]) -> None:
-        """Take a term in; where it was read itself, the places of its parts are known."""
+        """Process a term; if it is the one that was read, the places of its parts are known."""
         checker = self._checker
         if read is not None and term is deref(read.term):
             checker.read(read, place)
@@ -235,6 +241,7 @@ class _PrologFile:
             checker.term(term, nowhere, place)
         steps = checker.steps[:]
         checker.steps.clear()
+        # The checker collects over all terms of a file, so what belongs to this term is taken out of it.
         if not self._accepted(checker):
             return
         for step in steps:
@@ -244,7 +251,7 @@ class _PrologFile:
                 self._omit(error, step.place or place)
 
     def _accepted(self, checker: FileChecker) -> bool:
-        """Tell what was found about a term, take in the rules made of it; return whether nothing is wrong with it."""
+        """Report the findings about a term and activate its rules; return whether there are no errors."""
         if checker.warnings:
             for warning in checker.warnings:
                 self._rules.on_warning(warning)
@@ -252,6 +259,7 @@ class _PrologFile:
         if checker.calls:
             self._note_calls(checker.calls[:])
             checker.calls.clear()
+        # Copied before they are cleared: these lists are also used by the checker.
         wrong, rules = checker.errors[:], [*checker.rules, *checker.inner]
         if wrong or rules:
             for found in (checker.errors, checker.rules, checker.inner):
@@ -265,6 +273,8 @@ class _PrologFile:
 
     def _do(self, step: FileEntry) -> None:
         if step.kind == "clause":
+            # Only clauses of the event language's predicates are guarded: a Prolog file may redefine library
+            # predicates.
             problem = clause_error(self._logic, step.term)
             if problem is None:
                 problem = fact_error(self._logic, step.term, set(), self._logic.is_added)
@@ -299,9 +309,10 @@ class _PrologFile:
             outer.flags = program.flags
 
     def _holds(self, goal: Term, place: Optional[Place]) -> bool:
-        """Tell whether the goal of an ``if`` is true; one that raises an error is not."""
+        """Return whether the goal of an ``if`` succeeds; a goal that raises an error counts as failed."""
         try:
             return self._logic.once(goal)
+        # A resource limit ends the load; any other error concerns this directive only.
         except LimitError:
             raise
         except PrologError as error:
@@ -309,7 +320,7 @@ class _PrologFile:
             return False
 
     def _follow_flags(self, program: Program) -> None:
-        """Have the flags that a directive has set hold for what is read next."""
+        """Apply the flags that a directive has set to the reading of the following terms."""
         flags = self._logic.flags
         quotes, back = deref(flags["double_quotes"]), deref(flags["back_quotes"])
         if not isinstance(quotes, Atom) or not isinstance(back, Atom):
@@ -318,10 +329,10 @@ class _PrologFile:
             program.flags = program.flags._replace(double_quotes=quotes.name, back_quotes=back.name)
 
     def _omit(self, error: RetalisError, place: Optional[Place]) -> None:
-        """Leave out the term at a place for an error, or what was wrong in another file that it loads.
+        """Omit the term at a place because of an error.
 
         Raises:
-            RetalisError: that error, where it is that a limit has run out.
+            RetalisError: the error itself, if a resource limit is exceeded.
         """
         if isinstance(error, ProgramErrors):
             for one in error.errors:
@@ -333,5 +344,5 @@ class _PrologFile:
 
 
 def _is_final(error: RetalisError) -> bool:
-    """Tell whether an error, or what caused it, is that a limit has run out."""
+    """Return whether an error, or its cause, is an exceeded resource limit."""
     return isinstance(error, LimitError) or isinstance(error.__cause__, LimitError)

@@ -1,8 +1,9 @@
-"""The forms of an event file: what each of its terms is, checked before anything of the file is active.
+"""Checker of event files: classification of terms as rules, clauses, directives and properties, with diagnostics.
 
-``:- include(File)``: the terms of another file, as if they stood in its place.
-
-Facts that were meant as goals: without their ``:-`` they would take the place of a predicate of the system.
+The terms of a file are checked before anything takes effect. Each becomes a `FileEntry` or a `RuleDefinition`;
+problems are collected, so that all errors of a file are reported together. Terms that look like misspelled rules get
+advice (``->`` in place of ``<-``). A fact such as ``subscribe(...)`` without ``:-`` would redefine a built-in
+predicate; it is rejected, unless the file clearly defines that predicate itself (see `defined_in`).
 """
 
 from itertools import chain
@@ -84,9 +85,11 @@ TOO_DEEP = "the pattern is nested too deeply"
 
 
 class FileEntry(NamedTuple):
-    """An entry of a file, done when the file is accepted: ``kind`` is clause, directive, property, use or ensure.
+    """An entry that takes effect when the file is accepted.
 
-    ``goals`` are those of a directive.
+    ``kind`` is clause, directive, property, use, ensure or later.
+
+    ``goals`` are the goals of a directive with their places.
     """
 
     kind: str
@@ -96,7 +99,7 @@ class FileEntry(NamedTuple):
 
 
 class CheckedFile(NamedTuple):
-    """What a file has in it."""
+    """Contents of a file."""
 
     steps: List[FileEntry]
     rules: List[RuleDefinition]
@@ -104,11 +107,11 @@ class CheckedFile(NamedTuple):
 
 
 class FileChecker:
-    """Sorts the terms of a file and collects all of their errors and warnings.
+    """Classifies the terms of a file and collects errors and warnings.
 
     Args:
-        show: gives the text of a term, for what is wrong with one that has no place.
-        declared: the declarations that hold; those of the file are added.
+        show: converts a term to text, for errors in terms without a place.
+        declared: declared events; the declarations of the file are added.
     """
 
     def __init__(
@@ -126,21 +129,24 @@ class FileChecker:
         self._names: Dict[Var, str] = {}
 
     def read(self, read: ReadTerm, place: Optional[Place] = None) -> None:
-        """Check a term that was read from a text; ``place`` is where it begins, if that is known."""
+        """Check a term that was read from a text; ``place`` is its position if known."""
         self._names = {var: name for name, var in read.names.items()}
         self.term(read.term, read.place_of, place or read.place)
         self._names = {}
 
     def term(self, term: Term, spot: Spot, place: Optional[Place]) -> None:
-        """Check a term; ``spot`` gives the place of a part of it, ``place`` is where it begins."""
+        """Check a term; ``spot`` returns the position of a part, ``place`` is the position of the term."""
         term = deref(term)
+        # The numbers of problems before the check identify those of this term.
         found = [(problems, len(problems)) for problems in (self.errors, self.warnings)]
         try:
             self._sort(term, spot, place)
         except RetalisError as error:
             self.errors.append(error if error.place else RuleError(error.message, place))
+        # A term of 1,000 nested operators exceeds the recursion limit of the checks; this is an error of the file.
         except RecursionError:
             self.errors.append(RuleError(TOO_DEEP, place))
+        # Without a position the text of the term is the only way to tell which term is meant.
         if place is None and self._show is not None:
             for problems, before in found:
                 for at in range(before, len(problems)):
@@ -158,6 +164,7 @@ class FileChecker:
             self._property(Property(deref(term[1]), _name(term[2]), deref(term[3])), term, spot, place)
             self.steps.append(FileEntry("clause", term, place))
         else:
+            # ETALIS programs use these names; the clause is added under both names, since goals may call either.
             if head in _RENAMED:
                 self.steps.append(FileEntry("clause", (_RENAMED[head], *term[1:]), place))
             elif head in _UNWRAPPED:
@@ -168,6 +175,7 @@ class FileChecker:
             self.steps.append(FileEntry("clause", term, place))
 
     def _directive(self, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
+        # Such a rule would be a goal that is called once, which is never intended.
         goal, at = deref(term[1]), spot(term, 1) or place
         if is_rule(goal):
             raise RuleError("an event rule is written without :- before it", at)
@@ -183,12 +191,12 @@ class FileChecker:
         self._declared.take(goals, spot)
 
     def _use(self, goal: CompoundTerm, place: Optional[Place]) -> None:
-        """Take a file that is used, and the names that its predicates get."""
+        """Process a directive that loads a file, with clauses for predicates that it renames."""
         self.steps.append(FileEntry(_USING[goal[0]], deref(goal[1]), place))
         self.steps += [FileEntry("clause", clause, place) for clause in renaming(*goal[1:])]
 
     def _later(self, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
-        """Take a goal that is called when the file has been loaded, or at another time that the term says."""
+        """Process ``initialization/1,2``: the goal is called after loading or at the time that the term states."""
         when = deref(term[2]) if term[0] is _INITIALIZATION_AT else _AFTER
         goals = goals_of(term, spot)
         if when is _MAIN:
@@ -206,7 +214,7 @@ class FileChecker:
             )
 
     def _no_rule(self, term: Term, spot: Spot, place: Optional[Place]) -> None:
-        """Look whether a clause was meant as an event rule."""
+        """Warn about a clause that was probably meant as an event rule."""
         if term.__class__ is not tuple:
             return
         head = term[0]
@@ -235,7 +243,7 @@ class FileChecker:
         self.warnings.append(RuleError(message, place))
 
     def _property(self, one: Property, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
-        """Take a property from the term that has its name and value as the last arguments."""
+        """Process a property from a term whose last arguments are its name and value."""
         problem, last = one.problem, len(term) - 1
         if problem is None:
             self.steps.append(FileEntry("property", one, place))
@@ -262,19 +270,21 @@ class FileChecker:
         place: Optional[Place],
         names: Optional[Dict[Var, str]] = None,
     ) -> RuleDefinition:
-        """Return what a rule says; rules inside its pattern go to `inner`.
+        """Return the definition of a rule; nested rules are added to `inner`.
 
         Raises:
-            RuleError: where it cannot fire.
+            RuleError: if the rule cannot fire.
         """
         if names is not None:
             self._names = names
+        # A variable that occurs once and has no name is anonymous: no value has to be stored for it.
         once = (var for var, number in occurrences([rule], None).items() if number == 1)
         anonymous = frozenset(var for var in once if var not in self._names)
         reader = PatternReader(
             lambda part, number=0: spot(part, number) or place, self.warnings.append, anonymous
         )
-        if rule[0] not in ARROWS:  # P do G
+        # A rule P do G has no head.
+        if rule[0] not in ARROWS:
             pattern = reader.read((RULE, rule), 1)
             definition = RuleDefinition(rule, None, pattern, label, place, self._names)
         else:
@@ -295,6 +305,8 @@ class FileChecker:
             definition = RuleDefinition(rule, head, pattern, label, place, self._names)
             self._unbound(head, pattern, at or place)
         self._goals(reader.goals, pattern, spot, place)
+        # Predicates of `check` have no time, so their use elsewhere is an error unless the program defines them
+        # itself.
         for call in reader.untimed:
             assert call.term.__class__ is tuple
             self.untimed.append(Unknown(call.term[0], spot(call.term) or place))
@@ -311,7 +323,7 @@ class FileChecker:
     def _doubt_parts(
         self, reader: PatternReader, pattern: Pattern, spot: Spot, place: Optional[Place]
     ) -> None:
-        """Warn about aggregates and absences of a pattern that are probably mistakes."""
+        """Warn about likely mistakes in aggregates and absences."""
         for aggregate, part in reader.aggregates:
             check_aggregate(aggregate, part, pattern, self._names, reader.place, self.warnings.append)
         for absence in reader.absences:
@@ -320,26 +332,28 @@ class FileChecker:
                 self._warn(doubted, spot(absence) or place)
 
     def _doubt(self, rule: CompoundTerm, spot: Spot) -> None:
-        """Warn of a rule in the place of a pattern that has no brackets: two arrows in a row; and of a variable."""
+        """Warn about an unbracketed rule inside a pattern (two arrows in a row), and about a variable as pattern."""
         inner, begin = deref(rule[2]), spot(rule, 2)
         if inner.__class__ is Var:
             name = self._names.get(inner, "_")
+            # The variable matches the rule's own events, so the rule triggers itself without end.
             self._warn(f"{name} is any event, those of this rule included: it fires for itself", begin)
         if inner.__class__ is tuple and inner[0] in ARROWS and begin is not None and begin.character != "(":
             self._warn("this rule is inside the pattern of another; put it in brackets", spot(inner))
 
     def _goals(self, goals: List[Subgoal], pattern: Pattern, spot: Spot, place: Optional[Place]) -> None:
-        """Check what the goals of a rule call, and note it: what is not there may come with the rest of the file."""
+        """Check and record the goals of a rule; unknown predicates may be defined later in the file."""
         counts = occurrences([], pattern)
         for call in goals:
             term = call.term
+            # All occurrences of the variable are calls, so nothing can bind it to a goal.
             if term.__class__ is Var and counts[term] == sum(one.term is term for one in goals):
                 name = self._names.get(term, "this variable")
                 raise RuleError(f"{name} never gets a goal to call", spot(call.parent, call.number) or place)
             self._called(call, spot, place)
 
     def _called(self, call: Subgoal, spot: Spot, place: Optional[Place]) -> None:
-        """Note what a goal of a rule calls."""
+        """Record the predicate that a goal of a rule calls."""
         term = call.term
         module = call.parent[1] if call.parent[0] is COLON else None
         if term.__class__ is tuple:
@@ -367,7 +381,7 @@ class FileChecker:
 
 
 def _bound_later(head: Term) -> List[Var]:
-    """Return the variables of a synchronized event that its query will bind."""
+    """Return the variables of a synchronized event that its query binds."""
     if head.__class__ is tuple and head[0] in SYNCHRONIZED:
         return variables(head[2])
     return []
@@ -387,17 +401,17 @@ def reread_rule(
 
 
 def nowhere(part: Term, number: int = 0) -> Optional[Place]:
-    """Give no place: that of a term which was not read from a text."""
+    """Return no position, for terms that were not read from a text."""
     return None
 
 
 def _holds_label(term: Term) -> bool:
-    """Tell whether a term has the form of a label and something after it."""
+    """Return whether a term has the form of a label followed by something."""
     return term.__class__ is tuple and (term[0] is RULE or term[0] is COLON)
 
 
 def _advice(goal: CompoundTerm) -> str:
-    """Return what was probably meant by a goal, where there is no such predicate."""
+    """Return advice for a goal whose predicate does not exist, or ""."""
     name = SPELLINGS.get(goal[0])
     if name is not None:
         return f"{name} is part of the goal here; to apply it to the pattern, write (Pattern where Goal) {name} ..."
@@ -417,13 +431,14 @@ _NEARLY_ARROWS = frozenset((functor("->", 2), functor("=", 2)))
 
 
 def clause_error(logic: PrologSystem, term: Term) -> Optional[str]:
-    """Return why a term cannot be added as a clause, or None."""
+    """Return the reason why a term cannot be added as a clause, or None."""
     try:
         if term.__class__ is tuple and term[0] is _GRAMMAR:
             return None
         if term.__class__ is tuple and term[0] is SINGLE_SIDED:
             term, _ = translate_single_sided(term)
         head, _ = split_clause(copy(term))
+        # `a < -b` reads as a comparison with a negative term; the user meant `a <- b`.
         if head.__class__ is tuple and head[0] is _LESS and _is_negative(deref(head[2])):
             return "this compares two terms; the arrow of an event rule is <-, without a space"
         key = head[0] if head.__class__ is tuple else head.functor if head.__class__ is Atom else None
@@ -441,7 +456,7 @@ _INCLUDE = functor("include", 1)
 
 
 def included(term: Term) -> Optional[Term]:
-    """Return the name of the file in ``:- include(File)``, None for another term."""
+    """Return the name of the file in ``:- include(File)``, or None for another term."""
     term = deref(term)
     if term.__class__ is not tuple or term[0] not in DIRECTIVES:
         return None
@@ -457,7 +472,7 @@ _GIVING_WAY: Dict[Functor, Callable[[Term], bool]] = {
     **dict.fromkeys(STATE, declares_state),
     **dict.fromkeys(HOLDS, lambda term: False),
 }
-"""Predicates with names that programs give to facts of their own, and whether a fact of them was meant as a goal."""
+"""Predicates whose names programs use for their own facts, with a test whether a fact was meant as a goal."""
 
 _DECLARES = frozenset(
     (
@@ -469,9 +484,9 @@ _AS = functor("as", 2)
 
 
 def defined_in(steps: Sequence[FileEntry]) -> Set[Functor]:
-    """Return the predicates that a file defines in earnest: by clauses with a body, several facts, or declaring them.
+    """Return the predicates that a file clearly defines: by clauses with a body, several facts, or a declaration.
 
-    Several facts count where nobody would write a goal so: not for what the standard has, nor for goals about events.
+    Several facts count only for predicates that a program may replace: not for ISO predicates and event goals.
     """
     found: Set[Functor] = set()
     facts: Set[Optional[Functor]] = set()
@@ -496,13 +511,13 @@ def fact_error(
     defined: Set[Functor],
     is_guarded: Optional[Callable[[Functor], bool]] = None,
 ) -> Optional[str]:
-    """Return why a fact of a file that defines these predicates is refused, or None.
+    """Return the reason why a fact is rejected, or None.
 
     Args:
-        logic: knows the predicates.
+        logic: provides the system's predicates.
         term: the fact.
-        defined: what the file defines in earnest.
-        is_guarded: which predicates of the system such a fact may not replace; by default all.
+        defined: predicates that the file clearly defines.
+        is_guarded: returns whether facts must not replace a predicate of the system; by default all are guarded.
     """
     key = None if _has_body(term) else _key(term)
     if key is None or key in defined or not (is_guarded or logic.is_of_system)(key):
@@ -539,7 +554,8 @@ def _declared(goal: Term) -> Set[Functor]:
             continue
         if term[0] is COMMA or term[0] is CONS:
             stack += [deref(term[2]), deref(term[1])]
-        elif term[0] is _AS:  # with options
+        # Tabling options follow: `p/1 as subsumptive`.
+        elif term[0] is _AS:
             stack.append(deref(term[1]))
         elif term[0] is SLASH:
             name, arity = deref(term[1]), deref(term[2])

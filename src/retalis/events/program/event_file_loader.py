@@ -1,6 +1,14 @@
-"""What a load that fails or is interrupted has done so far is taken back.
+"""Loader of event files: read, check, then act, with rollback of a load that fails or is interrupted.
 
-Loading event files: read, check all of it, then act; what is refused leaves nothing behind.
+1. Read: terms are read and expanded; included files take the place of their directives. Operators are declared in a
+   copy of the operator table.
+2. Check: `FileChecker` and the logic check all terms, and rules are compiled. Files that are used are read and
+   checked at this point, too, so an error anywhere rejects the whole program. Nothing has changed yet.
+3. Act: clauses are added, directives run, rules are activated.
+
+A directive can raise an error in step 3. `LoadRollback` then restores clauses, rules, properties and operators. Side
+effects of goals outside of the program are not undone. A load inside a load (a directive that consults a file) has
+its own rollback. Warnings about unknown predicates wait until the outermost load has ended.
 """
 
 from os import PathLike
@@ -47,7 +55,7 @@ if TYPE_CHECKING:
 
 
 class LoadSavepoint:
-    """What there was before a load, of what costs little to note."""
+    """Cheap part of the state before a load: enough to undo it if only rules and properties were added."""
 
     def __init__(self, rules: "RuleBase", loaded: Set[Path]):
         self._rules = rules
@@ -56,7 +64,7 @@ class LoadSavepoint:
         self._properties = rules.all_properties()
 
     def restore(self) -> None:
-        """Take back what has come since."""
+        """Remove what was added after the savepoint."""
         rules = self._rules
         for rule in list(rules.rules):
             if rule.serial > self._serial:
@@ -66,7 +74,7 @@ class LoadSavepoint:
 
 
 class LoadRollback:
-    """What the program was before a file was loaded: clauses, rules, properties and operators."""
+    """State of the program before a load: clauses, rules, properties and operators."""
 
     def __init__(self, rules: "RuleBase"):
         self._rules = rules
@@ -78,12 +86,13 @@ class LoadRollback:
         self._operators = rules.logic.operators.copy()
 
     def restore(self) -> None:
-        """Take back what has come since."""
+        """Restore the state."""
         rules = self._rules
         rules.logic.operators.become(self._operators)
         for rule in list(rules.rules):
             if rule not in self._active:
                 rules.remove(rule)
+        # Library predicates that the file has redefined become visible again.
         for predicate in self._library:
             rules.logic.database.give_back(predicate)
         for predicate in list(rules.logic.database.predicates.values()):
@@ -92,15 +101,17 @@ class LoadRollback:
                 for clause in list(predicate.live()):
                     if clause not in kept:
                         predicate.remove(clause)
+                # A predicate that the load has created and that has no clauses left is unknown again, so calls raise
+                # an error.
                 if not predicate.clauses and predicate not in self._clauses and not predicate.dynamic:
                     predicate.kind = "undefined"
         rules.restore_properties(self._properties)
 
 
 class CheckedProgram(NamedTuple):
-    """A file that has no errors in itself: what to do, the rules to add then, what these call, and its folder.
+    """A checked file: the entries, the compiled rules, and the predicates that these call.
 
-    Folder and path are None for the file that was asked for: there they are set already.
+    ``folder`` and ``path`` are None for the outermost file, whose folder is the current one already.
     """
 
     steps: "List[Union[FileEntry, Consulted, CheckedProgram]]"
@@ -111,13 +122,13 @@ class CheckedProgram(NamedTuple):
 
     @property
     def may_stop_half_way(self) -> bool:
-        """Whether something may be left to undo when it raises an error; not rules, labels, or one clause."""
+        """True if an error can occur after a part has taken effect; not for rules, labels, or a single clause."""
         kinds = [step.kind if isinstance(step, FileEntry) else "" for step in self.steps]
         return kinds != ["clause"] and any(kind != "property" for kind in kinds)
 
 
 class _Reading(NamedTuple):
-    """A file that is being read: its terms so far, how the next ones read, and the errors."""
+    """State of reading a file: the checker, operators, errors and conditional compilation."""
 
     checker: FileChecker
     operators: Operators
@@ -126,7 +137,7 @@ class _Reading(NamedTuple):
 
 
 class EventFileLoader:
-    """Loads event files into `Rules`."""
+    """Loads event files into a `RuleBase`."""
 
     def __init__(self, rules: "RuleBase"):
         self._rules = rules
@@ -135,9 +146,9 @@ class EventFileLoader:
         self._consulting = Consultation(rules, self._directives, self.use)
         self._expansion = TermExpansion(rules.logic)
         self._acting: List[CheckedProgram] = []
-        """The files whose terms are being taken in, the outer ones first."""
+        """Files that are taking effect, outermost first."""
         self._begun: List[Union[LoadSavepoint, LoadRollback]] = []
-        """What takes a load back that is under way; what comes after the first two is of loads inside it."""
+        """Undo information of the load in progress; entries after the first two belong to nested loads."""
         self._gathered: Optional[List[Unknown]] = None
         self._modules = rules.logic.database.modules
         self._modules.on_begin = self._files.note_module
@@ -145,24 +156,24 @@ class EventFileLoader:
         rules.logic.files = self._files
 
     def note_calls(self, found: List[Unknown]) -> None:
-        """Warn of calls of what is not there: at the end of the file that is being loaded, or now."""
+        """Warn about unknown predicates, at the end of the load in progress or now."""
         if self._acting:
             self._acting[0].calls.extend(found)
         else:
             self._warn_of_unknown(found)
 
     def gather(self) -> None:
-        """Say nothing of calls of what is not there until all has been loaded that belongs together."""
+        """Defer warnings about unknown predicates until `end_gathering`, because several loads belong together."""
         if self._gathered is None:
             self._gathered = []
 
     def end_gathering(self) -> None:
-        """Warn of the calls of what is not there even now."""
+        """Log the deferred warnings about predicates that are still unknown."""
         found, self._gathered = self._gathered, None
         self._warn_of_unknown(found or [])
 
     def load_text(self, text: str, source: str, folder: Optional[Path]) -> None:
-        """Load a text; see `Rules.load_text`."""
+        """Load a text; see `RuleBase.load_text`."""
         if folder is None:
             self._load(text, source)
             return
@@ -170,32 +181,33 @@ class EventFileLoader:
             self._load(text, source)
 
     def load_file(self, path: Union[str, "PathLike[str]"]) -> None:
-        """Load a file; see `Rules.load_file`."""
+        """Load a file; see `RuleBase.load_file`."""
         self._load_file(self._files.resolve(path))
 
     def use(self, name: Term, once: bool) -> None:
-        """Load the file that a term names, or do nothing for a library that is always there.
+        """Load the file that a term names; do nothing for a built-in library.
 
         Args:
-            name: the file, or ``library(Name)``.
-            once: leave it at that where the file has been loaded before.
+            name: name of the file, or ``library(Name)``.
+            once: do nothing if the file has been loaded before.
 
         Raises:
-            ProgramErrors: all errors; nothing of the file is active then.
-            PrologError: for an unknown library, or a term that names no file.
-            UsageError: where the file cannot be read.
+            ProgramErrors: all errors; nothing of the file is active.
+            PrologError: for an unknown library or an invalid file name.
+            UsageError: if the file cannot be read.
         """
         name = deref(name)
         if name.__class__ is tuple and name[0] is LIBRARY:
             require_library(name)
             return
         path = self._files.find(name)
+        # A module is loaded once, as in SWI-Prolog; another import of it only makes its predicates visible.
         if not self._files.has_loaded(path) or not (once or self._files.module(path)):
             self._load_file(path)
         self._modules.bring_in(self._files.module(path))
 
     def load_terms(self, terms: Sequence[Tuple[Term, Optional[Place]]]) -> None:
-        """Load terms; see `Rules.load_terms`."""
+        """Load terms; see `RuleBase.load_terms`."""
         logic = self._rules.logic
         reading = self._reading(FileChecker(logic.brief, self._rules.declared.now()), Errors())
         for term, place in terms:
@@ -207,14 +219,15 @@ class EventFileLoader:
         self._finish(lambda errors: self._checked(reading.checker, errors), reading.errors)
 
     def load_read(self, read: ReadTerm) -> None:
-        """Load a term that was read, as if it stood alone in an event file.
+        """Load a parsed term like an event file of one term.
 
         Raises:
-            ProgramErrors: all errors; nothing is active then.
+            ProgramErrors: all errors; nothing is active.
         """
         rules = self._rules
         checker = FileChecker(declared=rules.declared.now())
         checker.read(read)
+        # `preparing` collects the terms of all rules, from which the compiler sees which predicates events call.
         with rules.logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
             self._finish(lambda errors: self._checked(checker, errors), Errors())
 
@@ -250,7 +263,7 @@ class EventFileLoader:
         return _Reading(checker, self._rules.logic.operators.copy(), errors, ConditionalCompilation(holds))
 
     def _read(self, program: Program, reading: _Reading) -> None:
-        """Read the terms of a text, and in their places those of files that it includes."""
+        """Read the terms of a text; the terms of included files take the place of the ``include`` directive."""
         for read in program:
             if isinstance(read, SyntaxFault):
                 if not reading.conditions.skip:
@@ -272,6 +285,7 @@ class EventFileLoader:
         if name is not None:
             self._include(name, read.place_of(term, 1), reading, program)
             return
+        # Terms that the program has generated have no positions of their own; errors point to the original term.
         found = self._expansion.terms(term)
         if found is not None:
             for one in found:
@@ -285,13 +299,14 @@ class EventFileLoader:
         if read.singletons and self._rules.warn_singletons:
             names = ", ".join(read.singletons)
             self._rules.on_warning(RuleError(f"singleton variables: {names}", read.place))
+        # The directive runs only in step 3, but its operators and flags are needed to read the rest of the file.
         if directive is not None:
             change_reading(directive, program)
 
     def _include(
         self, name: Term, place: Optional[Place], reading: _Reading, outer: Optional[Program] = None
     ) -> None:
-        """Read the terms of another file as if they stood here."""
+        """Read the terms of an included file."""
         try:
             path = self._files.find(name)
             text = self._files.text(path)
@@ -306,7 +321,7 @@ class EventFileLoader:
             reading.errors.append(RuleError(error.message, place))
 
     def _checked(self, checker: FileChecker, errors: Errors) -> CheckedProgram:
-        """Check what needs the logic: clauses, goals of rules, files that are used."""
+        """Check what depends on the logic: clauses, predicates that goals call, files that are used."""
         errors.extend(checker.errors)
         logic = self._rules.logic
         steps: List[Union[FileEntry, Consulted, CheckedProgram]] = []
@@ -322,6 +337,7 @@ class EventFileLoader:
                     steps.append(accepted)
             else:
                 steps.append(step)
+        # A predicate that the program defines itself is not the one of `check`.
         for call in checker.untimed:
             if call.key not in defined and logic.is_of_system(call.key):
                 message = (
@@ -346,7 +362,7 @@ class EventFileLoader:
         return rules
 
     def _used(self, step: FileEntry, errors: Errors) -> Optional[CheckedProgram]:
-        """Return the plan of a file that is used; None for a library, or what need not be loaded again."""
+        """Return the checked contents of a file that is used; None for a library or a file that is already loaded."""
         name = deref(step.term)
         try:
             if name.__class__ is tuple and name[0] is LIBRARY:
@@ -364,7 +380,7 @@ class EventFileLoader:
             return None
 
     def _finish(self, accepted: Callable[[Errors], CheckedProgram], errors: Errors) -> None:
-        """Check all of a program, then have it act; what is refused leaves nothing behind."""
+        """Check the whole program, then make it take effect; undo everything after an error."""
         loaded = set(self._files.loaded)
         before: Optional[LoadRollback] = None
         outermost = not self._begun
@@ -373,6 +389,8 @@ class EventFileLoader:
         try:
             checked = accepted(errors)
             if errors:
+                # A full copy of the clause sets costs time in proportion to the program, so it is made only if
+                # necessary.
                 raise ProgramErrors(_in_order(errors))
             if checked.may_stop_half_way:
                 before = LoadRollback(self._rules)
@@ -381,6 +399,7 @@ class EventFileLoader:
         except RetalisError as error:
             if before is not None:
                 before.restore()
+            # Also if nothing took effect: reading has marked the files as loaded.
             self._files.loaded = loaded
             if outermost:
                 self._begun = []
@@ -392,12 +411,13 @@ class EventFileLoader:
 
     @property
     def is_loading(self) -> bool:
-        """Whether a load is under way."""
+        """True while a load is in progress."""
         return bool(self._begun or self._acting)
 
     def mend(self) -> None:
-        """Take back what an interrupted load has done so far."""
+        """Undo a load that was interrupted."""
         self._acting.clear()
+        # The first two entries belong to the outermost load; restoring its state undoes nested loads, too.
         for before in self._begun[:2]:
             before.restore()
         self._begun = []
@@ -428,7 +448,8 @@ class EventFileLoader:
         for step in accepted.steps:
             if isinstance(step, CheckedProgram):
                 module = "" if step.path is None else self._files.module(step.path)
-                if not module:  # else a file before it has had it loaded meanwhile
+                # A file that precedes this one may have loaded it meanwhile.
+                if not module:
                     self._act(step)
                     module = self._modules.last
                 self._modules.bring_in(module)
@@ -442,6 +463,8 @@ class EventFileLoader:
                 rules.set_property(step.term)
             else:
                 self._run(step)
+        # Rules are activated after all clauses, so that an event of a directive cannot reach a rule whose clauses are
+        # incomplete; goals of `initialization/1` follow, so that their events reach the rules.
         for rule in accepted.rules:
             rules.activate(rule)
         for step in late:
@@ -461,7 +484,7 @@ class EventFileLoader:
 
 
 def _in_order(errors: Errors) -> Errors:
-    """Order errors by file, in the order in which the files came up, and there by line and column."""
+    """Sort errors by file, in the order in which the files first occur, then by line and column."""
     files: Dict[Optional[str], int] = {}
     for error in errors:
         files.setdefault(error.place.source if error.place else None, len(files))

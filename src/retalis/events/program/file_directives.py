@@ -1,7 +1,4 @@
-"""Directives of event files: run so that what goes wrong is shown at the goal where it did.
-
-The declarations of events in a file: each holds from where it stands, and what follows has to fit.
-"""
+"""Directives of event files: execution with the position of the failing goal, and declarations of events."""
 
 from typing import Any, Iterable, List, Mapping, Optional, Tuple
 
@@ -29,7 +26,7 @@ Goals = List[Tuple[Term, Optional[Place]]]
 
 
 def goals_of(directive: Term, spot: Spot) -> Goals:
-    """Return the goals of a directive that are called one after the other, each with its place."""
+    """Return the goals of a directive that are called in sequence, each with its position."""
     found: Goals = []
     stack: List[Tuple[Any, int]] = [(directive, 1)]
     while stack:
@@ -45,9 +42,11 @@ def goals_of(directive: Term, spot: Spot) -> Goals:
 class Directives:
     """Runs directives.
 
-    Before each goal of several one is called that notes which it is; so it is known, without looking into the
-    machine, which was begun last when it is over. It leaves nothing to go back to (a long run would keep it):
-    what a goal raises when it is asked for another solution is shown at the one that was begun last.
+    Before each goal of a conjunction a marker goal records its number. So the position of a goal that fails or raises
+    is
+    known without inspecting the machine. The marker is deterministic and leaves no choice point, which a long run
+    would
+    keep. An error on backtracking is attributed to the goal that was called last.
     """
 
     def __init__(self, logic: PrologSystem):
@@ -57,15 +56,18 @@ class Directives:
         logic.define("$goal", 1, self._enter)
 
     def run(self, goal: Term, goals: Goals, place: Optional[Place]) -> Optional[RuleError]:
-        """Run a directive; return a warning where it fails, at the goal that was reached last.
+        """Run a directive; return a warning if it fails, with the position of the last goal that was called.
 
         Raises:
-            RuleError: what it raised, at the goal that did.
+            RuleError: the error that a goal raised, with its position.
         """
+        # Saved for nested directives: a goal may load a file.
         before = self._last, self._many
         goal, goals = self._logic.of_file(goal), [(self._logic.of_file(one), at) for one, at in goals]
         wrong = [at for at, (one, _) in enumerate(goals) if not _is_callable(one)]
-        noting = len(goals) > 1 and not wrong  # else it raises an error that shows all of it
+        # A conjunction with a part that is not callable raises an error that shows all of it; markers would show
+        # there.
+        noting = len(goals) > 1 and not wrong
         self._last, self._many = wrong[0] if wrong else 0, len(goals)
         try:
             if self._logic.once(_noting([one for one, _ in goals]) if noting else goal, goal):
@@ -80,7 +82,8 @@ class Directives:
     def _enter(self, machine: Machine, number: Term) -> bool:
         reached = deref(number)
         if not isinstance(reached, int) or not 0 <= reached < self._many:
-            return False  # called by a program, by its name
+            # A program has called the marker by its name.
+            return False
         self._last = reached
         return True
 
@@ -90,7 +93,7 @@ def _is_callable(goal: Term) -> bool:
 
 
 def _noting(goals: List[Term]) -> Term:
-    """Return the goals as one that notes before each which it is."""
+    """Return the conjunction of goals with a marker before each."""
     result: Optional[Term] = None
     for number in range(len(goals) - 1, -1, -1):
         one = goals[number] if result is None else (COMMA, goals[number], result)
@@ -102,11 +105,11 @@ _SET_FLAG = functor("set_etalis_flag", 2)
 
 
 class FileDeclarations:
-    """What holds at a place of a file that is being read.
+    """Declarations of events during the check of a file: each applies from its position on.
 
     Args:
-        declared: what holds where it begins; None where nothing is looked at.
-        errors: take what does not fit.
+        declared: declarations at the beginning of the file; None to check nothing.
+        errors: receives events that do not match.
     """
 
     def __init__(self, declared: Optional[Declarations], errors: Errors):
@@ -114,11 +117,12 @@ class FileDeclarations:
         self._errors = errors
 
     def take(self, goals: Goals, spot: Spot) -> None:
-        """Have what the goals of a directive declare hold for the rest of the file.
+        """Apply the declarations of a directive to the rest of the file.
 
         Raises:
-            RuleError: where one is no declaration, or not that of before.
+            RuleError: if a declaration is invalid or contradicts an earlier one.
         """
+        # The directive has not run yet, so declarations and the flag are taken from its goals.
         declared = self._declared
         for goal, _ in () if declared is None else goals:
             if declared is None or goal.__class__ is not tuple:
@@ -140,7 +144,7 @@ class FileDeclarations:
         spot: Spot,
         place: Optional[Place],
     ) -> None:
-        """Look whether events fit that stand in a rule, clause or directive, whose variables are its own."""
+        """Check events in a rule, clause or directive, with its variables, against the declarations."""
         if self._declared:
             kinds = VariableKinds(names, told=not has_branches(term))
             for error in self._declared.misfits(

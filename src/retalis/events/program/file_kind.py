@@ -1,6 +1,8 @@
-"""What the directives of a file change for the rest of it while it is read: operators, and how quotes read.
+"""File kind: decision whether a file contains event rules or is a Prolog program, and reader settings of directives.
 
-Whether a file is one of event rules, which is accepted or refused as a whole, or a Prolog program.
+A file counts as an event file if it contains an event rule, or a directive that calls a predicate of the event
+language. A regular expression excludes most Prolog files. For the others the terms are read, with the operators and
+flags that their directives set, and included files are followed. Nothing is executed.
 """
 
 import re
@@ -19,7 +21,7 @@ _SET_FLAG = functor("set_prolog_flag", 2)
 
 
 def change_reading(goal: Term, program: Program) -> None:
-    """Have operators and flags that a directive sets hold for the rest of the file."""
+    """Apply operators and flags that a directive sets to the rest of the text."""
     for one in conjuncts(goal):
         if one.__class__ is not tuple:
             continue
@@ -29,7 +31,8 @@ def change_reading(goal: Term, program: Program) -> None:
                 try:
                     program.operators.add(arguments[0], arguments[1].name, name)
                 except (RetalisError, ValueError):
-                    continue  # the directive itself reports it when it is run
+                    # The directive itself reports the error when it runs.
+                    continue
         elif one[0] is _SET_FLAG and arguments[0].__class__ is Atom and arguments[1].__class__ is Atom:
             name = arguments[0].name
             if name in ("double_quotes", "back_quotes"):
@@ -44,10 +47,10 @@ def _names(term: Term) -> List[str]:
 
 
 _WORDS = re.compile(r"<-|'rule:'|'?\b(?:do|iff|IFF|event_rule_property|include)\b")
-"""One of these is in each text that has event rules."""
+"""Each text with event rules contains one of these."""
 
 _NAMES = re.compile(r"[:?]-\s*(?:\(\s*)?([a-z]\w*)")
-"""What the directives of a text call first."""
+"""The first predicate that a directive calls."""
 
 _OF_LANGUAGE = frozenset(
     (
@@ -59,19 +62,19 @@ _OF_LANGUAGE = frozenset(
         "reset_etalis", "reset_etalis_state",
     )
 )  # fmt: skip
-"""Goals of the event language that no Prolog program has."""
+"""Predicates of the event language that no Prolog program uses."""
 
 Opened = Callable[[Term], Optional[Tuple[str, str]]]
-"""Gives the text of a file and what errors call it."""
+"""A function that returns the text of a file and its name for errors; None if there is no such file."""
 
 
 def is_of_events(text: str, logic: PrologSystem, opened: Opened) -> bool:
-    """Tell whether a text has an event rule, or a directive that calls a predicate of the event language.
+    """Return whether a text contains an event rule, or a directive that calls a predicate of the event language.
 
     Args:
-        text: of the file.
-        logic: knows predicates and operators.
-        opened: gives the text of a file that this one includes, None where there is none.
+        text: text of the file.
+        logic: provides predicates and operators.
+        opened: returns the text of an included file.
     """
     if not _may_be(text):
         return False
@@ -89,12 +92,14 @@ def _is_of_language(logic: PrologSystem, key: Functor) -> bool:
 
 
 _MAX_INCLUDE_DEPTH = 50
-"""Files that include each other, at most."""
+"""Maximum depth of included files."""
 
 
 def _has_rules(program: Program, logic: PrologSystem, opened: Opened, depth: int) -> bool:
     for read in program:
         if isinstance(read, SyntaxFault):
+            # A rule with a syntax error must not turn the file into a Prolog program, where it would only be a
+            # warning.
             if read.place is not None and "<-" in read.place.text:
                 return True
             continue
@@ -124,4 +129,5 @@ def _text(name: Term, opened: Opened) -> Optional[Tuple[str, str]]:
     try:
         return opened(name)
     except RetalisError:
-        return None  # who reads the file in earnest says so
+        # Reading the file later reports the error.
+        return None

@@ -1,7 +1,11 @@
-"""The one door to files: what a program names is opened here, and checked at the moment in which it is opened.
+"""File sandbox: all file access of programs, restricted to permitted folders and checked on the opened file.
 
-A program whose own files are being loaded may open any regular file. Goals that run later, of events, queries and
-services, read in the program's own folders and write nowhere, but for the folders that settings allow.
+While a program's own files are loaded, any regular file may be read. Goals that run later (of events, queries and
+services) may read in the program's own folders and write nowhere, except in the folders that the settings permit.
+
+The path is resolved and compared with the folders first. Since a symbolic link can be put there before the file is
+opened (a TOCTOU race), the file is opened with ``O_NOFOLLOW``, and the path of the descriptor in ``/proc/self/fd`` is
+compared again. Devices, pipes and sockets are refused before they are opened.
 """
 
 import errno
@@ -23,7 +27,8 @@ from ...prolog.machine.resource_limits import MEGABYTE
 from ...prolog.terms.types import atom
 
 _LONGEST_PATH, _LONGEST_PART = 4095, 255
-"""Bytes, on Linux."""
+"""Limits of Linux in bytes."""
+# O_NONBLOCK and O_NOCTTY: opening a pipe or terminal that has replaced the file must not block or change anything.
 _SAFELY = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
 _NO_PERMISSION = frozenset((errno.EACCES, errno.EPERM, errno.ELOOP, errno.ENXIO, errno.EISDIR, errno.EROFS))
 
@@ -32,10 +37,10 @@ FolderName = Union[str, "os.PathLike[str]"]
 
 
 class FileSandbox:
-    """Opens files by their resolved paths, where that is allowed; None stands for all folders.
+    """Opens files by resolved paths in permitted folders; None means all folders.
 
     Attributes:
-        max_bytes: the largest file that is read or written.
+        max_bytes: maximum size of a file that is read or written.
         is_loading: whether the program's own files are being loaded.
     """
 
@@ -61,25 +66,25 @@ class FileSandbox:
             max_bytes: size limit of a file.
 
         Raises:
-            UsageError: for a text in place of several folders.
+            UsageError: if a text is given in place of a list.
         """
         self._read, self._write = _real_folders(read), _real_folders(write)
         self.max_bytes = max_bytes
 
     @property
     def own(self) -> Tuple[str, ...]:
-        """The program's own folders."""
+        """Own folders of the program."""
         return tuple(self._own)
 
     def add_own(self, folder: FolderName) -> None:
-        """Count a folder as the program's own."""
+        """Register a folder as the program's own."""
         real = os.path.realpath(folder)
         if real not in self._own:
             self._own.append(real)
 
     @contextmanager
     def loading(self) -> Iterator[None]:
-        """Load the program's own files meanwhile: any file may be read."""
+        """Permit reading any file while the program's own files are loaded."""
         before, self.is_loading = self.is_loading, True
         try:
             yield
@@ -88,18 +93,18 @@ class FileSandbox:
 
     @property
     def start(self) -> str:
-        """Where relative names start that no file has: the program's folder for goals, else the working directory.
+        """Base of relative names: the program's folder for restricted goals, else the working directory.
 
-        It is the working directory, too, for goals that may read everywhere, as those typed at a console.
+        Goals that may read everywhere, for example at a console, also start in the working directory.
         """
         return self._own[0] if self._own and self._readable is not None else ""
 
     @property
     def output(self) -> str:
-        """The folder in which files are written whose place nobody names.
+        """Folder for files without a given location.
 
         Raises:
-            UsageError: where there is none.
+            UsageError: if there is none.
         """
         if self._write is None:
             return ""
@@ -113,23 +118,24 @@ class FileSandbox:
         """Return the resolved path of a file that may be read.
 
         Args:
-            path: where it is.
-            name: how the program calls it, for errors.
+            path: path of the file.
+            name: name in the program, for errors.
 
         Raises:
-            PrologError: a permission error where it leads out of the folders that are allowed.
+            PrologError: a permission error if the path leads out of the permitted folders.
         """
         return _resolved(path, name, self._readable)
 
     def is_file(self, path: str, name: str) -> bool:
-        """Tell whether there is such a file; errors are those of `require`."""
+        """Return whether a regular file exists; raises the errors of `require`."""
         try:
             return stat.S_ISREG(os.lstat(self.require(path, name)).st_mode)
-        except OSError:  # not there, or in a folder that is closed for us
+        # Not there, or in a folder without permission.
+        except OSError:
             return False
 
     def is_folder(self, path: str, name: str) -> bool:
-        """Tell whether there is such a folder; errors are those of `require`."""
+        """Return whether a folder exists; raises the errors of `require`."""
         try:
             return stat.S_ISDIR(os.lstat(self.require(path, name)).st_mode)
         except OSError:
@@ -139,14 +145,15 @@ class FileSandbox:
         """Return the text of a file; in latin-1, each byte is a character.
 
         Raises:
-            PrologError: permission, existence and resource errors.
-            UsageError: where it cannot be read or is not a text.
+            PrologError: a permission, existence or resource error.
+            UsageError: if the file cannot be read or decoded.
         """
         folders = self._readable
         real = _resolved(path, name, folders)
         try:
             opened = _open(real, os.O_RDONLY, name, folders)
             with os.fdopen(opened, "rb") as file:
+                # One byte more than permitted is read: the size that `stat` reports may change, and is 0 in /proc.
                 data = file.read(self.max_bytes + 1)
         except OSError as error:
             raise _fault("read", error, path, name) from error
@@ -161,16 +168,16 @@ class FileSandbox:
         return text.replace("\r\n", "\n").replace("\r", "\n")
 
     def begin(self, path: str, name: str, empty: bool) -> None:
-        """Make a file that may be written, where there is none.
+        """Create a file for writing if it does not exist.
 
         Args:
-            path: where it is.
-            name: how the program calls it, for errors.
-            empty: whether what it has goes.
+            path: path of the file.
+            name: name in the program, for errors.
+            empty: whether to remove the contents of an existing file.
 
         Raises:
-            PrologError: permission errors.
-            UsageError: where it cannot be written.
+            PrologError: a permission error.
+            UsageError: if the file cannot be written.
         """
         folders = self._writable
         real = _resolved(path, name, folders)
@@ -185,11 +192,11 @@ class FileSandbox:
             raise _fault("write", error, path, name) from error
 
     def append(self, path: str, text: str, encoding: str = "utf-8") -> None:
-        """Write a text to the end of a file, all of it or nothing.
+        """Append a text to a file, completely or not at all.
 
         Raises:
-            PrologError: permission and resource errors.
-            UsageError: where it cannot be written.
+            PrologError: a permission or resource error.
+            UsageError: if the file cannot be written.
         """
         folders = self._writable
         real = _resolved(path, path, folders)
@@ -209,6 +216,7 @@ class FileSandbox:
         size = os.fstat(opened).st_size
         if size + len(data) > self.max_bytes:
             raise resource_error("file_size", reason=f"{path} would have more than {self.max_bytes} bytes")
+        # A partial write, as on a full disk, is removed, so that a reader never finds half a term.
         try:
             written = os.write(opened, data)
         except OSError:
@@ -222,6 +230,7 @@ class FileSandbox:
     def _readable(self) -> Folders:
         if self.is_loading or self._read is None or self._write is None:
             return None
+        # Permission to write everywhere includes reading everywhere.
         return [*self._own, *self._read, *self._write]
 
     @property
@@ -230,10 +239,10 @@ class FileSandbox:
 
 
 def check_name(name: str) -> None:
-    """Accept what may be the name of a file.
+    """Check that a text can be the name of a file.
 
     Raises:
-        PrologError: where no file can have the name.
+        PrologError: if no file can have the name.
     """
     if "\0" in name:
         raise domain_error("source_sink", atom(name), "a file name cannot contain a NUL character")
@@ -253,16 +262,18 @@ def _real_folders(folders: Optional[Iterable[FolderName]]) -> Folders:
 
 
 def _resolved(path: str, name: str, folders: Folders) -> str:
-    """Return a path without symlinks.
+    """Return a path without symbolic links.
 
     Raises:
-        PrologError: a permission error where it leads out of the folders.
+        PrologError: a permission error if it leads out of the folders.
     """
     try:
-        if "\0" in path:  # some versions of Python return such a path as it is
+        # Some versions of Python return a path with a NUL character unchanged.
+        if "\0" in path:
             raise ValueError("embedded null byte")
         real = os.path.realpath(path)
-    except (OSError, ValueError) as error:  # a name that the file system cannot have
+    # A name that the file system cannot have.
+    except (OSError, ValueError) as error:
         raise domain_error("source_sink", atom(name), str(error)) from error
     _check_place(real, name, folders)
     return real
@@ -276,11 +287,12 @@ def _check_place(real: str, name: str, folders: Folders) -> None:
 
 
 def _open(real: str, flags: int, name: str, folders: Folders) -> int:
-    """Open the regular file at a path without symlinks, and check where that is which was opened.
+    """Open a regular file at a resolved path, and check the location of the opened file.
 
-    Whatever has been put in its place meanwhile is not followed, waited for or used.
+    A file that has replaced it meanwhile is not followed, waited for or used.
     """
-    _check_kind(os.lstat(real), name)  # before it is opened: that alone starts some devices
+    # Before opening, because opening alone starts some devices.
+    _check_kind(os.lstat(real), name)
     opened = os.open(real, flags | _SAFELY)
     try:
         _check_kind(os.fstat(opened), name)
@@ -298,6 +310,8 @@ def _open_to_write(real: str, name: str, folders: Folders) -> int:
     except FileNotFoundError:
         pass
     folder, last = os.path.split(real)
+    # The file is created relative to a descriptor of its folder, whose location has been checked. O_EXCL refuses a
+    # link that was created meanwhile.
     at = os.open(folder, O_PATH | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:
         _check_opened(at, name, folders)  # before anything is made in it
@@ -313,12 +327,13 @@ def _check_kind(found: os.stat_result, name: str) -> None:
 
 
 def _check_opened(opened: int, name: str, folders: Folders) -> None:
+    # The kernel's own path of the descriptor; it reflects links that were changed during the opening.
     if folders is not None:
         _check_place(os.readlink(f"/proc/self/fd/{opened}"), name, folders)
 
 
 def _fault(doing: str, error: OSError, path: str, name: str) -> RetalisError:
-    """Return the error for what the system said."""
+    """Return the Prolog or usage error for an error of the operating system."""
     if error.errno in _NO_PERMISSION:
         return permission_error("open", "source_sink", atom(name), error.strerror)
     if doing == "read" and isinstance(error, (FileNotFoundError, NotADirectoryError)):

@@ -1,4 +1,8 @@
-"""Goal files (``goalPredicates.txt``): one goal a line, the full stop left out more often than not."""
+"""Goal files (``goalPredicates.txt``): one goal per line, usually without a full stop.
+
+Programs of the original system write one goal per line and omit most full stops. A line that reads as a term is a
+goal. Otherwise the goal is assumed to continue to the next line that ends in a full stop.
+"""
 
 from functools import partial
 from pathlib import Path
@@ -18,15 +22,17 @@ _INCLUDE = functor("include", 1)
 
 
 _IN_VAIN = 100_000
-"""Characters that are read again, beside a multiple of the file, to see whether lines that do not read go on.
+"""Characters that may be read again, beyond a multiple of the file, in search of the end of goals over several lines.
 
-Past them, each is an error of its own: of thousands that have errors, each read to a full stop far below would take
-time that grows with the square of the file.
+Afterwards, each line with an error is reported by itself. Otherwise thousands of such lines, each read up to a full
+stop
+far below, would take time that grows with the square of the file.
+
 """
 
 
 class FileGoal(NamedTuple):
-    """A goal, where it stands, and the folder of the file in which it stands."""
+    """A goal with its position and the folder of its file."""
 
     term: Term
     place: Place
@@ -34,7 +40,7 @@ class FileGoal(NamedTuple):
 
 
 def goal_of(term: Term) -> Term:
-    """Return the goal that a term of a goal file or stream is: ``:- Goal`` is Goal."""
+    """Return the goal of a term in a goal file or stream; ``:- Goal`` means Goal."""
     term = deref(term)
     return deref(term[1]) if term.__class__ is tuple and term[0] in _DIRECTIVES else term
 
@@ -42,18 +48,17 @@ def goal_of(term: Term) -> Term:
 def goals_of(
     text: str, source: str, folder: Optional[Path], operators: Operators, files: SourceFiles, load: Load
 ) -> Iterator[Union[FileGoal, RetalisError]]:
-    """Yield the goals of a goal file and, in their places, those of the files that it includes.
+    """Yield the goals of a goal file; the goals of included files take the place of the ``include`` goal.
 
-    ``:- Goal`` is Goal; ``include(File)`` stands for the goals of another goal file. An error is yielded where
-    something does not read.
+    ``:- Goal`` means Goal. A syntax error is yielded in place of the goal.
 
     Args:
-        text: of the goal file.
-        source: what errors call it.
-        folder: where it stands.
-        operators: those that hold in it.
-        files: of the program.
-        load: does a piece of work of a file of the program that stands in a folder, while nothing else is done.
+        text: text of the file.
+        source: name of the file in errors.
+        folder: folder of the file.
+        operators: operators for reading.
+        files: files of the program.
+        load: executes a function exclusively, with the permissions of a program file in a folder.
     """
     if folder is None:
         yield from _goals(text, source, None, operators, files, load)
@@ -74,6 +79,8 @@ def _goals(
             yield FileGoal(term, read.place, folder)
             continue
         try:
+            # Included files are opened with the permissions of the program, when the goals before them have been
+            # called.
             path, inner = load(folder, partial(_found, files, term[1]))
             yield from goals_of(inner, str(path), path.parent, operators, files, load)
         except RetalisError as error:
@@ -86,10 +93,11 @@ def _found(files: SourceFiles, name: Term) -> Tuple[Path, str]:
 
 
 def read_goals(text: str, operators: Operators, source: str) -> Iterator[Read]:
-    """Yield the goals of a goal file, and a `SyntaxFault` for each that does not read.
+    """Yield the goals of a goal file, or a `SyntaxFault` for each text that is not a goal.
 
-    A line is a goal of its own where it reads as one, with or without a full stop. Where it does not, the
-    goal goes on to a line that ends in a full stop.
+    A line is a goal if it reads as a term, with or without a full stop. Otherwise the goal continues to a line that
+    ends
+    in a full stop.
     """
     lines = text.split("\n")
     at = stop = 0
@@ -106,7 +114,7 @@ def read_goals(text: str, operators: Operators, source: str) -> Iterator[Read]:
                 stop += 1
             if stop < len(lines):
                 longer = _read(lines, at, stop + 1, operators, source)
-                # Where the longer one fails after the first line, its lines belong together: none is a goal.
+                # If the longer text also has an error, but beyond its first line, the lines belong together.
                 if not isinstance(longer, SyntaxFault) or _line(longer) > at + 1:
                     goal, end = longer, stop + 1
                 else:
@@ -116,12 +124,13 @@ def read_goals(text: str, operators: Operators, source: str) -> Iterator[Read]:
 
 
 def _unfinished(fault: SyntaxFault, lines: List[str], at: int) -> SyntaxFault:
-    """Return the error about a line that does not read, with what is missing where it ends in the midst of a term."""
+    """Return the error of a line, with advice about the full stop if the line ends in the middle of a term."""
     place = fault.place
     follows = at + 1 < len(lines) and not _is_blank(lines[at + 1])
     if place is None or not follows or not _is_blank(lines[at][place.column - 1 :]):
         return fault
-    message = fault.message.partition("; ")[0]  # not that a comma were superfluous
+    # The advice after the semicolon (a superfluous comma) would be misleading here.
+    message = fault.message.partition("; ")[0]
     return SyntaxFault(f"{message}; a goal over several lines ends with a full stop", place)
 
 
@@ -131,7 +140,7 @@ def _is_blank(line: str) -> bool:
 
 
 def _ends_goal(line: str) -> bool:
-    """Tell whether a goal that began before this line may end with it, in a full stop."""
+    """Return whether a goal may end with this line."""
     return line.rstrip().endswith(".") or line.split("%")[0].rstrip().endswith(".")
 
 
@@ -147,7 +156,7 @@ def _read(lines: List[str], start: int, end: int, operators: Operators, source: 
 
 
 def errors_in(error: RetalisError, place: Place) -> List[RetalisError]:
-    """Return the errors that a goal of a goal file met: those of the file that it loads, or its own."""
+    """Return the errors of a goal: those of the file that it loads, or its own."""
     if isinstance(error.__cause__, ProgramErrors):
         errors = error.__cause__.errors
     else:

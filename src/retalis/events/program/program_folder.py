@@ -1,4 +1,8 @@
-"""The folder of a program: ``pub_sub.xml``, ``goalPredicates.txt`` and what these name."""
+"""Program folders: names of the files, and the topics in ``pub_sub.xml``.
+
+``pub_sub.xml`` is parsed with expat. Document types are refused, because entities can expand a small text to a huge
+one ("billion laughs") or read other files; size and depth are limited. All errors are collected with their positions.
+"""
 
 from pathlib import Path
 from typing import Callable, Dict, FrozenSet, List, NamedTuple, Optional, Set, Tuple, Union
@@ -26,17 +30,17 @@ TOPICS = "pub_sub.xml"
 RULES = "eventRules.txt"
 
 ATTRIBUTES = {"subscribe_to": ("name", "msg_type", "event"), "publish_to": ("name", "msg_type", "latch")}
-"""The elements of ``pub_sub.xml`` that say something, and what they may say."""
+"""Elements of ``pub_sub.xml`` with their attributes."""
 
 MAX_XML_CHARACTERS = 4_000_000
-"""Characters that ``pub_sub.xml`` may have."""
+"""Maximum length of ``pub_sub.xml``."""
 
 MAX_XML_DEPTH = 100
-"""How deep its elements may lie in each other."""
+"""Maximum nesting depth of its elements."""
 
 
 class TopicType(NamedTuple):
-    """A topic's name, as written (it may be relative), and its message type ``pkg/Type``.
+    """Name of a topic as written, possibly relative, and its message type ``pkg/Type``.
 
     >>> playback = Playback(folder, report=print, topics=[TopicType("scan", "sensor_msgs/LaserScan")])
     """
@@ -46,23 +50,23 @@ class TopicType(NamedTuple):
 
 
 DIRECT = (TopicType("tf", "tf/tfMessage"), TopicType("ar_pose_marker", "ar_pose/ARMarkers"))
-"""The topics that node retalis subscribes by itself by default, as the original did."""
+"""Topics that node retalis subscribes to by default, like the original system."""
 
 
 AUTO = "auto"
-"""The value of ``~direct`` for those topics of `DIRECT` that ``pub_sub.xml`` does not name."""
+"""Value of ``~direct`` for the topics of `DIRECT` that ``pub_sub.xml`` does not name."""
 
 DirectTopics = Union[bool, str, Tuple[TopicType, ...]]
-"""The value of ``~direct``: `AUTO`, True, False, or the topics."""
+"""Value of ``~direct``: `AUTO`, True, False, or the topics."""
 
 _DIRECT_WORDS: Dict[str, Union[bool, str]] = {"auto": AUTO, "true": True, "false": False}
 
 
 def topic_type(topic: str, kind: str) -> TopicType:
-    """Return a topic and its type, as they came from outside; the type may be written as in ROS 2 (``pkg/msg/Type``).
+    """Return a validated topic and type; the type may be written as in ROS 2 (``pkg/msg/Type``).
 
     Raises:
-        UsageError: where one of them is not a name that ROS allows.
+        UsageError: if the name or type is invalid in ROS.
     """
     kind = plain_type(kind)
     fault = topic_fault(topic) or type_fault(kind)
@@ -72,20 +76,20 @@ def topic_type(topic: str, kind: str) -> TopicType:
 
 
 class TopicEvent(NamedTuple):
-    """A topic's name, as written, and what its events are called."""
+    """Name of a topic as written, and the name of its events."""
 
     topic: str
     event: str
 
 
 class Topics(NamedTuple):
-    """What ``pub_sub.xml`` says.
+    """Contents of ``pub_sub.xml``.
 
     Attributes:
-        subscribed: topics that become events.
-        published: topics that are published, with their types.
-        latched: names of those whose last message goes to every subscriber that comes later.
-        events: subscribed topics whose events have a name of their own, each with that.
+        subscribed: topics whose messages become events.
+        published: topics for outputs, with their types.
+        latched: names of latched topics, whose last message is sent to each new subscriber.
+        events: subscribed topics with a name for their events.
     """
 
     subscribed: Tuple[TopicType, ...] = ()
@@ -94,21 +98,21 @@ class Topics(NamedTuple):
     events: Tuple[TopicEvent, ...] = ()
 
     def event_of(self, topic: str, plain: Callable[[str], str] = str) -> str:
-        """Return what the events of a topic are called, "" where they are called by its type.
+        """Return the name of the events of a topic, or "" if they are named by the message type.
 
         Args:
-            topic: its name.
-            plain: gives the form of a name by which two are compared.
+            topic: name of the topic.
+            plain: returns the canonical form of a topic name.
         """
         wanted = plain(topic)
         return next((event for named, event in self.events if plain(named) == wanted), "")
 
 
 def read_text(path: Union[str, Path]) -> str:
-    """Return the text of a file (UTF-8).
+    """Return the text of a UTF-8 file.
 
     Raises:
-        UsageError: where it cannot be read.
+        UsageError: if it cannot be read.
     """
     try:
         return Path(path).read_text(encoding="utf-8")
@@ -116,29 +120,30 @@ def read_text(path: Union[str, Path]) -> str:
         raise UsageError(f"cannot read {path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise UsageError(f"cannot read {path}: {undecodable(error)}") from error
-    except ValueError as error:  # what no file is called: a NUL, surrogates
+    # The name contains a NUL character or surrogates.
+    except ValueError as error:
         raise UsageError(f"cannot read {str(path)!r}: {error}") from error
 
 
 def read_topics(path: Union[str, Path]) -> Topics:
-    """Read a ``pub_sub.xml``.
+    """Parse a ``pub_sub.xml`` file.
 
     Raises:
-        ProgramErrors: all that is wrong with it, each with its place.
-        UsageError: where it cannot be read.
+        ProgramErrors: all errors with their positions.
+        UsageError: if it cannot be read.
     """
     reader = _TopicReader(str(path), read_text(path))
     return reader.read()
 
 
 def read_direct(value: object) -> DirectTopics:
-    """Return which topics node retalis subscribes by itself, as parameter ``~direct`` or option ``--direct`` says.
+    """Return the value of parameter ``~direct`` or option ``--direct``.
 
     Args:
-        value: ``auto``, true, false, or a list of topics and types, flat or in pairs; a text may say each of them.
+        value: ``auto``, true, false, or a list of topics and types, flat or in pairs; each may also be given as text.
 
     Raises:
-        UsageError: if it says something else, or names a topic or a type that ROS does not allow.
+        UsageError: if the value is invalid, or a topic or type is invalid in ROS.
     """
     said = value
     if isinstance(said, str):
@@ -161,12 +166,12 @@ def read_direct(value: object) -> DirectTopics:
 def direct_topics(
     direct: DirectTopics, topics: Topics, plain: Callable[[str], str] = str
 ) -> Tuple[TopicType, ...]:
-    """Return the topics that node retalis subscribes by itself, which enter the engine live and offline.
+    """Return the topics that node retalis subscribes to directly, both live and offline.
 
     Args:
-        direct: the value of ``~direct``.
-        topics: those that the program names.
-        plain: gives the form of a name by which two are compared.
+        direct: value of ``~direct``.
+        topics: topics of the program.
+        plain: returns the canonical form of a topic name.
     """
     if direct is True:
         return DIRECT
@@ -177,20 +182,21 @@ def direct_topics(
 
 
 def event_types(folder: Path) -> Dict[str, str]:
-    """Return the message types of the events of a program's topics that have names of their own.
+    """Return the message types by the event names that a program's topics define.
 
-    None where ``pub_sub.xml`` is wrong or not there, which those say who subscribe its topics.
+    Empty if ``pub_sub.xml`` is invalid or missing; the subscription of the topics reports that.
     """
     try:
         topics = read_topics(folder / TOPICS)
     except RetalisError:
         return {}
+    # Reversed, because the first of several entries for a topic counts.
     types = dict(reversed(topics.subscribed))
     return {event: types[topic] for topic, event in reversed(topics.events)}
 
 
 class _TopicReader:
-    """Collects ``subscribe_to`` and ``publish_to`` elements, at any depth, and the errors in them."""
+    """Collects ``subscribe_to`` and ``publish_to`` elements at any depth, and their errors."""
 
     def __init__(self, source: str, text: str):
         self.source = source
@@ -231,11 +237,11 @@ class _TopicReader:
         return place_in(self.source, line, offset + 1, text)
 
     def here(self) -> Place:
-        """Return the place where the parser is."""
+        """Return the position of the parser."""
         return self.place(self.parser.CurrentLineNumber, self.parser.CurrentColumnNumber)
 
     def doctype(self, *declared: object) -> None:
-        """Refuse what entities could be declared in: they make a large text of a few, or read other files."""
+        """Refuse a document type: its entities could expand a small text to a huge one, or read other files."""
         raise SyntaxFault("a document type (<!DOCTYPE ...>) is not allowed", self.here())
 
     def element(self, tag: str, attributes: Dict[str, str]) -> None:
@@ -250,7 +256,8 @@ class _TopicReader:
                 self.wrong(f"the root must be <publish_subscribe>, found <{tag}>", place)
             return
         if tag not in self.found:
-            if "msg_type" in attributes:  # any other element only groups what is in it
+            # Elements with other names only group their contents.
+            if "msg_type" in attributes:
                 self.wrong(f"expected <subscribe_to> or <publish_to>, found <{tag}>", place)
             return
         for name in ("name", "msg_type"):
@@ -270,7 +277,8 @@ class _TopicReader:
 
     def name(self, topic: str, event: Optional[str], place: Place) -> None:
         if event is None or any(one.topic == topic for one in self.found["subscribe_to"]):
-            return  # of a topic that stands there twice the first counts
+            # Of several entries for a topic the first one counts.
+            return
         fault = event_fault(event.strip())
         if fault is None:
             self.events.append(TopicEvent(topic, event.strip()))

@@ -1,8 +1,9 @@
-"""Files and libraries as ``use_module/1``, ``ensure_loaded/1`` and ``include/1`` name them.
+"""Source files: resolution of file and library names, loaded files, and modules.
 
-Operators that libraries of SWI-Prolog export: with them the clauses of a file read whose library is not there.
-
-Files that a program names: where relative ones are, and which have been loaded.
+Names in ``use_module/1``, ``ensure_loaded/1``, ``consult/1`` and ``include/1`` are relative to the file that contains
+them, or to the program's folder for goals. Libraries of SWI-Prolog whose predicates are built in are accepted without
+a file. For libraries that are not available (clpfd, chr, ...) the operators are declared, so that a file with their
+clauses can still be read.
 """
 
 import os
@@ -69,14 +70,14 @@ LIBRARIES = frozenset(
         "yall",
     )
 )
-"""Libraries of other Prolog systems whose usual predicates are always there."""
+"""Libraries of other Prolog systems whose usual predicates are built in."""
 
 
 def require_library(term: Term) -> None:
-    """Accept ``library(Name)`` where its predicates are always there.
+    """Check that ``library(Name)`` is built in.
 
     Raises:
-        PrologError: where there is no such library.
+        PrologError: if the library is unknown.
     """
     name = deref(term[1])  # type: ignore[index]
     if name.__class__ is Var:
@@ -86,9 +87,9 @@ def require_library(term: Term) -> None:
 
 
 def renaming(file: Term, imports: Term = NIL) -> List[Term]:
-    """Return the clauses by which predicates have the names that ``use_module(File, [p/1 as q])`` gives them.
+    """Return clauses that define the names given by ``use_module(File, [p/1 as q])``.
 
-    They call those of the module that is called as its file, and the plain ones where there is no such module.
+    They call the predicates of the module named like the file, or global ones if there is no such module.
     """
     imports = deref(imports)
     if imports.__class__ is tuple and imports[0] is _EXCEPT:
@@ -110,7 +111,7 @@ def _call(name: str, args: List[Var]) -> Term:
 
 
 def library_path(name: Term) -> str:
-    """Return the name of a library as a text, with slashes between its parts; "" for what is none."""
+    """Return the name of a library as text with slashes, or "" for an invalid name."""
     try:
         return file_name(name)
     except PrologError:
@@ -118,10 +119,10 @@ def library_path(name: Term) -> str:
 
 
 def file_name(term: Term) -> str:
-    """Return the name of a file: an atom, a string, or parts with slashes between them.
+    """Return the name of a file from an atom, a string, or a term of these with slashes.
 
     Raises:
-        PrologError: where it is none.
+        PrologError: if the term is not a file name.
     """
     parts = []
     pending = [term]
@@ -175,7 +176,7 @@ _EXPORTED: Dict[str, str] = {
 
 
 def declare_operators(name: Term, operators: Operators) -> None:
-    """Declare the operators of ``library(Name)`` in a table; nothing for another name."""
+    """Declare the operators of ``library(Name)``; do nothing for another name."""
     name = deref(name)
     if name.__class__ is not tuple or name[0] is not LIBRARY:
         return
@@ -186,21 +187,21 @@ def declare_operators(name: Term, operators: Operators) -> None:
 
 
 _ENDINGS = (".pl", ".prolog", ".pro")
-"""What may be left out of the name of a file."""
+"""Suffixes that may be omitted in names of files."""
 
 State = Tuple[Optional[Path], int, bool]
-"""Where relative paths are, how many files are open, and whether they are the program's own."""
+"""Base folder of relative paths, number of open files, and whether they are the program's own."""
 
 
 class SourceFiles:
-    """The files of a program.
+    """Files of a program.
 
     Attributes:
-        door: opens them.
-        loaded: those that have been loaded, or are being loaded.
-        omitted: of those that were loaded without some of their terms, how many these were.
-        modules: the names of those that are modules.
-        on_same_module: called with what is to be said of two that are one module.
+        door: sandbox that opens the files.
+        loaded: files that have been loaded or are being loaded.
+        omitted: number of omitted terms, by file.
+        modules: names of modules, by file.
+        on_same_module: called with a warning if two files define the same module.
     """
 
     def __init__(self) -> None:
@@ -215,13 +216,13 @@ class SourceFiles:
 
     @contextmanager
     def loading(self, folder: Optional[Path] = None) -> Iterator[None]:
-        """Load the program's own files meanwhile, those of a folder."""
+        """Grant the permissions of the program's own files; relative paths start in ``folder``."""
         with self.door.loading(), self.relative_to(folder):
             yield
 
     @contextmanager
     def relative_to(self, folder: Optional[Path]) -> Iterator[None]:
-        """Have relative paths be relative to a folder."""
+        """Make relative paths start in a folder."""
         before = self._folder
         if folder is not None:
             self._folder = Path(folder)
@@ -232,7 +233,7 @@ class SourceFiles:
 
     @contextmanager
     def loading_again(self, before: Dict[str, int]) -> Iterator[None]:
-        """Refuse files meanwhile of which more has to be left out than before."""
+        """Reject files of which more terms must be omitted than before, for a reload."""
         self.omitted, self._again = dict(before), True
         try:
             yield
@@ -240,30 +241,31 @@ class SourceFiles:
             self._again = False
 
     def may_omit(self, source: str) -> Optional[int]:
-        """Return how many terms of a file may be left out; None for any number."""
+        """Return the maximum number of omitted terms of a file; None for any number."""
         return self.omitted.get(source, 0) if self._again else None
 
     def note_omitted(self, source: str, number: int) -> None:
-        """Note how many terms of a file were left out."""
+        """Record the number of omitted terms of a file."""
         self.omitted.pop(source, None)
         if number:
             self.omitted[source] = number
 
     def state(self) -> State:
-        """Return where relative paths are and what is allowed, for `restore`."""
+        """Return the state for `restore`."""
         return self._folder, len(self._open), self.door.is_loading
 
     def restore(self, state: "Optional[State]") -> None:
-        """Go back to a state, with None to that in which nothing is being loaded."""
+        """Restore a state; with None, the state in which nothing is being loaded."""
         self._folder, count, self.door.is_loading = state or (None, 0, False)
         del self._open[count:]
 
     def resolve(self, name: Union[str, "os.PathLike[str]"]) -> Path:
-        """Return a path, seen from the file that names it, else from where goals start.
+        """Return a path relative to the file that contains the name, or to the base folder of goals.
 
         Raises:
-            PrologError: a permission error where it leads out of the folders that are allowed, others for what
-                no file is called.
+            PrologError: a permission error if the path leads out of the permitted folders, other errors for an
+                invalid
+                name.
         """
         check_name(str(name))
         path = (self.door.start if self._folder is None else self._folder) / Path(name)
@@ -271,10 +273,10 @@ class SourceFiles:
         return path
 
     def find(self, name: Term) -> Path:
-        """Return the path of a file that a program names; the ending ``.pl`` may be left out.
+        """Return the path of a file that a program names; the suffix ``.pl`` may be omitted.
 
         Raises:
-            PrologError: where the term names no file, or one out of the folders that are allowed.
+            PrologError: if the name is invalid or leads out of the permitted folders.
         """
         text = file_name(name)
         path = self.resolve(text)
@@ -284,41 +286,41 @@ class SourceFiles:
         return Path(f"{path}{endings[0]}") if endings else path
 
     def is_file(self, path: Path) -> bool:
-        """Tell whether there is such a file; errors are those of `resolve`."""
+        """Return whether a file exists; raises the errors of `resolve`."""
         return self.door.is_file(str(path), str(path))
 
     def text(self, path: Path) -> str:
         """Return the text of a file.
 
         Raises:
-            PrologError: permission, existence and resource errors.
-            UsageError: where it cannot be read.
+            PrologError: a permission, existence or resource error.
+            UsageError: if the file cannot be read.
         """
         return self.door.read(str(path), str(path))
 
     @property
     def innermost(self) -> Optional[Path]:
-        """The file that is being loaded, that of the others in which it is."""
+        """The file that is being loaded; the innermost one of nested loads."""
         return self._open[-1] if self._open else None
 
-    # Files that goals open
+    # Files that goals open.
 
     def to_read(self, name: Term, encoding: str = "utf-8") -> Tuple[str, str]:
-        """Return the path of a file that a goal reads, and its text.
+        """Return the path and the text of a file that a goal reads.
 
         Raises:
-            PrologError: permission, existence and resource errors.
-            UsageError: where it cannot be read.
+            PrologError: a permission, existence or resource error.
+            UsageError: if the file cannot be read.
         """
         path = str(self.resolve(file_name(name)))
         return path, self.door.read(path, path, encoding)
 
     def to_write(self, name: Term, more: bool) -> str:
-        """Return the path of a file that a goal writes, empty but where ``more`` is added to it.
+        """Return the path of a file that a goal writes; empty the file unless ``more`` is set.
 
         Raises:
-            PrologError: permission and resource errors.
-            UsageError: where it cannot be written.
+            PrologError: a permission or resource error.
+            UsageError: if the file cannot be written.
         """
         text = file_name(name)
         check_name(text)
@@ -327,28 +329,28 @@ class SourceFiles:
         return path
 
     def add(self, path: str, text: str, encoding: str = "utf-8") -> None:
-        """Write a text to the end of a file; errors are those of `to_write`."""
+        """Append a text to a file; raises the errors of `to_write`."""
         self.door.append(path, text, encoding)
 
     def absolute(self, name: str) -> str:
-        """Return a path from the root, seen from where relative names start."""
+        """Return an absolute path from a path relative to the base folder."""
         check_name(name)
         return os.path.abspath((self.door.start if self._folder is None else self._folder) / Path(name))
 
     def is_readable(self, path: str) -> bool:
-        """Tell whether there is such a file, which goals may read; errors are those of `resolve`."""
+        """Return whether a readable file exists; raises the errors of `resolve`."""
         return self.is_file(self.resolve(path))
 
     def is_folder(self, path: str) -> bool:
-        """Tell whether there is such a folder, whose files goals may read; errors are those of `resolve`."""
+        """Return whether a readable folder exists; raises the errors of `resolve`."""
         return self.door.is_folder(str(self.resolve(path)), path)
 
     def has_loaded(self, path: Path) -> bool:
-        """Tell whether a file has been loaded, or is being loaded."""
+        """Return whether a file has been loaded or is being loaded."""
         return _real(path) in self.loaded
 
     def note_module(self, name: str) -> None:
-        """Note that the file that is being loaded is a module; say so where another file is the same one."""
+        """Record the module of the file that is being loaded; report another file with the same module."""
         if not self._open:
             return
         path = self._open[-1]
@@ -361,20 +363,21 @@ class SourceFiles:
         self.modules[path] = name
 
     def module(self, path: Path) -> str:
-        """Return the name of the module that a file is, once it has begun to be loaded; "" for another file."""
+        """Return the module name of a file that has been or is being loaded, or "" if it is not a module."""
         real = _real(path)
         return self.modules.get(real, "") if real in self.loaded else ""
 
     @contextmanager
     def inside(self, place: Path) -> Iterator[None]:
-        """Be in a file meanwhile.
+        """Register a file as being loaded.
 
         Raises:
-            UsageError: where that file is being loaded already.
+            UsageError: if the file is already being loaded.
         """
         place = _real(place)
         if place in self._open:
             raise UsageError(f"{place.name} loads itself")
+        # The depth is restored, and not one entry removed: an interrupt may come between an entry and its removal.
         depth = len(self._open)
         self._open.append(place)
         self.loaded.add(place)
@@ -385,4 +388,5 @@ class SourceFiles:
 
 
 def _real(path: Path) -> Path:
-    return Path(os.path.realpath(path))  # `Path.resolve` raises an error of its own for a link to itself
+    # `Path.resolve` raises an error of its own for a link to itself.
+    return Path(os.path.realpath(path))

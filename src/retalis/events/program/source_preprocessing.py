@@ -1,6 +1,9 @@
-"""Conditional compilation: ``:- if(Goal)``, ``elif``, ``else`` and ``endif`` of a file.
+"""Preprocessing of source files: conditional compilation, and expansion of terms and goals.
 
-What a program has its terms and goals replaced by while it is read: ``term_expansion/2``, ``goal_expansion/2``.
+Conditional compilation (``:- if(Goal)``, ``elif``, ``else``, ``endif``) skips terms before they are checked. Term
+expansion calls the program's ``term_expansion/2`` for each term and ``goal_expansion/2`` for each goal in clauses and
+directives, as in SWI-Prolog (manual, "Program transformation"). Both need predicates that the program has defined
+before.
 """
 
 from typing import Callable, Dict, List, Optional, Tuple
@@ -17,20 +20,20 @@ Holds = Callable[[Term, Optional[Place]], bool]
 
 
 class _Branch:
-    """An ``if`` that is open."""
+    """An open ``if`` directive."""
 
     __slots__ = ("place", "outside", "counts", "chosen", "last")
 
     def __init__(self, place: Optional[Place], outside: bool):
         self.place = place
         self.outside = outside
-        """Whether what stands around it counts."""
+        """True if the surrounding text is compiled."""
         self.counts = False
-        """Whether what stands in the branch that is open counts."""
+        """True if the current branch is compiled."""
         self.chosen = False
-        """Whether one of its branches has counted."""
+        """True if a branch has been compiled."""
         self.last = False
-        """Whether that is the branch of ``else``."""
+        """True in the branch of ``else``."""
 
     def choose(self, holds: bool) -> None:
         self.counts = self.outside and holds and not self.chosen
@@ -38,10 +41,10 @@ class _Branch:
 
 
 class ConditionalCompilation:
-    """The ``if`` directives of a file that are open, the outer ones first.
+    """The open ``if`` directives of a file, outermost first.
 
     Args:
-        holds: tells whether the goal of an ``if`` at a place is true.
+        holds: returns whether the goal of an ``if`` at a position succeeds.
     """
 
     def __init__(self, holds: Holds):
@@ -50,20 +53,21 @@ class ConditionalCompilation:
 
     @property
     def skip(self) -> bool:
-        """Whether what follows does not count."""
+        """True if the following terms are skipped."""
         return bool(self._open) and not self._open[-1].counts
 
     def take(self, goal: Term, place: Optional[Place]) -> bool:
-        """Return whether a directive is one of these, and follow it.
+        """Process a directive if it belongs to conditional compilation; return whether it does.
 
         Raises:
-            RuleError: where no ``if`` is open that it belongs to.
+            RuleError: if no ``if`` is open.
         """
         goal = deref(goal)
         key = goal[0] if goal.__class__ is tuple else goal.functor if isinstance(goal, Atom) else None
         if goal.__class__ is tuple and key is _IF:
             branch = _Branch(place, not self.skip)
             self._open.append(branch)
+            # Conditions in skipped text are not called: their predicates may not exist.
             branch.choose(branch.outside and self._holds(goal[1], place))
         elif goal.__class__ is tuple and key is _ELIF:
             branch = self._innermost("elif", place)
@@ -80,7 +84,7 @@ class ConditionalCompilation:
         return True
 
     def unclosed(self) -> List[RuleError]:
-        """Return an error for each ``if`` that no ``endif`` closes."""
+        """Return an error for each ``if`` without ``endif``."""
         return [RuleError("this if has no endif", branch.place) for branch in self._open]
 
     def _innermost(self, name: str, place: Optional[Place], closes: bool = False) -> _Branch:
@@ -96,7 +100,7 @@ _NECK, _SINGLE_SIDED = functor(":-", 2), functor("=>", 2)
 _DIRECTIVES = frozenset((functor(":-", 1), functor("?-", 1)))
 
 _MAX_EXPANSIONS = 1000
-"""Times that a goal is replaced: one that is replaced by itself would be so forever."""
+"""Maximum number of expansions of a goal; a goal whose expansion contains itself would be expanded forever."""
 
 _INSIDE: Dict[Functor, Tuple[int, ...]] = {
     COMMA: (1, 2),
@@ -109,20 +113,20 @@ _INSIDE: Dict[Functor, Tuple[int, ...]] = {
     functor("setof", 3): (2,),
     functor("catch", 3): (1, 3),
 }
-"""Control predicates, and which of their arguments are goals."""
+"""Control predicates with the numbers of their arguments that are goals."""
 
 
 class TermExpansion:
-    """Replaces terms and goals as the program says that is being loaded."""
+    """Expands terms and goals by the predicates of the program that is being loaded."""
 
     def __init__(self, logic: PrologSystem):
         self._logic = logic
 
     def terms(self, term: Term) -> Optional[List[Term]]:
-        """Return what stands in the place of a term; None where that is the term itself.
+        """Return the expansion of a term; None if there is none.
 
         Raises:
-            PrologError: what the program's predicate raises.
+            PrologError: the error of the program's predicate.
         """
         if not self._is_there(_TERM):
             return None
@@ -134,17 +138,19 @@ class TermExpansion:
         return [found] if items is None else [deref(item) for item in items]
 
     def goals(self, term: Term) -> Term:
-        """Return a clause or directive with the goals in it replaced.
+        """Return a clause or directive with expanded goals.
 
         Raises:
-            PrologError: what the program's predicate raises.
-            RuleError: where a goal is replaced again and again.
+            PrologError: the error of the program's predicate.
+            RuleError: if an expansion does not end.
         """
         term = deref(term)
         if term.__class__ is not tuple or not self._is_there(_GOAL):
             return term
         if term[0] is _NECK or term[0] is _SINGLE_SIDED:
             body = self._goal(term[2])
+            # The identical object is returned if nothing was expanded: the positions of its parts are known by
+            # identity.
             return term if body is term[2] else (term[0], term[1], body)
         if term[0] in _DIRECTIVES:
             goal = self._goal(term[1])
@@ -156,7 +162,7 @@ class TermExpansion:
         return predicate is not None and not predicate.library and len(predicate) > 0
 
     def _goal(self, given: Term) -> Term:
-        """Return a goal with all goals in it replaced, or the very object where none is."""
+        """Return a goal with all inner goals expanded, or the identical object if none was."""
         goal, times = deref(given), 0
         while goal.__class__ is not Var:
             result = Var()
