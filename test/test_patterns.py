@@ -55,6 +55,13 @@ ESCAPES = (
 BLANKS = (" ", "\t", "\n", " \n")
 
 CASES: Dict[str, Case] = {
+    # events/checks/check_registry.py
+    r"%\s*retalis:\s*ignore(-file)?=\s*(RT\d{4}(?:\s*,\s*RT\d{4})*)": Case(
+        "findall",
+        "blanks after a percent sign, or codes that end in a comma: each is read once",
+        ("", "%", "% retalis: ignore=", "% retalis: ignore=RT1001"),
+        ("%", " ", "% ", ", RT1001", ",", "RT1001, "),
+    ),
     r'^[ \t]*_full_text = """((?:[^"\\]|\\.|"(?!""))*)"""': Case(
         "search",
         "a literal that is not closed: there is one at most, as the next one closes it",

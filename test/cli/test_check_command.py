@@ -44,7 +44,8 @@ def test_the_folder_is_the_working_directory_by_default(capsys, folder, monkeypa
 def test_warnings_count_where_that_is_wanted(capsys, folder):
     (folder / "eventRules.txt").write_text(f"{RULES}cold <- hto(_).\nprint_trigger(cold).\n")
     said = (
-        f"warning: {folder}/eventRules.txt:3:9: nothing makes hto/1: no topic, rule or goal; did you mean hot/1?\n"
+        f"warning: {folder}/eventRules.txt:3:9: nothing makes hto/1: no topic, rule or goal; "
+        "did you mean hot/1? [RT1201]\n"
         f"cold <- hto(_).\n        ^\n{folder}: no errors, 1 warning\n"
     )
     assert checked(capsys, folder) == (0, said)
@@ -71,6 +72,7 @@ def test_json_has_the_same(capsys, folder):
             {
                 "severity": "warning",
                 "check": "never-made",
+                "code": "RT1201",
                 "message": "nothing makes hto/1: no topic, rule or goal; did you mean hot/1?",
                 "file": f"{folder}/eventRules.txt",
                 "line": 3,
@@ -99,8 +101,8 @@ def test_types_come_from_bags(capsys, folder, tmp_path):
 def test_what_is_missing_is_an_error(capsys, tmp_path):
     status, said = checked(capsys, tmp_path)
     assert status == 1
-    assert f"error: cannot read {tmp_path}/pub_sub.xml: No such file or directory\n" in said
-    assert f"error: cannot read {tmp_path}/goalPredicates.txt: No such file or directory\n" in said
+    assert f"error: cannot read {tmp_path}/pub_sub.xml: No such file or directory [RT1000]\n" in said
+    assert f"error: cannot read {tmp_path}/goalPredicates.txt: No such file or directory [RT1000]\n" in said
 
 
 def test_goals_print_nothing(capsys, folder):
@@ -122,7 +124,7 @@ def test_a_folder_that_may_not_be_entered(capsys, folder, monkeypatch):
     monkeypatch.setattr(Path, "read_text", lambda path, **options: refuse(path) or real_text(path, **options))
     status, said = checked(capsys, folder)
     assert status == 1
-    assert f"error: cannot read {folder}/pub_sub.xml: Permission denied\n" in said
+    assert f"error: cannot read {folder}/pub_sub.xml: Permission denied [RT1000]\n" in said
 
 
 def test_a_bag_prints_the_events_that_a_program_shows(capsys, folder, tmp_path):
@@ -139,6 +141,6 @@ def test_a_file_of_rules_is_looked_at_alone(capsys, tmp_path):
     rules.write_text("hot(T) <- warm(T) where T > 30.\nfire <- hot(_, _) seq smoke.\n")
     assert checked(capsys, rules) == (
         0,
-        f"warning: {rules}:2:9: nothing makes hot/2: no topic, rule or goal; did you mean hot/1?\n"
+        f"warning: {rules}:2:9: nothing makes hot/2: no topic, rule or goal; did you mean hot/1? [RT1201]\n"
         f"fire <- hot(_, _) seq smoke.\n        ^\n{rules}: no errors, 1 warning\n",
     )

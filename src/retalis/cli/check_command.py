@@ -104,6 +104,7 @@ def _as_json(one: Finding) -> Dict[str, object]:
     found: Dict[str, object] = {
         "severity": one.severity,
         "check": one.check,
+        "code": one.problem.code,
         "message": printable(one.problem.message),
     }
     if place is not None:

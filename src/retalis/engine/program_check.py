@@ -5,7 +5,14 @@ import time
 from pathlib import Path
 from typing import Dict, Iterable, List, Optional, Tuple
 
-from ..events.checks.check_registry import ERROR, WARNING, Finding, look_through
+from ..events.checks.check_registry import (
+    ERROR,
+    WARNING,
+    Finding,
+    Suppressions,
+    load_code,
+    look_through,
+)
 from ..events.checks.message_checks import output_fault
 from ..events.checks.producer_checks import without_maker
 from ..events.checks.program_model import ProgramModel
@@ -34,6 +41,7 @@ class Problems(Reports):
     def __init__(self) -> None:
         super().__init__()
         self.found: List[Finding] = []
+        self._suppressions = Suppressions()
 
     def error(self, error: Exception, kind: object = None) -> None:
         """Collect an error."""
@@ -48,7 +56,9 @@ class Problems(Reports):
 
     def _keep(self, severity: str, problem: object) -> None:
         one = problem if isinstance(problem, RetalisError) else RuleError(str(problem))
-        self.found.append(Finding(severity, "load", one))
+        one.code = load_code(one)
+        if severity == ERROR or not self._suppressions.suppresses(one):
+            self.found.append(Finding(severity, "load", one))
 
     def all_of(self, error: RetalisError) -> None:
         """Collect all errors of a program."""

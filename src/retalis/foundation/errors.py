@@ -152,7 +152,10 @@ class RetalisError(Exception):
     Attributes:
         message: what is wrong and what was expected, in one sentence.
         place: position in a source text, or None.
+        code: stable code of a finding in a program, as ``RT1203``, or "".
     """
+
+    code = ""
 
     def __init__(self, message: str, place: Optional[Place] = None):
         # Messages can quote terms of any size, and reports keep them in memory.
@@ -162,9 +165,10 @@ class RetalisError(Exception):
         self.place = place
 
     def __str__(self) -> str:
+        message = f"{self.message} [{self.code}]" if self.code else self.message
         if self.place is None:
-            return printable(self.message)
-        return printable(f"{self.place}: {self.message}\n{self.place.context()}")
+            return printable(message)
+        return printable(f"{self.place}: {message}\n{self.place.context()}")
 
     def brief(self) -> str:
         """Return the error in one line: message, line and column.

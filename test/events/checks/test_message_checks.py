@@ -55,14 +55,14 @@ def warnings(definitions, folder, rules="", goals="", types=("my_msgs/Warm", "my
 )
 def test_rules_with_wrong_messages(definitions, tmp_path, rules, warning):
     (found,) = warnings(definitions, tmp_path, rules)
-    assert found.startswith(f"text:1:1: {warning}\n")
+    assert found.startswith(f"text:1:1: {warning} [RT1104]\n")
 
 
 def test_memories_and_subscriptions_that_stand_in_no_file_are_named(definitions, tmp_path):
     goals = "memorize(my_msgs__0__Warm(_), [], _, m, 5)\nsubscribe(my_msgs__0__Warm(_, _, _), [], _, out, s)"
     assert warnings(definitions, tmp_path, goals=goals)[:2] == [
         "memory m: my_msgs__0__Warm/1 does not match its type: my_msgs/Warm has 2 slots: header, warmth; "
-        "write all of them, or some by name: my_msgs__0__Warm{header: ...}",
+        "write all of them, or some by name: my_msgs__0__Warm{header: ...} [RT1104]",
     ] + [
         one
         for one in warnings(definitions, tmp_path, goals=goals)
@@ -91,9 +91,9 @@ def test_a_misspelt_type_silences_nothing_about_the_others_of_its_package(tmp_pa
     rules = "a <- std_msgs__0__Strin(_). b <- std_msgs__0__Bool(_, _)."
     found = warnings(Definitions(), tmp_path, rules, types=["std_msgs/Strng", "std_msgs/Bool"])
     assert [one.split("\n")[0].partition(": ")[2] for one in found] == [
-        "there is no message type std_msgs/Strin here; did you mean std_msgs/String?",
+        "there is no message type std_msgs/Strin here; did you mean std_msgs/String? [RT1104]",
         "std_msgs__0__Bool/2 does not match its type: std_msgs/Bool has 1 slot: data; "
-        "write all of them, or some by name: std_msgs__0__Bool{data: ...}",
+        "write all of them, or some by name: std_msgs__0__Bool{data: ...} [RT1104]",
     ]
 
 

@@ -1,11 +1,15 @@
-"""Registry of the static checks: name, severity, and whether a check requires an error-free program.
+"""Registry of the static checks: name, code, severity, and whether a check requires an error-free program.
 
-`look_through` runs all checks on a `ProgramModel` and yields each finding once.
+`look_through` runs all checks on a `ProgramModel` and yields each finding once. Comments suppress findings:
+``% retalis: ignore=RT1203`` those of the line in which it stands, ``% retalis: ignore-file=RT1203`` those of its
+file. Errors cannot be suppressed.
 """
 
-from typing import Callable, Iterator, NamedTuple, Optional, Set, Tuple
+import re
+from typing import Callable, Dict, Iterator, NamedTuple, Optional, Set, Tuple, Type
 
-from ...foundation.errors import Place, RetalisError, RuleError
+from ...foundation.errors import MessageError, Omission, Place, RetalisError, RuleError, SyntaxFault
+from ...prolog.machine.errors import PrologError
 from .memory_checks import stale_tables, unknown_memories, wrong_records
 from .message_checks import outputs, topics, unpublished, values, wrong_messages
 from .predicate_checks import (
@@ -31,47 +35,104 @@ class Check(NamedTuple):
 
     Attributes:
         name: identifier in the output of the command, for programs.
+        code: stable code of its findings, shown with each of them.
         find: yields the problems.
         whole: whether the check is valid only for a program that was loaded without errors.
         severity: `WARNING`, or `INFO` for constructs that are often intended; nodes log only warnings.
     """
 
     name: str
+    code: str
     find: Callable[[ProgramModel], Iterator[RuleError]]
     whole: bool = False
     severity: str = WARNING
 
 
 CHECKS: Tuple[Check, ...] = (
-    Check("topics", topics),
-    Check("unread-rules", unread_rules, whole=True),
-    Check("messages", wrong_messages),
-    Check("declared", unfitting, whole=True),
-    Check("values", values),
-    Check("kinds", kinds),
-    Check("numerals", numerals),
-    Check("outputs", outputs),
-    Check("unpublished", unpublished, whole=True),
-    Check("never-made", never_made, whole=True),
-    Check("never-taken", never_taken, whole=True),
-    Check("memories", unknown_memories, whole=True),
-    Check("records", wrong_records, whole=True),
-    Check("slipped-arrow", slipped_arrows),
-    Check("undefined", undefined, whole=True),
-    Check("redefined", redefined, whole=True),
-    Check("retracted", retracted, whole=True),
-    Check("stale-tables", stale_tables, whole=True),
-    Check("cycle", cycles),
-    Check("never-meets", never_meet, whole=True),
-    Check("window", windows),
-    Check("waits-for-ever", waits_for_ever),
-    Check("unbounded-keys", unbounded_keys, severity=INFO),
-    Check("missed-pairs", missed_pairs, whole=True, severity=INFO),
-    Check("timers", timers, whole=True),
-    Check("states", unknown_states, whole=True),
-    Check("label", labels),
-    Check("singleton", singletons),
+    Check("topics", "RT1101", topics),
+    Check("unread-rules", "RT1401", unread_rules, whole=True),
+    Check("messages", "RT1104", wrong_messages),
+    Check("declared", "RT1108", unfitting, whole=True),
+    Check("values", "RT1105", values),
+    Check("kinds", "RT1106", kinds),
+    Check("numerals", "RT1107", numerals),
+    Check("outputs", "RT1103", outputs),
+    Check("unpublished", "RT1102", unpublished, whole=True),
+    Check("never-made", "RT1201", never_made, whole=True),
+    Check("never-taken", "RT1202", never_taken, whole=True),
+    Check("memories", "RT1301", unknown_memories, whole=True),
+    Check("records", "RT1302", wrong_records, whole=True),
+    Check("slipped-arrow", "RT1405", slipped_arrows),
+    Check("undefined", "RT1402", undefined, whole=True),
+    Check("redefined", "RT1403", redefined, whole=True),
+    Check("retracted", "RT1404", retracted, whole=True),
+    Check("stale-tables", "RT1304", stale_tables, whole=True),
+    Check("cycle", "RT1203", cycles),
+    Check("never-meets", "RT1204", never_meet, whole=True),
+    Check("window", "RT1205", windows),
+    Check("waits-for-ever", "RT1206", waits_for_ever),
+    Check("unbounded-keys", "RT1207", unbounded_keys, severity=INFO),
+    Check("missed-pairs", "RT1208", missed_pairs, whole=True, severity=INFO),
+    Check("timers", "RT1209", timers, whole=True),
+    Check("states", "RT1303", unknown_states, whole=True),
+    Check("label", "RT1210", labels),
+    Check("singleton", "RT1406", singletons),
 )
+
+
+LOAD_CODES: Tuple[Tuple[Type[RetalisError], str], ...] = (
+    (SyntaxFault, "RT1001"),
+    (Omission, "RT1002"),
+    (RuleError, "RT1003"),
+    (MessageError, "RT1004"),
+    (PrologError, "RT1005"),
+    (RetalisError, "RT1000"),
+)
+"""Codes of errors and warnings of loading, by the first class that fits."""
+
+_IGNORE = re.compile(r"%\s*retalis:\s*ignore(-file)?=\s*(RT\d{4}(?:\s*,\s*RT\d{4})*)")
+_MAX_FILE_CHARACTERS = 1 << 20
+"""Characters of a file that are searched for comments."""
+
+
+class Suppressions:
+    """Comments in the files of a program that suppress findings."""
+
+    def __init__(self) -> None:
+        self._of_files: Dict[str, Set[str]] = {}
+
+    def suppresses(self, problem: RetalisError) -> bool:
+        """Tell whether a comment suppresses a problem with a code."""
+        place = problem.place
+        if place is None or place.source is None:
+            return False
+        in_line = {
+            code
+            for of_file, codes in _IGNORE.findall(place.text)
+            if not of_file
+            for code in codes.replace(" ", "").split(",")
+        }
+        return problem.code in in_line or problem.code in self._in_file(place.source)
+
+    def _in_file(self, source: str) -> Set[str]:
+        """Return the codes that are suppressed in a whole file; none if the source is not a file."""
+        codes = self._of_files.get(source)
+        if codes is None:
+            codes = self._of_files[source] = set()
+            try:
+                with open(source, encoding="utf-8", errors="replace") as file:
+                    text = file.read(_MAX_FILE_CHARACTERS)
+            except (OSError, ValueError):  # a text that was not read from a file
+                return codes
+            for of_file, named in _IGNORE.findall(text):
+                if of_file:
+                    codes.update(named.replace(" ", "").split(","))
+        return codes
+
+
+def load_code(error: RetalisError) -> str:
+    """Return the code of an error or warning of loading."""
+    return next(code for kind, code in LOAD_CODES if isinstance(error, kind))
 
 
 class Finding(NamedTuple):
@@ -96,6 +157,7 @@ def look_through(program: ProgramModel, sound: bool = True) -> Iterator[Finding]
         sound: whether it was loaded without errors.
     """
     reported: Set[Tuple[str, Optional[Place]]] = set()
+    suppressions = Suppressions()
     for check in CHECKS:
         # In a program with errors, definitions may be missing because they could not be loaded: reporting their uses
         # as well would hide the cause.
@@ -103,6 +165,7 @@ def look_through(program: ProgramModel, sound: bool = True) -> Iterator[Finding]
             continue
         for problem in check.find(program):
             key = (problem.message, problem.place)
-            if key not in reported:
+            problem.code = check.code
+            if key not in reported and not suppressions.suppresses(problem):
                 reported.add(key)
                 yield Finding(check.severity, check.name, problem)

@@ -1,0 +1,56 @@
+"""Codes of findings, and comments that suppress them."""
+
+import re
+
+import pytest
+
+from retalis.engine.program_check import check_program
+from retalis.events.checks.check_registry import CHECKS, LOAD_CODES
+from retalis.messages.type_registry import Definitions
+
+
+def codes_of(folder, text):
+    """Return the codes of the findings in a file of rules."""
+    path = folder / "rules.txt"
+    path.write_text(text)
+    return [finding.problem.code for finding in check_program(path, Definitions())]
+
+
+def test_codes_are_unique_and_well_formed():
+    codes = [check.code for check in CHECKS] + [code for _, code in LOAD_CODES]
+    assert sorted(set(codes)) == sorted(codes)
+    assert all(re.fullmatch(r"RT1\d{3}", code) for code in codes)
+
+
+def test_each_finding_has_a_code(tmp_path):
+    assert codes_of(
+        tmp_path, "hot(T) <- warm(T).\nfire <- hot(_, _).\nice <- cold(X) where frozen(X).\n"
+    ) == [
+        "RT1201",
+        "RT1003",
+    ]
+    assert codes_of(tmp_path, "a <- .\n") == ["RT1001"]
+
+
+@pytest.mark.parametrize(
+    "comment, codes",
+    [
+        ("% retalis: ignore=RT1201", []),
+        ("% on purpose; retalis: ignore=RT1201", ["RT1201"]),
+        ("% retalis: ignore=RT1402, RT1201", []),
+        ("% retalis: ignore=RT1402", ["RT1201"]),
+        ("% retalis: ignore-file=RT1201", []),
+    ],
+)
+def test_a_comment_in_the_line_suppresses_a_finding(tmp_path, comment, codes):
+    assert codes_of(tmp_path, f"hot(T) <- warm(T).\nfire <- hot(_, _). {comment}\n") == codes
+
+
+def test_a_comment_in_another_line_suppresses_only_for_the_file(tmp_path):
+    rules = "hot(T) <- warm(T).\nfire <- hot(_, _).\n"
+    assert codes_of(tmp_path, f"% retalis: ignore=RT1201\n{rules}") == ["RT1201"]
+    assert codes_of(tmp_path, f"% retalis: ignore-file=RT1201\n{rules}") == []
+
+
+def test_errors_cannot_be_suppressed(tmp_path):
+    assert codes_of(tmp_path, "a <- . % retalis: ignore=RT1001\n") == ["RT1001"]
