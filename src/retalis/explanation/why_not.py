@@ -275,14 +275,14 @@ class WhyNot:
         matches = [
             match
             for match in part.matches
-            if not any(self._blocks(negative, match) for negative in negated.matches)
+            if not any(self._rules_out(negative, match) for negative in negated.matches)
         ]
         name = _BETWEEN if pattern.inside else _ABSENCE
         reason = "ruled out by what must not happen" if part.matches else "not tested"
         text = f"{name}: {self._result_text(matches, reason)}"
         return Part(text, matches, [part, _negated_part(negated)], None, bool(part.matches))
 
-    def _blocks(self, negated: Candidate, match: Candidate) -> bool:
+    def _rules_out(self, negated: Candidate, match: Candidate) -> bool:
         if self._join(match, negated) is None:
             return False
         if match.gap is None:
@@ -293,7 +293,7 @@ class WhyNot:
         first_part, repeated_part = self.of(pattern.first), self.of(pattern.repeated)
         extended = [
             Candidate(values, match.start, last.end)
-            for match, last, values in self._later(first_part, repeated_part)
+            for match, last, values in self._ordered_pairs(first_part, repeated_part)
         ]
         matches = first_part.matches + extended[-MAX_CANDIDATES:]
         return Part(
@@ -314,14 +314,14 @@ class WhyNot:
             values = self._extend(start.values, [(pattern.result, result)])
             if values is not None:
                 matches.append(Candidate(values, start.start, end))
-            results.append(f"{self._short(result)} {self._times.interval(start.start, end)}")
+            results.append(f"{self._shortened(result)} {self._times.interval(start.start, end)}")
 
         problem = ""
         for match in first_part.matches:
             state = collector.start
             if collector.initial is not None:
                 add(match, match.end, collector.initial)
-            for _, last, values in self._later(first_part._replace(matches=[match]), collected_part):
+            for _, last, values in self._ordered_pairs(first_part._replace(matches=[match]), collected_part):
                 measured = tuple([self._instantiate(values, term) for term in (*names, value)])
                 try:
                     state = collector.add(state, measured)
@@ -335,7 +335,7 @@ class WhyNot:
         text = f"{pattern.kind}: {self._result_text(matches, reason, pattern.result)}"
         return Part(text, matches, [first_part, collected_part])
 
-    def _later(self, first: Part, second: Part) -> Iterator[Tuple[Candidate, Candidate, Term]]:
+    def _ordered_pairs(self, first: Part, second: Part) -> Iterator[Tuple[Candidate, Candidate, Term]]:
         """Yield pairs of matches of which the second starts after the end of the first, and their joint values."""
         for match in first.matches:
             for later in second.matches:
@@ -411,7 +411,7 @@ class WhyNot:
             extended = None if values is None else self._extend(self._vars, list(zip(node.vars, values)))
             if extended is not None:
                 matches.append(Candidate(extended, output.start, output.end))
-            shown_results = ", ".join(self._short(result) for result in output.found)
+            shown_results = ", ".join(self._shortened(result) for result in output.found)
             results.append(f"{shown_results} {self._times.interval(output.start, output.end)}")
         parts = [part]
         reason = self._other_results(results) or "no window has ended"
@@ -465,7 +465,9 @@ class WhyNot:
         matches = [
             match._replace(end=match.end + pattern.span, event=None)
             for match in elapsed
-            if not any(self._follows(negative, match, pattern.span) for negative in negated.matches)
+            if not any(
+                self._is_within_deadline(negative, match, pattern.span) for negative in negated.matches
+            )
         ]
         reason = "ruled out by what must not happen" if elapsed else "the time after it is not over"
         reason = reason if part.matches else "not tested"
@@ -473,7 +475,7 @@ class WhyNot:
         text = f"{_DEADLINE} {seconds:g}: {self._result_text(matches, reason)}"
         return Part(text, matches, [part, _negated_part(negated)], None, bool(part.matches))
 
-    def _follows(self, negated: Candidate, match: Candidate, span: int) -> bool:
+    def _is_within_deadline(self, negated: Candidate, match: Candidate, span: int) -> bool:
         """Return whether a match of the negated part lies entirely within the time span after a match."""
         lies_within = match.end < negated.start and negated.end < match.end + span
         return lies_within and self._join(match, negated) is not None
@@ -530,7 +532,7 @@ class WhyNot:
         for match in matches[-MAX_SHOWN_CANDIDATES:]:
             values = [(self._names[var], self._instantiate(match.values, var)) for var in names]
             bindings = ", ".join(
-                f"{name} = {self._short(value)}" for name, value in values if value.__class__ is not Var
+                f"{name} = {self._shortened(value)}" for name, value in values if value.__class__ is not Var
             )
             time = self._times.interval(match.start, match.end)
             shown.append(f"{bindings} {time}" if bindings else time)
@@ -544,7 +546,7 @@ class WhyNot:
         shown = "; ".join(results[-MAX_SHOWN_CANDIDATES:])
         return f"other results: {'... ' if len(results) > MAX_SHOWN_CANDIDATES else ''}{shown}"
 
-    def _short(self, term: Term) -> str:
+    def _shortened(self, term: Term) -> str:
         text = self._show(term)
         return text if len(text) <= MAX_SHOWN_VALUE else f"{text[: MAX_SHOWN_VALUE - 4]} ..."
 

@@ -159,7 +159,7 @@ def define(source: str, names: Dict[str, Any], title: str) -> Dict[str, Any]:
         if not _NAME.match(name):
             raise ValueError(f"{shortened(name)} is not a name for generated source")
     # `linecache` identifies sources by file name, so the name must be unique. Tracebacks then show the source.
-    file = f"retalis, {_clean(title)} #{next(_serials)}"
+    file = f"retalis, {_printable_title(title)} #{next(_serials)}"
     names["__name__"] = file
     # Read by `linecache` through the frame's globals; nothing is registered globally, so nothing has to be removed.
     names["__loader__"] = _GeneratedSource(source)
@@ -203,6 +203,6 @@ def _maker(source: str, names: Tuple[str, ...], title: str) -> Callable[..., Any
     return maker
 
 
-def _clean(title: str) -> str:
+def _printable_title(title: str) -> str:
     """Return a title in a form that is valid in a file name: no NUL, no surrogates, one line."""
     return shortened(title).strip("'\"") if not (title.isascii() and title.isprintable()) else title[:200]

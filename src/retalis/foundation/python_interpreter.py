@@ -33,7 +33,7 @@ if not PYPY:
     remove_dead = _remove_dead_weakref
     SEEN_AT = 20_000
     # Reference count of an object that only a local variable refers to; corrected below.
-    _alone = 1
+    _unshared_count = 1
 
     def seen_elsewhere(objects: List[Any], kind: type) -> List[Any]:
         """Empty a list of objects; return those that are referenced elsewhere, and all of other classes."""
@@ -42,7 +42,7 @@ if not PYPY:
         # First to last: an object that is dropped may hold the last reference to a later one.
         while objects:
             candidate = objects.pop()
-            if getrefcount(candidate) > _alone or candidate.__class__ is not kind:
+            if getrefcount(candidate) > _unshared_count or candidate.__class__ is not kind:
                 referenced.append(candidate)
         return referenced
 
@@ -60,7 +60,7 @@ if not PYPY:
 
     # Up to Python 3.13, the argument of the call counts as a further reference.
     if seen_elsewhere([object()], object):
-        _alone = 2
+        _unshared_count = 2
 
     def text_size(text: str) -> int:
         """Return the size of a string in bytes."""

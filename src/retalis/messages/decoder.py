@@ -527,7 +527,7 @@ def watching_decoder(decoder: Decoder, watch: StampWatch) -> Decoder:
 
     # The original decoder stays as it is: it is shared by all subscribers to topics of this type.
     watching = copy(decoder)
-    watching.decode = _compile_frames(decoder.definition, general, watch)
+    watching.decode = _compile_frame_decoder(decoder.definition, general, watch)
     watching.watch = watch
     watching.plain = decoder
     return watching
@@ -538,7 +538,7 @@ def _compile_decode(definition: Definition, bare: int) -> Decode:
     code.base = "0"
     result = code.message(definition)
     code.flush()
-    code.names["fail"] = _failing(definition)
+    code.names["fail"] = _error_function(definition)
     lines = ["def decode(data):", "  try:", *("    " + line for line in code.lines)]
     lines += [
         # Trailing bytes are an error as well: they mean that the publisher uses another version of the type.
@@ -548,21 +548,23 @@ def _compile_decode(definition: Definition, bare: int) -> Decode:
     ]
     general: Decode = codegen.function(lines, code.names, f"decode {definition.name}", "decode")
     if definition.measure.may_be_bare:
-        return _checked(definition, bare, general)
+        return _with_element_limit(definition, bare, general)
     try:
-        return _compile_frames(definition, general)
+        return _compile_frame_decoder(definition, general)
     except UnsupportedLayout:
         return general
 
 
-def _compile_frames(definition: Definition, general: Decode, watch: Optional[StampWatch] = None) -> Decode:
+def _compile_frame_decoder(
+    definition: Definition, general: Decode, watch: Optional[StampWatch] = None
+) -> Decode:
     frames = FrameSource(watch)
     lines = frames.build(definition, general)
     fast: Decode = codegen.function(lines, frames.names, f"decode {definition.name}", "decode")
     return fast
 
 
-def _checked(definition: Definition, bare: int, decode: Decode) -> Decode:
+def _with_element_limit(definition: Definition, bare: int, decode: Decode) -> Decode:
     """Return a decoding function that first limits the number of zero-byte elements.
 
     Without the limit, a message of a few bytes could claim 2**32 elements and exhaust the memory.
@@ -575,7 +577,7 @@ def _checked(definition: Definition, bare: int, decode: Decode) -> Decode:
     return checked
 
 
-def _failing(definition: Definition) -> Callable[[bytes], None]:
+def _error_function(definition: Definition) -> Callable[[bytes], None]:
     def fail(data: bytes) -> None:
         raise MessageError(explain(definition, data))
 
@@ -587,7 +589,7 @@ def _compile_stamp(definition: Definition) -> Callable[[bytes], Optional[int]]:
     if first is None or first.type != HEADER or first.length is not None or first.name != "header":
         return _no_stamp
     unpack = Struct("<II").unpack_from
-    fail = _failing(definition)
+    fail = _error_function(definition)
 
     def stamp(data: bytes) -> Optional[int]:
         try:

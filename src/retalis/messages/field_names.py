@@ -36,25 +36,25 @@ class TypeNotations:
         # `difflib` is slow, so candidates are restricted to names with the same first letter.
         self._by_first: Dict[str, List[str]] = {}
         for name, message_type in names:
-            for letters in dict.fromkeys(map(_letters, (message_type, message_type.rpartition("/")[2]))):
+            for letters in dict.fromkeys(map(_normalized, (message_type, message_type.rpartition("/")[2]))):
                 self._names.setdefault(letters, []).append(name)
         for letters in self._names:
             self._by_first.setdefault(letters[:1], []).append(letters)
 
     def same(self, name: str) -> List[str]:
         """Return the names of the messages that ``name`` is another notation of."""
-        return self._names.get(_letters(name.replace("__0__", "/")), [])
+        return self._names.get(_normalized(name.replace("__0__", "/")), [])
 
     def near(self, name: str) -> List[str]:
         """Return the names of the messages that are spelt like ``name`` and begin with the same letter."""
         if len(name) > _MAX_NAME_CHARACTERS:
             return []
-        letters = _letters(name)
+        letters = _normalized(name)
         close = get_close_matches(letters, self._by_first.get(letters[:1], ()), 1, 0.75)
         return self._names[close[0]] if close else []
 
 
-def _letters(name: str) -> str:
+def _normalized(name: str) -> str:
     return "".join(filter(str.isalnum, name)).lower()
 
 
@@ -213,7 +213,7 @@ class _Template:
             if element_type.constants:
                 lines_shown += ["", f"% constants of {element_type.name}:"]
                 texts = [
-                    f"{constant.name} = {_plain(constant.text)} ({constant.type})"
+                    f"{constant.name} = {_one_line(constant.text)} ({constant.type})"
                     for constant in element_type.constants
                 ]
                 lines_shown += [f"%   {text}" for text in texts]
@@ -280,7 +280,7 @@ def _slot_name(name: str) -> str:
     return to_text(atom(name))
 
 
-def _plain(text: str) -> str:
+def _one_line(text: str) -> str:
     """Return the text of a constant in a form that fits into a comment of one line."""
     return text if text.isprintable() else ascii(text)
 

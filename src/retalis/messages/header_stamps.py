@@ -71,7 +71,7 @@ def watched(decoder: Decoder, known: Mapping[bytes, Any], look: StampObserver) -
         return decoder
     all_stamps: ReadStamps = read
 
-    def look_at(data: bytes) -> None:
+    def observe(data: bytes) -> None:
         stamps = all_stamps(data)
         for key, instant in stamps:
             state = get(key)
@@ -81,29 +81,29 @@ def watched(decoder: Decoder, known: Mapping[bytes, Any], look: StampObserver) -
                 look(stamps)
                 break
 
-    def look_at_one(key: bytes, instant: int) -> None:
+    def observe_single(key: bytes, instant: int) -> None:
         if instant:
             look([(key, instant)])
 
     try:
-        watch = StampWatch(_texts_of_frames(definition), get, look_at, look_at_one)
+        watch = StampWatch(_frame_string_count(definition), get, observe, observe_single)
         return watching_decoder(decoder, watch)
     except UnsupportedLayout:
         pass
 
     def watched_stamp(data: bytes) -> Optional[int]:
-        look_at(data)
+        observe(data)
         return stamp(data)
 
     watching = copy(decoder)
     slots = _stamped_slots(definition)
     # The fast reader assumes that the header's frame is the only one.
     single = len(slots) == 1 and slots[0].slot.length is None and not slots[0].has_child
-    watching.stamp = _own(get, watched_stamp) if single else watched_stamp
+    watching.stamp = _header_stamp_reader(get, watched_stamp) if single else watched_stamp
     return watching
 
 
-def _texts_of_frames(definition: Definition) -> int:
+def _frame_string_count(definition: Definition) -> int:
     """Return the number of strings that name frames in a message with one stamp, in its header or its only array.
 
     Raises:
@@ -115,10 +115,10 @@ def _texts_of_frames(definition: Definition) -> int:
     return 2 if slots[0].has_child else 1
 
 
-def _own(get: Callable[[bytes], Any], rest: ReadStamp) -> ReadStamp:
+def _header_stamp_reader(get: Callable[[bytes], Any], rest: ReadStamp) -> ReadStamp:
     """Return a fast reader for messages whose only stamp is that of their header."""
 
-    def watched_header(data: bytes) -> Optional[int]:
+    def header_stamp(data: bytes) -> Optional[int]:
         try:
             second, nanosecond, size = _header(data)
         except StructError:
@@ -128,7 +128,7 @@ def _own(get: Callable[[bytes], Any], rest: ReadStamp) -> ReadStamp:
             return second * SECOND + nanosecond or None
         return rest(data)
 
-    return watched_header
+    return header_stamp
 
 
 def frame_text(key: bytes) -> str:

@@ -18,19 +18,19 @@ from .decoder import Decoder, FrameSource, StampWatch, UnsupportedLayout
 from .field_values import MAX_EAGER_ELEMENTS
 from .type_definition import PRIMITIVES, TIMES, Definition, Field
 
-_EDGE = "\0"
+_VALUE_DELIMITER = "\0"
 """Delimiter around the source of a value in a text; it occurs in no name."""
 
 
 _MAX_CACHED_FLOATS = 8
 """Longer sequences of floats are not cached."""
 
-_WHOLE = re.compile(r"(^|,)(-?[0-9]+)e")
+_WHOLE_MANTISSA = re.compile(r"(^|,)(-?[0-9]+)e")
 
 
-def _with_points(text: str) -> str:
+def _with_decimal_points(text: str) -> str:
     """Return the text of Python floats in event syntax, which requires a decimal point before an exponent."""
-    return _WHOLE.sub(r"\1\2.0e", text)
+    return _WHOLE_MANTISSA.sub(r"\1\2.0e", text)
 
 
 def text_writer(decoder: Decoder) -> Callable[[bytes], str]:
@@ -141,12 +141,12 @@ class _TextSource(FrameSource):
         for is_float, group in groupby(definition.fields, _is_float):
             slots = list(group)
             if is_float:
-                parts.append(self._together([PRIMITIVES[slot.type] for slot in slots]))
+                parts.append(self._float_text([PRIMITIVES[slot.type] for slot in slots]))
             else:
                 parts += map(self.slot, slots)
         return f"{name}({','.join(parts)})" if parts else name
 
-    def _together(self, codes: List[str]) -> str:
+    def _float_text(self, codes: List[str]) -> str:
         """Return the source of the text of consecutive floats."""
         start = calcsize("<" + self.format)
         values = [self.fixed(code) for code in codes]
@@ -183,7 +183,7 @@ class _TextSource(FrameSource):
         # A boolean is written as an atom, and characters are bytes: neither is the value's own text.
         if code in "?c":
             raise UnsupportedLayout
-        return self._together([code]) if code in "fd" else _value(self.fixed(code))
+        return self._float_text([code]) if code in "fd" else _value(self.fixed(code))
 
     def fixed_array(self, slot: Field) -> str:
         length = slot.length or 0
@@ -191,7 +191,7 @@ class _TextSource(FrameSource):
             raise UnsupportedLayout
         element = slot._replace(length=None)
         if _is_float(element):
-            return f"[{self._together([PRIMITIVES[slot.type]] * length)}]" if length else "[]"
+            return f"[{self._float_text([PRIMITIVES[slot.type]] * length)}]" if length else "[]"
         return f"[{','.join(self.single(element) for _ in range(length))}]"
 
     def only(self, element: str) -> str:
@@ -199,10 +199,10 @@ class _TextSource(FrameSource):
 
     def finish(self, result: str) -> str:
         """Return an f-string that inserts the constant texts by name, and the values between them."""
-        self.names["points"] = _with_points
+        self.names["points"] = _with_decimal_points
         # Texts are bound to names instead of being part of the f-string: they may contain braces, quotes, or any
         # other character.
-        pieces = result.split(_EDGE)
+        pieces = result.split(_VALUE_DELIMITER)
         pieces[::2] = [self.name("p", text) for text in pieces[::2]]
         return 'f"' + "".join(f"{{{piece}}}" for piece in pieces) + '"'
 
@@ -216,4 +216,4 @@ def _is_float(slot: Field) -> bool:
 
 def _value(source: str) -> str:
     """Return the source of a value in the text."""
-    return f"{_EDGE}{source}{_EDGE}"
+    return f"{_VALUE_DELIMITER}{source}{_VALUE_DELIMITER}"

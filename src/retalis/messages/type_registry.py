@@ -307,7 +307,7 @@ class Definitions:
         name = plain_type(name)
         definition = self._read(name, text, md5sum)
         if name not in self._added:
-            self._note(definition, len(text))
+            self._register(definition, len(text))
         return definition
 
     def _read(self, name: str, text: str, md5sum: str) -> Definition:
@@ -331,7 +331,7 @@ class Definitions:
             )
         return definition
 
-    def _note(self, definition: Definition, characters: int) -> None:
+    def _register(self, definition: Definition, characters: int) -> None:
         """Register a type and its nested types by name.
 
         Raises:
@@ -392,7 +392,7 @@ class Definitions:
             raise MessageError(f"expected {name}, found {sent}")
         # Registered under the publisher's name, not under the requested one, which may belong to another package.
         if known is None and sent not in self:
-            self._note(definition, len(text))
+            self._register(definition, len(text))
         return definition if sent == name else definition.renamed(name)
 
     def find(self, name: str) -> Definition:
@@ -472,17 +472,17 @@ class Definitions:
                 (
                     f"{candidate}/{match}"
                     for candidate in packages
-                    for match in self._alike(candidate, type_name, 1)
+                    for match in self._most_similar(candidate, type_name, 1)
                 ),
                 "",
             )
         for candidate in dict.fromkeys([package, *get_close_matches(package, packages, 3, 0.8)]):
-            close = self._alike(candidate, type_name, 0.7)
+            close = self._most_similar(candidate, type_name, 0.7)
             if close and (candidate == package or close[0] == type_name):
                 return f"{candidate}/{close[0]}"
         return ""
 
-    def _alike(self, package: str, type_name: str, cutoff: float) -> List[str]:
+    def _most_similar(self, package: str, type_name: str, cutoff: float) -> List[str]:
         """Return the type of a package with the most similar name, ignoring case, as a list of at most one name."""
         by_lower_case: Dict[str, str] = {}
         for name in self._installed.types(package):

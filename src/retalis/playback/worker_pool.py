@@ -86,7 +86,7 @@ def in_processes(
             for connection in wait([worker.connection for worker in busy.values()]):
                 worker = busy.pop(connection)
                 index, result = worker.number, worker.result()
-                if not isinstance(result, _Death):
+                if not isinstance(result, _WorkerDeath):
                     idle.append(worker)
                     yield index, result
                     continue
@@ -106,7 +106,7 @@ def in_processes(
             worker.end()
 
 
-class _Death(NamedTuple):
+class _WorkerDeath(NamedTuple):
     how: str
 
 
@@ -138,7 +138,7 @@ class _Worker(Generic[T, R]):
         except OSError:  # the process has died, which `result` reports
             pass
 
-    def result(self) -> Union[R, _Death]:
+    def result(self) -> Union[R, _WorkerDeath]:
         """Return the result of the task, or the death of the process."""
         try:
             result: R = self.connection.recv()
@@ -146,7 +146,7 @@ class _Worker(Generic[T, R]):
         except (EOFError, OSError):
             self.connection.close()
             self._process.join()
-            return _Death(_exit_text(self._process.exitcode))
+            return _WorkerDeath(_exit_text(self._process.exitcode))
 
     def end(self) -> None:
         """Kill the process."""

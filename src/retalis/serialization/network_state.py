@@ -108,7 +108,7 @@ class StreamCheck:
         element.file()
         return element
 
-    def _once(self, elements: Sequence[StreamElement], order: int) -> None:
+    def _check_distinct(self, elements: Sequence[StreamElement], order: int) -> None:
         """Check that elements are distinct and have distinct sequence numbers."""
         orders = {item.order for item in elements}
         if len(orders) != len(elements) or not all(1 <= number <= order for number in orders):
@@ -119,7 +119,7 @@ class StreamCheck:
         stream = self._stream
         elements = each(self.item)
         if isinstance(stream, RowPatternWindow):
-            return self._stepped(stream, value)
+            return self._row_pattern_state(stream, value)
         if isinstance(stream, Throttle):
             return fixed(instant, elements)(value)
         if isinstance(stream, DistinctUntilChanged):
@@ -129,11 +129,11 @@ class StreamCheck:
             return state
         if isinstance(stream, Debounce):
             state = fixed(count, instant, elements)(value)
-            self._once(state[2], state[0])
+            self._check_distinct(state[2], state[0])
             return state
         if isinstance(stream, AbsenceTimeout):
             state = fixed(count, instant, elements, elements)(value)
-            self._once([*state[2], *state[3]], state[0])
+            self._check_distinct([*state[2], *state[3]], state[0])
             return state
         # The remaining operators are windows, which have the same state except for the items appended here.
         window_time: List[ValueCheck] = (
@@ -154,12 +154,12 @@ class StreamCheck:
     def _groups(
         self, groups: List[List[StreamElement]], future_elements: List[StreamElement], order: int
     ) -> None:
-        self._once([item for members in groups for item in members] + future_elements, order)
+        self._check_distinct([item for members in groups for item in members] + future_elements, order)
         keys = [{item.key for item in members} for members in groups]
         if any(len(group_keys) != 1 for group_keys in keys) or len(set().union(*keys)) != len(keys):
             raise wrong(len(keys), "distinct partitions, each with one key")
 
-    def _stepped(self, stream: RowPatternWindow, value: Decoded) -> Decoded:
+    def _row_pattern_state(self, stream: RowPatternWindow, value: Decoded) -> Decoded:
         step = integer(0, len(stream.plan.steps) - 1)
         steps = each(step, tuple)
         pairs = each(fixed(count, step), tuple)
@@ -228,11 +228,11 @@ def rule_state(graph: GraphReader, rule: EventRule, value: Decoded) -> RuleState
         later_event=graph.token,
         skipped=optional(fixed(instant, each(instant, tuple))),
     )(value)
-    _check_waiting(rule, state, owners, widths)
+    _check_arrivals(rule, state, owners, widths)
     return state
 
 
-def _check_waiting(
+def _check_arrivals(
     rule: EventRule, state: RuleState, owners: List[Any], widths: List[Tuple[type, Optional[int]]]
 ) -> None:
     """Check that partial matches fit the buffers that they are put into."""
@@ -253,12 +253,12 @@ def _check_waiting(
             match.__class__ is not match_class
             or (width is not None and min(len(match.filed_by), len(match.values)) < width)
             or match.start > match.end
-            or (match_class is Run and not _is_run_of(owners[buffer_number], match))
+            or (match_class is Run and not _run_fits(owners[buffer_number], match))
         ):
             raise wrong(match.values, f"{rule.name}: a match with {width} values at least")
 
 
-def _is_run_of(node: KleeneNode, run: Any) -> bool:
+def _run_fits(node: KleeneNode, run: Any) -> bool:
     """Return whether a run has the values that its Kleene or aggregate node requires."""
     return (
         (run.fixed is None or len(run.fixed) == len(node.fixed))
@@ -295,13 +295,13 @@ def _node_check(graph: GraphReader, node: Any) -> ValueCheck:
     if isinstance(node, KleeneNode):
         return each(graph.match)
     if isinstance(node, RepeatNode):
-        return _repeating(graph, node)
+        return _repeat_node_check(graph, node)
     if isinstance(node, StreamNode):
-        return _streaming(graph, node)
+        return _stream_node_check(graph, node)
     return nothing
 
 
-def _repeating(graph: GraphReader, node: RepeatNode) -> ValueCheck:
+def _repeat_node_check(graph: GraphReader, node: RepeatNode) -> ValueCheck:
     number = integer(1, node.times)
     train = graph.ref("train")
 
@@ -317,7 +317,7 @@ def _repeating(graph: GraphReader, node: RepeatNode) -> ValueCheck:
     return fixed(boolean, each(number), each(own_group), each(fixed(key, each(number))))
 
 
-def _streaming(graph: GraphReader, node: StreamNode) -> ValueCheck:
+def _stream_node_check(graph: GraphReader, node: StreamNode) -> ValueCheck:
     child = node.children[0]
     keys, values = node.making.item((1,) * len(child.vars))
     needs_match = node.making.result is None and not isinstance(node.stream, (Throttle, DistinctUntilChanged))
@@ -437,7 +437,7 @@ def restore_matches(
         named: rules from `restore_rules`.
     """
     # All checks come first: invalid data must not leave rules and alarms half restored.
-    checked = _Checked(rules, knowledge, data, named)
+    checked = _CheckedState(rules, knowledge, data, named)
     for rule, state in zip(named, checked.states):
         rule.restore(state)
     rules.tracker.restore(checked.tracked)
@@ -454,7 +454,7 @@ def restore_matches(
     rules.serial, rules.fired_before, rules.revs_of_nothing = checked.counts
 
 
-class _Checked:
+class _CheckedState:
     """State of rules, checked against the program that it belongs to.
 
     Args:
