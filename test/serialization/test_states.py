@@ -56,7 +56,7 @@ def test_unchanged_it_is_taken(state):
         ("run", ["clock", 0], 1 << 100, "expected an instant"),
         ("run", ["sent"], [], "not as many subscriptions"),
         ("run", [], [], "expected the fields clock"),
-        ("values", [0], [["double_quotes", atom("x")]], "the flag double_quotes"),
+        ("values", [0], [["double_quotes", atom("x")]], "Prolog flag 'double_quotes'"),
         ("values", [3], [["other", 1]], "a kind of state of built-in predicates"),
         ("program", ["network", "rules", 0, 0], atom("x"), "expected an event rule"),
         ("program", ["network", "rules", 0, 4], 7, "expected rules with increasing serials"),

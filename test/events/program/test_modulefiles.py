@@ -65,7 +65,7 @@ def test_a_file_of_event_rules_is_none(folder):
     engine, said = Engine(), []
     engine.logic.message = lambda kind, text: said.append(text)
     engine.load_rules(":- module(m, []).\nb <- a where own.\nown.\n")
-    assert "is no module" in said[0]
+    assert "module/2 has no effect" in said[0]
     assert engine.call("own")
 
 

@@ -191,7 +191,7 @@ def test_a_goal_that_would_wait_says_what_can(goal):
     with pytest.raises(PrologError) as caught:
         logic.once(read_term(goal, logic.operators).term)
     name = goal[: goal.index("(")]
-    assert f"(in {name}/2): no goal waits here" in caught.value.message
+    assert f"(in {name}/2): goals cannot wait for a variable" in caught.value.message
     assert "use_swi" in caught.value.message
 
 

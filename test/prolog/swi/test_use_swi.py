@@ -58,7 +58,9 @@ def test_it_is_said_which_function_an_older_one_lacks(monkeypatch):
     find = libswipl.find_library.__wrapped__
     monkeypatch.setattr(libswipl, "LIBRARY_PATTERNS", ())
     monkeypatch.setattr(libswipl, "LIBRARY_NAMES", ("libswipl_that_is_not_there.so", "libc.so.6"))
-    with pytest.raises(UsageError, match=r"SWI-Prolog 7\.6\.4 or later: libc\.so\.6 is older.*PL_initialise"):
+    with pytest.raises(
+        UsageError, match=r"SWI-Prolog 7\.6\.4 or later: 'libc\.so\.6' is older.*PL_initialise"
+    ):
         find()
     monkeypatch.setattr(libswipl.ctypes, "PyDLL", OldLibrary)
     monkeypatch.setattr(libswipl.ctypes, "CDLL", OldLibrary)

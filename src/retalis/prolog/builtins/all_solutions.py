@@ -299,7 +299,7 @@ _FINISHES: Dict[Functor, Finish] = {
     functor("count", 1): len,
     functor("sum", 1): _sum,
     functor("bag", 1): make_list,
-    functor("set", 1): lambda found: make_list(sort_unique(found)),
+    functor("set", 1): lambda solutions: make_list(sort_unique(solutions)),
     functor("max", 1): _extremum(_MAX),
     functor("min", 1): _extremum(_MIN),
 }

@@ -527,9 +527,9 @@ def string_code(machine: Machine, index: Term, text: Term, code: Term) -> Outcom
     return 0 < position <= len(whole) and unify(code, ord(whole[position - 1]), machine.trail)
 
 
-def _codes(machine: Machine, index: Term, whole: str, wanted: Term) -> Solutions:
+def _codes(machine: Machine, index: Term, whole: str, code: Term) -> Solutions:
     for position, char in enumerate(whole, 1):
-        if machine.unify_all((index, position), (wanted, ord(char))):
+        if machine.unify_all((index, position), (code, ord(char))):
             yield LAST if position == len(whole) else None
 
 

@@ -438,9 +438,9 @@ def declare_as(machine: Machine, item: Term, options: Values = ()) -> None:
 def _table_option(machine: Machine, key: Functor, option: Term) -> str:
     """Return the name of a table option, and log a warning for one without effect."""
     option = callable_of(option)
-    found = functor_of(option)
-    name = found.name
-    if found.arity != (name in _WITH_ARGUMENT) or name not in (*_INEFFECTIVE_OPTIONS, *_TABLE_OPTIONS):
+    option_key = functor_of(option)
+    name = option_key.name
+    if option_key.arity != (name in _WITH_ARGUMENT) or name not in (*_INEFFECTIVE_OPTIONS, *_TABLE_OPTIONS):
         raise domain_error("table_option", option)
     if name in _INEFFECTIVE_OPTIONS:
         reason, text = _INEFFECTIVE_OPTIONS[name], machine.logic.show(option)

@@ -53,10 +53,10 @@ def file_name_extension(machine: Machine, base: Term, extension: Term, name: Ter
         whole = _file_name(name)
         if deref(extension).__class__ is not Var:
             # An extension may be given with or without its dot.
-            wanted = "." + _file_name(extension).lstrip(".")
-            if wanted != "." and whole.endswith(wanted):
-                return _is_text(machine, base, whole[: -len(wanted)])
-            return wanted == "." and "." not in whole and _is_text(machine, base, whole)
+            suffix = "." + _file_name(extension).lstrip(".")
+            if suffix != "." and whole.endswith(suffix):
+                return _is_text(machine, base, whole[: -len(suffix)])
+            return suffix == "." and "." not in whole and _is_text(machine, base, whole)
         stem, ending = _split(whole)
         return unify(extension, atom(ending), machine.trail) and _is_text(machine, base, stem)
     stem, ending = _file_name(base), _file_name(extension).lstrip(".")
@@ -146,7 +146,7 @@ def _existing_file(machine: Machine, path: str, endings: List[str], kind: str) -
 def _files(machine: Machine) -> "SourceFiles":
     files = machine.logic.files
     if files is None:
-        raise permission_error("access", "source_sink", atom("."), "there are no files")
+        raise permission_error("access", "source_sink", atom("."), "this program has no access to files")
     return files
 
 

@@ -18,6 +18,7 @@ from ..machine.errors import (
 )
 from ..machine.machine import LAST, Machine
 from ..syntax.operators import Operators
+from ..syntax.term_writer import write_term
 from ..terms.term_traversal import copy
 from ..terms.types import (
     COLON,
@@ -89,7 +90,10 @@ def flags_from(kept: Dict[str, Term]) -> Dict[str, Term]:
         changed = value.__class__ is not flags.get(name, value).__class__ or value != flags.get(name, value)
         # A stored value is only accepted if the program could have set it.
         if name in flags and changed and not (isinstance(value, Atom) and value.name in allowed):
-            raise UsageError(f"the flag {name} has a value that it does not take")
+            raise UsageError(
+                f"Prolog flag '{name}': the stored value '{write_term(value)}' is not valid: "
+                f"expected {' or '.join(allowed) or 'the initial value'}"
+            )
         flags[name] = value
     return flags
 
@@ -234,24 +238,24 @@ def current_op(machine: Machine, priority: Term, kind: Term, name: Term) -> Solu
 
 
 @deterministic("char_conversion/2")
-def char_conversion(machine: Machine, char: Term, other: Term) -> bool:
+def char_conversion(machine: Machine, char: Term, converted: Term) -> bool:
     """Check two characters; the predicate has no effect, as characters are never converted."""
     _character(char)
-    _character(other)
+    _character(converted)
     return True
 
 
 @nondeterministic("current_char_conversion/2")
-def current_char_conversion(machine: Machine, char: Term, other: Term) -> Solutions:
+def current_char_conversion(machine: Machine, char: Term, converted: Term) -> Solutions:
     """Enumerate the character conversions: each character is converted to itself."""
-    given = deref(char) if deref(char).__class__ is not Var else deref(other)
+    given = deref(char) if deref(char).__class__ is not Var else deref(converted)
     if given.__class__ is not Var:
         _character(given)
-        if machine.unify_all((char, given), (other, given)):
+        if machine.unify_all((char, given), (converted, given)):
             yield LAST
         return
     for code in range(256):
-        if machine.unify_all((char, atom(chr(code))), (other, atom(chr(code)))):
+        if machine.unify_all((char, atom(chr(code))), (converted, atom(chr(code)))):
             yield None
 
 
@@ -394,7 +398,8 @@ def module(machine: Machine, name: Term, exports: Term) -> bool:
             keys.append(key)
     if not machine.logic.database.modules.begin(atom_of(name).name, keys):
         machine.logic.message(
-            "warning", "Warning: a file of event rules is no module: what it defines has its plain names\n"
+            "warning",
+            "Warning: module/2 has no effect in a file of event rules: its predicates keep their plain names\n",
         )
     # The module is declared all the same, so that the rest of the file does not cause more errors.
     if invalid:

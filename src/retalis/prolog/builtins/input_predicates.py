@@ -259,8 +259,8 @@ def read_term(machine: Machine, term: Term, options: Term) -> bool:
 @deterministic("read_term/3")
 def read_term_from(machine: Machine, stream: Term, term: Term, options: Term) -> bool:
     """Read a term from a stream with options."""
-    wanted = _options(options)
-    return _read(machine, stream, wanted, term)
+    requested = _options(options)
+    return _read(machine, stream, requested, term)
 
 
 def _options(options: Term) -> List[CompoundTerm]:

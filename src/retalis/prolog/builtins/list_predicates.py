@@ -728,17 +728,17 @@ deterministic("union/3", locked=False)(_filter(_UNION, False, lambda other: othe
 
 
 @deterministic("subset/2", locked=False)
-def subset(machine: Machine, given: Term, other: Term) -> bool:
+def subset(machine: Machine, given: Term, superset: Term) -> bool:
     """Test that each item of a list unifies with an item of another list."""
     rest = deref(given)
     for _ in bounded():
         if not is_cons(rest):
             break
-        if not memberchk(machine, rest[1], other):
+        if not memberchk(machine, rest[1], superset):
             return False
         rest = deref(rest[2])
     if rest is not NIL:
-        raise no_matching_rule("lists", (_SUBSET, rest, other))
+        raise no_matching_rule("lists", (_SUBSET, rest, superset))
     return True
 
 

@@ -34,30 +34,30 @@ _MAX_TERM_DEPTH = 200
 """Limit for the recursion of `cut_off`. Parts that are deeper are written in full, except for long lists."""
 
 
-def cut_off(term: Term, most: int, depth: int = 1) -> Term:
-    """Return a term with ``...`` for parts at a greater depth than ``most``.
+def cut_off(term: Term, max_depth: int, depth: int = 1) -> Term:
+    """Return a term with ``...`` for parts at a greater depth than ``max_depth``.
 
     The depth of an item of a list is its position, as in SWI-Prolog, which shortens long lists.
     """
     term = deref(term)
-    if depth > most:
+    if depth > max_depth:
         return _ELLIPSIS
     if term.__class__ is not tuple or depth > _MAX_TERM_DEPTH:
         return term
     # Arguments are one level deeper than the term.
     if term[0] is not CONS:
-        return (term[0], *[cut_off(argument, most, depth + 1) for argument in term[1:]])
+        return (term[0], *[cut_off(argument, max_depth, depth + 1) for argument in term[1:]])
     items: List[Term] = []
     rest: Any = term
     while rest.__class__ is tuple and rest[0] is CONS:
-        items.append(cut_off(rest[1], most, min(depth, _MAX_TERM_DEPTH) + 1))
+        items.append(cut_off(rest[1], max_depth, min(depth, _MAX_TERM_DEPTH) + 1))
         depth += 1
         rest = deref(rest[2])
         if rest is NIL:
             return make_list(items)
-        if depth >= most:
+        if depth >= max_depth:
             return make_list(items, _ELLIPSIS)
-    return make_list(items, cut_off(rest, most, min(depth, _MAX_TERM_DEPTH) + 1))
+    return make_list(items, cut_off(rest, max_depth, min(depth, _MAX_TERM_DEPTH) + 1))
 
 
 _MAX_BLANKS = 10_000_000

@@ -138,7 +138,7 @@ class Follower(NamedTuple):
     """A suspended call of an incomplete table.
 
     Attributes:
-        at: number of answers that it has returned.
+        position: number of answers that it has returned.
         free: unbound variables of the call.
         after: its continuation.
         bound: variables bound since the evaluation of the active table began, with their values; None if the call
@@ -146,7 +146,7 @@ class Follower(NamedTuple):
         height: size of the stack of choice points at the suspension; cuts in the continuation depend on it.
     """
 
-    at: int
+    position: int
     free: List[Var]
     after: Frame
     bound: Optional[List[Tuple[Any, Term]]]
@@ -429,25 +429,25 @@ class Tables:
         newest.low = min(newest.low, ancestor.index)  # type: ignore[union-attr]
         return self._follow(table, 0, free, after)
 
-    def _follow(self, table: Table, at: int, free: List[Var], after: Frame) -> Optional[Frame]:
-        """Return the answers of an incomplete table from position ``at`` on, then suspend the call."""
+    def _follow(self, table: Table, position: int, free: List[Var], after: Frame) -> Optional[Frame]:
+        """Return the answers of an incomplete table from ``position`` on, then suspend the call."""
         answers = table.answers
-        while at < len(answers) and answers[at] is None:
-            at += 1
-        if at < len(answers):
+        while position < len(answers) and answers[position] is None:
+            position += 1
+        if position < len(answers):
             self.machine.choices.append(
-                (self._more_answers, table, at + 1, free, after, len(self.machine.trail))
+                (self._more_answers, table, position + 1, free, after, len(self.machine.trail))
             )
-            return self.give(answers[at], table.ground, free, after)
+            return self.give(answers[position], table.ground, free, after)
         choices, trail = self.machine.choices, self.machine.trail
         newest = self.active[-1]
         # A choice point that closes, such as that of a negation, ends before the continuation could be resumed. The
         # call is only recorded then, and an answer that it misses makes the leader repeat the evaluation.
         if any(getattr(entry[0], "closes", False) for entry in choices[newest.height :]):
-            follower = Follower(at, free, after, None, 0)
+            follower = Follower(position, free, after, None, 0)
         else:
             bound = [(entry, entry.ref) for entry in trail[newest.mark :]]
-            follower = Follower(at, free, after, bound, len(choices))
+            follower = Follower(position, free, after, bound, len(choices))
         table.followers.append(follower)
         return None
 
@@ -625,7 +625,7 @@ class Tables:
         for var, value in follower.bound or ():
             var.ref = value
             trail.append(var)
-        return self._follow(followed, follower.at, follower.free, follower.after)
+        return self._follow(followed, follower.position, follower.free, follower.after)
 
     def _leave_padding(self, entry: Frame) -> None:
         del self.machine.choices[entry[1] :]
@@ -642,16 +642,16 @@ class Tables:
         return self._follow(table, 0, free, after)
 
     def _enumerate(
-        self, answers: List[Tuple[Term, ...]], ground: bool, at: int, free: List[Var], after: Frame
+        self, answers: List[Tuple[Term, ...]], ground: bool, position: int, free: List[Var], after: Frame
     ) -> Optional[Frame]:
-        """Return the answers from position ``at`` on, one at each solution."""
+        """Return the answers from ``position`` on, one at each solution."""
         count = len(answers)
-        if at == count:
+        if position == count:
             return None
-        if at + 1 < count:
+        if position + 1 < count:
             mark = len(self.machine.trail)
-            self.machine.choices.append((self._next_answer, answers, ground, at + 1, free, after, mark))
-        return self.give(answers[at], ground, free, after)
+            self.machine.choices.append((self._next_answer, answers, ground, position + 1, free, after, mark))
+        return self.give(answers[position], ground, free, after)
 
     def give(self, answer: Tuple[Term, ...], ground: bool, free: List[Var], after: Frame) -> Frame:
         """Bind the free variables of a call to the values of an answer."""

@@ -120,16 +120,18 @@ def _standard_order_test(test: str) -> Callable[[Machine, Term, Term], bool]:
     variables = unlike if test in ("== 0", "!= 0") else by_age
     lines = ["def made(machine, left, right):", f"    return compare(left, right, variables) {test}"]
     names = {"compare": compare, "variables": variables}
-    made: Callable[[Machine, Term, Term], bool] = codegen.function(lines, names, f"comparison {test}")
-    return made
+    predicate: Callable[[Machine, Term, Term], bool] = codegen.function(lines, names, f"comparison {test}")
+    return predicate
 
 
 def _arithmetic_comparison(operator: str) -> Callable[[Machine, Term, Term], bool]:
     """Return a predicate that compares the values of two expressions."""
     lines = ["def made(machine, left, right):", f"    return measure(left) {operator} measure(right)"]
     names = {"measure": measure}
-    made: Callable[[Machine, Term, Term], bool] = codegen.function(lines, names, f"comparison {operator}")
-    return made
+    predicate: Callable[[Machine, Term, Term], bool] = codegen.function(
+        lines, names, f"comparison {operator}"
+    )
+    return predicate
 
 
 for _key, _test in ORDERS.items():
@@ -302,9 +304,7 @@ _DECIDED = functor("?=", 2)
 
 def _undecided(key: Functor) -> PrologError:
     """Return the error for a call that depends on an unbound variable, with a hint to SWI-Prolog."""
-    reason = (
-        "no goal waits here until a variable is bound: that needs SWI-Prolog, see use_swi in docs/prolog.md"
-    )
+    reason = "goals cannot wait for a variable to be bound: load them into SWI-Prolog, see use_swi in docs/prolog.md"
     return error(atom("instantiation_error"), (CONTEXT, indicator(key), atom(reason)))
 
 

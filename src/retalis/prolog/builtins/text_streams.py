@@ -326,9 +326,11 @@ class ProgramStreams:
         if alias is not None and (alias in self.aliases or alias in _USER):
             raise permission_error("open", "source_sink", (functor("alias", 1), atom(alias)))
         if len(self.opened) >= MAX_OPEN_STREAMS:
-            raise resource_error("streams", reason=f"{MAX_OPEN_STREAMS} streams are open; close/1 closes one")
+            raise resource_error(
+                "streams", reason=f"{MAX_OPEN_STREAMS} streams are open, the maximum: close one with close/1"
+            )
         if files is None:
-            raise permission_error("open", "source_sink", name, "there are no files")
+            raise permission_error("open", "source_sink", name, "this program has no access to files")
         if mode == "read":
             stream: OpenStream = InputStream(*_text_of(files, name, encoding))
         else:
@@ -571,10 +573,10 @@ def is_stream(machine: Machine, term: Term) -> bool:
 
 
 @nondeterministic("stream_property/2")
-def stream_property(machine: Machine, stream: Term, wanted: Term) -> Solutions:
+def stream_property(machine: Machine, stream: Term, property_term: Term) -> Solutions:
     """Enumerate the properties of open streams."""
     streams, stream = streams_of(machine), deref(stream)
-    _require_property(deref(wanted))
+    _require_property(deref(property_term))
     if stream.__class__ is Var:
         candidates: List[Tuple[Term, Union[OpenStream, str]]] = [(atom(name), name) for name in _STANDARD]
         candidates += [
@@ -586,7 +588,7 @@ def stream_property(machine: Machine, stream: Term, wanted: Term) -> Solutions:
         candidates = [(stream, _standard(streams, stream))]
     for term, stream_or_name in candidates:
         for value in _properties(streams, stream_or_name):
-            if machine.unify_all((stream, term), (wanted, value)):
+            if machine.unify_all((stream, term), (property_term, value)):
                 yield None
 
 
@@ -601,20 +603,20 @@ def _standard(streams: ProgramStreams, stream: Term) -> str:
     return name
 
 
-def _require_property(wanted: Term) -> None:
+def _require_property(property_term: Term) -> None:
     """Check that a term is a stream property or a variable.
 
     Raises:
         PrologError: a domain error for any other term.
     """
-    if wanted.__class__ is Var:
+    if property_term.__class__ is Var:
         return
-    if isinstance(wanted, tuple):
-        known = len(wanted) == 2 and wanted[0].name in _WITH_VALUE
+    if isinstance(property_term, tuple):
+        known = len(property_term) == 2 and property_term[0].name in _WITH_VALUE
     else:
-        known = wanted in [atom(name) for name in _WITHOUT_VALUE]
+        known = property_term in [atom(name) for name in _WITHOUT_VALUE]
     if not known:
-        raise domain_error("stream_property", wanted)
+        raise domain_error("stream_property", property_term)
 
 
 def _properties(streams: ProgramStreams, stream: Union[OpenStream, str]) -> Iterator[Term]:

@@ -97,7 +97,7 @@ MISSING = (
 OLDEST = "7.6.4"
 """Oldest version that has all functions used here."""
 
-ON_PYPY = "use_swi needs CPython: PyPy lets go of its lock in each call of a library"
+ON_PYPY = "use_swi needs CPython: PyPy releases its global lock in each call of a C library"
 
 # Argument vector of SWI-Prolog: no signal handlers except the one that interrupts system calls, no user files.
 _ARGUMENTS = (b"swipl", b"--nosignals", b"-q", b"-f", b"none", b"-F", b"none", b"--nodebug")
@@ -210,7 +210,9 @@ class SwiLibrary:
         with signal_stack_kept():
             started = self.initialise(len(_ARGUMENTS), given)
         if not started:
-            raise UsageError("SWI-Prolog does not start: its library is there, its own files are not")
+            raise UsageError(
+                "SWI-Prolog does not start: its library was found, but not its own files: install it again"
+            )
         self._detect_constants()
 
     def leave(self) -> None:
@@ -258,7 +260,7 @@ def find_library() -> SwiLibrary:
         except OSError:  # not installed under this name
             continue
         except AttributeError as error:  # a later name may be that of a newer version
-            too_old = f"{name} is older, or another library: {error}"
+            too_old = f"'{name}' is older, or another library: {error}"
     raise UsageError(f"use_swi needs SWI-Prolog {OLDEST} or later: {too_old}" if too_old else MISSING)
 
 
@@ -406,12 +408,12 @@ class Interrupter:
         frame = swi.open_frame()
         ref = swi.new_refs(2)
         swi.unify_integer(ref, engine)
-        found = c_int64()
+        count = c_int64()
         if swi.call_predicate(None, CATCH, swi.predicate(b"inferences", 2, b"retalis_bridge"), ref):
-            swi.get_integer(ref + 1, byref(found))
+            swi.get_integer(ref + 1, byref(count))
         swi.clear_exception()
         swi.discard_frame(frame)
-        return found.value
+        return count.value
 
     def _interrupt(self, watched: LimitedGoal) -> None:
         """Raise an exception in a thread's goal, and end a system call in which it blocks."""

@@ -159,7 +159,7 @@ class SwiEngine:
         self._busy = True
         # Only the outermost call attaches the engine; nested ones find it attached.
         if not self._depth and self._swi.set_engine(self._engine, self._to_before):
-            raise RetalisError("an engine of SWI-Prolog is in use elsewhere")
+            raise RetalisError("an engine of SWI-Prolog is in use by another thread")
         self._depth += 1
 
     def _leave(self) -> None:

@@ -290,7 +290,9 @@ class SwiTerms:
             elif isinstance(term, int):
                 require(self._put_integer(ref, int(term)))
             else:
-                raise representation_error("term", f"SWI-Prolog has no {type(term).__name__}")
+                raise representation_error(
+                    "term", f"SWI-Prolog cannot represent a value of type {type(term).__name__}"
+                )
 
     def _put_integer(self, ref: int, value: int) -> int:
         if _MIN_INTEGER <= value <= _MAX_INTEGER:
@@ -487,7 +489,9 @@ class SwiTerms:
         self._swi.get_name(ref, self._to_word, self._to_arity)
         handle, arity = self._word.value, self._arity.value
         if not arity:
-            raise representation_error("arity", "a term without arguments, as f(), is none here")
+            raise representation_error(
+                "arity", "a compound term without arguments, such as f(), is not supported"
+            )
         return functor(self._name(handle), arity)
 
     def _name(self, handle: int) -> str:
@@ -534,9 +538,11 @@ class SwiTerms:
         if self._lenient:
             return atom(self._text(ref, self._swi.written))
         names = {self._swi.kinds["rational"]: "a rational number", self._swi.kinds["dict"]: "a dict"}
-        what = names.get(kind, "a stream, a clause or another handle")
+        description = names.get(kind, "a stream, a clause or another handle")
         text = beginning(self._text(ref, self._swi.written))
-        raise representation_error("term", f"{what} of SWI-Prolog is no term here: {text}")
+        raise representation_error(
+            "term", f"{description} of SWI-Prolog cannot be converted to a term: '{text}'"
+        )
 
 
 def _encoded(text: str) -> bytes:
