@@ -7,7 +7,7 @@ import pytest
 
 from retalis.cli import console
 from retalis.cli.command_line import main
-from retalis.cli.console import CONSOLE, DEFAULT_SHOWN_SOLUTIONS, Console, described, mentioned
+from retalis.cli.console import CONSOLE, DEFAULT_SHOWN_SOLUTIONS, Console, apropos_lines, help_lines
 from retalis.cli.error_report import Report
 from retalis.cli.prompt import Lines
 
@@ -115,6 +115,6 @@ def test_apropos_finds_names_and_descriptions(ask):
     found = ask("assertz(my_quaternion(1)).\napropos(quaternion).\n").out.splitlines()
     assert "mul_quaternion/5: product of two poses" in found
     assert found[-1] == "my_quaternion/1"
-    assert described("|/2", []) == [":Goal ; :Goal\n    either"]
-    many = mentioned("a", [])
+    assert help_lines("|/2", []) == [":Goal ; :Goal\n    either"]
+    many = apropos_lines("a", [])
     assert many[-1].startswith("% and ")

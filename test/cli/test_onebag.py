@@ -9,7 +9,7 @@ import pytest
 from manybags import SECOND, make_bag, make_program
 
 from retalis.cli.bag_command import add_parser
-from retalis.cli.many_bags import _OPTIONS, _SAID, BagTask, play_bag
+from retalis.cli.many_bags import _MAX_MESSAGE_CHARACTERS, _OPTIONS, BagTask, play_bag
 from retalis.playback.rosbag1 import BagReader
 
 
@@ -94,8 +94,12 @@ def test_whatever_goes_wrong_is_the_bags_failure(program, tmp_path, monkeypatch,
 def test_of_what_is_said_the_beginning_is_kept(program, tmp_path, monkeypatch):
     bag = make_bag(tmp_path / "a.bag", "x")
     asked = task(program, bag, tmp_path / "result", None)
-    monkeypatch.setattr("retalis.cli.many_bags.play", lambda *given: sys.stderr.write("e" * (_SAID + 7)))
-    assert play_bag(asked, str(tmp_path)).said == "e" * _SAID + "\n... and 7 more characters\n"
+    monkeypatch.setattr(
+        "retalis.cli.many_bags.play", lambda *given: sys.stderr.write("e" * (_MAX_MESSAGE_CHARACTERS + 7))
+    )
+    assert (
+        play_bag(asked, str(tmp_path)).said == "e" * _MAX_MESSAGE_CHARACTERS + "\n... and 7 more characters\n"
+    )
 
 
 def test_a_bag_of_a_url_is_called_by_it(program, tmp_path):

@@ -3,10 +3,10 @@
 import pytest
 
 from retalis.dashboard.view_model import (
-    AT_A_LOOK,
     MAX_EVENT_CHARACTERS,
     MAX_FUNCTORS,
     MAX_SHOWN_EVENTS,
+    MAX_WRITTEN_PER_SNAPSHOT,
     RecentEvents,
     event_beginning,
 )
@@ -46,7 +46,7 @@ def test_rare_events_stay_beside_many(engine, recent):
     for second in range(2, 1000):
         engine.event("tick", second)
     found = recent.look()
-    assert len(found) == 1 + AT_A_LOOK
+    assert len(found) == 1 + MAX_WRITTEN_PER_SNAPSHOT
     assert found[-1].text == "smoke(hall)"
     assert recent.counts()["tick/0"].number == 998
 

@@ -7,14 +7,14 @@ import pytest
 pytest.importorskip("rospy")
 
 from retalis.foundation.errors import MessageError  # noqa: E402
-from retalis.ros.dynamic_subscriptions import read_told  # noqa: E402
+from retalis.ros.dynamic_subscriptions import read_subscriptions  # noqa: E402
 from retalis.ros.internal_topics import MAX_CONTROL_CHARACTERS  # noqa: E402
 
 GOOD = ["right", "std_msgs/Bool", "bumper_right"]
 
 
 def test_what_is_told_is_read():
-    assert [tuple(one) for one in read_told(json.dumps([GOOD, ["a", "b/C", ""]]))] == [
+    assert [tuple(one) for one in read_subscriptions(json.dumps([GOOD, ["a", "b/C", ""]]))] == [
         tuple(GOOD),
         ("a", "b/C", ""),
     ]
@@ -37,4 +37,4 @@ def test_what_is_told_is_read():
 )
 def test_what_is_wrong_is_refused(text):
     with pytest.raises(MessageError, match="expected topics, types and names of events"):
-        read_told(text)
+        read_subscriptions(text)

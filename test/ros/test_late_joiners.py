@@ -10,7 +10,7 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 from retalis.engine.runtime.problem_reports import Reports  # noqa: E402
 from retalis.foundation.errors import RuleError  # noqa: E402
 from retalis.ros import late_joiners  # noqa: E402
-from retalis.ros.late_joiners import ENGINE, INTERFACE, LOOKS, LateJoinerBuffer  # noqa: E402
+from retalis.ros.late_joiners import ENGINE, INTERFACE, MAX_IDENTIFICATION_ATTEMPTS, LateJoinerBuffer  # noqa: E402
 
 
 class Link:
@@ -63,7 +63,7 @@ def test_what_comes_before_node_retalis_is_held_for_it_in_order(outlet, make):
     engine = outlet.come()
     it.send(b"3", 1)
     assert engine.got == []
-    it.settle(engine, True)
+    it.identify(engine, True)
     it.send(b"4", 1)
     assert engine.got == [b"123", b"4"]
 
@@ -72,13 +72,13 @@ def test_others_get_what_comes_once_they_are_connected(outlet, make):
     it = make()
     it.send(b"1", 1)
     other = outlet.come()
-    assert it.unknown() == [other]
+    assert it.unidentified() == [other]
     it.send(b"2", 1)
-    it.settle(other, False)
+    it.identify(other, False)
     it.send(b"3", 1)
     engine = outlet.come()
     it.send(b"4", 1)
-    it.settle(engine, True)
+    it.identify(engine, True)
     it.send(b"5", 1)
     assert other.got == [b"2", b"3", b"4", b"5"]
     assert engine.got == [b"1234", b"5"]
@@ -92,15 +92,15 @@ def test_each_node_retalis_gets_the_newest_latched_messages_once(outlet, make):
     it.latch("map", lambda: b"B", 1)
     it.send(b"b", 1)
     first = outlet.come()
-    it.unknown()
-    it.settle(first, True)
+    it.unidentified()
+    it.identify(first, True)
     it.send(b"2", 1)
     assert first.got == [b"a1b", b"2"]
     first.done = True
     it.send(b"3", 1)
     second = outlet.come()
-    it.unknown()
-    it.settle(second, True)
+    it.unidentified()
+    it.identify(second, True)
     assert first.got == [b"a1b", b"2"]
     assert second.got == [b"B3"]
 
@@ -110,35 +110,35 @@ def test_a_receiver_that_turns_out_to_be_node_retalis_gets_the_rest_once(outlet,
     it.latch("map", lambda: b"A", 1)
     it.send(b"a", 1)
     engine = outlet.come()
-    it.unknown()
-    it.settle(engine, False)
+    it.unidentified()
+    it.identify(engine, False)
     it.send(b"1", 1)
-    assert it.unknown() == [engine]
-    it.settle(engine, True)
+    assert it.unidentified() == [engine]
+    it.identify(engine, True)
     it.send(b"2", 1)
     assert engine.got == [b"1", b"a", b"2"]
-    assert it.unknown() == []
+    assert it.unidentified() == []
 
 
 def test_who_only_looks_on_is_known_once_it_was_looked_up(outlet, make):
     it = make()
     engine, other = outlet.come(), outlet.come()
-    assert it.unknown() == [engine, other]
-    assert not it.is_other(other)
-    it.settle(engine, True)
-    it.settle(other, False)
-    assert it.is_other(other)
-    assert not it.is_other(engine)
+    assert it.unidentified() == [engine, other]
+    assert not it.is_bystander(other)
+    it.identify(engine, True)
+    it.identify(other, False)
+    assert it.is_bystander(other)
+    assert not it.is_bystander(engine)
 
 
 def test_a_receiver_is_looked_up_only_so_often(outlet, make):
     it = make()
     other = outlet.come()
     looks = 0
-    while it.unknown():
-        it.settle(other, False)
+    while it.unidentified():
+        it.identify(other, False)
         looks += 1
-    assert looks == LOOKS
+    assert looks == MAX_IDENTIFICATION_ATTEMPTS
 
 
 def test_the_oldest_is_dropped_and_counted(outlet, make, reports, monkeypatch):
@@ -147,10 +147,10 @@ def test_the_oldest_is_dropped_and_counted(outlet, make, reports, monkeypatch):
         it.send(b"%d%d" % (number, number), 2)
     assert (reports.warnings, outlet.counts.dropped, outlet.counts.sent) == (4, 4, 8)
     engine = outlet.come()
-    it.unknown()
-    it.settle(engine, True)
+    it.unidentified()
+    it.identify(engine, True)
     assert engine.got == [b"2233"]
-    monkeypatch.setattr(late_joiners, "HELD_BYTES", 10)
+    monkeypatch.setattr(late_joiners, "MAX_BUFFERED_BYTES", 10)
     engine.done = True
     for _ in range(3):
         it.send(b"12345", 1)
@@ -158,13 +158,13 @@ def test_the_oldest_is_dropped_and_counted(outlet, make, reports, monkeypatch):
 
 
 def test_latched_messages_are_bounded(outlet, make, reports, monkeypatch):
-    monkeypatch.setattr(late_joiners, "LATCHED", 2)
+    monkeypatch.setattr(late_joiners, "MAX_LATCHED_MESSAGES", 2)
     it = make()
     for key in ("a", "b", "b", "c"):
         it.latch(key, key.encode, 1)
         it.send(b"-", 1)
     assert set(it.latched()) == {"b", "c"}
-    monkeypatch.setattr(late_joiners, "HELD_BYTES", 10)
+    monkeypatch.setattr(late_joiners, "MAX_BUFFERED_BYTES", 10)
     it.latch("d", b"d".upper, 9)
     assert set(it.latched()) == {"c", "d"}
     assert reports.warnings == 2
@@ -187,8 +187,8 @@ def test_only_the_peer_gets_marks(outlet, make):
     it.send(b"a", 1, b"<mark a>")
     engine, other = outlet.come(), outlet.come()
     it.send(b"b", 1, b"<mark b>")
-    it.settle(engine, True)
-    it.settle(other, False)
+    it.identify(engine, True)
+    it.identify(other, False)
     it.send(b"c", 1, b"<mark c>")
     assert engine.got == [b"<mark a>a<mark b>b", b"<mark c>c"]
     assert other.got == [b"b", b"c"]
@@ -199,12 +199,12 @@ def test_what_the_peer_does_not_need_is_held_for_nobody_but_who_is_not_identifie
     it.send(b"a", 1, for_peer=False)
     other = outlet.come()
     it.send(b"b", 1, for_peer=False)
-    it.settle(other, False)
+    it.identify(other, False)
     it.send(b"c", 1, for_peer=False)
     it.send(b"d", 1)
     peer = outlet.come()
-    it.unknown()
-    it.settle(peer, True)
+    it.unidentified()
+    it.identify(peer, True)
     assert other.got == [b"b", b"c", b"d"]
     assert peer.got == [b"bd"]
 
@@ -221,7 +221,7 @@ def test_messages_name_the_peer(outlet, reports, caplog):
     for _ in range(2):
         it.send(b"a", 1)
     assert [record.getMessage() for record in caplog.records] == [
-        "the ROS interface is not there: the oldest of the events that wait for it is dropped"
+        "the ROS interface is not connected: the oldest event that is buffered for it is dropped"
     ]
 
 
@@ -232,8 +232,8 @@ def test_what_is_held_of_a_former_run_is_not_handed_over(outlet, make):
     runs[0] = 1
     it.send(b"2", 1)
     engine = outlet.come()
-    it.unknown()
-    it.settle(engine, True)
+    it.unidentified()
+    it.identify(engine, True)
     assert engine.got == [b"2"]
 
 
@@ -245,13 +245,13 @@ def test_a_latched_message_that_cannot_be_written_again_is_reported(outlet, make
     it.latch("map", write, 1)
     it.send(b"a", 1)
     first = outlet.come()
-    it.unknown()
-    it.settle(first, True)
+    it.unidentified()
+    it.identify(first, True)
     assert (first.got, reports.errors) == ([b"a"], 0)
     first.done = True
     second = outlet.come()
-    it.unknown()
-    it.settle(second, True)
+    it.unidentified()
+    it.identify(second, True)
     assert (second.got, reports.errors) == ([], 1)
 
 
@@ -271,9 +271,9 @@ def test_node_retalis_gets_first_what_it_has_to_know_of_all(outlet, reports):
     it = LateJoinerBuffer(outlet, ENGINE, 100, reports, lambda: 0, lambda: b"run ")
     it.send(b"before", 1)
     node, other = outlet.come(), outlet.come()
-    it.unknown()
-    it.settle(node, True)
-    it.settle(other, False)
+    it.unidentified()
+    it.identify(node, True)
+    it.identify(other, False)
     it.send(b"after", 1)
     assert node.got == [b"run before", b"after"]
     assert other.got[-1] == b"after"

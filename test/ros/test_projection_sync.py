@@ -28,7 +28,7 @@ def interface(monkeypatch):
 
 def tell(interface, text, header=HEADER):
     interface.sources.append(SimpleNamespace(header=header, done=False))
-    interface.known._take(SimpleNamespace(data=text, _connection_header=header))  # noqa: SLF001
+    interface.known._receive(SimpleNamespace(data=text, _connection_header=header))  # noqa: SLF001
 
 
 def test_nothing_is_left_out_before_it_is_told(interface):

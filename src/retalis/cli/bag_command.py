@@ -1,4 +1,4 @@
-"""``bag``: run a program over bags, without ROS."""
+"""Command ``bag``: runs a program over recorded bags, without ROS."""
 
 import argparse
 from pathlib import Path
@@ -72,7 +72,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 
 
 def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool = True) -> None:
-    """Add the options that say which program takes which messages."""
+    """Add the options that select the program, the bags and their messages."""
     add = parser.add_argument
     add("bags", nargs=bags, metavar="BAG", help="a bag of ROS 1 or ROS 2")
     add(

@@ -1,4 +1,4 @@
-"""A program over bags: what happens in the run is printed as it does, and written into a bag on request."""
+"""A run of a program over bags, with printing of events and outputs, and recording of outputs into a bag."""
 
 import argparse
 import json
@@ -29,11 +29,11 @@ OUTPUT = functor("output", 2)
 TIMED_OUTPUT = functor("output", 3)
 
 
-Tell = Callable[[Line], None]
+LineHandler = Callable[[Line], None]
 
 
 def add_chunk_limit(parser: argparse.ArgumentParser) -> None:
-    """Add the option that bounds what is unpacked of bags."""
+    """Add the option that limits the decompressed size of chunks."""
     parser.add_argument(
         "--max-chunk-megabytes",
         type=from_one,
@@ -50,15 +50,15 @@ def print_line(line: Line) -> None:
 
 
 def play(
-    options: argparse.Namespace, report: Report, tell: Tell = print_line, state: Optional[bytes] = None
+    options: argparse.Namespace, report: Report, tell: LineHandler = print_line, state: Optional[bytes] = None
 ) -> Playback:
-    """Play the bags that the options name, as one; return the program as it is then.
+    """Play the bags of the options as one recording; return the program in its final state.
 
     Args:
-        options: of the command.
-        report: takes errors.
-        tell: takes what happens, where the options want it as JSON.
-        state: of the program at the end of the part before this one, where it goes on from there.
+        options: options of the command.
+        report: receives errors.
+        tell: receives events and outputs if the options request JSON.
+        state: snapshot of the program to continue from; None to start without state.
     """
     with ExitStack() as stack:
         bags = stack.enter_context(bags_of(options))
@@ -67,7 +67,8 @@ def play(
             record_origins(playback.engine)
         writer = _writer(options, playback, stack)
         bar = stack.enter_context(progress("messages", share_of(playback, bags)))
-        show = _Shower(options, playback, bar, tell, bags.start)
+        show = _RunPrinter(options, playback, bar, tell, bags.start)
+        # After the program is loaded: only the objects of the run are left to the collector.
         limit_gc_pauses()
         for output in playback.run(bags, show.advance):
             show.output(output)
@@ -78,7 +79,7 @@ def play(
 
 
 def bags_of(options: argparse.Namespace) -> MergedBag:
-    """Return the bags that the options name, open."""
+    """Open the bags of the options."""
     return MergedBag(options.bags, options.start, options.duration, options.max_chunk_megabytes)
 
 
@@ -88,7 +89,7 @@ def playback_of(
     bag: Optional[MergedBag] = None,
     state: Optional[bytes] = None,
 ) -> Playback:
-    """Return the program that the options name, loaded; it may name slots of the types of a bag."""
+    """Load the program of the options, with the message types of ``bag`` for its rules that name fields."""
     settings = limited(allow_folders(Settings(), options), options)
     settings = settings._replace(max_gap=options.max_gap or None)
     limit = options.max_skew or None
@@ -98,7 +99,7 @@ def playback_of(
 
 
 def share_of(playback: Playback, bags: MergedBag) -> Callable[[], float]:
-    """Return what tells how much of the bags' time has passed, from 0 to 1."""
+    """Return a function that returns the elapsed share of the bags' time, from 0 to 1."""
     length = bags.end - bags.start
     return lambda: (playback.clock.now() - bags.start) / length if length > 0 else 1.0
 
@@ -116,11 +117,16 @@ def _topics(texts: List[str]) -> List[TopicType]:
     return topics
 
 
-class _Shower:
-    """Prints the events and outputs of a run, and updates the progress bar."""
+class _RunPrinter:
+    """Printer of a run's events and outputs, with the progress bar."""
 
     def __init__(
-        self, options: argparse.Namespace, playback: Playback, bar: Optional[Bar], tell: Tell, start: int
+        self,
+        options: argparse.Namespace,
+        playback: Playback,
+        bar: Optional[Bar],
+        tell: LineHandler,
+        start: int,
     ):
         self._options = options
         self._origin = start if options.times == RELATIVE else None
@@ -128,16 +134,16 @@ class _Shower:
         self._bar = bar
         self._tell = tell
         self._printer = Printer(options.json, False, None)
-        self._look: Optional[RunRecorder] = None
+        self._recorder: Optional[RunRecorder] = None
         if options.events and options.json:
-            self._look = RunRecorder(playback, to_reader(self._line))
+            self._recorder = RunRecorder(playback, to_reader(self._line))
         elif options.events:
             self._engine.on_event(to_reader(self._event))
 
     def advance(self, done: int) -> None:
-        """Take note that another message has been taken."""
-        if self._look is not None:
-            self._look.look()
+        """Record that another message has been processed."""
+        if self._recorder is not None:
+            self._recorder.look()
         if self._bar is not None:
             self._bar(done)
 
@@ -159,11 +165,11 @@ class _Shower:
             print(f"{to_text((OUTPUT, output.term, topic))}.")
 
     def finish(self) -> None:
-        """Print what is known at the end."""
-        if self._look is not None:
-            self._look.finish()
-        for asked in self._options.explain:
-            term = read_term(asked, self._engine.operators, "--explain").term
+        """Print the summary and the requested explanations."""
+        if self._recorder is not None:
+            self._recorder.finish()
+        for query in self._options.explain:
+            term = read_term(query, self._engine.operators, "--explain").term
             self._clear()
             self._printer.explanation(term, explain(self._engine, term, origin=self._origin))
 
@@ -181,10 +187,11 @@ class _Shower:
 
 
 def _writer(options: argparse.Namespace, playback: Playback, stack: ExitStack) -> "Optional[_OutputWriter]":
-    """Open the bag that is written, if one is."""
+    """Open the bag for outputs, if there is one."""
     if options.output is None:
         return None
     path = Path(options.output)
+    # Compared as resolved paths: overwriting would truncate the recording before it is read.
     if any(path.resolve() == Path(bag).resolve() for bag in options.bags):
         raise UsageError(f"--output {path}: this is the bag that is read")
     if path.exists() and not options.overwrite:
@@ -193,7 +200,7 @@ def _writer(options: argparse.Namespace, playback: Playback, stack: ExitStack) -
 
 
 class _OutputWriter:
-    """Writes outputs into a bag, a connection for each topic."""
+    """Writer of outputs into a bag, with one connection per topic."""
 
     def __init__(self, writer: BagWriter, is_latched: Callable[[str], bool]):
         self._writer = writer
@@ -201,7 +208,7 @@ class _OutputWriter:
         self._connections: Dict[str, object] = {}
 
     def write(self, output: Output) -> None:
-        if output.definition is None or output.data is None:  # reported already
+        if output.definition is None or output.data is None:  # not a message; the error was reported
             return
         topic = output.topic if output.topic.startswith("/") else f"/{output.topic}"
         if topic not in self._connections:

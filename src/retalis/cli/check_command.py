@@ -1,4 +1,4 @@
-"""``check``: say what is wrong with a program, or hardly meant, before it runs."""
+"""Command ``check``: reports errors and likely mistakes of a program before it runs."""
 
 import argparse
 import json
@@ -59,17 +59,19 @@ def run(options: argparse.Namespace) -> int:
     definitions = Definitions(Installed(further=[_package(path) for path in options.msg]))
     for path in options.bag:
         _learn(definitions, path, options.max_chunk_megabytes)
-    found = check_program(options.folder, definitions, options.direct, Settings(allow_swi=options.allow_swi))
-    errors = sum(one.severity == ERROR for one in found)
-    infos = sum(one.severity == INFO for one in found)
-    warnings = len(found) - errors - infos
+    findings = check_program(
+        options.folder, definitions, options.direct, Settings(allow_swi=options.allow_swi)
+    )
+    errors = sum(finding.severity == ERROR for finding in findings)
+    infos = sum(finding.severity == INFO for finding in findings)
+    warnings = len(findings) - errors - infos
     if options.format == "json":
         counts = {"errors": errors, "warnings": warnings, "infos": infos}
-        content = {"findings": [_as_json(one) for one in found], **counts}
+        content = {"findings": [_as_json(finding) for finding in findings], **counts}
         print(json.dumps(content, indent=1, ensure_ascii=False))
     else:
-        for one in found:
-            print(f"{one.severity}: {one.problem}")
+        for finding in findings:
+            print(f"{finding.severity}: {finding.problem}")
         print(
             f"{printable(str(options.folder))}: {_counted(errors, 'error')}, {_counted(warnings, 'warning')}"
         )
@@ -80,13 +82,13 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _package(path: Path) -> str:
-    """Return the folder in which the definitions of a package, or packages, are looked for."""
+    """Return the folder to search for the definitions of a package, or of several."""
     path = path.resolve()
     return str(path.parent if path.name == "msg" else path)
 
 
 def _learn(definitions: Definitions, path: Path, max_chunk_megabytes: int) -> None:
-    """Add the message types of a bag."""
+    """Add the message types of a bag; a malformed definition is reported and skipped."""
     with open_bag(path, max_chunk_megabytes) as bag:
         for topic in bag.topics:
             try:
@@ -99,14 +101,14 @@ def _counted(number: int, what: str) -> str:
     return counted(number, what) if number else f"no {what}s"
 
 
-def _as_json(one: Finding) -> Dict[str, object]:
-    place = one.problem.place
-    found: Dict[str, object] = {
-        "severity": one.severity,
-        "check": one.check,
-        "code": one.problem.code,
-        "message": printable(one.problem.message),
+def _as_json(finding: Finding) -> Dict[str, object]:
+    place = finding.problem.place
+    fields: Dict[str, object] = {
+        "severity": finding.severity,
+        "check": finding.check,
+        "code": finding.problem.code,
+        "message": printable(finding.problem.message),
     }
     if place is not None:
-        found.update(file=place.source, line=place.line, column=place.column, text=printable(place.text))
-    return found
+        fields.update(file=place.source, line=place.line, column=place.column, text=printable(place.text))
+    return fields

@@ -1,7 +1,7 @@
-"""``--version``.
+"""Entry point of the command line: ``retalis COMMAND``.
 
-The command line: ``retalis COMMAND``. Each command is a module with ``add_parser`` and ``run``;
-those for a node that runs share one. Only the module of the command that is called is imported.
+Each command is a module with ``add_parser`` and ``run``; the commands for running nodes share one. Only the module of
+the called command is imported, because the imports of all commands take longer than most of them run.
 """
 
 import argparse
@@ -17,11 +17,11 @@ from .error_report import NobodyReads, leave
 from .option_values import join_times
 
 MANIFEST = Path(__file__).resolve().parents[3] / "package.xml"
-"""Where the only version stands, as seen from the source tree."""
+"""Manifest in the source tree, which contains the version."""
 
 
 def version() -> str:
-    """Return the version of this copy: the source tree's, or that of the installation."""
+    """Return the version of the source tree, or of the installation."""
     if MANIFEST.exists():
         manifest = ElementTree.parse(MANIFEST).getroot()
         if manifest.findtext("name") == "retalis":
@@ -35,13 +35,13 @@ def version() -> str:
 
 
 class ShowVersion(argparse.Action):
-    """Prints the version; looks for it then only."""
+    """Action that determines and prints the version, which takes too long to do it for each command."""
 
     def __init__(self, *names: Any, **options: Any):
         super().__init__(*names, **{**options, "nargs": 0})
 
     def __call__(self, parser: argparse.ArgumentParser, *arguments: Any) -> None:
-        """Print it and end."""
+        """Print the version and exit."""
         print(f"retalis {version()}")
         parser.exit()
 
@@ -66,11 +66,11 @@ COMMANDS = {
 """The module of each command."""
 
 _NEEDS_ALL = "complete"
-"""The command that looks through the parsers of all others."""
+"""The command that needs the parsers of all others."""
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
-    """Run a command; return its exit status: 0 done, 1 with errors, 2 wrongly called."""
+    """Run a command; return its exit status: 0 for success, 1 for errors, 2 for wrong usage."""
     words = sys.argv[1:] if arguments is None else arguments
     parser = argparse.ArgumentParser(
         prog="retalis",
@@ -92,15 +92,16 @@ def main(arguments: Optional[List[str]] = None) -> int:
         return 1
     except KeyboardInterrupt:
         return 130
-    except (BrokenPipeError, NobodyReads):  # whoever read our output has had enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains at its end
+    except (BrokenPipeError, NobodyReads):
+        # The reader of the output has closed the pipe. Python flushes stdout at exit, and would report the error.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     finally:
         leave()
 
 
 def import_commands(words: List[str]) -> List[Any]:
-    """Return the modules of the commands that the parser of a command line needs, in the order of the help."""
+    """Return the modules whose parsers a command line needs, in the order of the help."""
     first = words[0] if words else ""
     names: Iterable[str] = dict.fromkeys(COMMANDS.values())
     if first in COMMANDS and first != _NEEDS_ALL:

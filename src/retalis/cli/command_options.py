@@ -1,7 +1,4 @@
-"""The options of the commands that say what an event, a goal or a query may use.
-
-Options for the files that goals may open, and for the topics that a node subscribes by itself.
-"""
+"""Options that several commands share: resource limits, folders of goals, and topics of parameter ``~direct``."""
 
 import argparse
 from typing import Callable, Optional, Tuple
@@ -42,7 +39,7 @@ _OPTIONS: Tuple[Tuple[str, Callable[[str], float], Optional[int], str, str], ...
 
 
 def add_limits(parser: argparse.ArgumentParser) -> None:
-    """Add the options to the parser of a command."""
+    """Add the options for resource limits."""
     add_swi(parser)
     group = parser.add_argument_group(
         "limits",
@@ -68,7 +65,7 @@ def add_swi(parser: argparse.ArgumentParser) -> None:
 
 
 def limited(settings: Settings, options: argparse.Namespace) -> Settings:
-    """Return settings of an engine with the limits that the options ask for."""
+    """Return settings of an engine with the limits of the options."""
     limits = Limits(
         options.max_seconds or None,
         options.max_inferences or None,
@@ -84,7 +81,7 @@ def limited(settings: Settings, options: argparse.Namespace) -> Settings:
 
 
 def add_folders(parser: argparse.ArgumentParser) -> None:
-    """Add the options."""
+    """Add the options for folders in which goals may open files."""
     parser.add_argument(
         "--folder",
         action="append",
@@ -102,12 +99,12 @@ def add_folders(parser: argparse.ArgumentParser) -> None:
 
 
 def allow_folders(settings: Settings, options: argparse.Namespace) -> Settings:
-    """Return settings with the folders that the options name."""
+    """Return settings of an engine with the folders of the options."""
     return settings._replace(folders=tuple(options.folder), write_folders=tuple(options.write_folder))
 
 
 def add_direct(parser: argparse.ArgumentParser) -> None:
-    """Add the option for what is parameter ``~direct`` in a node."""
+    """Add the option that corresponds to parameter ``~direct`` of a node."""
     parser.add_argument(
         "--direct",
         type=_direct,

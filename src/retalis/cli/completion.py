@@ -1,7 +1,7 @@
-"""``complete``: what may come next on a command line, for a shell.
+"""Command ``complete``: completion of command lines in bash.
 
-The parsers of all commands say it, so that a new command or option needs nothing here; names in nodes that run are
-asked for.
+The candidates are derived from the parsers of all commands, so that a new command or option is completed without
+further work. Names of nodes and memories are queried from running nodes.
 """
 
 import argparse
@@ -14,7 +14,7 @@ from .node_commands import ros_module
 SCRIPT = Path(__file__).with_name("retalis.bash")
 
 NAMES = {"node": "nodes", "wait_for": "memories"}
-"""Options whose values are names in ROS, and what they are names of."""
+"""Kind of the names that an option takes, by the option's destination."""
 
 
 def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
@@ -38,7 +38,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command: print the script, or for ``words NUMBER WORD...`` what the word of that number may be."""
+    """Run the command: print the script, or for ``words NUMBER WORD...`` the candidates for the word NUMBER."""
     if options.shell == "bash":
         print(SCRIPT.read_text(encoding="utf-8"), end="")
         return 0
@@ -51,12 +51,12 @@ def run(options: argparse.Namespace) -> int:
 
 
 def names(kind: str, node: Optional[str]) -> List[str]:
-    """Return the names of nodes, or of a node's memories; none where there is no ROS, or nothing answers."""
+    """Return the names of nodes, or of a node's memories; none without ROS or without an answer."""
     try:
-        found: List[str] = ros_module("live_commands").names(kind, node)
+        candidates: List[str] = ros_module("live_commands").names(kind, node)
     except UsageError:
         return []
-    return found
+    return candidates
 
 
 def candidates(
@@ -64,39 +64,39 @@ def candidates(
     words: Sequence[str],
     names: Callable[[str, Optional[str]], Iterable[str]],
 ) -> List[str]:
-    """Return what the last of the words may become; the others stand before it."""
-    *before, current = _apart(words)
-    given: Dict[str, str] = {}
-    waiting: Optional[argparse.Action] = None
-    place = 0
+    """Return the candidates for the last of the words, by the parser and the words before it."""
+    *before, current = _without_equals_signs(words)
+    option_values: Dict[str, str] = {}
+    open_option: Optional[argparse.Action] = None
+    position = 0
     for word in before:
-        if waiting is not None:
-            given[waiting.dest] = word
-            waiting = None
+        if open_option is not None:
+            option_values[open_option.dest] = word
+            open_option = None
         elif word.startswith("-"):
-            waiting = _option(parser, word)
+            open_option = _option(parser, word)
         elif _commands(parser):
             if word not in _commands(parser):
                 return []
-            parser, place = _commands(parser)[word], 0
+            parser, position = _commands(parser)[word], 0
         else:
-            place += 1
-    if waiting is None and current.startswith("-"):
-        found: Iterable[str] = _options(parser)
+            position += 1
+    if open_option is None and current.startswith("-"):
+        completions: Iterable[str] = _options(parser)
     else:
-        action = waiting or _positional(parser, place)
-        found = _options(parser) if action is None else _values(action, given, names)
-    return [word for word in found if word.startswith(current)]
+        action = open_option or _positional(parser, position)
+        completions = _options(parser) if action is None else _values(action, option_values, names)
+    return [word for word in completions if word.startswith(current)]
 
 
-def _apart(words: Sequence[str]) -> List[str]:
-    """Return the words with ``--option = value``, as bash takes ``--option=value`` apart, in two."""
+def _without_equals_signs(words: Sequence[str]) -> List[str]:
+    """Return the words without ``=`` of their own: bash splits ``--option=value`` into three words."""
     *before, current = words
     return [*(word for word in before if word != "="), "" if current == "=" else current]
 
 
 def _option(parser: argparse.ArgumentParser, word: str) -> Optional[argparse.Action]:
-    """Return the option of a name where it waits for a value."""
+    """Return the option with a name if it takes a value."""
     for action in parser._actions:
         if word in action.option_strings and action.nargs != 0:
             return action
@@ -107,16 +107,16 @@ def _options(parser: argparse.ArgumentParser) -> List[str]:
     return [name for action in parser._actions for name in action.option_strings if name.startswith("--")]
 
 
-def _positional(parser: argparse.ArgumentParser, place: int) -> Optional[argparse.Action]:
-    """Return what the word at a place is, options not counted; None where none is expected."""
-    found = [action for action in parser._actions if not action.option_strings]
-    if place < len(found):
-        return found[place]
-    return found[-1] if found and found[-1].nargs in ("*", "+") else None
+def _positional(parser: argparse.ArgumentParser, position: int) -> Optional[argparse.Action]:
+    """Return the positional argument at a position, without counting options; None if there is none."""
+    actions = [action for action in parser._actions if not action.option_strings]
+    if position < len(actions):
+        return actions[position]
+    return actions[-1] if actions and actions[-1].nargs in ("*", "+") else None
 
 
 def _commands(parser: argparse.ArgumentParser) -> Dict[str, argparse.ArgumentParser]:
-    """Return the parsers of the commands; none where there are no commands."""
+    """Return the parsers of the subcommands by name; none if the parser has no subcommands."""
     for action in parser._actions:
         if isinstance(action.choices, dict):
             return action.choices

@@ -1,8 +1,9 @@
-"""What a top level says of itself and of predicates: the page of these is looked through.
+"""Command ``console``: an interactive Prolog top level over an engine.
 
-The files that a top level has loaded: loaded again, what they said before goes.
-
-``console``: a top level as Prolog systems have it.
+The commands ``help``, ``apropos`` and ``make`` are not predicates. They are recognized here, unless the program
+defines a predicate with the same name. Help texts are read from the page of predicates in the documentation, so that
+there is one description of each. `LoadedFiles` implements reconsulting: a file that is loaded again replaces its
+former clauses and rules.
 """
 
 import argparse
@@ -33,7 +34,7 @@ from .prompt import LEAVE, Lines, Terminal, bindings, read_clause
 
 PAGE = "docs/predicates.md"
 MAX_HELP_LINES = 50
-"""Lines of an answer."""
+"""Limit for the lines of an answer."""
 
 CONSOLE = """\
 GOAL.                 ask a goal; ";" asks for another solution, return for none
@@ -48,20 +49,20 @@ ctrl-C                end a goal
 quit.                 end the console; so do exit., halt. and ctrl-D"""
 
 
-class _Described(NamedTuple):
-    """Predicates of one row of the page: their indicators, how they are called, what they do."""
+class _PredicateRow(NamedTuple):
+    """A row of the page of predicates: their indicators, a call with named arguments, and a description."""
 
     keys: List[str]
     call: str
     what: str
 
 
-def described(name: str, defined: Iterable[str]) -> List[str]:
-    """Return what is to be said of predicates of a name, or an indicator as ``append/3``.
+def help_lines(name: str, defined: Iterable[str]) -> List[str]:
+    """Return the descriptions of the predicates with a name or an indicator.
 
     Args:
-        name: of the predicates.
-        defined: the indicators of all that there are, those of the program too.
+        name: name of predicates, or an indicator such as ``append/3``.
+        defined: indicators of all predicates, including those of the program.
     """
     rows = [row for row in _rows() if any(_is_of(name, key) for key in row.keys)]
     lines = [f"{row.call}\n    {row.what}" for row in rows]
@@ -71,8 +72,8 @@ def described(name: str, defined: Iterable[str]) -> List[str]:
     ]
 
 
-def mentioned(word: str, defined: Iterable[str]) -> List[str]:
-    """Return a line for each predicate with a word in its name or description; see `described`."""
+def apropos_lines(word: str, defined: Iterable[str]) -> List[str]:
+    """Return a line for each predicate whose name or description contains a word; see `help_lines`."""
     low, known, lines = word.lower(), set(), []
     for row in _rows():
         if low in row.what.lower() or any(low in key.lower() for key in row.keys):
@@ -91,19 +92,19 @@ def _is_of(name: str, key: str) -> bool:
     return name in (key, key.rpartition("/")[0])
 
 
-def _rows() -> Iterator[_Described]:
+def _rows() -> Iterator[_PredicateRow]:
     for line in _page().read_text(encoding="utf-8").split("\n"):
         if line.startswith("| ``"):
             cells = [cell.replace("\0", "|") for cell in line.replace("\\|", "\0").split(" | ")]
             keys = [key.strip() for key in cells[0].split("``")[1::2]]
-            yield _Described(keys, cells[1].replace("``", "").strip(), cells[2].strip())
+            yield _PredicateRow(keys, cells[1].replace("``", "").strip(), cells[2].strip())
 
 
 def _page() -> Path:
-    """Return the page of predicates: in the source tree, or where the package is installed.
+    """Return the page of predicates in the source tree or the installed package.
 
     Raises:
-        UsageError: where it is in neither.
+        UsageError: if it is in neither.
     """
     for root in Path(__file__).resolve().parents:
         for place in (root / PAGE, root / "share" / "retalis" / PAGE):
@@ -113,14 +114,14 @@ def _page() -> Path:
 
 
 _FileStates = Tuple[Tuple[str, int, int], ...]
-"""Of each file that something was loaded from: name, time of its last change, size."""
+"""Name, modification time in nanoseconds and size of each loaded file."""
 
 
 class LoadedFiles:
-    """Loads files and programs into an engine, each as often as somebody likes.
+    """The files and programs that were loaded into an engine, with reloading.
 
     Args:
-        engine: takes what they say.
+        engine: the engine.
     """
 
     def __init__(self, engine: Engine):
@@ -128,38 +129,39 @@ class LoadedFiles:
         self._stamps: Dict[Path, _FileStates] = {}
 
     def load(self, path: Path) -> List[str]:
-        """Load a file, or the program in a folder, in place of what it said before; return what has changed.
+        """Load a file, or the program in a folder, in place of its former version; return the changes.
 
         Raises:
-            RetalisError: what is wrong; what was there before is there again.
+            RetalisError: if the file has errors; the former version remains loaded.
         """
-        again = path in self._stamps
+        is_reload = path in self._stamps
         try:
-            if again:
+            if is_reload:
                 return [f"{path} again", *(f"  {line}" for line in self._engine.reload(path))]
             self._engine.load_program(path)
             return []
         finally:
-            if again or path.exists():
+            # Also after an error, so that `make` tries again only after the file has changed.
+            if is_reload or path.exists():
                 self._stamps[path] = self._stamp(path)
 
     def changed(self) -> List[Path]:
-        """Return what was loaded from files that are others now."""
+        """Return the loaded files and folders with changed files."""
         return [path for path, stamp in self._stamps.items() if self._stamp(path) != stamp]
 
     def _stamp(self, path: Path) -> _FileStates:
-        made = self._engine.deployments.get(os.path.realpath(path))
-        files = set() if made is None else {Path(file) for file in made.files}
+        deployment = self._engine.deployments.get(os.path.realpath(path))
+        files = set() if deployment is None else {Path(file) for file in deployment.files}
         files |= set(path.iterdir()) if path.is_dir() else {path}
         return tuple(_stat(file) for file in sorted(files))
 
 
 def _stat(path: Path) -> Tuple[str, int, int]:
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:  # deleted
         return str(path), 0, 0
-    return str(path), found.st_mtime_ns, found.st_size
+    return str(path), status.st_mtime_ns, status.st_size
 
 
 _QUERY = frozenset((functor("?-", 1), functor(":-", 1)))
@@ -169,10 +171,10 @@ _HELP = functor("help", 1)
 _APROPOS = functor("apropos", 1)
 
 DEFAULT_SHOWN_SOLUTIONS = 10
-"""Solutions shown where nobody is there to ask for more."""
+"""Limit for the solutions of a goal if the input is not a terminal."""
 
-FREE = Settings(folders=None, write_folders=None)
-"""Goals that are typed open files wherever their user could."""
+UNRESTRICTED = Settings(folders=None, write_folders=None)
+"""Settings without restrictions of files: a typed goal may open the files that its user may open."""
 
 DESCRIPTION = """\
 Load files and ask goals. Files hold event rules, clauses and directives; a folder is a program with
@@ -213,11 +215,11 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command; from a pipe the status is 1 if there was an error."""
+    """Run the command; with goals from a pipe, the status is 1 if there was an error."""
     if options.node is not None:
         return of_ros("live_console", options)
     report = Report().listen(events=True)
-    console = Console(report, limited(FREE, options), options.most)
+    console = Console(report, limited(UNRESTRICTED, options), options.most)
     for path in options.files:
         console.load(path)
     limit_gc_pauses()
@@ -234,7 +236,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _show(text: str) -> None:
-    """Print what a goal writes at once: it may run for long after."""
+    """Print the output of a goal without buffering, because the goal may run for long afterwards."""
     print(text, end="", flush=True)
 
 
@@ -243,19 +245,21 @@ def _show_error(text: str) -> None:
 
 
 class Console:
-    """A top level over an engine.
+    """A Prolog top level over an engine.
 
     Args:
-        report: takes errors.
-        settings: of the engine; by default goals open files anywhere, as their user could.
-        most: solutions shown where nobody is there to ask for more.
+        report: receives errors.
+        settings: settings of the engine; by default `UNRESTRICTED`.
+        most: limit for the solutions of a goal if the input is not a terminal.
     """
 
     def __init__(
         self, report: Report, settings: Optional[Settings] = None, most: int = DEFAULT_SHOWN_SOLUTIONS
     ):
         self.reports = Reports()
-        self.engine = Engine(Clock(time.time_ns), FREE if settings is None else settings, self.reports)
+        self.engine = Engine(
+            Clock(time.time_ns), UNRESTRICTED if settings is None else settings, self.reports
+        )
         self._rules = self.engine.rules
         self._rules.warn_singletons = True
         self._files = LoadedFiles(self.engine)
@@ -272,12 +276,15 @@ class Console:
         return [key.name for key in self.logic.names()]
 
     def load(self, path: Path) -> bool:
-        """Load a file, or the program in a folder; report what is wrong. Return whether it was loaded.
+        """Load a file, or the program in a folder, in place of its former version.
 
-        What was loaded before is taken back first, so that it is not there twice.
+        Errors are reported.
+
+        Returns:
+            Whether it was loaded.
         """
         try:
-            for line in self._files.load(_found(path)):
+            for line in self._files.load(_existing_path(path)):
                 print(f"% {printable(line)}", flush=True)
         except ProgramErrors as errors:
             for error in errors.errors:
@@ -289,10 +296,10 @@ class Console:
         return True
 
     def goals(self, lines: Union[Lines, Terminal]) -> None:
-        """Read goals and answer them until the end of the input or ``halt``."""
+        """Read and solve goals until the end of the input or ``halt``."""
         self._lines = lines
         if lines.is_terminal:
-            self.logic.ask = self._asked
+            self.logic.ask = self._read_line
         while True:
             try:
                 read = read_clause(lines, self.logic, "?- ")
@@ -306,19 +313,20 @@ class Console:
                 lines.rest = ""
                 print("\n% interrupted", flush=True)
 
-    def _asked(self) -> Optional[str]:
-        """Return the line that somebody types for a goal that reads."""
+    def _read_line(self) -> Optional[str]:
+        """Return a line of input for a goal that reads; None at the end."""
         self.logic.column = 0
         with self.logic.machine.budget.paused():
             return self._lines.line("|: ")
 
     def _goal(self, read: ReadTerm) -> bool:
-        """Answer a goal; False where it ends the console."""
+        """Solve a goal; return False if it ends the console."""
         goal = deref(read.term)
         if goal.__class__ is tuple and goal[0] in _QUERY:
             goal = deref(goal[1])
         if goal.__class__ is Atom and goal.name in LEAVE and not self._defines(goal):
             return False
+        # Alarms that became due while the user was typing precede the goal.
         self.engine.advance()
         if self._is_command(goal) or self._is_event(goal):
             return True
@@ -331,8 +339,11 @@ class Console:
         return True
 
     def _is_command(self, goal: Term) -> bool:
-        """Do what is for the console itself: help, make, lists of files, consult, trace and notrace."""
-        if self._is_own_command(goal):
+        """Execute a goal that is a command of the console; return False if it is not one.
+
+        The commands are help, apropos, make, lists of files, consult, trace and notrace.
+        """
+        if self._is_console_command(goal):
             return True
         if goal.__class__ is Atom and goal.name in ("trace", "notrace", "nodebug"):
             self._tracing = goal.name == "trace"
@@ -350,23 +361,25 @@ class Console:
         print("true." if all(loaded) else "false.")
         return True
 
-    def _is_own_command(self, goal: Term) -> bool:
-        """Do what no Prolog has as a predicate, where the program has none of that name."""
+    def _is_console_command(self, goal: Term) -> bool:
+        """Execute help, apropos or make, unless the program defines a predicate with this name."""
         if self._defines(goal):
             return False
         name = goal.name if goal.__class__ is Atom else ""
         if name == "make":
             print("true." if self._make() else "false.")
             return True
-        asked = goal if goal.__class__ is tuple and goal[0] in (_HELP, _APROPOS) else None
-        word = None if asked is None else _text(asked[1])
+        query = goal if goal.__class__ is tuple and goal[0] in (_HELP, _APROPOS) else None
+        word = None if query is None else _text(query[1])
         if name == "help":
             lines = [CONSOLE]
-        elif asked is None or word is None:
+        elif query is None or word is None:
             return False
         else:
             try:
-                lines = (described if asked[0] is _HELP else mentioned)(word, map(str, self.logic.names()))
+                lines = (help_lines if query[0] is _HELP else apropos_lines)(
+                    word, map(str, self.logic.names())
+                )
             except UsageError as error:  # the page of predicates was not copied with the package
                 self._report(error)
                 return True
@@ -374,23 +387,23 @@ class Console:
         return True
 
     def _make(self) -> bool:
-        """Load again what has changed; tell whether all of it could be."""
+        """Load all changed files again; return whether all were loaded."""
         loaded = [self.load(path) for path in self._files.changed()]
         return all(loaded)
 
     def _defines(self, goal: Term) -> bool:
-        """Tell whether the program defines the predicate that a goal calls."""
+        """Return whether the program defines the predicate of a goal."""
         key = goal[0] if goal.__class__ is tuple else getattr(goal, "functor", None)
         predicate = None if key is None else self.logic.database.predicates.get(key)
         return predicate is not None and predicate.kind == "user" and not predicate.library
 
     def _is_event(self, goal: Term) -> bool:
-        """Take ``event(E)`` and ``event(E,[T1,T2])`` as nodes do."""
+        """Process ``event(E)`` and ``event(E,[T1,T2])`` as events; return False for another goal."""
         try:
-            made = event_of(goal) if goal.__class__ is tuple and goal[0].name == "event" else None
-            if made is None:
+            event = event_of(goal) if goal.__class__ is tuple and goal[0].name == "event" else None
+            if event is None:
                 return False
-            self.engine.event_at(made.term, made.start, made.end)
+            self.engine.event_at(event.term, event.start, event.end)
             print("true.")
         except RetalisError as error:
             self._report(error)
@@ -426,11 +439,13 @@ class Console:
             with tracer.on() if traced else nullcontext():
                 self._solutions(goal, read.names)
         except RetalisError as error:
-            self._fresh_line()
+            self._start_new_line()
             self._report(error if error.place else RuleError(error.message))
         finally:
-            logic.output, logic.error_output = outputs  # where it was interrupted inside with_output_to
-            self._fresh_line()  # cleanups write after the last answer
+            # An interrupt inside with_output_to/2 would leave its stream as output.
+            logic.output, logic.error_output = outputs
+            # Cleanup goals may write after the last answer.
+            self._start_new_line()
             sys.stdout.flush()
 
     def _solutions(self, goal: Term, names: Dict[str, Var]) -> None:
@@ -439,11 +454,12 @@ class Console:
         shown = 0
         with closing(self.logic.solutions(goal)) as solutions:
             for _ in solutions:
-                self._fresh_line()
+                self._start_new_line()
                 text = bindings(names, self.logic.operators) or "true"
                 print(text, end="", flush=True)
                 shown += 1
-                if len(choices) == height:  # there is surely no other
+                if len(choices) == height:
+                    # No choice point is left, so there is no further solution.
                     print(".")
                     return
                 if shown == self._most and not self._lines.is_terminal:
@@ -456,11 +472,11 @@ class Console:
                     return
                 print(" ;", flush=True)
                 self.logic.column = 0
-        self._fresh_line()
+        self._start_new_line()
         print("false.")
 
-    def _fresh_line(self) -> None:
-        """Begin a new line if the goal left one unfinished."""
+    def _start_new_line(self) -> None:
+        """Start a new line if the goal has written an incomplete one."""
         if self.logic.column:
             print()
             self.logic.column = 0
@@ -481,11 +497,11 @@ def _text(term: Term) -> Optional[str]:
     return str(term.text) if term.__class__ is String else None
 
 
-def _found(path: Path) -> Path:
-    """Return a path, with the usual ending where the file has it."""
+def _existing_path(path: Path) -> Path:
+    """Return a path, completed with a usual suffix if only that file exists."""
     if not path.exists():
         for ending in (".pl", ".event", ".txt"):
-            longer = path.with_name(path.name + ending)
-            if longer.exists():
-                return longer
+            candidate = path.with_name(path.name + ending)
+            if candidate.exists():
+                return candidate
     return path

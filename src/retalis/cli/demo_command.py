@@ -1,4 +1,4 @@
-"""``demo``: the NAO example from a bag, without ROS."""
+"""Command ``demo``: runs the NAO example over a simulated bag, without ROS."""
 
 import argparse
 import importlib
@@ -65,7 +65,9 @@ def run(options: argparse.Namespace) -> int:
         located = locate(bag, folder.parent.parent / "application_source", report)
     comparisons = truth_module.compare(truth, located)
     print(truth_module.table(comparisons))
-    return 0 if comparisons and all(one.good for one in comparisons) and not report.errors else 1
+    return (
+        0 if comparisons and all(comparison.good for comparison in comparisons) and not report.errors else 1
+    )
 
 
 def locate(bag: Path, program: Path, report: Report) -> Dict[str, Tuple[float, float, float]]:
@@ -82,17 +84,17 @@ def locate(bag: Path, program: Path, report: Report) -> Dict[str, Tuple[float, f
 
 
 def _nothing(done: int) -> None:
-    """Show no progress."""
+    """Ignore the progress."""
 
 
 def example_folder() -> Path:
-    """Return the folder of the NAO example: in the source tree, or where the package is installed.
+    """Return the folder of the NAO example in the source tree or the installed package.
 
     Raises:
-        UsageError: where it is in neither.
+        UsageError: if it is in neither.
     """
-    here = Path(__file__).resolve()
-    for root in here.parents:
+    module = Path(__file__).resolve()
+    for root in module.parents:
         for folder in (root / "examples" / "nao", root / "share" / "retalis" / "examples" / "nao"):
             if (folder / "make_bag.py").exists():
                 return folder

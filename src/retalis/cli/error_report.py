@@ -1,7 +1,4 @@
-"""Errors on standard error, counted.
-
-A progress bar on standard error, where somebody looks.
-"""
+"""Reporting on standard error: errors and warnings with a count, and a progress bar on terminals."""
 
 import logging
 import sys
@@ -13,15 +10,18 @@ from ..foundation.errors import RetalisError, printable
 
 _log = logging.getLogger("retalis")
 _shown = logging.getLogger("retalis.events")
-"""Has the events that facts of a program want to be shown."""
+"""Logger of the events that a program requests to be shown."""
 
 
 class NobodyReads(BaseException):
-    """Whoever read our output has had enough: what a callback of the engine raises to end the run."""
+    """Raised in a callback of the engine to end the run when the reader of the output has closed the pipe.
+
+    It is not an `Exception`, because the engine reports exceptions of callbacks and continues.
+    """
 
 
 def to_reader(callback: Callable[..., None]) -> Callable[..., None]:
-    """Return a callback of the engine that prints, which ends the run where nobody reads any more."""
+    """Wrap a printing callback of the engine, so that a closed pipe ends the run."""
 
     def printing(*arguments: object) -> None:
         try:
@@ -33,10 +33,10 @@ def to_reader(callback: Callable[..., None]) -> Callable[..., None]:
 
 
 class Report(logging.Handler):
-    """Prints errors and warnings to standard error and counts the errors.
+    """Printer of errors and warnings to standard error, with a count of the errors.
 
     Attributes:
-        errors: how many errors there were.
+        errors: number of errors.
     """
 
     def __init__(self) -> None:
@@ -44,12 +44,12 @@ class Report(logging.Handler):
         self.errors = 0
 
     def __call__(self, error: RetalisError) -> None:
-        """Report an error."""
+        """Print and count an error."""
         self.errors += 1
         print(f"error: {error}", file=sys.stderr)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Report what was logged."""
+        """Print a log record, and count it if it is an error."""
         text = printable(self.format(record))
         if record.name == _shown.name:
             print(text, file=sys.stderr)
@@ -61,7 +61,7 @@ class Report(logging.Handler):
         print(f"{record.levelname.lower()}: {text}", file=sys.stderr)
 
     def listen(self, events: bool = False) -> "Report":
-        """Report what the package logs from now on, until `leave`; on request also events that a program shows."""
+        """Report the log records of the package until `leave`, on request also the events that a program shows."""
         if events:
             _shown.setLevel(logging.INFO)
         _log.addHandler(self)
@@ -70,30 +70,30 @@ class Report(logging.Handler):
 
 
 def leave() -> None:
-    """End all reports: what the package logs goes where it went before."""
-    for handler in [one for one in _log.handlers if isinstance(one, Report)]:
+    """End all reports, and restore the loggers."""
+    for handler in [candidate for candidate in _log.handlers if isinstance(candidate, Report)]:
         _log.removeHandler(handler)
     _shown.setLevel(logging.NOTSET)
     _log.propagate = True
 
 
 EVERY = 0.1
-"""Seconds between two looks of the bar."""
+"""Seconds between two updates of the bar."""
 
 WIDTH = 30
-"""Characters of the bar itself."""
+"""Width of the bar in characters, without text."""
 
 _CLEAR = "\r\033[K"
 
 
 class Bar:
-    """A bar that is drawn again and again in one line: share, number, rate and time left.
+    """Progress bar in one line: share, count, rate and remaining time.
 
     Args:
-        what: is counted.
-        share: says how much of the whole is done, from 0 to 1.
-        file: where it is drawn.
-        clock: gives seconds.
+        what: name of the counted items.
+        share: returns the completed share, from 0 to 1.
+        file: terminal to draw on.
+        clock: clock in seconds.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class Bar:
         self._begun = self._drawn = clock()
 
     def __call__(self, done: int) -> None:
-        """Draw it, if some time has passed, with the number of what is done."""
+        """Draw the bar with the number of completed items, at most every `EVERY` seconds."""
         now = self._clock()
         if now - self._drawn >= EVERY:
             self._drawn = now
@@ -118,23 +118,23 @@ class Bar:
             self._file.flush()
 
     def line(self, done: int, seconds: float) -> str:
-        """Return what is shown after some seconds."""
+        """Return the line to show after some seconds."""
         share = min(1.0, max(0.0, self._share()))
-        full = round(share * WIDTH)
-        left = f", {_duration(seconds * (1 - share) / share)} left" if share else ""
+        filled = round(share * WIDTH)
+        remaining = f", {_duration(seconds * (1 - share) / share)} left" if share else ""
         rate = _rate(done / seconds) if seconds else "-"
-        bar = "#" * full + "." * (WIDTH - full)
-        return f"{share:4.0%} [{bar}] {done:,} {self._what}, {rate}/s{left}"
+        bar = "#" * filled + "." * (WIDTH - filled)
+        return f"{share:4.0%} [{bar}] {done:,} {self._what}, {rate}/s{remaining}"
 
     def clear(self) -> None:
-        """Take it away, so that something else may be printed; it comes back by itself."""
+        """Erase the bar, so that other text may be printed; the next update draws it again."""
         self._file.write(_CLEAR)
         self._file.flush()
 
 
 @contextmanager
 def progress(what: str, share: Callable[[], float]) -> Iterator[Optional[Bar]]:
-    """Give a bar that is told how much is done; None where standard error is no terminal."""
+    """Yield a progress bar; None if standard error is not a terminal."""
     if not sys.stderr.isatty():
         yield None
         return

@@ -1,6 +1,8 @@
-"""Streams of terms: events and goals, one after the other, from a file or a pipe.
+"""Command ``events``: runs a program over a stream of events and goals from a file or a pipe.
 
-``events``: run a program over a stream of events.
+The stream is Prolog text. A line that contains exactly one event is parsed by the fast `EventReader`; all other text,
+such as terms over several lines, comments and errors, by the full Prolog parser. Terms are processed as soon as their
+line is complete, so that a pipe can be read live.
 """
 
 import argparse
@@ -45,7 +47,7 @@ from .output import JSON, Printer
 
 
 class ReadLine(NamedTuple):
-    """A term that was a line of its own, and the place of that."""
+    """A term that occupies a line of its own, and the line's place."""
 
     term: Term
     place: Place
@@ -57,53 +59,59 @@ _DIFFERENT = re.compile(r"[\"`]|\b(?:inf|nan|True|False)\b")
 
 
 def read_stream(file: IO[str], operators: Operators, source: str) -> Iterator[Read]:
-    """Yield the terms of a stream as soon as their lines have come, and a `SyntaxFault` for each error."""
-    held = ""
-    first = 1
+    """Yield the terms of a stream as soon as their lines are complete, and a `SyntaxFault` for each error."""
+    incomplete = ""
+    start_line = 1
     reader = EventReader(operators)
     for line, text in enumerate(file, 1):
-        if not held and text.startswith("event("):
+        if not incomplete and text.startswith("event("):
             event = _event(reader, text.rstrip(), place_in(source, line, 1, text.rstrip("\n")))
             if event is not None:
                 yield event
-                first = line + 1
+                start_line = line + 1
                 continue
-        held += text
+        incomplete += text
+        # Only a full stop can complete a term: without one, the lines read so far need not be parsed again.
         if "." not in text:
             continue
-        found = list(read_program(held, operators, source, first_line=first))
-        if not found or not _is_unfinished(found, held, line):
-            yield from found
-            held, first = "", line + 1
-    yield from read_program(held, operators, source, first_line=first)
+        terms = list(read_program(incomplete, operators, source, first_line=start_line))
+        if not terms or not _is_unfinished(terms, incomplete, line):
+            yield from terms
+            incomplete, start_line = "", line + 1
+    yield from read_program(incomplete, operators, source, first_line=start_line)
 
 
 def _event(reader: EventReader, text: str, place: Place) -> Optional[ReadLine]:
-    """Return the event of a line that holds nothing else: the usual case, and much faster than the full reader.
+    """Return the event of a line that contains nothing else, or None.
 
-    What event text and a program read differently is left to the full reader.
+    This is the usual case, and much faster than the full parser. Text that the two parsers read differently is left
+    to the full parser.
     """
     if not text.endswith(").") or _DIFFERENT.search(text):
         return None
     try:
         return ReadLine(reader.read(text[:-1]), place)
-    except SyntaxFault:  # several terms, or an error: the full reader tells
+    except SyntaxFault:  # several terms, or an error, which the full parser reports
         return None
 
 
-def _is_unfinished(found: Sequence[Read], text: str, line: int) -> bool:
-    """Tell whether the last clause was cut off by the end of the text, and may go on in the next line."""
-    for one in found:
-        if isinstance(one, SyntaxFault) and one.message.startswith("this comment is never closed"):
+def _is_unfinished(terms: Sequence[Read], text: str, line: int) -> bool:
+    """Return whether the last clause may continue in the next line."""
+    for term in terms:
+        if isinstance(term, SyntaxFault) and term.message.startswith("this comment is never closed"):
             return True
-    last = found[-1]
+    last = terms[-1]
     if not isinstance(last, SyntaxFault) or last.place is None or text.rstrip().endswith("."):
         return False
     return last.place.line >= line
 
 
 def is_left_unread(number: int = 0) -> bool:
-    """Tell whether there is something to read in a pipe or file, by its number, that nobody has read; never waits."""
+    """Return whether a pipe or file has unread data, without blocking.
+
+    Args:
+        number: its file descriptor.
+    """
     try:
         import fcntl  # noqa: PLC0415 (not every system has them)
         import termios  # noqa: PLC0415
@@ -213,7 +221,7 @@ def _opened(name: Optional[str], stack: ExitStack) -> Optional[IO[str]]:
 
 
 class Session:
-    """One run: the engine and what it was asked to do."""
+    """A run of the command: the engine, the stream's clock, and the requested output."""
 
     def __init__(self, options: argparse.Namespace, report: Report, printer: Printer):
         self._options = options
@@ -241,7 +249,7 @@ class Session:
         self._printer.output(term, topic, name, self._clock.now())
 
     def load(self) -> None:
-        """Call the goals and load the rules; of a file with an error nothing is active, all else goes on."""
+        """Call the goals and load the rules; a file with an error is skipped, and the others are loaded."""
         for path in self._options.goals:
             self._try(self._load, self.engine.call_goals, path)
         for path in self._options.rules:
@@ -251,7 +259,7 @@ class Session:
         take(read_text(path), str(path), path.parent)
 
     def feed(self) -> None:
-        """Feed the stream."""
+        """Process the stream."""
         name = self._options.stream
         if name is None:
             return
@@ -283,17 +291,18 @@ class Session:
             raise (error if error.place else RuleError(error.message, item.place)) from error
 
     def _do(self, goal: Term) -> None:
-        made = event_of(goal)
-        if made is None:
+        event = event_of(goal)
+        if event is None:
             if not self.engine.call(goal):
                 raise RuleError("this goal fails")
             return
-        if made.end is not None:
-            self._clock.move_to(made.end)
-        self.engine.event_at(made.term, made.start, made.end)
+        # The clock moves first, so that alarms that are due before the event run before it.
+        if event.end is not None:
+            self._clock.move_to(event.end)
+        self.engine.event_at(event.term, event.start, event.end)
 
     def ask(self) -> None:
-        """Print the solutions of the queries, and the explanation."""
+        """Print the solutions of the queries, and the explanations."""
         if self._options.queries is not None:
             path = self._options.queries
             for goal in read_goals(read_text(path), self.engine.operators, str(path)):
@@ -301,30 +310,30 @@ class Session:
                     self._report(goal)
                 else:
                     self._try(self._query, goal)
-        for asked in self._options.explain:
-            self._try(self._explain, asked)
+        for term in self._options.explain:
+            self._try(self._explain, term)
 
     def _note_first(self, term: Term, start: int, end: int) -> None:
         self._first = int(start) if self._first is None else min(self._first, int(start))
 
-    def _explain(self, asked: str) -> None:
-        term = read_term(asked, self.engine.operators, "--explain").term
+    def _explain(self, text: str) -> None:
+        term = read_term(text, self.engine.operators, "--explain").term
         self._printer.explanation(term, explain(self.engine, term, origin=self._first))
 
     def _query(self, goal: ReadTerm) -> None:
-        found: List[Term] = []
+        instances: List[Term] = []
         term = goal_of(goal.term)
         try:
             for answer in self.engine.query(term):
                 values = dict(zip(variables(term), answer.values()))
-                found.append(rebuild(term, values.__getitem__))
+                instances.append(rebuild(term, values.__getitem__))
         except RetalisError as error:
             raise RuleError(error.message, goal.place) from error
         finally:
-            self._printer.solutions(term, found)
+            self._printer.solutions(term, instances)
 
     def _sleep(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
-        """Let the stream's time pass: the goal ``sleep(Seconds)``."""
+        """Advance the stream's clock: the goal ``sleep(Seconds)``."""
         seconds = deref(arguments[0])
         if not isinstance(seconds, (int, float)) or not 0 <= seconds < float("inf"):
             raise UsageError("sleep/1 needs a number of seconds, not a negative one")
@@ -333,7 +342,7 @@ class Session:
         return after
 
     def _try(self, work: Callable[..., object], *arguments: object) -> None:
-        """Do a piece of work and report what goes wrong."""
+        """Call ``work`` with the arguments, and report its errors."""
         try:
             work(*arguments)
         except ProgramErrors as errors:

@@ -1,4 +1,4 @@
-"""``graph``: draw a program: which topics become which events, which rules take them, and where they go."""
+"""Command ``graph``: draws the data flow of a program from topics through events and rules to outputs."""
 
 import argparse
 import sys
@@ -16,7 +16,7 @@ from .command_options import add_limits, limited
 from .error_report import Report
 
 AS_TEXT = ("dot", "gv")
-"""Endings of files that hold a graph as text."""
+"""Suffixes of files in the text format of Graphviz."""
 
 DESCRIPTION = """\
 Load a program and draw it: its topics, events, rules, queries, memories and subscriptions, and what leads where.
@@ -51,7 +51,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     report = Report().listen()
-    kind = _kind(options.output)
+    kind = _format_of(options.output)
     folder = options.folder
     if not (folder / GOALS).is_file():
         raise UsageError(f"{folder.resolve()} is no program: it has no file {GOALS}")
@@ -73,18 +73,18 @@ def run(options: argparse.Namespace) -> int:
     return 1 if report.errors else 0
 
 
-def _kind(path: Optional[Path]) -> str:
-    """Return what is to be made of the graph, as the ending of the file says."""
+def _format_of(path: Optional[Path]) -> str:
+    """Return the output format by the suffix of a file; ``dot`` without a file."""
     kind = "dot" if path is None else path.suffix[1:].lower()
     if kind not in (*FORMATS, *AS_TEXT):
-        endings = ", ".join(f".{one}" for one in (*FORMATS, *AS_TEXT))
+        endings = ", ".join(f".{ending}" for ending in (*FORMATS, *AS_TEXT))
         raise UsageError(f"--output {path}: expected a name that ends in one of {endings}")
     return kind
 
 
 def _topics(folder: Path, asked: InputTopics) -> List[GraphTopic]:
-    found = asked.joined(read_topics(folder / TOPICS) if (folder / TOPICS).exists() else Topics())
-    return [GraphTopic(name, found.event_of(name) or functor_name(kind)) for name, kind in found.subscribed]
+    topics = asked.joined(read_topics(folder / TOPICS) if (folder / TOPICS).exists() else Topics())
+    return [GraphTopic(name, topics.event_of(name) or functor_name(kind)) for name, kind in topics.subscribed]
 
 
 def _write(path: Path, text: str) -> None:

@@ -1,6 +1,9 @@
-"""One bag of many: what a worker does, be it a process of this machine or of a Dask cluster.
+"""Parallel runs over many bags, in processes of this machine or on a Dask cluster, with results in the bags' order.
 
-Many bags, each played by itself: in processes of this machine or on a Dask cluster, the results in order.
+Each bag is a `BagTask`, which a worker plays from the program's initial state (`play_bag`). With ``--parts``, the
+parts of a split recording form a chain: a part is ready when the former one has finished, and continues from its
+snapshot. `play_many` schedules the tasks; `_Results` holds finished results back until all earlier ones have been
+printed, so that the output does not depend on the number of workers.
 """
 
 import argparse
@@ -36,20 +39,20 @@ from .option_values import from_one
 
 FORMATS = ("bag", "parquet", "jsonl")
 
-_SAID = 64 << 10
-"""Characters of errors and warnings that are kept of a bag."""
+_MAX_MESSAGE_CHARACTERS = 64 << 10
+"""Limit for the characters of errors and warnings of a bag."""
 
 
 class BagTask(NamedTuple):
-    """A bag to be played.
+    """A bag to play.
 
     Attributes:
-        place: its path or URL.
-        target: what gets the result: a path or a URL.
-        format: of the result, one of `FORMATS`; None for what is printed.
-        options: those of the command that say how.
-        goes_on: whether it is a part of a recording, and not the last.
-        state: what the part before it has left, where there is one.
+        place: path or URL of the bag.
+        target: path or URL for the result.
+        format: format of the result, one of `FORMATS`; None for the printed output.
+        options: the options of the command that apply to a single bag.
+        goes_on: whether it is a part of a recording with a further part.
+        state: snapshot of the program after the previous part; None without one.
     """
 
     place: str
@@ -61,13 +64,13 @@ class BagTask(NamedTuple):
 
 
 class Played(NamedTuple):
-    """What became of a bag.
+    """The outcome of a bag.
 
     Attributes:
-        errors: how many there were while it was played; its result is there in spite of them.
-        said: errors and warnings.
-        failure: why there is no result, where there is none.
-        state: what the next part goes on from, where there is one.
+        errors: number of errors during the run, which do not prevent a result.
+        said: text of errors and warnings.
+        failure: reason why there is no result; None if there is one.
+        state: snapshot of the program for the next part; None without one.
     """
 
     errors: int
@@ -77,12 +80,17 @@ class Played(NamedTuple):
 
 
 _PROCESS = threading.Lock()
-"""A Dask worker may have several threads: standard output and the reports are those of one bag at a time."""
+"""Lock of standard output and the reports, which exist once per process: a Dask worker may have several threads."""
 
 
 def play_bag(task: BagTask, scratch: str) -> Played:
-    """Play a bag into its result, from the state of the part before it to its own; raise nothing."""
-    said, failure, bag, state = _Said(), "", task.place, None
+    """Play a bag and write its result; all errors are part of the returned outcome.
+
+    Args:
+        task: the bag.
+        scratch: folder for temporary files.
+    """
+    said, failure, bag, state = _LimitedOutput(), "", task.place, None
     with _PROCESS, redirect_stderr(said):
         report = Report().listen(events=True)
         try:
@@ -90,17 +98,17 @@ def play_bag(task: BagTask, scratch: str) -> Played:
                 state = _play_into(result, bag, task, report)
         except RetalisError as error:
             failure = str(error)
-        except Exception as error:  # whatever it is, the other bags are to be played
+        except Exception as error:  # an internal error in one bag must not stop the others
             failure = f"{type(error).__name__}: {error}"
         finally:
             leave()
             restore_gc()
-    told, failure = (text.replace(bag, task.place) for text in (said.getvalue(), failure))
-    return Played(report.errors, told, failure or None, state)
+    messages, failure = (text.replace(bag, task.place) for text in (said.getvalue(), failure))
+    return Played(report.errors, messages, failure or None, state)
 
 
 def _play_into(result: str, bag: str, task: BagTask, report: Report) -> Optional[bytes]:
-    """Play a bag into a file; return the program's state where a part follows."""
+    """Play a bag into a file; return the program's snapshot if a part follows."""
     options = argparse.Namespace(**task.options, bags=[bag], output=None, overwrite=True)
     tell = print_line
     with ExitStack() as stack:
@@ -117,13 +125,13 @@ def _play_into(result: str, bag: str, task: BagTask, report: Report) -> Optional
         return playback.engine.snapshot() if task.goes_on else None
 
 
-class _Said(io.StringIO):
-    """Standard error of a bag: its beginning, and how much more there was."""
+class _LimitedOutput(io.StringIO):
+    """Standard error of a bag, cut after `_MAX_MESSAGE_CHARACTERS` characters."""
 
     _more = 0
 
     def write(self, text: str) -> int:
-        kept = text[: max(0, _SAID - self.tell())]
+        kept = text[: max(0, _MAX_MESSAGE_CHARACTERS - self.tell())]
         self._more += len(text) - len(kept)
         super().write(kept)
         return len(text)
@@ -157,11 +165,11 @@ _OPTIONS = (
     "folder",
     "write_folder",
 )
-"""The options that say how one bag is played."""
+"""The options that apply to a single bag."""
 
 
 def add_many(parser: argparse.ArgumentParser) -> None:
-    """Add the options."""
+    """Add the options for many bags."""
     group = parser.add_argument_group(
         "many bags",
         "Each bag is played by itself, from the program's start. One that cannot be played is told of, and the "
@@ -190,10 +198,10 @@ def add_many(parser: argparse.ArgumentParser) -> None:
 
 
 def are_many(options: argparse.Namespace) -> bool:
-    """Tell whether the options ask for bags to be played each by itself.
+    """Return whether the options request a separate run for each bag.
 
     Raises:
-        UsageError: where they do not, and something else asks for it.
+        UsageError: if they do not, but another option or a bag requires it.
     """
     if options.jobs or options.scheduler:
         return True
@@ -210,12 +218,12 @@ def are_many(options: argparse.Namespace) -> bool:
     return False
 
 
-_One = Union[Played, Unfinished]
+_Outcome = Union[Played, Unfinished]
 
 
 def play_many(options: argparse.Namespace) -> int:
-    """Play bags each by itself, and print or keep the results in order; return the exit status."""
-    _refuse(options)
+    """Play each bag in a run of its own, and print or store the results in order; return the exit status."""
+    _check_options(options)
     with ExitStack() as stack:
         scratch = stack.enter_context(TemporaryDirectory(prefix="retalis-"))
         tasks, ready = _tasks(options, _recordings(options), scratch)
@@ -232,14 +240,16 @@ def play_many(options: argparse.Namespace) -> int:
             )
 
         played = stack.enter_context(closing(_played(options, tasks, ready, scratch, lost)))
-        for number, one in played:
+        for number, outcome in played:
             clear()
-            if isinstance(one, Played) and one.state is not None:  # the recording first: states are large
-                tasks[number + 1] = tasks[number + 1]._replace(state=one.state)
+            if isinstance(outcome, Played) and outcome.state is not None:
+                # The next part runs before other bags, so that few snapshots exist at a time: they are large.
+                tasks[number + 1] = tasks[number + 1]._replace(state=outcome.state)
                 ready.appendleft(number + 1)
-                one = one._replace(state=None)
+                outcome = outcome._replace(state=None)
+            # The snapshot that the task started from is not needed any more, unless its worker had died.
             tasks[number] = tasks[number]._replace(state=None)
-            results.take(number, one)
+            results.take(number, outcome)
             if bar is not None:
                 bar(results.done)
         return results.finish()
@@ -251,17 +261,17 @@ def _played(
     ready: Deque[int],
     scratch: str,
     lost: Callable[[int, str], object],
-) -> Generator[Tuple[int, _One], None, None]:
+) -> Generator[Tuple[int, _Outcome], None, None]:
     if options.scheduler:
         return on_cluster(play_bag, tasks, options.scheduler, ready)
     return in_processes(play_bag, tasks, options.jobs, scratch, lost, ready)
 
 
-def _refuse(options: argparse.Namespace) -> None:
-    """Refuse options that do not go together.
+def _check_options(options: argparse.Namespace) -> None:
+    """Reject incompatible options.
 
     Raises:
-        UsageError: where there are some.
+        UsageError: if there are any.
     """
     kind = _format(options)
     if options.jobs and options.scheduler:
@@ -301,37 +311,40 @@ def _recordings(options: argparse.Namespace) -> List[List[FoundBag]]:
 def _tasks(
     options: argparse.Namespace, recordings: List[List[FoundBag]], scratch: str
 ) -> Tuple[List[BagTask], Deque[int]]:
-    """Return what there is to do, in order, and with what it begins: the first parts.
+    """Return all tasks in order, and the numbers of the tasks that can start: the first parts of recordings.
 
     Raises:
-        UsageError: where two results would have one name, or one is there already.
+        UsageError: if two results would have the same name, or a result exists already.
     """
     kind = _format(options)
-    seen = os.path.abspath if options.scheduler else str  # other processes may be elsewhere
+    # The processes of a cluster may have other working directories.
+    absolute = os.path.abspath if options.scheduler else str
 
-    def told(place: str) -> str:
-        return place if is_url(place) else seen(place)
+    def shared_path(place: str) -> str:
+        return place if is_url(place) else absolute(place)
 
-    how = {name: getattr(options, name) for name in _OPTIONS}
-    how["program"] = Path(seen(options.program))
-    how["folder"] = [seen(one) for one in options.folder]
+    bag_options = {name: getattr(options, name) for name in _OPTIONS}
+    bag_options["program"] = Path(absolute(options.program))
+    bag_options["folder"] = [absolute(folder_name) for folder_name in options.folder]
     targets: Dict[str, str] = {}
     tasks: List[BagTask] = []
-    first: Deque[int] = deque()
+    ready: Deque[int] = deque()
     for bags in recordings:
-        first.append(len(tasks))
+        ready.append(len(tasks))
         for bag in bags:
             if kind is None:
                 target = os.path.join(scratch, str(len(tasks)))
             else:
-                target = told(f"{options.output.rstrip('/')}/{bag.name}.{kind}")
-                _refuse_target(target, bag, targets, options.overwrite)
+                target = shared_path(f"{options.output.rstrip('/')}/{bag.name}.{kind}")
+                _check_target(target, bag, targets, options.overwrite)
             targets[target] = bag.place
-            tasks.append(BagTask(told(bag.place), target, kind, how, goes_on=bag is not bags[-1]))
-    return tasks, first
+            tasks.append(
+                BagTask(shared_path(bag.place), target, kind, bag_options, goes_on=bag is not bags[-1])
+            )
+    return tasks, ready
 
 
-def _refuse_target(target: str, bag: FoundBag, targets: Dict[str, str], overwrite: bool) -> None:
+def _check_target(target: str, bag: FoundBag, targets: Dict[str, str], overwrite: bool) -> None:
     if target in targets:
         raise UsageError(
             f"{targets[target]} and {bag.place}: the result of both would be {target}; "
@@ -342,51 +355,52 @@ def _refuse_target(target: str, bag: FoundBag, targets: Dict[str, str], overwrit
 
 
 class _Results:
-    """Tells what became of bags, in their order.
+    """Reporting of the outcomes of bags, in the order of the bags.
 
     Attributes:
-        done: how many bags there is a result of, or none to be had.
+        done: number of bags that have finished or failed.
     """
 
     def __init__(self, tasks: List[BagTask], to_print: bool):
         self._tasks = tasks
         self._to_print = to_print
-        self._held: Dict[int, _One] = {}
-        self._told = 0
+        self._outcomes: Dict[int, _Outcome] = {}
+        self._next_to_report = 0
         self._errors = 0
         self._failed = 0
         self._said: Dict[str, int] = {}
         self.done = 0
 
-    def take(self, number: int, one: _One) -> None:
-        """Take what became of a bag; tell of all whose turn it is."""
+    def take(self, number: int, outcome: _Outcome) -> None:
+        """Store the outcome of a bag; report all outcomes whose predecessors have been reported."""
         self.done += 1
-        self._held[number] = one
-        while self._tasks[number].goes_on and _failure(self._held[number]) is not None:
+        self._outcomes[number] = outcome
+        # All later parts of a recording fail with one of its parts, because they would lack its state.
+        while self._tasks[number].goes_on and _failure(self._outcomes[number]) is not None:
             number, place = number + 1, self._tasks[number].place
             self.done += 1
-            self._held[number] = Unfinished(f"not played: it goes on from {place}, which failed")
-        while self._told in self._held:
-            self._tell(self._tasks[self._told], self._held.pop(self._told))
-            self._told += 1
+            self._outcomes[number] = Unfinished(f"not played: it goes on from {place}, which failed")
+        while self._next_to_report in self._outcomes:
+            self._report(self._tasks[self._next_to_report], self._outcomes.pop(self._next_to_report))
+            self._next_to_report += 1
 
-    def _tell(self, task: BagTask, one: _One) -> None:
-        failure = _failure(one)
-        if isinstance(one, Played):
-            self._errors += one.errors
-            self._tell_said(task, one.said)
+    def _report(self, task: BagTask, outcome: _Outcome) -> None:
+        failure = _failure(outcome)
+        if isinstance(outcome, Played):
+            self._errors += outcome.errors
+            self._report_messages(task, outcome.said)
         if failure is None and not (self._to_print or is_url(task.target) or os.path.exists(task.target)):
             failure = f"{task.target} is not seen here: this machine and the workers need to share its folder"
         if failure is not None:
             self._failed += 1
-            print(f"error: {_beginning_with(task.place, failure)}", file=sys.stderr)
+            print(f"error: {_with_place(task.place, failure)}", file=sys.stderr)
         elif self._to_print:
             with open(task.target, encoding="utf-8") as file:
                 shutil.copyfileobj(file, sys.stdout)
             os.unlink(task.target)
 
-    def _tell_said(self, task: BagTask, said: str) -> None:
-        """Tell of errors and warnings of a bag, once where those of others are the same."""
+    def _report_messages(self, task: BagTask, said: str) -> None:
+        """Print the errors and warnings of a bag, unless another bag had the same ones."""
         if not said:
             return
         if said not in self._said:
@@ -394,18 +408,18 @@ class _Results:
         self._said[said] = self._said.get(said, 0) + 1
 
     def finish(self) -> int:
-        """Sum up; return the exit status."""
-        again = sum(self._said.values()) - len(self._said)
-        if again:
-            print(f"{again} more bags had the same errors and warnings as one before", file=sys.stderr)
+        """Print a summary; return the exit status."""
+        repeated = sum(self._said.values()) - len(self._said)
+        if repeated:
+            print(f"{repeated} more bags had the same errors and warnings as one before", file=sys.stderr)
         if self._failed:
             print(f"{self._failed} of {len(self._tasks)} bags failed", file=sys.stderr)
         return 1 if self._failed or self._errors else 0
 
 
-def _failure(one: _One) -> Optional[str]:
-    return one.cause if isinstance(one, Unfinished) else one.failure
+def _failure(outcome: _Outcome) -> Optional[str]:
+    return outcome.cause if isinstance(outcome, Unfinished) else outcome.failure
 
 
-def _beginning_with(place: str, failure: str) -> str:
+def _with_place(place: str, failure: str) -> str:
     return failure if failure.startswith(place) else f"{place}: {failure}"

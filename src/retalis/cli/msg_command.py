@@ -1,4 +1,4 @@
-"""``msg``: a message type as a term, with the names of its slots, to paste into a program."""
+"""Command ``msg``: prints a message type as a term with the names of its fields, to paste into a program."""
 
 import argparse
 from pathlib import Path
@@ -47,30 +47,29 @@ def run(options: argparse.Namespace) -> int:
     definitions = Definitions()
     fault = type_fault(kind)
     if fault is not None:
-        raise UsageError(f"{fault}{_meant(definitions, kind)}")
+        raise UsageError(f"{fault}{_suggestion(definitions, kind)}")
     if options.bag is not None:
         _learn(definitions, options.bag, kind, options.max_chunk_megabytes)
     try:
-        found = definitions.find(kind)
+        definition = definitions.find(kind)
     except MessageError as error:
         hint = "" if options.bag is not None else "; --bag BAG takes it from a bag"
-        raise UsageError(f"{error.message}{_meant(definitions, kind) or hint}") from error
-    print(FORMATS[options.format](found, definitions), end="")
+        raise UsageError(f"{error.message}{_suggestion(definitions, kind) or hint}") from error
+    print(FORMATS[options.format](definition, definitions), end="")
     return 0
 
 
-def _meant(definitions: Definitions, kind: str) -> str:
-    """Return the question whether another type was meant, behind a semicolon; "" where none is like it."""
-    found = definitions.misspelt(kind)
-    return f"; did you mean {found}?" if found else ""
+def _suggestion(definitions: Definitions, kind: str) -> str:
+    """Return a suggestion of a similar type, to append to an error; "" if there is none."""
+    similar = definitions.misspelt(kind)
+    return f"; did you mean {similar}?" if similar else ""
 
 
 def _learn(definitions: Definitions, path: Path, kind: str, max_chunk_megabytes: int) -> None:
-    """Learn a type from a bag, by which its messages are read."""
+    """Learn a type, with the types of its fields, from the connections of a bag."""
     with open_bag(path, max_chunk_megabytes) as bag:
-        topics = sorted(
-            bag.topics, key=lambda topic: topic.type != kind
-        )  # what lies in others is found in them, too
+        # Topics of the type first. The definitions of other topics may contain it as the type of a field.
+        topics = sorted(bag.topics, key=lambda topic: topic.type != kind)
         for topic in topics:
             try:
                 definitions.add(topic.type, topic.definition, topic.md5sum)

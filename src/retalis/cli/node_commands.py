@@ -1,4 +1,8 @@
-"""Commands for a node that runs: ``query``, ``list``, ``status``, ``explain``, ``watch`` and the like."""
+"""Options of the commands for a running node: ``query``, ``list``, ``status``, ``explain``, ``watch``, ``reload``.
+
+The commands themselves are in package ``ros``, which is imported only when one of them is executed: the command line
+works without ROS.
+"""
 
 import argparse
 from importlib import import_module
@@ -82,8 +86,8 @@ def _add_watch(add_command: AddCommand) -> None:
     add("--count", type=from_zero(int), metavar="N", default=0, help="end after so many; 0: never (0)")
 
 
-def _command(add_command: AddCommand, name: str, says: str) -> argparse.ArgumentParser:
-    parser = add_command(name, help=says, description=f"{says[0].upper()}{says[1:]}. {DESCRIPTION}")
+def _command(add_command: AddCommand, name: str, summary: str) -> argparse.ArgumentParser:
+    parser = add_command(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}. {DESCRIPTION}")
     parser.add_argument("--node", metavar="/NAME", help="the node, where several run")
     parser.add_argument("--json", action="store_true", help="print JSON, one value a line")
     parser.set_defaults(run=run)
@@ -91,25 +95,25 @@ def _command(add_command: AddCommand, name: str, says: str) -> argparse.Argument
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run a command on a node."""
+    """Run a command for a running node."""
     return of_ros("live_commands", options)
 
 
 def of_ros(module: str, options: argparse.Namespace) -> int:
-    """Run what a module of the room ``ros`` does.
+    """Run the command of a module in package ``ros``.
 
     Raises:
-        UsageError: where there is no ROS.
+        UsageError: if ROS is not installed.
     """
     status: int = ros_module(module).run(options)
     return status
 
 
 def ros_module(name: str) -> Any:
-    """Return a module of the room ``ros``, which no other imports: ROS need not be there.
+    """Import a module of package ``ros``.
 
     Raises:
-        UsageError: where it is not.
+        UsageError: if ROS is not installed.
     """
     try:
         return import_module(f"retalis.ros.{name}")

@@ -1,4 +1,4 @@
-"""Values of options: numbers with their errors, and the two forms of ``--times``."""
+"""Conversion of option values: numbers with ranges, and the two forms of ``--times``."""
 
 import argparse
 from typing import Callable, List, Optional
@@ -11,7 +11,11 @@ RELATIVE_TIMES = "--times=relative"
 
 
 def from_zero(kind: Callable[[str], float]) -> Reader:
-    """Return what reads an option's number of 0 or more, an ``int`` or a ``float``."""
+    """Return a converter for numbers of 0 or more.
+
+    Args:
+        kind: ``int`` or ``float``.
+    """
     name = "a whole number" if kind is int else "a number"
     return _reader(kind, lambda number: 0 <= number < float("inf"), f"{name} of 0 or more")
 
@@ -40,9 +44,9 @@ seconds = _reader(float, lambda number: 0 < number < float("inf"), "a positive n
 
 
 def join_times(arguments: List[str]) -> List[str]:
-    """Write ``--times relative`` as one argument.
+    """Join ``--times relative`` to one argument.
 
-    The plain ``--times`` takes no value, so that a bag may follow it; argparse cannot tell the two apart.
+    ``--times`` alone takes no value, so that a bag may follow it. argparse cannot distinguish the two forms.
     """
     joined: List[str] = []
     for argument in arguments:

@@ -1,4 +1,4 @@
-"""Events, outputs and solutions on standard output: as terms that read back, or as JSON."""
+"""Printing of events, outputs, solutions and explanations as Prolog terms or as JSON."""
 
 import json
 import sys
@@ -21,12 +21,12 @@ the epoch, whatever form the stamps have in terms:
 
 
 class Printer:
-    """Prints what happens in a run.
+    """Printer of a run.
 
     Args:
-        as_json: print one JSON object a line, with stamps in nanoseconds.
-        memory_events: print memory events too.
-        outputs: takes what subscribers get; nothing does where it is None.
+        as_json: whether to print one JSON object per line, with stamps in nanoseconds.
+        memory_events: whether to print memory events, too.
+        outputs: file for the outputs to subscribers; None to discard them.
     """
 
     def __init__(self, as_json: bool, memory_events: bool, outputs: Optional[IO[str]]):
@@ -48,25 +48,25 @@ class Printer:
             print(f"{text((MEMORY_EVENT if memory else EVENT, term, interval))}.", flush=True)
 
     def output(self, term: Term, topic: str, name: Term, instant: int) -> None:
-        """Print what a subscriber gets."""
+        """Print an output to a subscriber."""
         if self._outputs is None:
             return
         if self._json:
-            told = {"output": text(term), "topic": topic, "id": text(name), "time": int(instant)}
-            self.line(told, self._outputs)
+            content = {"output": text(term), "topic": topic, "id": text(name), "time": int(instant)}
+            self.line(content, self._outputs)
         else:
             print(f"{text((OUTPUT, term, atom(topic), name))}.", file=self._outputs, flush=True)
 
-    def solutions(self, goal: Term, found: List[Term]) -> None:
-        """Print the solutions of a query, each as the goal with its values."""
+    def solutions(self, goal: Term, instances: List[Term]) -> None:
+        """Print the solutions of a query, each as an instance of the goal."""
         if self._json:
-            self.line({"query": text(goal), "solutions": [text(solution) for solution in found]})
+            self.line({"query": text(goal), "solutions": [text(solution) for solution in instances]})
             return
-        for solution in found:
+        for solution in instances:
             print(add_full_stop(text(solution)), flush=True)
 
     def explanation(self, asked: Term, answer: Explanation) -> None:
-        """Print why an event happened, or what was missing."""
+        """Print the explanation of an event that happened or did not happen."""
         if self._json:
             because = [_as_json(line) for line in answer.lines]
             self.line({"explain": text(asked), "happened": answer.happened, "because": because})
@@ -82,4 +82,4 @@ class Printer:
 
 
 def _as_json(line: ExplanationLine) -> Dict[str, object]:
-    return {"text": line.text, "below": [_as_json(one) for one in line.below]}
+    return {"text": line.text, "below": [_as_json(part) for part in line.below]}

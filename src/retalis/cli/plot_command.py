@@ -1,4 +1,4 @@
-"""``plot``: draw what happened in a run: events, waits of queries, memories and outputs over time."""
+"""Command ``plot``: draws the timeline of a run, with events, waiting queries, memories and outputs."""
 
 import argparse
 from pathlib import Path
@@ -81,22 +81,22 @@ def _read(path: Path) -> Timeline:
 
 
 def _played(options: argparse.Namespace, report: Report) -> TimelineBuilder:
-    """Run the program over the bags and look on."""
+    """Run the program over the bags, and record its timeline."""
     builder = TimelineBuilder()
     with bags_of(options) as bags:
         playback = playback_of(options, report)
-        look = RunRecorder(playback, builder.take)
+        recorder = RunRecorder(playback, builder.take)
         with progress("messages", share_of(playback, bags)) as bar:
 
             def advance(done: int) -> None:
-                look.look()
+                recorder.look()
                 if bar is not None:
                     bar(done)
 
             limit_gc_pauses()
             for output in playback.run(bags, advance):
-                look.output(output)
-        look.finish()
+                recorder.output(output)
+        recorder.finish()
     return builder
 
 

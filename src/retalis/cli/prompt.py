@@ -1,6 +1,7 @@
-"""Answers of a goal as a top level shows them: ``X = f(Y), Z = 1``.
+"""Input and answers of a Prolog top level.
 
-Where a top level reads: a terminal with history and completion, or a pipe.
+Input comes from a terminal with history and completion, or from a pipe (`Lines`, `Terminal`); `read_clause` reads
+lines until they contain a complete term. Answers have the form ``X = f(Y), Z = 1`` (`bindings`).
 """
 
 import atexit
@@ -26,20 +27,21 @@ _MAX_NODES = 1_000_000
 
 
 class _Group(NamedTuple):
-    """Variables of the goal that have the same value."""
+    """Variables of a goal with the same value."""
 
     names: List[str]
     value: Term
 
 
 def bindings(names: Dict[str, Var], operators: Operators) -> str:
-    """Return the values of a goal's variables as text; empty where there is nothing to say.
+    """Return the values of a goal's variables as text; empty if there are none to show.
 
-    Variables whose names begin with ``_`` are not shown. Variables with the same value share a line. Those
-    that the goal has no name for are ``_`` where they stand once, else ``_A``, ``_B`` and so on.
+    Variables whose names begin with ``_`` are not shown. Variables with the same value share a line. Variables in
+    values that have no name in the goal are written ``_`` if they occur once, otherwise ``_A``, ``_B`` and so on.
     """
     groups = _grouped(names)
-    if any(_is_endless(group.value) for group in groups):
+    # Checked before writing: the writer would not terminate for a cyclic term.
+    if any(_is_too_large(group.value) for group in groups):
         return "% the answer is a cyclic term, or too large to be shown"
     named = _variable_names(groups)
     lines = []
@@ -77,7 +79,7 @@ def _grouped(names: Dict[str, Var]) -> List[_Group]:
 
 
 def _variable_names(groups: List[_Group]) -> Dict[Var, str]:
-    """Return how the variables inside the values are shown."""
+    """Return the names of the variables inside the values."""
     named = {group.value: group.names[-1] for group in groups if group.value.__class__ is Var}
     counts: Dict[Var, int] = {}
     _count((functor("", len(groups)), *[group.value for group in groups]), counts)
@@ -97,7 +99,7 @@ def _letters() -> Iterator[str]:
 
 
 def _walk(term: Term, visit: Callable[[Term], None]) -> bool:
-    """Visit the leaves of a term from left to right; False where it has too many parts."""
+    """Visit the leaves of a term from left to right; return False if it has more than `_MAX_NODES` subterms."""
     stack = [term]
     nodes = 0
     while stack:
@@ -123,14 +125,14 @@ def _count(term: Term, counts: Dict[Var, int]) -> None:
     _walk(term, visit)
 
 
-def _is_endless(term: Term) -> bool:
+def _is_too_large(term: Term) -> bool:
     return not _walk(term, lambda leaf: None)
 
 
 HISTORY = Path.home() / ".retalis_history"
 
 LEAVE = ("halt", "quit", "exit", "end_of_file")
-"""What ends a top level."""
+"""Goals that end a top level."""
 
 _WORD = re.compile(r"[a-z]\w*\Z")
 
@@ -138,33 +140,33 @@ Read = Union[ReadTerm, SyntaxFault]
 
 
 class Lines:
-    """Lines of a pipe or a file."""
+    """Input lines of a pipe or a file."""
 
     is_terminal = False
 
     def __init__(self, file: IO[str]):
         self._file = file
         self.rest = ""
-        """What stands after the full stop in the line that was read last."""
+        """Text after the full stop in the last line."""
 
     def line(self, prompt: str) -> Optional[str]:
         """Return the next line, or None at the end."""
         return self._file.readline() or None
 
     def wants_more(self) -> bool:
-        """Tell whether another solution is wanted: in a pipe all are."""
+        """Return True: with a pipe, all solutions are requested."""
         return True
 
 
 class Terminal:
-    """Lines of a terminal, edited with readline where Python has it."""
+    """Input lines of a terminal, edited with readline if it is available."""
 
     is_terminal = True
 
     def __init__(self, names: Callable[[], Iterable[str]]):
         self._names = names
         self.rest = ""
-        self._found: List[str] = []
+        self._candidates: List[str] = []
         self._set_up()
 
     def _set_up(self) -> None:
@@ -177,17 +179,17 @@ class Terminal:
         readline.parse_and_bind("tab: complete")
         try:
             readline.read_history_file(str(HISTORY))
-        except OSError:  # none yet
+        except OSError:  # there is no history yet
             pass
-        except Exception:  # not GNU's, and the terminal is too simple for it: plain lines
+        except Exception:  # another library than GNU readline on a terminal that it does not support
             return
         readline.set_history_length(2000)
         atexit.register(_save_history)
 
     def _complete(self, text: str, number: int) -> Optional[str]:
         if number == 0:
-            self._found = completions(text, self._names())
-        return self._found[number] if number < len(self._found) else None
+            self._candidates = completions(text, self._names())
+        return self._candidates[number] if number < len(self._candidates) else None
 
     def line(self, prompt: str) -> Optional[str]:
         """Return the next line, or None at the end (ctrl-D)."""
@@ -198,7 +200,7 @@ class Terminal:
             return None
 
     def wants_more(self) -> bool:
-        """Wait for a key: ``;``, blank, tab or ``n`` ask for another solution, others do not."""
+        """Wait for a key; return whether it is ``;``, space, tab, ``n`` or ``r``, which request another solution."""
         while True:
             key = _key()
             if key in ("h", "?"):
@@ -217,16 +219,17 @@ def _save_history() -> None:
 
 
 def _key() -> str:
-    """Return the key that is pressed next."""
+    """Return the next key that is pressed."""
     try:
         import termios  # noqa: PLC0415 - not every system has it
         import tty  # noqa: PLC0415 - not every system has it
-    except ImportError:  # no such terminals: a line
+    except ImportError:  # a system without termios: the first character of a line
         return input()[:1]
     stdin = sys.stdin.fileno()
     before = termios.tcgetattr(stdin)
     try:
-        tty.setcbreak(stdin, termios.TCSADRAIN)  # keeps what was typed ahead
+        # TCSADRAIN keeps input that was typed ahead; the default TCSAFLUSH would discard it.
+        tty.setcbreak(stdin, termios.TCSADRAIN)
         sys.stdout.flush()
         return sys.stdin.read(1)
     finally:
@@ -234,52 +237,53 @@ def _key() -> str:
 
 
 def completions(text: str, names: Iterable[str]) -> List[str]:
-    """Return the names that a text may become."""
+    """Return the names that begin with a text."""
     if not _WORD.match(text):
         return []
     return sorted({name for name in names if name.startswith(text) and re.match(r"[a-z]\w*\Z", name)})
 
 
 def read_clause(lines: Union[Lines, Terminal], logic: PrologSystem, prompt: str) -> Optional[Read]:
-    """Return the next term that is typed or piped, a `SyntaxFault`, or None at the end.
+    """Return the next term of the input, a `SyntaxFault`, or None at the end.
 
-    What follows its full stop in the line is kept for the next one; after an error it is left out.
+    Text after the term's full stop in the same line is stored for the next call; after an error it is discarded.
     """
-    held, lines.rest = lines.rest, ""
+    incomplete, lines.rest = lines.rest, ""
     while True:
-        if "." in held:
-            program = read_program(held, logic.operators, "user", _flags(logic))
-            found = next(iter(program), None)
-            if found is None:  # comments only
-                held = ""
-            elif not _goes_on(found, held):
-                if not isinstance(found, SyntaxFault) and held[program.end :].strip():
-                    lines.rest = held[program.end :]
-                return found
-        elif not held.strip():
-            held = ""
-        line = lines.line("|    " if held.strip() else prompt)
+        # Only a full stop can complete a term.
+        if "." in incomplete:
+            program = read_program(incomplete, logic.operators, "user", _flags(logic))
+            term = next(iter(program), None)
+            if term is None:  # comments only
+                incomplete = ""
+            elif not _is_incomplete(term, incomplete):
+                if not isinstance(term, SyntaxFault) and incomplete[program.end :].strip():
+                    lines.rest = incomplete[program.end :]
+                return term
+        elif not incomplete.strip():
+            incomplete = ""
+        line = lines.line("|    " if incomplete.strip() else prompt)
         if line is None:
-            return next(iter(read_program(held, logic.operators, "user", _flags(logic))), None)
-        held += line
+            return next(iter(read_program(incomplete, logic.operators, "user", _flags(logic))), None)
+        incomplete += line
 
 
-def _goes_on(found: Read, text: str) -> bool:
-    """Tell whether a term was cut off by the end of the text."""
-    if not isinstance(found, SyntaxFault) or text.rstrip().endswith("."):
+def _is_incomplete(term: Read, text: str) -> bool:
+    """Return whether a term is incomplete and may continue in the next line."""
+    if not isinstance(term, SyntaxFault) or text.rstrip().endswith("."):
         return False
-    return found.place is None or found.place.line > text.rstrip("\n").count("\n")
+    return term.place is None or term.place.line > text.rstrip("\n").count("\n")
 
 
 def _flags(logic: PrologSystem) -> ReadFlags:
     return ReadFlags(
-        double_quotes=_named(logic.flags["double_quotes"]),
-        back_quotes=_named(logic.flags["back_quotes"]),
-        iso=_named(logic.flags["iso"]) == "true",
+        double_quotes=_atom_name(logic.flags["double_quotes"]),
+        back_quotes=_atom_name(logic.flags["back_quotes"]),
+        iso=_atom_name(logic.flags["iso"]) == "true",
     )
 
 
-def _named(value: Term) -> str:
-    """Return the name of a flag's value, which is an atom."""
+def _atom_name(value: Term) -> str:
+    """Return the name of a flag's value, which must be an atom."""
     assert isinstance(value, Atom)
     return value.name

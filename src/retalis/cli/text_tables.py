@@ -1,20 +1,20 @@
-"""Records as text in columns, for terminals."""
+"""Records and tables of records as text in columns, and the page of ``retalis status``."""
 
 from textwrap import wrap
 from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
-WIDEST = 60
-"""Characters of a column."""
+MAX_COLUMN_WIDTH = 60
+"""Limit for the width of a column in characters."""
 
-_NARROWEST = 8
-"""Characters to which a column may be shortened."""
+_MIN_COLUMN_WIDTH = 8
+"""Width in characters below which no column is shortened."""
 
 PlainRecord = Mapping[str, Any]
-"""A record of a node, as a dictionary."""
+"""A message of a node, as a dictionary."""
 
 
 def report(found: PlainRecord) -> List[str]:
-    """Return the lines of a record: single values, then a table for each list of records.
+    """Return the lines of a record: its simple values, then a table for each list of records.
 
     >>> for line in report({"events": 3, "memories": [{"id": "odom", "size": 10}]}):
     ...     print(line)
@@ -35,7 +35,7 @@ def report(found: PlainRecord) -> List[str]:
 def status_page(
     before: PlainRecord, found: PlainRecord, seconds: float, columns: int, has_engine: bool = True
 ) -> List[str]:
-    """Return the status of a node as lines that fit a terminal: rates and ages, without values that say nothing.
+    """Return the status of a node as lines that fit a terminal, with rates and ages, without empty columns.
 
     >>> before = {"node": "/a", "now": 10.0, "taken": 3, "fired": 0, "inputs": []}
     >>> row = {"topic": "/tf", "type": "tf/tfMessage", "messages": 4, "publishers": 1, "age": 0.5}
@@ -48,45 +48,45 @@ def status_page(
       /tf    tf/tfMessage  -           0.5s  -    1
 
     Args:
-        before: the answer of service ``~list`` some time ago, as a dictionary; instants are seconds, or None.
-        found: the answer now.
-        seconds: the time between the two.
-        columns: characters of a line.
-        has_engine: whether the node is more than a ROS interface.
+        before: former answer of service ``~list``, as a dictionary; instants are in seconds, or None.
+        found: present answer.
+        seconds: time between the two.
+        columns: width of the terminal in characters.
+        has_engine: whether the node has an engine.
     """
-    look = _StatusTime(found.get("now"), seconds)
+    time = _StatusTime(found.get("now"), seconds)
     head = [str(found["node"])]
     if has_engine:
-        rates = (f"{_rate(before, found, name, look)} {shown}/s" for name, shown in _RATES.items())
+        rates = (f"{_rate(before, found, name, time)} {shown}/s" for name, shown in _RATES.items())
         head += [_work(found), *rates]
     head += [f"{name} {found[name]}" for name in _COUNTS if found.get(name)]
     more = [name for name in found if name.startswith("more_") and found[name]]
     head += [f"{found[name]} more {name[len('more_') :]}" for name in more]
-    # Blanks that do not break keep each part in one line, until it has been wrapped.
+    # Non-breaking spaces keep each part in one line while the text is wrapped.
     lines = wrap("  ".join(one.replace(" ", "\xa0") for one in head), columns)
     lines = [line.replace("\xa0", " ") for line in lines]
     for name, form in _TABLES.items():
         if found.get(name):
-            rows = _rows(form, before.get(name, ()), found[name], look, columns - 2)
+            rows = _rows(form, before.get(name, ()), found[name], time, columns - 2)
             lines += ["", name, *(f"  {line}" for line in _aligned(rows))]
     return [line[:columns] for line in lines]
 
 
 class _StatusTime(NamedTuple):
-    """The time of a status by the clock of the node, None before it has begun, and the seconds since the last one."""
+    """The time of a status by the node's clock, None before it has started, and the seconds since the former one."""
 
     now: Optional[float]
     seconds: float
 
 
 class _Column(NamedTuple):
-    """A column of a status.
+    """A column of a status table.
 
     Attributes:
-        name: its head.
-        of: makes a cell of a record, the same record some time ago (None if it is new), and the look.
-        elastic: whether long cells may be shortened to make the table fit.
-        rare: whether the column is left out if all its cells are zero or empty.
+        name: heading.
+        of: returns the cell of a record, from the record, its former version (None if it is new), and the time.
+        elastic: whether long cells may be shortened to fit the terminal.
+        rare: whether the column is omitted if all its cells are zero or empty.
     """
 
     name: str
@@ -96,7 +96,7 @@ class _Column(NamedTuple):
 
 
 class _TableForm(NamedTuple):
-    """The columns of a table, and the names of the values by which a record is known again."""
+    """The columns of a table, and the names of the fields that identify a record in two answers."""
 
     keys: Tuple[str, ...]
     columns: Tuple[_Column, ...]
@@ -114,11 +114,11 @@ def _work(found: PlainRecord) -> str:
     return f"busy for {_span(found.get('work_time'))} with {found['work']}{goal}{place}"
 
 
-def _rate(before: Optional[PlainRecord], row: PlainRecord, name: str, look: _StatusTime) -> str:
-    """Return how fast a counter grows; one of a node that was started anew counts anew."""
-    if before is None or look.seconds <= 0:
+def _rate(before: Optional[PlainRecord], row: PlainRecord, name: str, time: _StatusTime) -> str:
+    """Return the rate of a counter; 0 if it has decreased, because a restarted node counts from 0."""
+    if before is None or time.seconds <= 0:
         return "-"
-    return f"{max(0, row[name] - before[name]) / look.seconds:.1f}"
+    return f"{max(0, row[name] - before[name]) / time.seconds:.1f}"
 
 
 def _span(seconds: Optional[float]) -> str:
@@ -138,8 +138,8 @@ def _span(seconds: Optional[float]) -> str:
     return f"{sign}{whole // 86_400}d{whole % 86_400 // 3600:02d}h"
 
 
-def _age(instant: Optional[float], look: _StatusTime) -> str:
-    return "-" if instant is None or look.now is None else _span(look.now - instant)
+def _age(instant: Optional[float], time: _StatusTime) -> str:
+    return "-" if instant is None or time.now is None else _span(time.now - instant)
 
 
 def _lag(seconds: Optional[float]) -> str:
@@ -149,19 +149,19 @@ def _lag(seconds: Optional[float]) -> str:
 
 
 def _plain(name: str, head: str = "", elastic: bool = False, rare: bool = False) -> _Column:
-    return _Column(head or name, lambda row, before, look: _shown(row.get(name, 0)), elastic, rare)
+    return _Column(head or name, lambda row, before, time: _shown(row.get(name, 0)), elastic, rare)
 
 
 def _growth(name: str, head: str) -> _Column:
-    return _Column(head, lambda row, before, look: _rate(before, row, name, look))
+    return _Column(head, lambda row, before, time: _rate(before, row, name, time))
 
 
 def _since(name: str, head: str) -> _Column:
-    return _Column(head, lambda row, before, look: _age(row.get(name), look))
+    return _Column(head, lambda row, before, time: _age(row.get(name), time))
 
 
-def _awaited(row: PlainRecord, before: Optional[PlainRecord], look: _StatusTime) -> str:
-    memories = [f"{one['id']} {_span(one.get('behind'))} behind" for one in row.get("memories", ())]
+def _awaited(row: PlainRecord, before: Optional[PlainRecord], time: _StatusTime) -> str:
+    memories = [f"{memory['id']} {_span(memory.get('behind'))} behind" for memory in row.get("memories", ())]
     return ", ".join(memories) + (f", {row['left_out']} more" if row.get("left_out") else "")
 
 
@@ -177,12 +177,12 @@ _TABLES = {
     "rules": _TableForm(
         ("label", "place", "text"),
         (
-            _Column("rule", lambda row, before, look: _shown(row["label"] or row["text"]), elastic=True),
+            _Column("rule", lambda row, before, time: _shown(row["label"] or row["text"]), elastic=True),
             _growth("fired", "firings/s"),
             _since("last_fired", "last"),
             _plain("waiting", rare=True),
             _plain("keys", rare=True),
-            _Column("MB", lambda row, before, look: _megabytes(row.get("bytes", 0)), rare=True),
+            _Column("MB", lambda row, before, time: _megabytes(row.get("bytes", 0)), rare=True),
             _plain("errors", rare=True),
             _plain("dropped", rare=True),
         ),
@@ -192,7 +192,7 @@ _TABLES = {
         (
             _plain("id", elastic=True),
             _plain("event", elastic=True),
-            _Column("records", lambda row, before, look: f"{row['records']} of {row['size']}"),
+            _Column("records", lambda row, before, time: f"{row['records']} of {row['size']}"),
             _growth("added", "added/s"),
             _since("newest", "newest"),
             _since("oldest", "oldest"),
@@ -223,12 +223,12 @@ _TABLES = {
             _plain("topic", elastic=True),
             _plain("type", elastic=True),
             _growth("messages", "messages/s"),
-            _Column("last", lambda row, before, look: _span(row.get("age"))),
-            _Column("lag", lambda row, before, look: _lag(row.get("lag"))),
+            _Column("last", lambda row, before, time: _span(row.get("age"))),
+            _Column("lag", lambda row, before, time: _lag(row.get("lag"))),
             _plain("publishers"),
             _Column(
                 "lost",
-                lambda row, before, look: str(row.get("dropped", 0) + row.get("refused", 0)),
+                lambda row, before, time: str(row.get("dropped", 0) + row.get("refused", 0)),
                 rare=True,
             ),
         ),
@@ -240,33 +240,33 @@ def _rows(
     form: _TableForm,
     before: Sequence[PlainRecord],
     records: Sequence[PlainRecord],
-    look: _StatusTime,
+    time: _StatusTime,
     width: int,
 ) -> List[List[str]]:
-    """Return the head and the rows of a table that fits a width, without rare columns that say nothing."""
+    """Return the heading and the rows of a table that fits a width, without empty rare columns."""
     known = {_key(row, form): row for row in before}
     shown: List[_Column] = []
     cells: List[List[str]] = []
     for column in form.columns:
-        found = [column.of(row, known.get(_key(row, form)), look) for row in records]
-        if not column.rare or any(cell not in _NOTHING for cell in found):
+        values = [column.of(row, known.get(_key(row, form)), time) for row in records]
+        if not column.rare or any(cell not in _NOTHING for cell in values):
             shown.append(column)
-            cells.append([column.name, *found])
+            cells.append([column.name, *values])
     widths = [max(map(len, column)) for column in cells]
-    elastic = [at for at, column in enumerate(shown) if column.elastic]
+    elastic = [index for index, column in enumerate(shown) if column.elastic]
     over = sum(widths) + 2 * (len(widths) - 1) - width
-    # The widest column is shortened character by character, so that all columns keep as much as there is room for.
+    # The widest column is shortened character by character, so that short columns remain complete.
     while over > 0:
-        widest = max(elastic, key=lambda at: widths[at])
-        if widths[widest] <= _NARROWEST:
+        widest = max(elastic, key=lambda index: widths[index])
+        if widths[widest] <= _MIN_COLUMN_WIDTH:
             break
         widths[widest] -= 1
         over -= 1
-    return [[_cut(cell, widths[at]) for at, cell in enumerate(row)] for row in zip(*cells)]
+    return [[_cut(cell, widths[index]) for index, cell in enumerate(row)] for row in zip(*cells)]
 
 
 def table(rows: Sequence[PlainRecord]) -> List[str]:
-    """Return the lines of a table: the names of its columns, then its rows."""
+    """Return the lines of a table: headings, then rows."""
     names: Dict[str, None] = {}
     for row in rows:
         names.update(dict.fromkeys(row))
@@ -278,7 +278,7 @@ def _is_table(value: Any) -> bool:
 
 
 def _shown(value: Any) -> str:
-    """Return a value in one line that is not too long."""
+    """Return a value as one line of at most `MAX_COLUMN_WIDTH` characters."""
     if value is None or value == []:
         text = "-"
     elif isinstance(value, Mapping):
@@ -289,11 +289,11 @@ def _shown(value: Any) -> str:
         text = f"{value:.6f}".rstrip("0").rstrip(".")
     else:
         text = str(value)
-    return _cut(" ".join(text.split()), WIDEST)
+    return _cut(" ".join(text.split()), MAX_COLUMN_WIDTH)
 
 
 def _cut(text: str, width: int) -> str:
-    """Return a text in so many characters: its beginning, or of a path the end, which tells it from others."""
+    """Return a text cut to a width: its beginning, or the end of a path, which distinguishes it from others."""
     if len(text) <= width:
         return text
     return "..." + text[3 - width :] if text.startswith("/") else text[: width - 3] + "..."

@@ -1,4 +1,4 @@
-"""The page's server: a thread with a loop of its own, on the loopback address."""
+"""Web server of the dashboard: an asyncio loop in a thread, bound to the loopback address."""
 
 import asyncio
 import socket
@@ -13,38 +13,38 @@ from .view_model import PERIOD, DashboardSource, LiveUpdates, Snapshots
 ADDRESS = "127.0.0.1"
 
 DASHBOARD_PORT = 8088
-"""The port where none is given."""
+"""Default port."""
 
 _PORTS = 1 << 16
-"""Number of ports that there are."""
+"""Number of TCP ports."""
 
 BACKLOG = 16
-"""Connections that may wait to be taken."""
+"""Limit for connections that wait to be accepted."""
 
 
 class Dashboard:
-    """A page that shows a running program, until `close`.
+    """Web page that shows a running program, served until `close`.
 
-    Nothing is looked at while nobody has it open.
+    While no page is open, the engine is not observed.
 
     Args:
-        source: what is shown.
-        port: where; 0 for any that is free.
-        tries: ports that are tried, from this one on.
-        period: seconds from one look to the next.
+        source: the program to show.
+        port: port to bind; 0 for any free one.
+        tries: number of ports to try, from ``port`` on.
+        period: seconds between two updates.
 
     Attributes:
-        port: where it is.
+        port: the bound port.
 
     Raises:
-        UsageError: where the ports are taken, or tornado is not installed.
+        UsageError: if the ports are in use, or tornado is not installed.
     """
 
     def __init__(
         self, source: DashboardSource, port: int = DASHBOARD_PORT, period: float = PERIOD, tries: int = 1
     ):
         try:
-            from .request_handlers import server  # noqa: PLC0415 - tornado is needed for this alone
+            from .request_handlers import server  # noqa: PLC0415 - tornado is an optional dependency
         except ImportError as error:
             raise UsageError(f"the dashboard needs the package tornado (python3-tornado): {error}") from None
         self._server = server
@@ -58,19 +58,20 @@ class Dashboard:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """Address of the page."""
         return f"http://{ADDRESS}:{self.port}/"
 
     def close(self) -> None:
-        """Stop serving; closing twice is no error."""
+        """Stop the server; further calls have no effect."""
         if not self._loop.is_closed():
             try:
                 self._loop.call_soon_threadsafe(self._loop.stop)
             except RuntimeError:
-                pass  # it has just ended
+                pass  # the loop has been closed meanwhile
         self._thread.join(5)
 
     def _run(self) -> None:
+        # Everything that uses the loop is created in its own thread: asyncio objects are not thread-safe.
         asyncio.set_event_loop(self._loop)
         snapshots = Snapshots(self._source)
         streams = LiveUpdates(snapshots, self._period)
@@ -82,32 +83,33 @@ class Dashboard:
         finally:
             server.stop()
             streams.close()
-            self._loop.run_until_complete(_settle())
+            self._loop.run_until_complete(_cancel_tasks())
             self._loop.close()
 
 
-async def _settle() -> None:
-    """Let what is under way end."""
-    me = asyncio.current_task()
-    others = [task for task in asyncio.all_tasks() if task is not me]
+async def _cancel_tasks() -> None:
+    """Cancel all tasks, and wait for their end."""
+    current = asyncio.current_task()
+    others = [task for task in asyncio.all_tasks() if task is not current]
     for task in others:
         task.cancel()
     await asyncio.gather(*others, return_exceptions=True)
 
 
 def _listen(port: int, tries: int) -> List[Any]:
-    """Return the socket on which requests come: on a port, or the next ones if it is taken.
+    """Return a listening socket on a port, or on one of the next ones if it is in use.
 
     Raises:
-        UsageError: if there is none to be had.
+        UsageError: if all ports are in use.
     """
     ports = range(port, max(port + 1, min(port + tries, _PORTS)))
-    for wanted in ports:
+    for candidate in ports:
         try:
-            return [_bound(wanted)]
+            return [_bound(candidate)]
         except (OSError, OverflowError) as error:
-            if getattr(error, "errno", None) != EADDRINUSE or wanted == ports[-1]:
-                tried = str(port) if wanted == port else f"{port} to {wanted}"
+            # Any other error, such as missing permissions, would occur for the next ports, too.
+            if getattr(error, "errno", None) != EADDRINUSE or candidate == ports[-1]:
+                tried = str(port) if candidate == port else f"{port} to {candidate}"
                 reason = getattr(error, "strerror", None) or error
                 raise UsageError(f"the dashboard cannot have port {tried} of {ADDRESS}: {reason}") from None
     raise AssertionError("at least one port is tried")

@@ -1,6 +1,9 @@
-"""What the page asks on demand: why an event happened, and goals where that is allowed.
+"""HTTP handlers of the dashboard: static files, the event stream, explanations and queries.
 
-What the page's server answers. The only file that imports tornado.
+This is the only module that imports tornado. Any web page in the user's browser can send requests to a port of the
+loopback address (cross-site request forgery, DNS rebinding). `LocalHandler` therefore checks the headers ``Host``,
+``Origin`` and ``Sec-Fetch-Site`` of each request, and requests with an effect require JSON, which browsers do not
+send across origins without permission.
 """
 
 import asyncio
@@ -21,26 +24,26 @@ from ..foundation.errors import RetalisError, SyntaxFault, beginning, printable_
 from ..prolog.machine.resource_limits import Limits
 from .view_model import DashboardSource, LiveUpdates, Snapshots
 
-AT_ONCE = 2
-"""Answers that are looked for at once: each may hold a thread until the engine has time."""
+MAX_CONCURRENT_ANSWERS = 2
+"""Limit for concurrent answers: each holds a thread until the engine has executed it."""
 
 MAX_PAGE_SOLUTIONS = 100
-"""Solutions of a query."""
+"""Limit for the solutions of a query."""
 
 MAX_PAGE_ANSWER_CHARACTERS = 100_000
-"""Characters of its solutions together."""
+"""Limit for the characters of all solutions of a query."""
 
 MAX_GOAL_CHARACTERS = 5_000
-"""Characters of its text."""
+"""Limit for the characters of a goal."""
 
 LIMITS = Limits(seconds=5.0, output_megabytes=None)
-"""What a query may use; the engine's own limits hold besides."""
+"""Limits of a query, in addition to the engine's."""
 
 MAX_EXPLANATION_LINES = 500
-"""Lines of an explanation."""
+"""Limit for the lines of an explanation."""
 
 MAX_LINE_CHARACTERS = 1_000
-"""Characters of one."""
+"""Limit for the characters of a line of an explanation."""
 
 MAX_ERROR_CHARACTERS = 1_000
 
@@ -53,51 +56,51 @@ Json = Dict[str, Any]
 
 
 class Answers:
-    """Answers what the page asks, each in a thread of its own: the engine may be busy.
+    """Answers to requests of the page, each in a thread: a busy engine must not block the server's loop.
 
     Args:
-        source: is asked.
-        snapshots: have the events that can be explained.
+        source: the program.
+        snapshots: contain the events that can be explained.
     """
 
     def __init__(self, source: DashboardSource, snapshots: Snapshots):
         self._engine = source.engine
         self._queries = source.queries
         self._events = snapshots.events
-        self._free = threading.BoundedSemaphore(AT_ONCE)
+        self._free = threading.BoundedSemaphore(MAX_CONCURRENT_ANSWERS)
 
     async def run(self, work: Callable[[], Json]) -> Json:
-        """Return what some work returns, or why not as ``error``."""
+        """Run ``work`` in a thread; return its result, or a dictionary with the key ``error``."""
         if not self._free.acquire(blocking=False):
             return {"error": BUSY_ANSWER}
         loop = asyncio.get_event_loop()
         done: asyncio.Future[Json] = loop.create_future()
 
-        def deliver(found: Json) -> None:
-            if not done.done():  # somebody has closed the page
-                done.set_result(found)
+        def deliver(result: Json) -> None:
+            if not done.done():  # cancelled if the page was closed
+                done.set_result(result)
 
         def run() -> None:
-            found: Json = {"error": "internal error"}
+            result: Json = {"error": "internal error"}
             try:
-                found = work()
+                result = work()
             except SyntaxFault as fault:
-                found = {"error": beginning(fault.brief(), MAX_ERROR_CHARACTERS)}
+                result = {"error": beginning(fault.brief(), MAX_ERROR_CHARACTERS)}
             except RetalisError as error:
-                found = {"error": beginning(error.brief(), MAX_ERROR_CHARACTERS)}
+                result = {"error": beginning(error.brief(), MAX_ERROR_CHARACTERS)}
             finally:
                 self._free.release()
                 if not loop.is_closed():
-                    loop.call_soon_threadsafe(deliver, found)
+                    loop.call_soon_threadsafe(deliver, result)
 
         threading.Thread(target=run, daemon=True, name="dashboard answer").start()
         return await done
 
-    def explain(self, asked: Json) -> Json:
-        """Say why one of the last events happened; it is named by its number, so that no text is read."""
+    def explain(self, request: Json) -> Json:
+        """Return the explanation of a recent event, which the page identifies by its serial number."""
         if not records_origins(self._engine):
             return {"error": NOT_RECORDED}
-        serial: Any = asked.get("serial")
+        serial: Any = request.get("serial")
         event = self._events.find(serial) if serial.__class__ is int else None
         if event is None:
             return {"error": GONE}
@@ -109,16 +112,16 @@ class Answers:
                 lines.append(line[:MAX_LINE_CHARACTERS])
         return {"lines": lines}
 
-    def query(self, asked: Json) -> Json:
-        """Return the first solutions of a goal as texts."""
+    def query(self, request: Json) -> Json:
+        """Return the first solutions of a goal as text."""
         if not self._queries:
             return {"error": NOT_ALLOWED}
-        goal = asked.get("goal")
+        goal = request.get("goal")
         if not isinstance(goal, str) or len(goal) > MAX_GOAL_CHARACTERS:
             return {"error": f"expected a goal of {MAX_GOAL_CHARACTERS} characters at most"}
-        found = ask(self._engine, goal, MAX_PAGE_SOLUTIONS, LIMITS, MAX_PAGE_ANSWER_CHARACTERS)
-        solutions = [[[value.name, value.text] for value in solution] for solution in found.solutions]
-        return {"solutions": solutions, "complete": found.complete}
+        answers = ask(self._engine, goal, MAX_PAGE_SOLUTIONS, LIMITS, MAX_PAGE_ANSWER_CHARACTERS)
+        solutions = [[[value.name, value.text] for value in solution] for solution in answers.solutions]
+        return {"solutions": solutions, "complete": answers.complete}
 
 
 PAGE = Path(__file__).resolve().parent / "page"
@@ -130,7 +133,7 @@ FILES = {
     "/graph.js": ("graph.js", "text/javascript; charset=utf-8"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
 }
-"""All files that are served; nothing else of the disk can be asked for."""
+"""All served files. Requested paths are looked up here and never joined to a folder."""
 
 POLICY = "; ".join(
     (
@@ -146,54 +149,55 @@ POLICY = "; ".join(
 )
 
 LOOPBACK = ("127.0.0.1", "localhost")
-"""Names by which the page may be asked for. Its port is another one at the far end of a tunnel."""
+"""Accepted host names. The port is not compared, because it differs at the other end of an SSH tunnel."""
 
 MAX_REQUEST_BYTES = 20_000
-"""Bytes of a request's body."""
+"""Limit for the body of a request."""
 
 MAX_HEADER_BYTES = 16_000
-"""Bytes of its headers."""
+"""Limit for the headers of a request."""
 
 MAX_CONNECTIONS = 40
-"""Connections that may be open at once, whatever they are for; one more closes the oldest that has no request."""
+"""Limit for open connections; a further one closes the oldest connection without a request."""
 
 BUSY_CONNECTIONS = "busy connections"
-"""The setting of the application with the connections whose requests are being answered, live pages among them."""
+"""Name of the application setting with the connections whose requests are being answered, including live pages."""
 
-IDLE = 60.0
-"""Seconds after which a connection on which nothing is asked is closed."""
+IDLE_TIMEOUT_SECONDS = 60.0
+"""Seconds after which a connection without a request is closed."""
 
 
 class LocalHandler(RequestHandler):
-    """Answers requests for the loopback address that come from nowhere or from the page itself.
+    """Base of all handlers, which accepts requests of the dashboard's page and of clients other than browsers.
 
-    A page of somebody else that is open in the same browser can reach the port too: by its address, which the
-    browser tells (``Origin``, ``Sec-Fetch-Site``), or by a name that was made to lead to it (``Host``).
+    A foreign page in the same browser can reach the port, too: by its address, which the browser reports in
+    ``Origin`` and ``Sec-Fetch-Site``, or by a host name that resolves to the loopback address (``Host``).
     """
 
-    _stream: Any = None  # a request with an unknown method is answered without `prepare`
+    _stream: Any = None  # tornado answers a request with an unknown method without calling `prepare`
 
     def prepare(self) -> None:
-        """Refuse what a foreign page may have sent."""
+        """Refuse requests that a foreign page may have sent."""
         self._stream = getattr(self.request.connection, "stream", None)
         if self._stream is not None:
             self.settings[BUSY_CONNECTIONS].add(self._stream)
         headers = self.request.headers
         host = headers.get("Host", "")
-        if _name_of(host) not in LOOPBACK:
+        if _host_name(host) not in LOOPBACK:
             raise HTTPError(403, reason="Not the loopback address")
         if headers.get("Origin", f"http://{host}") != f"http://{host}":
             raise HTTPError(403, reason="Another page")
+        # A link from a foreign page to the start page is harmless, and users follow them.
         if headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin") and self.request.path != "/":
             raise HTTPError(403, reason="Another page")
 
     def on_finish(self) -> None:
-        """Note that the connection waits for its next request."""
+        """Mark the connection as idle."""
         if self._stream is not None:
             self.settings[BUSY_CONNECTIONS].discard(self._stream)
 
     def set_default_headers(self) -> None:
-        """Have the browser run, load and tell others nothing that is not the page's own."""
+        """Set headers that restrict the browser to the page's own scripts, styles and connections."""
         for name, value in (
             ("Content-Security-Policy", POLICY),
             ("X-Content-Type-Options", "nosniff"),
@@ -207,12 +211,12 @@ class LocalHandler(RequestHandler):
             self.set_header(name, value)
 
     def write_error(self, status_code: int, **known: object) -> None:
-        """Say what is wrong in a line, and nothing of the inside."""
+        """Answer with the status and reason in one line, without internals such as a traceback."""
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(f"{status_code}: {self._reason}\n")
 
     def data_received(self, chunk: bytes) -> Optional[Awaitable[None]]:
-        """Take no streamed bodies."""
+        """Refuse streamed bodies."""
         raise HTTPError(400)
 
 
@@ -227,14 +231,14 @@ class FileHandler(LocalHandler):
 
 
 class StreamHandler(LocalHandler):
-    """Serves the live numbers as server-sent events."""
+    """Serves the live data as server-sent events."""
 
     def initialize(self, streams: LiveUpdates) -> None:
-        """Take what gives the numbers."""
+        """Store the source of the data; tornado calls this for each request."""
         self._streams = streams
 
     async def get(self) -> None:
-        """Send what there is to see until nobody looks any more."""
+        """Send updates until the page is closed."""
         client = self._streams.enter(self.get_query_argument("events", "1") == "1")
         if client is None:
             raise HTTPError(503, reason="Too many pages are open")
@@ -252,7 +256,7 @@ class StreamHandler(LocalHandler):
             self._streams.leave(client)
 
     def on_connection_close(self) -> None:
-        """Note that nobody looks any more."""
+        """Remove the page."""
         client = getattr(self, "_client", None)
         if client is not None:
             self._streams.leave(client)
@@ -260,38 +264,38 @@ class StreamHandler(LocalHandler):
 
 
 class AnswerHandler(LocalHandler):
-    """Answers what the page asks: JSON in, JSON out."""
+    """Answers requests in JSON with JSON."""
 
     def initialize(self, answer: Callable[[Dict[str, Any]], Any], answers: Answers) -> None:
-        """Take who answers."""
+        """Store the answering function; tornado calls this for each request."""
         self._answer = answer
         self._answers = answers
 
     async def post(self) -> None:
-        """Answer; only with JSON, which a browser lets no foreign page send unasked."""
+        """Answer a request, which must be JSON: browsers do not send JSON for foreign pages without permission."""
         if self.request.headers.get("Content-Type", "").partition(";")[0] != "application/json":
             raise HTTPError(415, reason="Expected application/json")
         try:
-            asked = json.loads(self.request.body)
+            fields = json.loads(self.request.body)
         except (ValueError, RecursionError):
-            asked = None
-        if not isinstance(asked, dict):
+            fields = None
+        if not isinstance(fields, dict):
             raise HTTPError(400, reason="Expected an object of JSON")
-        found = await self._answers.run(lambda: self._answer(asked))
-        self.finish(printable_json(found))
+        answer = await self._answers.run(lambda: self._answer(fields))
+        self.finish(printable_json(answer))
 
 
 class NothingHandler(LocalHandler):
-    """Answers all other requests."""
+    """Answers all other requests with status 404."""
 
     def prepare(self) -> None:
-        """Say that there is nothing."""
+        """Refuse the request."""
         super().prepare()
         raise HTTPError(404)
 
 
-def _name_of(host: str) -> Optional[str]:
-    """Return the name in a ``Host`` header, without the port."""
+def _host_name(host: str) -> Optional[str]:
+    """Return the host name in a ``Host`` header, without the port; None if it is malformed."""
     try:
         return urlsplit(f"//{host}").hostname
     except ValueError:
@@ -299,21 +303,22 @@ def _name_of(host: str) -> Optional[str]:
 
 
 class BoundedServer(HTTPServer):
-    """A server with so many connections at most."""
+    """HTTP server with a limit for its connections."""
 
     def initialize(self, *arguments: Any, **known: Any) -> None:
-        """Begin without connections."""
+        """Initialize the list of connections; tornado calls this from its constructor."""
         super().initialize(*arguments, **known)
         self._streams: List[IOStream] = []
 
     def handle_stream(self, stream: IOStream, address: Any) -> None:
-        """Take a connection; if there are too many, close the oldest one without a complete request."""
-        self._streams = [one for one in self._streams if not one.closed()]
+        """Accept a connection; beyond the limit, close the oldest one without a complete request."""
+        self._streams = [open_stream for open_stream in self._streams if not open_stream.closed()]
         self._streams.append(stream)
         if len(self._streams) > MAX_CONNECTIONS:
             application: Any = self.request_callback
             busy = application.settings[BUSY_CONNECTIONS]
-            oldest = next(one for one in self._streams if one not in busy)  # the new one has no request yet
+            # There is always one: the new connection has no request yet.
+            oldest = next(open_stream for open_stream in self._streams if open_stream not in busy)
             oldest.close()
             if oldest is stream:
                 return
@@ -321,7 +326,7 @@ class BoundedServer(HTTPServer):
 
 
 def server(streams: LiveUpdates, answers: Answers) -> HTTPServer:
-    """Return the server, which has no socket yet."""
+    """Return the server, without a socket."""
     paths = "|".join(path.replace(".", "[.]") for path in FILES)
     routes: Any = [
         (f"({paths})", FileHandler),
@@ -335,8 +340,8 @@ def server(streams: LiveUpdates, answers: Answers) -> HTTPServer:
     )
     return BoundedServer(
         application,
-        idle_connection_timeout=IDLE,
-        body_timeout=IDLE,
+        idle_connection_timeout=IDLE_TIMEOUT_SECONDS,
+        body_timeout=IDLE_TIMEOUT_SECONDS,
         max_header_size=MAX_HEADER_BYTES,
         max_body_size=MAX_REQUEST_BYTES,
         max_buffer_size=2 * MAX_REQUEST_BYTES,

@@ -1,8 +1,10 @@
-"""The last events of an engine, watched only while somebody looks at them.
+"""Data of the dashboard's page: recent events, counters with rates, and the graph of the program, ready for JSON.
 
-What the page shows, as it is now: texts and numbers, ready for JSON.
+`RecentEvents` listens to all events, but only while a page shows them. `Snapshots` reads the engine's status and
+derives rates from the last few snapshots. `LiveUpdates` takes one snapshot per second for all open pages, and none
+while no page is open, so that the dashboard costs nothing unless it is used.
 
-The live numbers of all open pages: taken once a second while there is one, and not at all otherwise.
+A page that reads slowly skips snapshots: each `Client` has room for the newest one only.
 """
 
 import asyncio
@@ -27,31 +29,31 @@ from ..prolog.terms.types import CONS, NIL, Frame, Functor, Lazy, Term, Var, ato
 from ..visualization.program_graph import Graph, GraphTopic, graph_key, program_graph
 
 MAX_EVENT_CHARACTERS = 800
-"""Characters of an event's text."""
+"""Limit for the characters of an event's text."""
 
 MAX_EVENT_PARTS = 60
-"""Parts of an event that are written out, and elements of a list."""
+"""Limit for the subterms of an event that are written, and for its arguments."""
 
 MAX_EVENT_DEPTH = 8
-"""How deep in an event they may stand."""
+"""Limit for the nesting of written subterms."""
 
 MAX_FUNCTORS = 200
-"""Functors of events that are told apart."""
+"""Limit for the functors that are counted separately."""
 
 EVENTS_PER_FUNCTOR = 8
-"""Events of one functor that are kept: rare ones stay beside thousands of transforms."""
+"""Events of each functor that are stored, so that rare ones remain beside thousands of transforms."""
 
-AT_A_LOOK = 3
-"""Events of one functor that are written out from one look to the next; the others are counted."""
+MAX_WRITTEN_PER_SNAPSHOT = 3
+"""Events of one functor that are written between two snapshots; the others are only counted."""
 
 MAX_SHOWN_EVENTS = 60
-"""Events that are shown."""
+"""Limit for the events in a snapshot."""
 
 _CUT = atom("...")
 _UPDATED = functor("memory_updated", 2)
-"""Events that tell of others, which are shown themselves."""
+"""Functor of events about other events, which are shown themselves."""
 _NO_EVENT = atom("null_event")
-"""The head of rules that are there for what they do."""
+"""Head of rules that only execute an action."""
 _ASKED = functor("event", 2)
 
 
@@ -59,11 +61,11 @@ class RecentEvent(NamedTuple):
     """An event that has happened.
 
     Attributes:
-        serial: its own number.
-        text: its text.
-        whole: whether that is all of it.
-        start: its interval, in nanoseconds.
-        end: the same.
+        serial: unique number.
+        text: text of the event, possibly cut.
+        whole: whether the text is complete.
+        start: start of the interval in nanoseconds.
+        end: end of the interval in nanoseconds.
     """
 
     serial: int
@@ -74,14 +76,14 @@ class RecentEvent(NamedTuple):
 
 
 class EventCount(NamedTuple):
-    """How many events of a functor there were while somebody looked, and the end of the last one."""
+    """Number of events of a functor while events were observed, and the end of the last one in nanoseconds."""
 
     number: int
     end: int
 
 
-class _Kind:
-    """The events of one functor."""
+class _FunctorEvents:
+    """Count and last events of one functor."""
 
     __slots__ = ("number", "end", "shown", "kept")
 
@@ -91,47 +93,46 @@ class _Kind:
 
 
 class RecentEvents:
-    """Counts events by their functors and keeps the last ones as text, while that is wanted.
+    """Counts events by functor and stores the last ones as text, on request.
 
-    A listener for all events disables fused actions and gates (`Audience.fused`, `Gate`), so it is there only while
-    it is wanted. What it does for an event is bounded, and nobody waits for the engine here.
+    A listener for all events disables fused actions and gates (`Audience.fused`, `Gate`), so it is registered only
+    on request. The work for each event is bounded, and no method waits for the engine.
 
     Args:
-        engine: whose events they are.
+        engine: the engine to observe.
     """
 
     def __init__(self, engine: Engine):
         self._engine = engine
-        parts = engine
-        self._dispatcher, self._runner, self._show = parts.dispatcher, parts.executor, parts.logic.show
+        self._dispatcher, self._executor, self._show = engine.dispatcher, engine.executor, engine.logic.show
         self._listener: Optional[Listener] = None
         self._wanted = False
         self._serial = count(1)
-        self._kinds: Dict[Optional[Functor], _Kind] = {}
+        self._kinds: Dict[Optional[Functor], _FunctorEvents] = {}
 
     @property
     def watching(self) -> bool:
-        """Whether events are being watched, or will be when the engine comes to it."""
+        """True if events are observed, or will be as soon as the engine executes the request."""
         return self._wanted
 
     def watch(self, wanted: bool) -> None:
-        """Begin or end watching, as soon as the engine has time; what is kept stays."""
+        """Start or stop to observe events, as soon as the engine executes the request; stored events remain."""
         if wanted != self._wanted:
             self._wanted = wanted
-            self._runner.post(self._set)
+            self._executor.post(self._apply_observation)
 
-    def _set(self) -> None:
+    def _apply_observation(self) -> None:
         if self._wanted and self._listener is None:
             event = Var()
             self._listener = self._dispatcher.listen(
-                ListenerPhase.TRACE, event, self._see, unused={event}
+                ListenerPhase.TRACE, event, self._count_event, unused={event}
             )  # what is not read stays out of the texts between the nodes
         elif not self._wanted and self._listener is not None:
             self._dispatcher.remove(self._listener)
             self._listener = None
 
-    def _see(self, term: Term, values: Tuple[Term, ...], start: int, end: int, after: Frame) -> Frame:
-        """Count an event, and keep its text where not many of its kind have been."""
+    def _count_event(self, term: Term, values: Tuple[Term, ...], start: int, end: int, after: Frame) -> Frame:
+        """Count an event, and store its text unless its functor has reached `MAX_WRITTEN_PER_SNAPSHOT`."""
         if term is _NO_EVENT:
             return after
         key = term[0] if term.__class__ is tuple else getattr(term, "functor", None)
@@ -139,33 +140,33 @@ class RecentEvents:
         if kind is None:
             if len(self._kinds) >= MAX_FUNCTORS:
                 key = None  # all others
-            kind = self._kinds.setdefault(key, _Kind())
+            kind = self._kinds.setdefault(key, _FunctorEvents())
         kind.number += 1
         kind.end = end
-        if kind.shown < AT_A_LOOK and key is not _UPDATED:
+        if kind.shown < MAX_WRITTEN_PER_SNAPSHOT and key is not _UPDATED:
             kind.shown += 1
             text, whole = event_beginning(self._show, term)
             kind.kept.append(RecentEvent(next(self._serial), text, whole, int(start), int(end)))
         return after
 
     def look(self) -> List[RecentEvent]:
-        """Return the last events, the newest first; others are written out after that."""
-        found: List[RecentEvent] = []
+        """Return the last events, the newest first, and allow further ones to be written."""
+        events: List[RecentEvent] = []
         for kind in list(self._kinds.values()):
             kind.shown = 0
-            found += kind.kept.copy()
-        found.sort(reverse=True)
-        return found[:MAX_SHOWN_EVENTS]
+            events += kind.kept.copy()
+        events.sort(reverse=True)
+        return events[:MAX_SHOWN_EVENTS]
 
     def counts(self) -> Dict[str, EventCount]:
-        """Return the counts by functor."""
+        """Return the counts by functor; the key ``others`` has those beyond `MAX_FUNCTORS`."""
         return {
             "others" if key is None else str(key): EventCount(kind.number, int(kind.end))
             for key, kind in list(self._kinds.items())
         }
 
     def find(self, serial: int) -> Optional[Term]:
-        """Return an event as a term to explain, ``event(Term,[T1,T2])``; None where it is no longer kept."""
+        """Return an event as a term to explain, ``event(Term,[T1,T2])``; None if it is no longer stored."""
         for kind in list(self._kinds.values()):
             for event in kind.kept.copy():
                 if event.serial == serial and event.whole:
@@ -176,32 +177,42 @@ class RecentEvents:
 
 
 def event_beginning(show: Any, term: Term) -> Tuple[str, bool]:
-    """Return the beginning of an event's text, and whether it is all of it; long lists are not even made."""
-    left = [MAX_EVENT_PARTS]
-    text = show(_cut(term, left, MAX_EVENT_DEPTH))
-    return beginning(text, MAX_EVENT_CHARACTERS), left[0] > 0 and len(text) <= MAX_EVENT_CHARACTERS
+    """Return the beginning of an event's text, and whether it is complete.
+
+    The term is cut before it is written: an image or a point cloud would take milliseconds.
+    """
+    budget = [MAX_EVENT_PARTS]
+    text = show(_truncated(term, budget, MAX_EVENT_DEPTH))
+    return beginning(text, MAX_EVENT_CHARACTERS), budget[0] > 0 and len(text) <= MAX_EVENT_CHARACTERS
 
 
-def _cut(term: Term, left: List[int], depth: int) -> Term:
-    """Return a term with dots in place of what is too much; ``left`` is 0 then."""
+def _truncated(term: Term, budget: List[int], depth: int) -> Term:
+    """Return a term in which subterms beyond the limits are replaced by dots.
+
+    Args:
+        term: the term.
+        budget: one number, how many further subterms may be written; 0 after something was replaced.
+        depth: how many further levels may be written.
+    """
     if term.__class__ is Lazy and term.made is None and term.functor is CONS:
-        left[0] = 0  # the numbers of an array
+        # An array of numbers that has not been decoded: reading its elements would decode it.
+        budget[0] = 0
         return _CUT
     term = deref(term)
     if term is NOT_READ:
-        return _dots(left)
+        return _ellipsis(budget)
     if term.__class__ is not tuple:
-        return term if _is_short(term) else _dots(left)
-    if left[0] <= 0 or depth == 0 or len(term) > MAX_EVENT_PARTS:
-        return _dots(left)
+        return term if _is_short(term) else _ellipsis(budget)
+    if budget[0] <= 0 or depth == 0 or len(term) > MAX_EVENT_PARTS:
+        return _ellipsis(budget)
     if term[0] is CONS:
-        return _cut_list(term, left, depth)
-    left[0] -= 1
-    return (term[0], *[_cut(part, left, depth - 1) for part in term[1:]])
+        return _truncated_list(term, budget, depth)
+    budget[0] -= 1
+    return (term[0], *[_truncated(part, budget, depth - 1) for part in term[1:]])
 
 
 def _is_short(term: Any) -> bool:
-    """Tell whether an atom, a text or a number is one that can be written out."""
+    """Return whether an atom, a string or a number is short enough to be written."""
     if term.__class__ is int:
         return bool(term.bit_length() <= MAX_EVENT_CHARACTERS)
     return (
@@ -210,46 +221,46 @@ def _is_short(term: Any) -> bool:
     )
 
 
-def _cut_list(term: Any, left: List[int], depth: int) -> Term:
+def _truncated_list(term: Any, budget: List[int], depth: int) -> Term:
     items: List[Term] = []
-    while term.__class__ is tuple and term[0] is CONS and left[0] > 0:
-        left[0] -= 1
-        items.append(_cut(term[1], left, depth - 1))
+    while term.__class__ is tuple and term[0] is CONS and budget[0] > 0:
+        budget[0] -= 1
+        items.append(_truncated(term[1], budget, depth - 1))
         term = deref(term[2])
     if term.__class__ is tuple and term[0] is CONS:
         return make_list([*items, _CUT])
-    found = term if term is NIL else _cut(term, left, depth - 1)
+    result = term if term is NIL else _truncated(term, budget, depth - 1)
     for item in reversed(items):
-        found = (CONS, item, found)
-    return found
+        result = (CONS, item, result)
+    return result
 
 
-def _dots(left: List[int]) -> Term:
-    left[0] = 0
+def _ellipsis(budget: List[int]) -> Term:
+    budget[0] = 0
     return _CUT
 
 
-LOOKS = 5
-"""Looks over which rates are taken."""
+RATE_SNAPSHOTS = 5
+"""Number of snapshots over which rates are averaged."""
 
 MAX_SHOWN_TOPICS = 100
-"""Topics that are shown."""
+"""Limit for the topics in a snapshot."""
 
 Json = Dict[str, Any]
 
 
 class TopicLook(NamedTuple):
-    """A subscribed topic.
+    """A subscribed topic. Unknown values are None.
 
     Attributes:
-        name: its name.
-        kind: the type of its messages.
-        messages: how many have come; None where whoever receives them does not say.
-        publishers: how many there are; None where that is not known.
-        dropped: how many messages were not taken; None where that is not known.
-        age: how many seconds ago the last one came; None where there was none.
-        lag: by how many seconds it came later than its stamp says; None where that is not known.
-        event: what its events are called, where that is not the type's.
+        name: name of the topic.
+        kind: message type.
+        messages: number of received messages.
+        publishers: number of connected publishers.
+        dropped: number of messages that were dropped or refused.
+        age: seconds since the last message.
+        lag: seconds from the stamp of a recent message to its receipt.
+        event: name of the events; "" if it is derived from the type.
     """
 
     name: str
@@ -263,18 +274,18 @@ class TopicLook(NamedTuple):
 
     @property
     def event_name(self) -> str:
-        """The name of its events."""
+        """Name of the topic's events."""
         return self.event or functor_name(self.kind)
 
 
 class DashboardSource(NamedTuple):
-    """What a page is about.
+    """The program that a page shows.
 
     Attributes:
-        engine: the running program.
-        title: what to call it.
-        topics: gives the topics that it subscribes.
-        queries: whether those who have the page may ask.
+        engine: engine of the program.
+        title: title of the page.
+        topics: returns the subscribed topics.
+        queries: whether users of the page may ask goals.
     """
 
     engine: Engine
@@ -284,11 +295,15 @@ class DashboardSource(NamedTuple):
 
 
 class Snapshots:
-    """Looks at an engine again and again.
+    """Successive snapshots of a program.
 
     Args:
-        source: what is looked at.
-        clock: gives seconds.
+        source: the program.
+        clock: monotonic clock in seconds.
+
+    Attributes:
+        events: the recent events.
+        graph: the graph of the program, a new object after each change.
     """
 
     def __init__(self, source: DashboardSource, clock: Callable[[], float] = time.monotonic):
@@ -296,29 +311,30 @@ class Snapshots:
         self._engine = source.engine
         self._clock = clock
         self.events = RecentEvents(source.engine)
-        self._looks: Deque[Tuple[float, Dict[str, int]]] = deque(maxlen=LOOKS + 1)
+        self._history: Deque[Tuple[float, Dict[str, int]]] = deque(maxlen=RATE_SNAPSHOTS + 1)
         self._topics: List[GraphTopic] = []
         self._graph_key: object = None
         self.graph: Json = {}
 
     def begin(self) -> None:
-        """Forget what rates were taken from: there was nobody to look for a while."""
-        self._looks.clear()
+        """Discard former snapshots, which are too old for rates after a time without an open page."""
+        self._history.clear()
 
     def take(self) -> Json:
-        """Return what there is to see now."""
+        """Return a snapshot."""
         status = self._engine.status()
+        # No lock of the engine is held: the parts may be a few events apart, and the engine is not slowed down.
         topics = list(self._source.topics())[:MAX_SHOWN_TOPICS]
         counts = self.events.counts()
         numbers = {"taken": status.taken, "fired": status.fired}
         numbers.update({f"rule:{at}": rule.fired for at, rule in enumerate(status.rules)})
-        numbers.update({f"memory:{one.id}": one.added for one in status.memories})
-        for one in status.subscriptions:
-            name = f"output:{beginning(one.topic)}"
-            numbers[name] = numbers.get(name, 0) + one.sent
-        numbers.update({f"event:{key}": one.number for key, one in counts.items()})
-        rows = [self._topic(one, counts, status.now, numbers) for one in topics]
-        self._draw([GraphTopic(one.name, one.event_name) for one in topics])
+        numbers.update({f"memory:{item.id}": item.added for item in status.memories})
+        for item in status.subscriptions:
+            name = f"output:{beginning(item.topic)}"
+            numbers[name] = numbers.get(name, 0) + item.sent
+        numbers.update({f"event:{key}": item.number for key, item in counts.items()})
+        rows = [self._topic(item, counts, status.now, numbers) for item in topics]
+        self._update_graph([GraphTopic(item.name, item.event_name) for item in topics])
         return {
             "title": self._source.title,
             "queries": self._source.queries,
@@ -328,31 +344,31 @@ class Snapshots:
             "rates": self._rates(numbers),
             "topics": rows,
             "events": [
-                {**one._asdict(), "start": one.start / SECOND, "end": one.end / SECOND}
-                for one in self.events.look()
+                {**item._asdict(), "start": item.start / SECOND, "end": item.end / SECOND}
+                for item in self.events.look()
             ],
             **_shown(status),
         }
 
-    def _topic(self, one: TopicLook, counts: Any, now: int, numbers: Dict[str, int]) -> Json:
-        """Return what is shown of a topic: where whoever receives it tells nothing, what its events tell."""
-        row = one._asdict()
-        name = one.event_name
-        found = [count for key, count in counts.items() if key.rpartition("/")[0] == name]
-        number = one.messages
-        if number is None and found:
-            number = sum(count.number for count in found)
-            row["age"] = (now - max(count.end for count in found)) / SECOND
+    def _topic(self, topic: TopicLook, counts: Any, now: int, numbers: Dict[str, int]) -> Json:
+        """Return the row of a topic; if the counters of its receiver are unknown, its events are counted instead."""
+        row = topic._asdict()
+        name = topic.event_name
+        matching = [count for key, count in counts.items() if key.rpartition("/")[0] == name]
+        number = topic.messages
+        if number is None and matching:
+            number = sum(count.number for count in matching)
+            row["age"] = (now - max(count.end for count in matching)) / SECOND
         if number is not None:
-            numbers[f"topic:{one.name}"] = number
+            numbers[f"topic:{topic.name}"] = number
         row["messages"] = number
         return row
 
     def _rates(self, numbers: Dict[str, int]) -> Dict[str, float]:
-        """Return by how much the numbers have grown a second."""
+        """Return the growth per second of each counter, since the oldest stored snapshot."""
         now = self._clock()
-        self._looks.append((now, numbers))
-        then, before = self._looks[0]
+        self._history.append((now, numbers))
+        then, before = self._history[0]
         if now <= then:
             return {}
         return {
@@ -361,8 +377,8 @@ class Snapshots:
             if name in before
         }
 
-    def _draw(self, topics: List[GraphTopic]) -> None:
-        """Draw the program anew where it has changed."""
+    def _update_graph(self, topics: List[GraphTopic]) -> None:
+        """Update the graph if the program has changed."""
         key = graph_key(self._engine, topics)
         if key != self._graph_key:
             self._graph_key = key
@@ -381,7 +397,7 @@ _INSTANTS = frozenset(("now", "next_alarm", "last_fired", "oldest", "newest", "s
 
 
 def _shown(status: Status) -> Json:
-    """Return a status with seconds in place of nanoseconds, which JavaScript's numbers cannot hold."""
+    """Return a status in seconds instead of nanoseconds, which exceed the integer range of JavaScript's numbers."""
 
     def seconds(value: Any, name: str = "") -> Any:
         if isinstance(value, dict):
@@ -396,52 +412,53 @@ def _shown(status: Status) -> Json:
 log = logging.getLogger("retalis")
 
 MAX_OPEN_PAGES = 8
-"""Pages that may be open at once."""
+"""Limit for open pages."""
 
 PERIOD = 1.0
-"""Seconds from one look to the next."""
+"""Default time in seconds between two snapshots."""
 
 
 class Client:
-    """An open page: the newest numbers wait for it, older ones that it did not take in time are gone.
+    """An open page, with room for one snapshot: a newer one replaces it if the page has not read it.
 
     Attributes:
-        events: whether it shows the last events.
-        graph: the one that it has been given last.
+        events: whether the page shows recent events.
+        graph: the graph that the page has received last.
     """
 
     def __init__(self, events: bool) -> None:
         self.events = events
         self.graph: Any = None
-        self._drawn = self._look = b""
+        self._graph_data = self._look = b""
         self._ready = asyncio.Event()
 
     def put(self, look: bytes, drawn: bytes = b"") -> None:
-        """Have numbers sent next, and a graph before, in place of those that wait."""
+        """Store a snapshot to send next, and optionally a graph to send before it."""
         self._look = look
-        self._drawn = drawn or self._drawn
+        # A graph is sent once, so it must not be lost if the page skips this snapshot.
+        self._graph_data = drawn or self._graph_data
         self._ready.set()
 
     def end(self) -> None:
-        """Have nothing sent any more."""
-        self._look = self._drawn = b""
+        """End the stream of the page."""
+        self._look = self._graph_data = b""
         self._ready.set()
 
     async def next(self) -> bytes:
-        """Return what is to be sent next; nothing where the page is closed."""
+        """Wait for data to send, and return it; empty if the stream has ended."""
         await self._ready.wait()
         self._ready.clear()
-        data = self._drawn + self._look
-        self._look = self._drawn = b""
+        data = self._graph_data + self._look
+        self._look = self._graph_data = b""
         return data
 
 
 class LiveUpdates:
-    """All open pages. Everything here runs in the thread of the server.
+    """Distribution of snapshots to all open pages. All methods run in the thread of the server.
 
     Args:
-        snapshots: give what is shown.
-        period: seconds from one look to the next.
+        snapshots: source of the snapshots.
+        period: seconds between two snapshots.
     """
 
     def __init__(self, snapshots: Snapshots, period: float = PERIOD):
@@ -452,50 +469,52 @@ class LiveUpdates:
         self._failed = ""
 
     def enter(self, events: bool) -> Optional[Client]:
-        """Return a page that has been opened; None where there are too many.
+        """Add and return a page; return None if there are too many.
 
         Args:
-            events: whether it shows the last events, for which the engine is listened to.
+            events: whether the page shows recent events, for which a listener is registered in the engine.
         """
         if len(self._clients) >= MAX_OPEN_PAGES:
             return None
         client = Client(events)
         self._clients.append(client)
-        self._watch()
+        self._update_observation()
         if self._work is None:
             self._snapshots.begin()
             self._work = asyncio.ensure_future(self._run())
         return client
 
     def leave(self, client: Client) -> None:
-        """Forget a page that has been closed; leaving twice is no error."""
+        """Remove a closed page; further calls have no effect."""
         if client in self._clients:
             self._clients.remove(client)
-            self._watch()
+            self._update_observation()
 
     def close(self) -> None:
-        """Forget all pages."""
+        """Remove all pages, and end their streams."""
         for client in self._clients:
             client.end()
         self._clients = []
-        self._watch()
+        self._update_observation()
 
-    def _watch(self) -> None:
+    def _update_observation(self) -> None:
         self._snapshots.events.watch(any(client.events for client in self._clients))
 
     async def _run(self) -> None:
-        """Look and tell all pages until none is open."""
+        """Send a snapshot to all pages periodically, until none is open."""
         while self._clients:
             try:
-                self._tell()
-            except Exception as error:  # the pages that are open stay so; the next look may succeed
+                self._send_snapshot()
+            # The status is read while the engine works. A failure must not end the stream of the open pages; it is
+            # logged once, as the next snapshot may fail for the same reason.
+            except Exception as error:
                 if repr(error) != self._failed:
                     self._failed = repr(error)
                     log.exception("internal error: the dashboard cannot look at the program")
             await asyncio.sleep(self._period)
         self._work = None
 
-    def _tell(self) -> None:
+    def _send_snapshot(self) -> None:
         look = _sent("look", self._snapshots.take())
         graph = self._snapshots.graph
         drawn = b""
@@ -509,5 +528,5 @@ class LiveUpdates:
 
 
 def _sent(event: str, data: Dict[str, Any]) -> bytes:
-    """Return data as an event of a stream."""
+    """Return data as a server-sent event."""
     return f"event: {event}\ndata: {printable_json(data)}\n\n".encode()

@@ -1,4 +1,7 @@
-"""The state of node ``retalis`` in a file: taken up at the start, kept while the node runs."""
+"""Checkpoint file of node ``retalis``: restored at the start, written periodically while the node runs.
+
+A file that does not fit the program is renamed, and the node starts without state.
+"""
 
 import time
 from typing import Callable, Optional
@@ -15,14 +18,14 @@ from .parameters import Parameters
 
 
 class StateFile:
-    """The file of parameter ``~checkpoint``, if there is one.
+    """The file of parameter ``~checkpoint``, which may be unset.
 
     Args:
-        parameters: of the node.
-        reports: takes what goes wrong.
+        parameters: parameters of the node.
+        reports: receives the errors of writing.
 
     Attributes:
-        resumed: whether the engine goes on from the file, so that its program is there already.
+        resumed: whether the engine was restored from the file, with its program loaded.
     """
 
     def __init__(self, parameters: Parameters, reports: Reports):
@@ -33,54 +36,55 @@ class StateFile:
         self._files: Optional[ProgramFiles] = None
 
     def engine(self, clock: Callable[[], Clock], definitions: Definitions) -> Engine:
-        """Return the engine of the node: one that goes on from the file, or a new one.
+        """Return the engine of the node: restored from the file, or a new one.
 
         Args:
-            clock: makes its clock.
-            definitions: the message types that are known.
+            clock: creates a clock; called again if restoring fails.
+            definitions: known message types.
         """
         parameters = self._parameters
         path = parameters.checkpoint
         if path is not None:
             try:
-                found = resume(
+                restored = resume(
                     path, parameters.program, clock(), parameters.settings, self._reports, definitions
                 )
             except RetalisError as error:
-                self._refuse(error)
-                found = None
-            if found is not None:
+                self._set_aside(error)
+                restored = None
+            if restored is not None:
                 self.resumed = True
-                self._files = found[1].files
-                self._tell(*found)
-                return found[0]
+                self._files = restored[1].files
+                self._log_restored(*restored)
+                return restored[0]
         return Engine(clock(), parameters.settings, self._reports, definitions)
 
-    def _refuse(self, error: RetalisError) -> None:
+    def _set_aside(self, error: RetalisError) -> None:
         path = self._parameters.checkpoint
         assert path is not None
         try:
-            where = f"the file is kept as {put_aside(path)}"
-        except RetalisError as second:
-            where = f"{second.message}, so no state is kept"
+            outcome = f"the file is kept as {put_aside(path)}"
+        except RetalisError as rename_error:
+            outcome = f"{rename_error.message}, so no state is kept"
             self._usable = False
-        rospy.logwarn("%s is not taken up: %s. The node starts fresh; %s", path, error.message, where)
+        rospy.logwarn(
+            "%s is not restored: %s: the node starts without state; %s", path, error.message, outcome
+        )
 
-    def _tell(self, engine: Engine, found: Checkpoint) -> None:
-        parts = engine
-        records = sum(len(one.memory) for one in parts.knowledge.memories)
+    def _log_restored(self, engine: Engine, restored: Checkpoint) -> None:
+        records = sum(len(one.memory) for one in engine.knowledge.memories)
         rospy.loginfo(
-            "goes on from %s, written %.1f s ago: %s with %s, %s, %s",
+            "restored from %s, written %.1f s ago: %s with %s, %s, %s",
             self._parameters.checkpoint,
-            time.time() - found.made,
+            time.time() - restored.made,
             engine.summary(),
             counted(records, "record"),
-            counted(parts.rules.waiting, "partial match", "partial matches"),
-            counted(len(parts.knowledge.waiting), "waiting query", "waiting queries"),
+            counted(engine.rules.waiting, "partial match", "partial matches"),
+            counted(len(engine.knowledge.waiting), "waiting query", "waiting queries"),
         )
 
     def begin(self, engine: Engine) -> None:
-        """Keep the engine's state from now on, until the node ends."""
+        """Start to write the engine's state periodically, until the node ends."""
         path = self._parameters.checkpoint
         if path is None or not self._usable:
             return
@@ -89,6 +93,7 @@ class StateFile:
         except RetalisError as error:
             rospy.logerr("parameter ~checkpoint: %s", error.message)
             return
-        kept = Checkpointer(engine, file, self._parameters.program, self._reports, files=self._files)
-        kept.begin()
-        rospy.on_shutdown(kept.end)
+        # The files that the restored program was read from, which may have changed since.
+        checkpointer = Checkpointer(engine, file, self._parameters.program, self._reports, files=self._files)
+        checkpointer.begin()
+        rospy.on_shutdown(checkpointer.end)

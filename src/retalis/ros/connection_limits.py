@@ -1,13 +1,13 @@
 """Limits on connections to a node: the handshakes at its TCPROS port and the requests at its XML-RPC port.
 
 rospy reads the header of a new TCPROS connection in the thread that accepts connections, so one idle client holds up
-all others, and its XML-RPC server has a thread for each connection, without an end. `limit_connections` gives rospy
-subclasses of both servers. A `ConnectionTable` holds the unfinished connections of a server in the order of their
-deadlines, at most so many of one address and in all. One more than that closes the oldest one, so a client that sends
-its header at once is served, whatever its neighbours do.
+all others, and its XML-RPC server starts a thread for each connection, without a limit. `limit_connections` replaces
+both servers of rospy by subclasses. A `ConnectionTable` stores the unfinished connections of a server in the order of
+their deadlines, with a limit per address and in total. A connection beyond a limit closes the oldest one, so a client
+that sends its header at once is served, whatever other clients do.
 
-To close a connection is to shut its socket down: its owner, which is the loop or a thread, then reads the end of the
-stream and closes it.
+A connection is closed by shutting down its socket: its owner, the loop or a thread, then reads the end of the stream
+and closes it. A socket that another thread uses must not be closed, because its number may be reused at once.
 """
 
 import errno
@@ -30,55 +30,58 @@ from rospy.impl import tcpros_base
 from ..foundation.errors import beginning, printable
 
 BACKLOG = 1024
-"""Connections that the system holds until the node accepts them, if `net.core.somaxconn` allows it.
+"""Limit for connections that wait until the node accepts them, if `net.core.somaxconn` allows it.
 
-Those beyond are not answered; the client's system tries again after 1, 3 and 7 seconds.
+Further connections are not answered; the client's system tries again after 1, 3 and 7 seconds.
 """
 
 HANDSHAKE_SECONDS = 5.0
 MAX_HANDSHAKES = 256
 MAX_HANDSHAKES_PER_ADDRESS = 192
 MAX_HEADER_BYTES = 1 << 18
-"""Bytes of a connection's header, which may contain the definition of a message type."""
+"""Limit for a connection's header, which may contain the definition of a message type."""
 
 REQUEST_SECONDS = 30.0
-"""Seconds that an XML-RPC connection has for its next request, from the previous one on."""
+"""Seconds after which an XML-RPC connection without a further request is closed."""
 
 MAX_REQUEST_CONNECTIONS = 128
 MAX_REQUEST_CONNECTIONS_PER_ADDRESS = 96
 MAX_REQUEST_BYTES = 1 << 18
 
 REPORT_SECONDS = 10.0
-"""Seconds from the first connection that is closed to the line that reports all until then."""
+"""Seconds after the first closed connection until one line reports all of them."""
 
 MAX_REASONS = 5
 MAX_REASON_CHARACTERS = 400
-"""Reasons that one line shows, and characters of each: some contain text of the client."""
+"""Limits for the reasons in one line and the characters of each reason, which may contain text of the client."""
 
 LOOP_SECONDS = 1.0
-"""Seconds after which a loop looks for deadlines and for the end of the node at the latest."""
+"""Longest interval in seconds between two checks of deadlines and of the node's shutdown."""
 
 _NO_RESOURCES = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
 
 OWNER_PAUSE = 0.001
 NO_FILES_PAUSE = 0.1
-"""Seconds until the next try to accept a connection without free files, with and without a connection to close."""
+"""Seconds until the next attempt to accept a connection without free file descriptors.
+
+The first applies if a connection could be closed, the second otherwise.
+"""
 
 Now = Callable[[], float]
 Address = Tuple[Any, ...]
-"""Host and port, and more for IPv6."""
+"""Host and port; further parts for IPv6."""
 
 
 class ClosedConnections:
-    """Counts connections that were closed by a limit, and logs one line for all of an interval.
+    """Counts connections that were closed by a limit, and logs one line per interval.
 
     Args:
-        server: the name of the server in the log.
-        warn: takes the line.
-        now: a clock in seconds.
+        server: name of the server in the log.
+        warn: receives the line.
+        now: clock in seconds.
 
     Attributes:
-        total: how many there were.
+        total: number of closed connections.
     """
 
     def __init__(self, server: str, warn: Callable[[str], object] = rospy.logwarn, now: Now = time.monotonic):
@@ -92,11 +95,13 @@ class ClosedConnections:
         self.total = 0
 
     def count(self, reason: str, address: str) -> None:
-        """Count a connection."""
+        """Count a closed connection."""
         with self._lock:
             if not self._reasons:
                 self._due = self._now() + REPORT_SECONDS
             reason = printable(beginning(reason, MAX_REASON_CHARACTERS))
+            # A client can vary the reason with each connection: neither memory nor the line may grow with their
+            # number.
             if reason not in self._reasons and len(self._reasons) >= MAX_REASONS:
                 reason = "other reasons"
             self._reasons[reason] += 1
@@ -104,13 +109,14 @@ class ClosedConnections:
             self.total += 1
 
     def report(self) -> None:
-        """Log what was counted, if an interval has passed since the first one."""
+        """Log the counts if `REPORT_SECONDS` have passed since the first connection."""
         with self._lock:
             if not self._reasons or self._now() < self._due:
                 return
             reasons = ", ".join(f"{reason} ({count})" for reason, count in self._reasons.items())
             number = sum(self._reasons.values())
             self._reasons.clear()
+        # Outside of the lock: a log handler may block, and `count` is called while connections are accepted.
         self._warn(
             f"{self._server}: {number} connections closed ({self.total} so far),"
             f" the last one of {self._last}: {reasons}"
@@ -126,12 +132,12 @@ class ConnectionTable:
     """The unfinished connections of a server, the one with the earliest deadline first.
 
     Args:
-        seconds: until the deadline of a connection.
-        most: connections in all.
-        most_per_address: connections of one address.
-        closed: counts those that are closed.
-        now: a clock in seconds.
-        may_idle: whether a connection may have nothing to finish, so that its end at the deadline is not counted.
+        seconds: time until the deadline of a connection.
+        most: limit for all connections.
+        most_per_address: limit for the connections of one address.
+        closed: counts the closed connections.
+        now: clock in seconds.
+        may_idle: whether a connection may be idle, so that its end at the deadline is not counted.
     """
 
     def __init__(
@@ -157,18 +163,21 @@ class ConnectionTable:
         return len(self._entries)
 
     def add(self, sock: socket.socket, address: str) -> None:
-        """Add a connection; if there are too many, close the oldest one of the address or of all."""
+        """Add a connection; beyond a limit, close the oldest one of its address or of all."""
         with self._lock:
             if self._by_address[address] >= self._most_per_address:
-                oldest = next(other for other, entry in self._entries.items() if entry.address == address)
+                oldest = next(
+                    candidate for candidate, entry in self._entries.items() if entry.address == address
+                )
                 self._close(oldest, f"more than {self._most_per_address} unfinished ones of one address")
             elif len(self._entries) >= self._most:
                 self._close_oldest(f"more than {self._most} unfinished ones")
+            # All deadlines are equally far away, so insertion order is the order of the deadlines.
             self._entries[sock] = _OpenConnection(address, self._now() + self._seconds)
             self._by_address[address] += 1
 
     def renew(self, sock: socket.socket) -> None:
-        """Give a connection that is still in the table a new deadline."""
+        """Set a new deadline for a connection that is still in the table."""
         with self._lock:
             entry = self._entries.pop(sock, None)
             if entry is not None:
@@ -187,11 +196,12 @@ class ConnectionTable:
                 self._close_oldest("" if self._may_idle else f"not finished within {self._seconds:g} s")
 
     def make_room(self) -> None:
-        """Close the oldest connection, because the process can open no more files, and give its owner time for it."""
+        """Close the oldest connection because the process has no free file descriptor, and wait for its owner."""
         with self._lock:
             pause = OWNER_PAUSE if self._entries else NO_FILES_PAUSE
             if self._entries:
                 self._close_oldest("no more files can be opened")
+        # The descriptor becomes free when the owner closes the socket. Without a pause, the accept loop would spin.
         time.sleep(pause)
 
     def _close_oldest(self, reason: str) -> None:
@@ -207,7 +217,7 @@ class ConnectionTable:
         entry = self._entries.pop(sock, None)
         if entry is None:
             return
-        # The count of an address must not outlive its last connection: addresses are many.
+        # The count of an address is removed with its last connection, because the number of addresses is unbounded.
         self._by_address[entry.address] -= 1
         if not self._by_address[entry.address]:
             del self._by_address[entry.address]
@@ -217,12 +227,12 @@ def _shut_down(sock: socket.socket) -> None:
     """End the stream of a socket in both directions, which wakes a thread that reads or writes it."""
     try:
         sock.shutdown(socket.SHUT_RDWR)
-    except OSError:  # its peer or its owner has closed it
+    except OSError:  # the peer or the owner has closed it already
         pass
 
 
 class HeaderReader:
-    """Reads the header of one connection as its bytes come, and not a byte of what follows it."""
+    """Incremental reader of one connection's header, which reads no byte beyond the header."""
 
     def __init__(self, sock: socket.socket):
         self._socket = sock
@@ -230,11 +240,11 @@ class HeaderReader:
         self._size = 4
 
     def read(self) -> Optional[bytes]:
-        """Read what there is; return the header with its length if it is complete.
+        """Read the available bytes; return the header with its length if it is complete.
 
         Raises:
-            OSError: if the connection has ended before.
-            ValueError: if the header is too long.
+            OSError: if the connection has ended before the header was complete.
+            ValueError: if the header is longer than `MAX_HEADER_BYTES`.
         """
         while True:
             try:
@@ -246,6 +256,8 @@ class HeaderReader:
             self._data += data
             if len(self._data) < self._size:
                 continue
+            # The first 4 bytes are the length of the rest. They are part of the result, as rospy's parser expects
+            # them.
             if self._size > 4:
                 return bytes(self._data)
             (length,) = unpack("<I", self._data)
@@ -257,10 +269,10 @@ class HeaderReader:
 
 
 class EstablishedConnections:
-    """The connections whose handshake is done, until rospy drops their sockets.
+    """The connections after their handshakes, until rospy drops their sockets.
 
-    Each takes a thread and a file. Their number is bounded by the files that the process may open; one address has
-    three quarters of that at most, so that it cannot shut out the others.
+    Each needs a thread and a file descriptor. Their limit is derived from the process's limit for open files; one
+    address may have at most three quarters of them, so that it cannot exclude the others.
     """
 
     def __init__(self, most: Optional[int] = None):
@@ -274,17 +286,19 @@ class EstablishedConnections:
 
     @property
     def limits(self) -> str:
-        """The numbers, for a message."""
+        """The limits as text for a message."""
         return f"{self._most_per_address} of one address, {self._most} in all"
 
     def add(self, sock: socket.socket, address: str) -> bool:
-        """Add a connection; return False if there are too many."""
+        """Add a connection; return False if a limit is reached."""
         with self._lock:
+            # rospy does not report the end of a connection, so closed sockets are found by their descriptor. The
+            # weak set forgets sockets that were garbage collected.
             counts = {}
-            for known, sockets in list(self._by_address.items()):
-                counts[known] = sum(1 for other in list(sockets) if other.fileno() >= 0)
-                if not counts[known]:
-                    del self._by_address[known]
+            for known_address, sockets in list(self._by_address.items()):
+                counts[known_address] = sum(1 for established in list(sockets) if established.fileno() >= 0)
+                if not counts[known_address]:
+                    del self._by_address[known_address]
             if sum(counts.values()) >= self._most or counts.get(address, 0) >= self._most_per_address:
                 return False
             self._by_address.setdefault(address, WeakSet()).add(sock)
@@ -292,9 +306,9 @@ class EstablishedConnections:
 
 
 class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignore[misc]
-    """rospy's server of the TCPROS port, with handshakes that do not delay each other.
+    """rospy's server of the TCPROS port, with concurrent handshakes.
 
-    One thread accepts connections and reads headers as their bytes come. A complete header is answered by rospy's
+    One thread accepts connections and reads headers as their bytes arrive. A complete header is answered by rospy's
     handler, in a thread that ends with the handshake.
     """
 
@@ -304,7 +318,7 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
         return sock
 
     def run(self) -> None:
-        """Serve until rospy shuts the server down; as rospy does if its parts are not the expected ones."""
+        """Serve until rospy shuts the server down; use rospy's loop if its internals are not the expected ones."""
         self._rospy_server: Any = getattr(self.inbound_handler, "__self__", None)
         if not all(hasattr(self._rospy_server, name) for name in _HANDLERS):
             _warn_of_fallback()
@@ -329,8 +343,8 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
         self._selector.register(listening, selectors.EVENT_READ)
         while not self.is_shutdown:
             is_new = False
-            # Headers that have come are read before the next connection is accepted: no connection is closed
-            # for a newer one while its header waits in the system's buffer.
+            # Headers that have arrived are read before the next connection is accepted. Otherwise a connection could
+            # be closed in favour of a newer one although its header waits in the kernel's buffer.
             for key, _ in self._selector.select(LOOP_SECONDS):
                 if key.data is None:
                     is_new = True
@@ -342,7 +356,7 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
             self.closed.report()
 
     def _is_logged(self, record: logging.LogRecord) -> bool:
-        """Count the connections of service clients that ended without a request; rospy logs an error for each."""
+        """Count connections of service clients that ended without a request, in place of rospy's error for each."""
         if not str(record.msg).startswith("incoming connection failed"):
             return True
         self.closed.count("ended before the request of a service", "a service's client")
@@ -354,19 +368,20 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
         except OSError as error:
             if error.errno in _NO_RESOURCES:
                 self._handshakes.make_room()
-            return  # the client has gone, or the server is being shut down
+            return  # the client has closed the connection, or the server is being shut down
         sock.setblocking(False)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         self._handshakes.add(sock, address[0])
         self._selector.register(sock, selectors.EVENT_READ, (address, HeaderReader(sock)))
 
     def _read(self, sock: Any, address: Address, reader: HeaderReader) -> None:
-        """Read what has come of a header; have it answered when it is complete."""
+        """Read available bytes of a header; start a thread that answers it when it is complete."""
         try:
             header = reader.read()
             if header is None:
                 return
             self._selector.unregister(sock)
+            # rospy's handlers and transports expect a blocking socket.
             sock.setblocking(True)
             threading.Thread(
                 target=self._answer, args=(sock, address, header), name="TCPROS handshake", daemon=True
@@ -382,12 +397,12 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
             sock.close()
 
     def _answer(self, sock: socket.socket, address: Address, data: bytes) -> None:
-        """Hand a connection to rospy's handler of topics or services; close it if that refuses it."""
+        """Pass a connection to rospy's handler of topics or services; close it if the handler refuses it."""
         try:
             refusal = self._refusal(sock, address, rosgraph.network.decode_ros_handshake_header(data))
             if refusal:
                 rosgraph.network.write_ros_handshake_header(sock, {"error": refusal})
-        except Exception as error:  # whatever rospy raises for a header that it does not expect
+        except Exception as error:  # rospy raises arbitrary exceptions for unexpected headers
             refusal = f"handshake failed: {error}"
             self.closed.count(refusal, address[0])
         finally:
@@ -396,7 +411,7 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
             sock.close()
 
     def _refusal(self, sock: socket.socket, address: Address, header: Dict[str, str]) -> str:
-        """Return why rospy or a limit refuses a connection, or "" if a transport of rospy has it now."""
+        """Return the reason why rospy or a limit refuses a connection, or "" if rospy has accepted it."""
         if rospy.core.is_shutdown_requested():
             return "node shutting down"
         if not self._established.add(sock, address[0]):
@@ -415,7 +430,7 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
 
 
 class RequestHandler(getattr(rosgraph.xmlrpc, "SilenceableXMLRPCRequestHandler", object)):  # type: ignore[misc]
-    """A connection to the XML-RPC server: each request has a deadline and a largest size."""
+    """Handler of a connection to the XML-RPC server, with a deadline and a size limit for each request."""
 
     def handle_one_request(self) -> None:
         """Wait for a request and answer it."""
@@ -438,11 +453,11 @@ class RequestHandler(getattr(rosgraph.xmlrpc, "SilenceableXMLRPCRequestHandler",
         self.send_error(413)
 
     def decode_request_content(self, data: bytes) -> Optional[bytes]:
-        """Return a request's text; refuse a document type, whose entities can be of any size in older parsers."""
+        """Return the text of a request; refuse a document type, whose entities expand without limit in old ones."""
         decoded: Optional[bytes] = super().decode_request_content(data)
-        if decoded is None:  # its encoding is refused already
+        if decoded is None:  # refused already because of its encoding
             return None
-        # Without the zeros UTF-16 and UTF-32 show the word, too.
+        # Without zero bytes, text in UTF-16 and UTF-32 contains the word, too.
         if b"<!DOCTYPE" in decoded.replace(b"\0", b"") or len(decoded) > MAX_REQUEST_BYTES:
             self.server.closed.count("requests with a document type, or too large", self.client_address[0])
             self.close_connection = True
@@ -452,14 +467,14 @@ class RequestHandler(getattr(rosgraph.xmlrpc, "SilenceableXMLRPCRequestHandler",
 
 
 class RequestServer(getattr(rosgraph.xmlrpc, "ThreadingXMLRPCServer", object)):  # type: ignore[misc]
-    """rospy's XML-RPC server, with bounds on its connections and threads."""
+    """rospy's XML-RPC server, with limits for its connections and threads."""
 
     def __init__(self, *args: Any, **keywords: Any):
         super().__init__(*args, **keywords)
         self.socket.listen(BACKLOG)
         self.RequestHandlerClass = RequestHandler
         self.closed = ClosedConnections(f"XML-RPC port {self.server_address[1]}")
-        # The master and other nodes keep a connection for their next request; they connect again when it has ended.
+        # The master and other nodes keep a connection open for their next request; they reconnect when it was closed.
         self.connections = ConnectionTable(
             REQUEST_SECONDS,
             MAX_REQUEST_CONNECTIONS,
@@ -475,7 +490,7 @@ class RequestServer(getattr(rosgraph.xmlrpc, "ThreadingXMLRPCServer", object)): 
         except OSError as error:
             if error.errno in _NO_RESOURCES:
                 self.connections.make_room()
-            raise  # the loop goes on
+            raise  # the server's loop ignores it and continues
 
     def process_request(self, request: socket.socket, client_address: Address) -> None:
         """Start the thread of a connection."""
@@ -504,10 +519,10 @@ _EXPECTED = (
     (rosgraph.xmlrpc, "SilenceableXMLRPCRequestHandler", ("do_POST", "decode_request_content")),
     (rosgraph.xmlrpc, "ThreadingXMLRPCServer", ("service_actions", "process_request", "shutdown_request")),
 )
-"""Parts of rospy that the subclasses use: modules, their names, and the attributes of these."""
+"""Internals of rospy that the subclasses use: modules, their names, and the attributes of these."""
 
 
-def _fits() -> bool:
+def _has_expected_internals() -> bool:
     return all(
         hasattr(module, name) and all(hasattr(getattr(module, name), attribute) for attribute in attributes)
         for module, name, attributes in _EXPECTED
@@ -515,15 +530,15 @@ def _fits() -> bool:
 
 
 def _warn_of_fallback() -> None:
-    rospy.logwarn("rospy: its servers are not the expected ones: connections to this node have no limits")
+    rospy.logwarn("rospy: its internals are not the expected ones: connections to this node have no limits")
 
 
 def limit_connections() -> None:
-    """Have rospy start limited servers; call this before `rospy.init_node`.
+    """Make rospy start limited servers; must be called before `rospy.init_node`.
 
-    If this rospy has other internals than expected, it stays as it is, and a warning says so.
+    If the internals of this rospy are not the expected ones, it is left unchanged, and a warning is logged.
     """
-    if not _fits():
+    if not _has_expected_internals():
         _warn_of_fallback()
         return
     tcpros_base.TCPServer = HandshakeServer

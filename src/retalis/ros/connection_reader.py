@@ -1,10 +1,13 @@
-"""Reading messages from the connections of a topic: in one loop, and several at a time where they come fast.
+"""Batched reading of messages from the connections of a topic.
 
-A wake-up of a thread, with its cold caches, costs more than the work on a message, and rospy's way from the
-socket to the callback comes on top. So a subscriber's connections get another `receive_once`, which reads,
-takes apart and hands on until the connection ends. Everything else stays rospy's: connecting, the header,
-connecting again, closing, statistics. Where its connections are made of something else than expected, they are
-left as they are, and rospy calls back for each message.
+A wake-up of a thread, with its cold caches, costs more than the processing of a message, and rospy's path from the
+socket to the callback adds to it. `read_by` therefore replaces `receive_once` of a subscriber's connections by a
+`ConnectionReader`: a loop that reads from the socket, splits the data into messages, and passes all complete messages
+of a read to the handler together. Fast topics are batched further: the socket option ``SO_RCVLOWAT`` lets the kernel
+wake the thread only when several messages have arrived (`Pace`).
+
+Everything else remains rospy's: connecting, the header, reconnecting, closing, statistics. If the internals of this
+rospy are not the expected ones, its connections are left unchanged, and rospy calls back for each message.
 """
 
 import socket
@@ -18,13 +21,13 @@ from rospy.core import is_shutdown
 from rospy.exceptions import TransportException, TransportTerminated
 
 BUFFER = 65536
-"""Bytes that are read at most at once. More would be a memory mapping of its own each time, and its page faults."""
+"""Limit in bytes for one read. A larger buffer would be a new memory mapping each time, with its page faults."""
 
 WINDOW = 128
-"""Wake-ups from one look at the pace to the next."""
+"""Wake-ups between two adjustments of the pace."""
 
 LATE = WINDOW // 32
-"""Waits of a window that may have been in vain."""
+"""Limit for the waits of a window that may time out before batching is given up."""
 
 MIN_FURTHER = 2
 """Further messages that must arrive within the hold time, on average, before the reader waits for them.
@@ -33,15 +36,15 @@ With a single one, a message would be delayed by a whole interval of its topic t
 """
 
 TIMEOUT = pack("ll", 0, 4000)
-"""How long the system waits for further messages: a ``timeval``, rounded up to its ticks (4 milliseconds mostly)."""
+"""Longest wait of the kernel for further messages: a ``timeval``, rounded up to its ticks (mostly 4 ms)."""
 
 NEVER = pack("ll", 0, 0)
 
 MAX_SINGLE_MESSAGE_WINDOWS = 64
-"""Windows at most without another try to wait for several messages."""
+"""Limit for the windows without batching, after which it is tried again."""
 
 ConnectionTaker = Callable[[Dict[str, str]], Callable[[List[bytes]], object]]
-"""Gives what takes messages, by the header of their connection."""
+"""Returns the handler of a connection's messages, by the connection's header."""
 
 _NEEDED = (
     "socket",
@@ -59,16 +62,17 @@ _size = Struct("<I").unpack_from
 
 
 class Pace:
-    """How many bytes there have to be at a connection before its thread is woken.
+    """Controls the number of bytes that must have arrived at a connection before its thread is woken.
 
-    If messages arrive one by one, and at least `MIN_FURTHER` more while the first is held, the system waits for
-    several (``SO_RCVLOWAT``). That needs no timer, unlike a sleep between two reads, which costs more than it saves.
-    If the further ones then stay away again and again (a burst has ended), each is read at once as before.
+    If messages arrive one by one, and at least `MIN_FURTHER` more while the first is held, the kernel waits for
+    several (``SO_RCVLOWAT``). This needs no timer, unlike a sleep between two reads, which costs more than it saves.
+    If the further messages fail to arrive more than `LATE` times in a window (a burst has ended), each message is
+    read at once again, for a number of windows that doubles with each failure.
 
     Args:
-        sock: the connection's socket.
+        sock: socket of the connection.
         hold: seconds for which a message may wait for the next ones, on average.
-        now: a clock.
+        now: clock in seconds.
     """
 
     def __init__(self, sock: socket.socket, hold: float, now: Callable[[], float] = time.monotonic):
@@ -80,54 +84,61 @@ class Pace:
         self._begin(1)
 
     def _begin(self, windows: int) -> None:
-        self._left = self._wakes = windows * WINDOW
-        self._bytes = self._messages = self._late = 0
+        self._remaining_wake_ups = self._wakes = windows * WINDOW
+        self._bytes = self._messages = self._timeouts = 0
         self._since = self._now()
 
     def note(self, size: int, messages: int) -> None:
-        """Note what a wake-up has brought; nothing where the wait was in vain."""
+        """Record the bytes and messages of a wake-up; both are 0 if the wait timed out."""
         self._bytes += size
         self._messages += messages
-        self._left -= 1
+        self._remaining_wake_ups -= 1
         if size < self.least:
-            self._late += 1
-            if self._late > LATE:
+            self._timeouts += 1
+            if self._timeouts > LATE:
                 self._pause = min(2 * self._pause, MAX_SINGLE_MESSAGE_WINDOWS)
                 self.wait_for(1)
                 self._begin(self._pause)
-        if not self._left:
-            self._look()
+        if not self._remaining_wake_ups:
+            self._adjust()
 
-    def _look(self) -> None:
-        """Choose how many messages to wait for, from what came in the last window."""
+    def _adjust(self) -> None:
+        """Choose the number of bytes to wait for, from the rate of the last window."""
         rate = self._messages / max(self._now() - self._since, 1e-9)
         further = int(rate * self._hold)
+        # If a wake-up delivers as many messages as the wait would, they arrive in groups already: waiting gains
+        # nothing.
         if further < MIN_FURTHER or (self.least == 1 and self._messages >= (further + 1) * self._wakes):
             self.wait_for(1)
         else:
             each = self._bytes // max(1, self._messages)
+            # One byte of the last message is enough: its rest arrives with the same segment in most cases, and
+            # otherwise the next read completes it.
             self.wait_for(min(further * each + 1, BUFFER // 4))
         self._begin(1)
 
     def wait_for(self, least: int) -> None:
-        """Have the next read wait for so many bytes, where the system can."""
+        """Set the number of bytes that the next read waits for; other systems than Linux do not support it."""
         if least == self.least or not sys.platform.startswith("linux"):
             return
         try:
+            # The timeout first: a socket with a low-water mark and no timeout would hold the last message of a
+            # burst forever.
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, TIMEOUT if least > 1 else NEVER)
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVLOWAT, least)
             self.least = least
-        except OSError as error:  # it has been closed, which the next read tells
+        except OSError as error:  # the socket was closed, which the next read reports
             rospy.logdebug("the receive rate of a connection stays as it was: %s", error)
 
 
 class ConnectionReader:
-    """The `receive_once` of one connection.
+    """Replacement of `receive_once` of one connection.
 
     Args:
         link: rospy's connection.
-        subscriber: whose it is; where others have subscribed the topic in this process too, rospy calls all of them.
-        taker: gives what takes the messages of a wake-up, as a list of bytes, by the connection's header.
+        subscriber: owner of the connection. If this process has further subscribers of the topic, rospy calls all
+            of them.
+        taker: returns the handler of the messages of a wake-up, a list of bytes, by the connection's header.
         hold: see `Pace`.
     """
 
@@ -140,44 +151,46 @@ class ConnectionReader:
         self._socket: Any = None
 
     def __call__(self) -> List[Any]:
-        """Read and hand on until the connection ends; return messages only where others have called for them."""
-        link = self._link
-        if link.socket is None:
+        """Read and process messages until the connection ends; return messages only for rospy's own callbacks."""
+        connection = self._link
+        if connection.socket is None:
             raise TransportException("connection not initialized")
-        if link.socket is not self._socket:
-            self._open()
-        take = self._taker(link.header)
-        while not (link.done or is_shutdown()):
-            found = self._read()
-            if not found:
+        if connection.socket is not self._socket:
+            self._start()
+        take = self._taker(connection.header)
+        while not (connection.done or is_shutdown()):
+            messages = self._read()
+            if not messages:
                 continue
-            if link.is_latched:
-                link.latch = self._message(found[-1])
-            if [one for one, _ in self._topic.callbacks or ()] != [self._callback]:
-                return [self._message(one) for one in found]
-            take(found)
+            if connection.is_latched:
+                connection.latch = self._message(messages[-1])
+            # Another subscriber in this process has the same topic: rospy has to call all of them for this batch.
+            if [callback for callback, _ in self._topic.callbacks or ()] != [self._callback]:
+                return [self._message(data) for data in messages]
+            take(messages)
         return []
 
-    def _open(self) -> None:
-        """Begin with a connection, with what has been read of it together with its header."""
-        link = self._link
-        self._socket = link.socket
+    def _start(self) -> None:
+        """Start to read a socket, with the bytes that rospy has read after the header."""
+        connection = self._link
+        self._socket = connection.socket
+        # SO_RCVLOWAT and SO_RCVTIMEO apply to blocking sockets only.
         self._socket.setblocking(True)
         self._pace = Pace(self._socket, self._hold)
-        self._parts = [link.read_buff.getvalue()]
-        self._lacking = 4 - len(self._parts[0])
-        link.read_buff.seek(0)
-        link.read_buff.truncate(0)
+        self._parts = [connection.read_buff.getvalue()]
+        self._missing_bytes = 4 - len(self._parts[0])
+        connection.read_buff.seek(0)
+        connection.read_buff.truncate(0)
 
     def _read(self) -> List[bytes]:
-        """Wait for messages and return what has come, which may be none.
+        """Wait for data and return the complete messages, which may be none.
 
         Raises:
-            TransportTerminated: when the connection has ended.
+            TransportTerminated: if the connection has ended.
         """
-        link, parts = self._link, self._parts
+        connection, parts = self._link, self._parts
         data = b""
-        if self._lacking > 0:
+        if self._missing_bytes > 0:
             try:
                 data = self._socket.recv(BUFFER)
             except BlockingIOError:
@@ -188,69 +201,73 @@ class ConnectionReader:
             if not data:
                 raise TransportTerminated("the sender closed the connection")
         received = len(data)
-        link.stat_bytes += received
+        connection.stat_bytes += received
         if parts:
             parts.append(data)
-            self._lacking -= received
-            if self._lacking > 0:
+            self._missing_bytes -= received
+            if self._missing_bytes > 0:
                 return []
             data = b"".join(parts)
             parts.clear()
-        found = self._split(data)
-        link.stat_num_msg += len(found)
-        self._pace.note(received, len(found))
-        return found
+        messages = self._split(data)
+        connection.stat_num_msg += len(messages)
+        self._pace.note(received, len(messages))
+        return messages
 
     def _split(self, data: bytes) -> List[bytes]:
-        """Return the whole messages in what was received, and keep what is left."""
-        found = []
-        at, end = 0, len(data)
+        """Return the complete messages in received data, and store the rest."""
+        messages = []
+        position, end = 0, len(data)
         stop = 4
         while stop <= end:
-            stop += _size(data, at)[0]
+            stop += _size(data, position)[0]
             if stop > end:
                 break
-            found.append(data[at + 4 : stop])
-            at = stop
+            messages.append(data[position + 4 : stop])
+            position = stop
             stop += 4
-        self._lacking = stop - end
-        if at < end:
-            self._parts.append(data[at:])
-        return found
+        self._missing_bytes = stop - end
+        if position < end:
+            self._parts.append(data[position:])
+        return messages
 
     def _message(self, data: bytes) -> Any:
-        """Return a message as rospy makes it."""
+        """Return a message in the form that rospy creates."""
         message = rospy.AnyMsg()
         message._buff = data
         message._connection_header = self._link.header
         return message
 
 
-def _are_callbacks(found: object) -> bool:
-    """Tell whether a topic keeps its callbacks as a reader expects them: pairs of a function and its arguments."""
-    return isinstance(found, list) and all(isinstance(one, tuple) and len(one) == 2 for one in found)
+def _are_callbacks(callbacks: object) -> bool:
+    """Return whether a topic stores its callbacks in the expected form: pairs of a function and its arguments."""
+    return isinstance(callbacks, list) and all(
+        isinstance(callback, tuple) and len(callback) == 2 for callback in callbacks
+    )
 
 
 def read_by(subscriber: Any, taker: ConnectionTaker, hold: float) -> None:
-    """Have the connections of a subscriber read by a `ConnectionReader`, if they are what is expected of rospy."""
+    """Read the connections of a subscriber with a `ConnectionReader`, if rospy's internals are the expected ones."""
     topic = getattr(subscriber, "impl", None)
     add = getattr(topic, "add_connection", None)
     if topic is None or add is None or getattr(topic, "data_class", None) is not rospy.AnyMsg:
-        return  # subscribed before, by its class (``/clock``, by rospy itself)
+        return  # this process subscribed the topic by its class before (rospy itself subscribes ``/clock``)
     if not _are_callbacks(getattr(topic, "callbacks", None)):
         return
     if getattr(topic, "statistics_logger", None) is not None:
-        return  # it wants to see each message
+        return  # the logger has to be called for each message
 
-    def prepare(link: Any) -> None:
-        known = getattr(link, "receive_once", None).__class__ is ConnectionReader
-        if not known and all(hasattr(link, name) for name in _NEEDED):
-            link.receive_once = ConnectionReader(link, subscriber, taker, hold)
+    def prepare(connection: Any) -> None:
+        is_prepared = getattr(connection, "receive_once", None).__class__ is ConnectionReader
+        if not is_prepared and all(hasattr(connection, name) for name in _NEEDED):
+            connection.receive_once = ConnectionReader(connection, subscriber, taker, hold)
 
-    def add_connection(link: Any) -> Any:
-        prepare(link)
-        return add(link)
+    def add_connection(connection: Any) -> Any:
+        prepare(connection)
+        return add(connection)
 
     topic.add_connection = add_connection
-    for link in topic.connections:  # made meanwhile: its thread comes to this after what it reads next
-        prepare(link)
+    # Connections that were made before `add_connection` was replaced: their threads call the reader after their
+    # present call of rospy's `receive_once` has returned.
+    for connection in topic.connections:
+        prepare(connection)

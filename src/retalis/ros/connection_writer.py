@@ -1,10 +1,11 @@
-"""Messages as bytes: subscribing to any type, publishing any type, without generated classes.
+"""Publishing of serialized messages to the connections of a topic, without generated message classes.
 
-Writing messages to the subscribers of a topic, from the thread that has them.
+rospy passes each message to a thread per connection: two more wake-ups, and two more changes of the interpreter lock.
+An `Outlet` writes to the sockets in the caller's thread instead. Bytes that a socket does not accept at once are
+written by a thread, which exists only while its subscriber is slower than the publisher. Messages that arrive
+meanwhile are queued; if the queue is full, the oldest are dropped for this subscriber alone.
 
-rospy hands each message to a thread of its connection: two more wake-ups on the way, and the interpreter's lock
-goes to and fro. Here what a connection takes at once is written at once; a thread writes the rest only for one
-that does not keep up.
+Connecting, the header, latching as seen by subscribers, and closing remain rospy's.
 """
 
 import socket
@@ -26,12 +27,12 @@ from .topic_statistics import OutputCounts, OutputStatus
 
 
 def raw_class(definition: Definition) -> Type[rospy.AnyMsg]:
-    """Return the class with which rospy publishes ready bytes as messages of a type."""
+    """Return a message class with which rospy publishes serialized messages of a type."""
     members = {
         "_type": definition.name,
         "_md5sum": definition.md5sum,
         "_full_text": definition.full_text,
-        # rospy overwrites the sequence number of a message with a header; ours are whole as they are.
+        # rospy would overwrite the sequence number of a message with a header.
         "_has_header": False,
         "__slots__": ["_buff"],
         "_slot_types": [],
@@ -40,9 +41,10 @@ def raw_class(definition: Definition) -> Type[rospy.AnyMsg]:
 
 
 def raw_bytes(message: Any) -> bytes:
-    """Return the bytes of a message that rospy received.
+    """Return the serialized form of a message that rospy received.
 
-    It is no `rospy.AnyMsg` where the node had subscribed the topic by its class before (``/clock``, by rospy itself).
+    The message is not a `rospy.AnyMsg` if this process subscribed the topic by its class before (rospy itself
+    subscribes ``/clock``).
     """
     if isinstance(message, rospy.AnyMsg):
         data: bytes = message._buff
@@ -53,28 +55,31 @@ def raw_bytes(message: Any) -> bytes:
 
 
 RECEIVER_WAIT_SECONDS = 5.0
-"""Seconds to wait for a receiver that takes nothing, where that is wanted.
+"""Seconds that a patient publisher waits for a receiver that reads nothing.
 
-The system tells of what is read from a large buffer only once a part of it is free again: on a busy machine, a second
-later than it was read, or more.
+TCP announces free buffer space only after a part of a large buffer is free again: on a busy machine, a second or more
+after the data were read.
 """
 
 PAUSE = 0.002
-"""Seconds between two looks at it."""
+"""Seconds between two checks of the receiver's progress."""
 
 MAX_COMBINED_WRITES = 64
-"""Writes that the thread of a slow connection puts together."""
+"""Limit for the queued writes that the thread of a slow connection combines."""
 
 COMBINED_WRITE_BYTES = 1 << 15
-"""Bytes after which it puts no more together: there is room again once they are written, so a wait for room that is
-in vain shows a receiver that takes less in that time."""
+"""Bytes after which no further writes are combined.
+
+The queue has room again when they are written. A larger value would let a wait for room time out although the
+receiver reads steadily.
+"""
 
 Patient = Callable[[Any], bool]
-"""Tells whether those who send are held up for a receiver, by its connection."""
+"""Returns whether publishers wait for the receiver of a connection before messages are dropped for it."""
 
 
 def never(link: Any) -> bool:
-    """Hold up those who send for nobody."""
+    """Return False: publishers wait for no receiver."""
     return False
 
 
@@ -82,14 +87,14 @@ class Outlet:
     """A published topic.
 
     Args:
-        topic: its name.
-        kind: the class of its messages.
-        queue: how many messages may wait for one receiver; past that the oldest are dropped for it alone.
-        reports: takes a warning of each message that is dropped.
-        patient: tells for whom those who send are held up before anything is dropped, so that a burst loses nothing:
-            as long as it goes on taking what is sent.
-        latched: whether the last message goes to each receiver that comes later.
-        listener: is told of receivers that come, where the topic is not latched.
+        topic: name of the topic.
+        kind: class of the messages.
+        queue: number of messages to queue for one receiver; beyond it the oldest are dropped for this receiver.
+        reports: receives a warning for every dropped message.
+        patient: returns whether publishers wait for a receiver before messages are dropped for it, so that a burst
+            loses nothing. They wait as long as the receiver reads.
+        latched: whether each new receiver gets the last message.
+        listener: rospy listener for new receivers; ignored if the topic is latched.
     """
 
     def __init__(
@@ -105,36 +110,37 @@ class Outlet:
         self._queue = queue
         self._reports = reports
         self._patient = patient
-        self._lines: Dict[Any, _Receiver] = {}
+        self._receivers: Dict[Any, _Receiver] = {}
         self.counts = OutputCounts()
         self._latch = _Latch(self) if latched else None
-        # rospy says by the header that the topic is latched; what it would send itself, it has not got
+        # rospy announces in the connection header that the topic is latched. It has no message to send itself,
+        # because messages do not pass through its `publish`.
         self.publisher = rospy.Publisher(
             topic, kind, self._latch or listener, latch=latched, queue_size=queue
         )
 
     def links(self) -> Any:
-        """Return rospy's connections to those who listen."""
-        # rospy's topic is None once the publisher is taken away, and its connections once it has ended.
+        """Return rospy's connections to the subscribers."""
+        # `impl` is None after the publisher was unregistered, and `connections` is None after the topic was closed.
         topic = self.publisher.impl
         return getattr(topic, "connections", None) or ()
 
     def send(self, frames: bytes, number: int = 1) -> None:
-        """Write messages, framed as on the wire, to all connections; one at a time where the topic is latched."""
+        """Write messages, framed as on the wire, to all connections; only one message if the topic is latched."""
         self.counts.sent += number
         if self._latch is not None:
             self._latch.send(frames)
             return
         self.write(self.links(), frames, number)
 
-    def write(self, links: Any, frames: bytes, number: int = 1) -> None:
+    def write(self, connections: Any, frames: bytes, number: int = 1) -> None:
         """Write messages to some of the connections."""
-        self._forget()
-        for link in links:
-            line = self._lines.get(link)
-            if line is None:
-                made = _Receiver(
-                    link,
+        self._remove_ended()
+        for connection in connections:
+            receiver = self._receivers.get(connection)
+            if receiver is None:
+                new_receiver = _Receiver(
+                    connection,
                     self._end,
                     self.publisher.name,
                     self._queue,
@@ -142,45 +148,49 @@ class Outlet:
                     self._patient,
                     self.counts,
                 )
-                line = self._lines.setdefault(link, made)
+                receiver = self._receivers.setdefault(connection, new_receiver)
             try:
-                line.write(frames, number)
+                receiver.write(frames, number)
             except (TransportException, OSError) as error:
-                self._end(link, error)
+                self._end(connection, error)
 
-    def _end(self, link: Any, error: Exception) -> None:
+    def _end(self, connection: Any, error: Exception) -> None:
         """Close a connection that has ended."""
         rospy.logdebug("a connection of %s has ended: %s", self.publisher.name, error)
         try:
-            link.close()
+            connection.close()
         except (AttributeError, TypeError):
             if not getattr(self.publisher.impl, "closed", True):
                 raise
-            # else rospy is just taking the topic down, piece by piece, and closes the connection itself
+            # Otherwise rospy is closing the topic in another thread, and closes this connection itself.
 
-    def _forget(self) -> None:
-        """Forget the connections that are gone."""
-        links = self.links()
-        if len(self._lines) > len(links):
-            self._lines = {link: line for link, line in self._lines.items() if link in links}
+    def _remove_ended(self) -> None:
+        """Remove the state of connections that have ended."""
+        connections = self.links()
+        if len(self._receivers) > len(connections):
+            self._receivers = {
+                connection: receiver
+                for connection, receiver in self._receivers.items()
+                if connection in connections
+            }
 
     def status(self, kind: str) -> OutputStatus:
-        """Return what has gone out so far, as messages of a type."""
+        """Return the counters of the topic, with ``kind`` as its message type."""
         counts = self.counts
         return OutputStatus(
             self.publisher.resolved_name, kind, len(self.links()), counts.sent, counts.dropped
         )
 
     def unserved(self) -> List[Any]:
-        """Return the connections to which nothing has been written."""
-        return [link for link in self.links() if link not in self._lines]
+        """Return the connections to which nothing has been written yet."""
+        return [connection for connection in self.links() if connection not in self._receivers]
 
 
 class _Latch(rospy.SubscribeListener):  # type: ignore[misc]
-    """Keeps the last message of a topic for those who come later.
+    """The last message of a latched topic, for subscribers that connect later.
 
-    rospy tells of a connection when that stands among the topic's already, so a message may go to it just before:
-    that one is the last message then, and is not sent again.
+    rospy calls `peer_subscribe` after it has added the connection to the topic. A message may be written to the
+    connection in between; it is the last message then, and must not be sent twice. Hence the lock and `unserved`.
     """
 
     def __init__(self, outlet: Outlet):
@@ -190,20 +200,20 @@ class _Latch(rospy.SubscribeListener):  # type: ignore[misc]
         self._lock = threading.Lock()
 
     def send(self, frame: bytes) -> None:
-        """Write a message to all connections, and keep it."""
+        """Write a message to all connections, and store it."""
         with self._lock:
             self._last = frame
             self._outlet.write(self._outlet.links(), frame)
 
     def peer_subscribe(self, topic: str, publish: object, publish_to_peer: object) -> None:
-        """Write the last message to those who have nothing yet."""
+        """Write the last message to new connections; rospy calls this."""
         with self._lock:
             if self._last:
                 self._outlet.write(self._outlet.unserved(), self._last)
 
 
 class _Receiver:
-    """What goes to one receiver."""
+    """The connection to one receiver, with a queue that is used while the receiver is slow."""
 
     def __init__(
         self,
@@ -216,9 +226,9 @@ class _Receiver:
         counts: OutputCounts,
     ):
         self._counts = counts
-        self._outer = link
+        self._rospy_connection = link
         self._end = end
-        self._link = getattr(
+        self._connection = getattr(
             link, "_connection", link
         )  # of rospy's QueuedConnection, whose thread stays asleep
         self._topic = topic
@@ -227,35 +237,35 @@ class _Receiver:
         self._patient = patient
         self._lock = threading.Lock()
         self._waiting: Deque[Tuple[bytes, int]] = deque()
-        self._held = 0
+        self._queued = 0
         self._slow = False
         self._busy = False
-        """Whether a thread is writing; nobody else writes then."""
+        """True while a thread is writing to the socket; other threads append to the queue meanwhile."""
 
     def write(self, frames: bytes, number: int) -> None:
-        """Write messages, or keep them for later."""
-        sock = getattr(self._link, "socket", None)
-        if sock is None:  # closed; or something else than expected, which knows how
-            self._outer.write_data(frames)
+        """Write messages, or queue them while a thread is writing."""
+        sock = getattr(self._connection, "socket", None)
+        if sock is None:  # closed, or an unexpected type of connection, whose own method is used
+            self._rospy_connection.write_data(frames)
             return
-        if self._held >= self._queue:
+        if self._queued >= self._queue:
             self._make_room()
         with self._lock:
             if self._busy:
                 self._waiting.append((frames, number))
-                self._held += number
+                self._queued += number
                 return
-            rest = self._write_now(sock, frames, number)
+            rest = self._write_without_blocking(sock, frames, number)
             if rest:
                 self._busy = True
-                work = threading.Thread(target=self._run, args=(sock, rest, number), daemon=True)
+                work = threading.Thread(target=self._write_all, args=(sock, rest, number), daemon=True)
                 work.name = f"to {self._topic}"
                 work.start()
             else:
                 self._slow = False
 
-    def _write_now(self, sock: socket.socket, frames: bytes, number: int) -> bytes:
-        """Write what goes without waiting; return the rest."""
+    def _write_without_blocking(self, sock: socket.socket, frames: bytes, number: int) -> bytes:
+        """Write as much as the socket accepts without blocking; return the rest."""
         try:
             sent: int = sock.send(frames, socket.MSG_DONTWAIT)
         except BlockingIOError:
@@ -264,65 +274,71 @@ class _Receiver:
         return frames[sent:]
 
     def _count(self, size: int, number: int) -> None:
-        self._link.stat_bytes += size
-        self._link.stat_num_msg += number
+        self._connection.stat_bytes += size
+        self._connection.stat_num_msg += number
 
     def _make_room(self) -> None:
-        """Wait for the receiver where that is wanted, but not again for one that is slow; then drop the oldest."""
-        if not self._slow and self._patient(self._outer):
+        """Wait for a receiver that deserves patience; then drop the oldest messages if the queue is still full."""
+        if not self._slow and self._patient(self._rospy_connection):
+            # A receiver that used up the wait once stays `_slow` until its queue has drained: otherwise each
+            # further message would delay the publisher, and all other receivers, by the whole wait.
             self._wait_for_room()
-            self._slow = self._held >= self._queue
+            self._slow = self._queued >= self._queue
         dropped = 0
         with self._lock:
-            while self._held >= self._queue and self._waiting:
+            while self._queued >= self._queue and self._waiting:
                 number = self._waiting.popleft()[1]
-                self._held -= number
+                self._queued -= number
                 dropped += number
         self._counts.dropped += dropped
         for _ in range(dropped):
             self._reports.warning(
-                f"{self._link.endpoint_id} does not keep up with topic {self._topic}: a message is dropped for it"
+                f"{self._connection.endpoint_id} does not keep up with topic {self._topic}: "
+                "a message is dropped for it"
             )
 
     def _wait_for_room(self) -> None:
-        """Wait until there is room, or the receiver has taken nothing for too long."""
-        unread, deadline = self._unread(), time.monotonic() + RECEIVER_WAIT_SECONDS
-        while self._held >= self._queue and time.monotonic() < deadline and not rospy.is_shutdown():
-            if self._link.socket is None:  # it has ended
+        """Wait until the queue has room, or the receiver has read nothing for `RECEIVER_WAIT_SECONDS`."""
+        unread, deadline = self._progress(), time.monotonic() + RECEIVER_WAIT_SECONDS
+        while self._queued >= self._queue and time.monotonic() < deadline and not rospy.is_shutdown():
+            if self._connection.socket is None:  # the connection has ended
                 return
+            # Wall time: simulated time may stand still.
             wallsleep(PAUSE)
-            before, unread = unread, self._unread()
+            before, unread = unread, self._progress()
             if unread != before:
                 deadline = time.monotonic() + RECEIVER_WAIT_SECONDS
 
-    def _unread(self) -> object:
-        """Return what changes when the receiver takes something: what was written, and what it has left."""
+    def _progress(self) -> object:
+        """Return a value that changes whenever the receiver reads: bytes written, and bytes not acknowledged."""
         unread = bytearray(4)
         try:
-            ioctl(self._link.socket, TIOCOUTQ, unread)
-        except (OSError, TypeError, ValueError):  # closed meanwhile, or a system that does not tell
+            ioctl(self._connection.socket, TIOCOUTQ, unread)
+        except (OSError, TypeError, ValueError):  # closed meanwhile, or a system without TIOCOUTQ
             pass
-        return self._link.stat_bytes, bytes(unread)
+        return self._connection.stat_bytes, bytes(unread)
 
-    def _run(self, sock: socket.socket, frames: bytes, number: int) -> None:
-        """Write, and then what waits, until nothing does."""
+    def _write_all(self, sock: socket.socket, frames: bytes, number: int) -> None:
+        """Write a rest and then the queue until it is empty; run by a thread."""
         try:
             while frames:
                 sock.sendall(frames)
                 self._count(len(frames), number)
-                frames, number = self._next()
+                frames, number = self._take_queued()
         except OSError as error:
-            self._end(self._outer, error)
+            self._end(self._rospy_connection, error)
 
-    def _next(self) -> Tuple[bytes, int]:
-        """Take what waits, and how many messages that is."""
+    def _take_queued(self) -> Tuple[bytes, int]:
+        """Return the next queued frames, combined, and their number of messages; mark the thread as ended if none."""
         with self._lock:
             taken: List[Tuple[bytes, int]] = []
             size = 0
             while self._waiting and len(taken) < MAX_COMBINED_WRITES and size < COMBINED_WRITE_BYTES:
                 taken.append(self._waiting.popleft())
                 size += len(taken[-1][0])
-            number = sum(one[1] for one in taken)
-            self._held -= number
+            number = sum(write[1] for write in taken)
+            self._queued -= number
+            # Under the same lock as the test of the queue: a message that `write` appends is written by this
+            # thread, or `write` finds `_busy` cleared and writes itself.
             self._busy = bool(taken)
-        return b"".join([one[0] for one in taken]), number
+        return b"".join([write[0] for write in taken]), number

@@ -1,6 +1,8 @@
-"""How a node is: what `Diagnostics` tells, each with a level that says whether somebody has to look.
+"""Publishing of a node's health as ``diagnostic_msgs/DiagnosticArray`` on ``/diagnostics``.
 
-``/diagnostics``: how a node is, once in a while.
+Each status has a level. Levels are derived from counters that only grow: a loss or an error within the last `RECENT`
+seconds raises the level, and the level returns to OK afterwards. A topic is STALE after a silence of several times
+its usual interval, so that slow topics need no configuration.
 """
 
 import threading
@@ -16,40 +18,40 @@ from ..prolog.machine.resource_limits import resident_bytes
 from .topic_statistics import InputStatus, OutputStatus
 
 LISTED = 20
-"""Rules, queries and warnings that are named at most."""
+"""Limit for the rules, queries and warnings that a status names."""
 LARGEST_RULES_NAMED = 5
-"""Rules that hold most, which are named with what they hold."""
+"""Number of rules with the largest buffers that a status names."""
 
 RECENT = 10.0
-"""Seconds for which an error or a loss keeps its level."""
+"""Seconds for which an error or a loss raises the level."""
 
 MAX_REPORTED_TOPICS = 200
-"""Topics in each direction that are told of."""
+"""Limit for the topics in each direction that are reported."""
 
 STALE_AFTER_SECONDS = 5.0
 """Seconds without a message after which a topic may be stale."""
 
 USUAL = 10
-"""A topic is stale where nothing has come for so many times its usual interval."""
+"""A topic is stale after a silence of this many times its usual interval."""
 
 LATE = 10.0
-"""Seconds after which work should have ended, where no limit says so."""
+"""Seconds after which work counts as late if parameter ``~max_seconds`` sets no limit."""
 
 LONG = 10.0
-"""Seconds after which a query that waits is worth a warning."""
+"""Seconds after which a waiting query is reported with a warning."""
 
 SCARCE = 0.05
-"""Part of the machine's memory that is left when that is worth a warning."""
+"""Fraction of the machine's memory; if less is available, a warning is reported."""
 
 
 class InputRole(Enum):
-    """The use that a program has for a subscribed topic.
+    """The role of a subscribed topic in a program.
 
     Attributes:
-        NEEDED: a topic that somebody has named: without a publisher, or if it becomes silent, somebody has to look.
-        LINK: the events between the two nodes: it needs a publisher, but not events all the time.
-        OPTIONAL: a topic to which others may publish, or not.
-        UNREAD: a topic that the node subscribes by default, and whose messages the program does not read.
+        NEEDED: a topic that a program or a user has named: a missing publisher or a silence is reported.
+        LINK: the events between the two nodes: a publisher is required, but a silence is normal.
+        OPTIONAL: a topic that needs no publisher.
+        UNREAD: a topic that the node subscribes by default, and that the program does not read.
     """
 
     NEEDED = 0
@@ -68,13 +70,13 @@ class Level(IntEnum):
 
 
 class Health(NamedTuple):
-    """How one thing of a node is.
+    """The status of one part of a node.
 
     Attributes:
-        name: what it is.
-        level: whether somebody has to look.
-        message: says why, in a few words.
-        values: more of it, by name.
+        name: name of the part.
+        level: severity.
+        message: reason for the level, in a few words.
+        values: details, as pairs of name and value.
     """
 
     name: str
@@ -84,7 +86,7 @@ class Health(NamedTuple):
 
 
 class Change:
-    """A number that grows: how fast, and how long ago it last did."""
+    """The growth of a counter: its rate, and the instant of its last increase."""
 
     def __init__(self) -> None:
         self._before: Optional[Tuple[float, int]] = None
@@ -92,7 +94,7 @@ class Change:
         self.rate = 0.0
 
     def note(self, now: float, number: int) -> "Change":
-        """Note the number at an instant of the monotonic clock."""
+        """Record the counter's value at an instant of the monotonic clock."""
         if self._before is None:
             if number:
                 self._grew = now
@@ -104,34 +106,34 @@ class Change:
         return self
 
     def is_recent(self, now: float) -> bool:
-        """Tell whether it has grown lately."""
+        """Return whether the counter has grown within the last `RECENT` seconds."""
         return self._grew is not None and now - self._grew < RECENT
 
 
 class Changes:
-    """The changes of many numbers, by name; those that nobody notes any more are forgotten."""
+    """The growth of several counters by name; `end` removes those that were not recorded since its last call."""
 
     def __init__(self) -> None:
         self._all: Dict[object, Change] = {}
         self._noted: Dict[object, Change] = {}
 
     def note(self, now: float, name: object, number: int) -> Change:
-        """Note a number; return its change."""
+        """Record a counter's value; return its growth."""
         known = self._noted.get(name) or self._all.get(name)
         change = self._noted[name] = known or Change()
         return change.note(now, number)
 
     def end(self) -> None:
-        """Forget what was not noted since the last time."""
+        """Remove the counters that were not recorded since the last call."""
         self._all, self._noted = self._noted, {}
 
 
 class InputHealth:
-    """Judges a subscribed topic.
+    """Status of subscribed topics.
 
     Args:
-        changes: the rates of its numbers.
-        role: gives the use that the program has for a topic at this time.
+        changes: growth of the topics' counters.
+        role: returns the present role of a topic.
     """
 
     def __init__(self, changes: Changes, role: Callable[[str], InputRole] = lambda topic: InputRole.NEEDED):
@@ -139,82 +141,83 @@ class InputHealth:
         self._role = role
         self._intervals: Dict[str, Tuple[int, float]] = {}
 
-    def of(self, now: float, one: InputStatus) -> Health:
-        """Return how it is."""
-        rate = self._changes.note(now, ("in", one.topic), one.messages).rate
-        lost = self._changes.note(now, ("lost", one.topic), one.dropped + one.refused)
+    def of(self, now: float, status: InputStatus) -> Health:
+        """Return the status of a topic."""
+        rate = self._changes.note(now, ("in", status.topic), status.messages).rate
+        lost = self._changes.note(now, ("lost", status.topic), status.dropped + status.refused)
         values = [
-            ("type", one.type),
-            ("publishers", str(one.publishers)),
-            ("messages", str(one.messages)),
+            ("type", status.type),
+            ("publishers", str(status.publishers)),
+            ("messages", str(status.messages)),
             ("rate (1/s)", f"{rate:.1f}"),
-            ("last message (s ago)", "never" if one.age is None else f"{one.age:.1f}"),
-            ("lag (s)", "unknown" if one.lag is None else f"{one.lag / 1e9:.3f}"),
-            ("dropped", str(one.dropped)),
-            ("refused", str(one.refused)),
+            ("last message (s ago)", "never" if status.age is None else f"{status.age:.1f}"),
+            ("lag (s)", "unknown" if status.lag is None else f"{status.lag / 1e9:.3f}"),
+            ("dropped", str(status.dropped)),
+            ("refused", str(status.refused)),
         ]
-        level, message = self._judge(now, one, lost, rate)
-        return Health(f"input {one.topic}", level, message, values)
+        level, message = self._judge(now, status, lost, rate)
+        return Health(f"input {status.topic}", level, message, values)
 
     def forget_others(self, topics: Collection[str]) -> None:
-        """Forget all topics but these, which are subscribed."""
+        """Remove the state of all topics that are not in ``topics``."""
         self._intervals = {topic: known for topic, known in self._intervals.items() if topic in topics}
 
-    def _judge(self, now: float, one: InputStatus, lost: Change, rate: float) -> Tuple[Level, str]:
-        interval, role = self._interval(now, one), self._role(one.topic)
+    def _judge(self, now: float, status: InputStatus, lost: Change, rate: float) -> Tuple[Level, str]:
+        interval, role = self._interval(now, status), self._role(status.topic)
         if role is InputRole.UNREAD:
-            publisher = "" if one.publishers else "no publisher; "
+            publisher = "" if status.publishers else "no publisher; "
             return Level.OK, f"{publisher}the program reads no message of it"
         if lost.is_recent(now):
             return Level.ERROR, "messages are dropped or refused"
-        if not one.publishers:
+        if not status.publishers:
             if role is InputRole.OPTIONAL:
                 return Level.OK, "no publisher, and none is needed"
             return Level.WARN, "no publisher"
         silent = (
-            one.age is not None
+            status.age is not None
             and interval is not None
-            and one.age > max(STALE_AFTER_SECONDS, USUAL * interval)
+            and status.age > max(STALE_AFTER_SECONDS, USUAL * interval)
         )
         if silent and role is InputRole.NEEDED:
-            return Level.STALE, f"no message for {one.age:.0f} s"
-        return Level.OK, "no message yet" if one.age is None else f"{rate:.1f} messages/s"
+            return Level.STALE, f"no message for {status.age:.0f} s"
+        return Level.OK, "no message yet" if status.age is None else f"{rate:.1f} messages/s"
 
-    def _interval(self, now: float, one: InputStatus) -> Optional[float]:
-        """Return the usual interval between messages: the mean from the second one on; None before."""
-        if one.age is None:
-            self._intervals.pop(one.topic, None)
+    def _interval(self, now: float, status: InputStatus) -> Optional[float]:
+        """Return the mean interval between messages in seconds; None before the second message."""
+        if status.age is None:
+            self._intervals.pop(status.topic, None)
             return None
-        first, since = self._intervals.get(one.topic, (one.messages, now - one.age))
-        if one.messages < first:  # it has been subscribed anew
-            first, since = one.messages, now - one.age
-        self._intervals[one.topic] = first, since
-        later = one.messages - first
-        return (now - one.age - since) / later if later > 0 else None
+        # The instant of the last message is used, not the present: a silence must not lengthen the usual interval.
+        first, since = self._intervals.get(status.topic, (status.messages, now - status.age))
+        if status.messages < first:  # the topic was subscribed again, with new counters
+            first, since = status.messages, now - status.age
+        self._intervals[status.topic] = first, since
+        later = status.messages - first
+        return (now - status.age - since) / later if later > 0 else None
 
 
-def output_health(now: float, changes: Changes, one: OutputStatus) -> Health:
-    """Return how a published topic is."""
-    rate = changes.note(now, ("out", one.topic), one.sent).rate
-    lost = changes.note(now, ("slow", one.topic), one.dropped).is_recent(now)
+def output_health(now: float, changes: Changes, status: OutputStatus) -> Health:
+    """Return the status of a published topic."""
+    rate = changes.note(now, ("out", status.topic), status.sent).rate
+    lost = changes.note(now, ("slow", status.topic), status.dropped).is_recent(now)
     values = [
-        ("type", one.type),
-        ("subscribers", str(one.subscribers)),
-        ("sent", str(one.sent)),
+        ("type", status.type),
+        ("subscribers", str(status.subscribers)),
+        ("sent", str(status.sent)),
         ("rate (1/s)", f"{rate:.1f}"),
-        ("dropped", str(one.dropped)),
+        ("dropped", str(status.dropped)),
     ]
     if lost:
-        return Health(f"output {one.topic}", Level.WARN, "a subscriber does not keep up", values)
-    return Health(f"output {one.topic}", Level.OK, f"{rate:.1f} messages/s", values)
+        return Health(f"output {status.topic}", Level.WARN, "a subscriber does not keep up", values)
+    return Health(f"output {status.topic}", Level.OK, f"{rate:.1f} messages/s", values)
 
 
 class EngineHealth:
-    """Judges an engine.
+    """Status of an engine.
 
     Args:
-        slow: seconds after which work is long.
-        late: seconds after which it should have ended.
+        slow: seconds after which work in progress is reported with a warning.
+        late: seconds after which it is reported as an error.
     """
 
     def __init__(self, slow: float, late: float):
@@ -224,15 +227,15 @@ class EngineHealth:
         self._waiting: Dict[Tuple[str, int], float] = {}
 
     def of(self, now: float, status: Status) -> List[Health]:
-        """Return how its parts are."""
-        found = [
+        """Return the status of each part of the engine."""
+        healths = [
             self._queue(now, status),
             self._work(status),
             self._rules(now, status),
             self._queries(now, status),
         ]
         self._changes.end()
-        return found
+        return healths
 
     def _queue(self, now: float, status: Status) -> Health:
         note = self._changes.note
@@ -290,14 +293,16 @@ class EngineHealth:
         return Health("rules", Level.ERROR if recent else Level.WARN, text, values)
 
     def _queries(self, now: float, status: Status) -> Health:
-        seen = {(one.event, one.since): one for one in status.waiting}
+        # Waiting is measured by the monotonic clock, from the first status that contains the query: simulated time
+        # may stand still or jump.
+        seen = {(query.event, query.since): query for query in status.waiting}
         self._waiting = {key: self._waiting.get(key, now) for key in seen}
         longest = max((now - since for since in self._waiting.values()), default=0.0)
         values = []
-        for key, one in list(seen.items())[:LISTED]:
-            behind = [f"{memory.id} {_behind(memory.behind)}" for memory in one.memories]
-            since = f"since {one.since / 1e9:.3f}, for {now - self._waiting[key]:.0f} s"
-            values.append((one.event, f"{since}: waits for {', '.join(behind)}"))
+        for key, query in list(seen.items())[:LISTED]:
+            behind = [f"{memory.id} {_behind(memory.behind)}" for memory in query.memories]
+            since = f"since {query.since / 1e9:.3f}, for {now - self._waiting[key]:.0f} s"
+            values.append((query.event, f"{since}: waits for {', '.join(behind)}"))
         number = len(status.waiting) + status.left_out.waiting
         if number > len(values):
             values.append(("further queries", str(number - len(values))))
@@ -324,7 +329,7 @@ def _behind(nanoseconds: Optional[int]) -> str:
 
 
 def memory_health() -> Health:
-    """Return how the process and the machine are with memory."""
+    """Return the status of the memory of the process and the machine."""
     used = resident_bytes()
     total, available = _machine_memory()
     values = [("resident (MB)", f"{used / 1e6:.0f}")]
@@ -336,25 +341,25 @@ def memory_health() -> Health:
 
 
 def _machine_memory() -> Tuple[int, int]:
-    """Return the bytes that the machine has in all and to give; zeros where it does not tell."""
-    found = {"MemTotal": 0, "MemAvailable": 0}
+    """Return the bytes of total and available memory of the machine; zeros if unknown."""
+    sizes = {"MemTotal": 0, "MemAvailable": 0}
     try:
         with open("/proc/meminfo", encoding="ascii") as file:
             for line in file:
                 name, _, rest = line.partition(":")
-                if name in found:
-                    found[name] = 1024 * int(rest.split()[0])
+                if name in sizes:
+                    sizes[name] = 1024 * int(rest.split()[0])
     except OSError:  # a system without /proc
         pass
-    return found["MemTotal"], found["MemAvailable"]
+    return sizes["MemTotal"], sizes["MemAvailable"]
 
 
 def program_health(errors: Sequence[str], warnings: Sequence[str]) -> Health:
-    """Return how the program was when it was loaded."""
-    told = [("error", text) for text in errors] + [("warning", text) for text in warnings]
-    values = told[:LISTED]
-    if len(told) > LISTED:
-        values.append(("further ones", str(len(told) - LISTED)))
+    """Return the status of the program's loading."""
+    problems = [("error", text) for text in errors] + [("warning", text) for text in warnings]
+    values = problems[:LISTED]
+    if len(problems) > LISTED:
+        values.append(("further ones", str(len(problems) - LISTED)))
     if errors:
         return Health("program", Level.ERROR, f"{counted(len(errors), 'error')} when it was loaded", values)
     if warnings:
@@ -365,13 +370,13 @@ def program_health(errors: Sequence[str], warnings: Sequence[str]) -> Health:
 
 
 class NodeHealth:
-    """Judges a node.
+    """Status of a node.
 
     Args:
-        inputs: gives what has come on its subscribed topics.
-        outputs: gives what has gone out.
-        further: gives how the rest is.
-        role: gives the use that the program has for a subscribed topic at this time.
+        inputs: returns the counters of subscribed topics.
+        outputs: returns the counters of published topics.
+        further: returns the status of the other parts.
+        role: returns the present role of a subscribed topic.
     """
 
     def __init__(
@@ -388,38 +393,46 @@ class NodeHealth:
         self._of_inputs = InputHealth(self._changes, role)
 
     def look(self) -> List[Health]:
-        """Return how everything is."""
+        """Return the status of all parts."""
         now = time.monotonic()
         inputs = self._inputs()
-        self._of_inputs.forget_others({one.topic for one in inputs})
-        taken = [self._of_inputs.of(now, one) for one in inputs]
-        sent = [output_health(now, self._changes, one) for one in self._outputs()]
+        self._of_inputs.forget_others({status.topic for status in inputs})
+        input_healths = [self._of_inputs.of(now, status) for status in inputs]
+        output_healths = [output_health(now, self._changes, status) for status in self._outputs()]
         self._changes.end()
-        return [*_worst(taken, "inputs"), *_worst(sent, "outputs"), *self._further(), memory_health()]
+        return [
+            *_worst(input_healths, "inputs"),
+            *_worst(output_healths, "outputs"),
+            *self._further(),
+            memory_health(),
+        ]
 
 
-def _worst(found: List[Health], what: str) -> List[Health]:
-    """Return those that somebody has to look at first, and how many are left out."""
-    if len(found) <= MAX_REPORTED_TOPICS:
-        return found
-    chosen = sorted(found, key=lambda one: (one.level is not Level.ERROR, -one.level))[:MAX_REPORTED_TOPICS]
-    left = f"{len(found) - MAX_REPORTED_TOPICS} are not told of, none of them worse than those"
-    return [*chosen, Health(f"further {what}", Level.OK, left, [])]
+def _worst(healths: List[Health], direction: str) -> List[Health]:
+    """Return the most severe statuses, errors first, and one that counts the omitted ones."""
+    if len(healths) <= MAX_REPORTED_TOPICS:
+        return healths
+    # STALE has the highest number, but an error is more severe.
+    chosen = sorted(healths, key=lambda health: (health.level is not Level.ERROR, -health.level))[
+        :MAX_REPORTED_TOPICS
+    ]
+    message = f"{len(healths) - MAX_REPORTED_TOPICS} are omitted, none of them more severe than those above"
+    return [*chosen, Health(f"further {direction}", Level.OK, message, [])]
 
 
 TOPIC = "/diagnostics"
 
 HARDWARE = "retalis"
-"""The hardware id if parameter ``~hardware_id`` gives no other; ``diagnostic_aggregator`` may group by it."""
+"""Default of parameter ``~hardware_id``; ``diagnostic_aggregator`` may group by it."""
 
 
 class Diagnostics:
-    """Publishes the health of a node, from a thread of its own by the system's time: simulated time may stand still.
+    """Publishes the health of a node periodically, in a thread and by wall time: simulated time may stand still.
 
     Args:
-        period: seconds from one message to the next; None for none at all.
-        health: is looked at.
-        hardware_id: of each status.
+        period: seconds between two messages; None to publish nothing.
+        health: status of the node.
+        hardware_id: hardware id of each status.
     """
 
     def __init__(self, period: Optional[float], health: NodeHealth, hardware_id: str = HARDWARE):
@@ -429,7 +442,7 @@ class Diagnostics:
         if period is None:
             return
         try:
-            from diagnostic_msgs import msg  # noqa: PLC0415 - a node runs without it
+            from diagnostic_msgs import msg  # noqa: PLC0415 - an optional package
         except ImportError:
             rospy.logwarn("%s is not published: the package diagnostic_msgs is not installed", TOPIC)
             return
@@ -442,33 +455,36 @@ class Diagnostics:
         while not self._ended.wait(period):
             try:
                 self._publisher.publish(self._array(self._health.look()))
-            except rospy.ROSException:  # it is just being taken down
+            except rospy.ROSException:  # the node is being shut down
                 if not rospy.is_shutdown():
                     raise
-            except Exception as error:  # what is looked at is in use; the next look finds it in order
+            # Counters are read without locks while other threads change them: a rare error affects one message only.
+            except Exception as error:
                 rospy.logerr_throttle(60, f"{TOPIC}: {error!r}")
 
-    def _array(self, found: List[Health]) -> Any:
+    def _array(self, healths: List[Health]) -> Any:
         message = self._msg.DiagnosticArray()
         message.header.stamp = rospy.get_rostime()
         node = rospy.get_name().strip("/")
         message.status = [
             self._msg.DiagnosticStatus(
-                level=int(one.level),
-                name=f"{node}: {one.name}",
-                message=_line(one.message),
+                level=int(health.level),
+                name=f"{node}: {health.name}",
+                message=_line(health.message),
                 hardware_id=self._hardware_id,
-                values=[self._msg.KeyValue(key=_line(key), value=_line(value)) for key, value in one.values],
+                values=[
+                    self._msg.KeyValue(key=_line(key), value=_line(value)) for key, value in health.values
+                ],
             )
-            for one in found
+            for health in healths
         ]
         return message
 
 
 def _line(text: str) -> str:
-    """Return a text as one line without what a terminal would act on."""
+    """Return a text as one line, without control characters."""
     return " ".join(printable(beginning(text, MAX_VALUE_CHARACTERS)).split("\n"))
 
 
 MAX_VALUE_CHARACTERS = 1000
-"""Characters of one text."""
+"""Limit for the characters of one text."""

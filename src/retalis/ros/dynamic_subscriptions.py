@@ -1,7 +1,7 @@
-"""Topics that goals of the program subscribe, while it is loaded or while the node runs.
+"""Subscription of topics by goals of the program (``subscribe_to``), during loading or at run time.
 
-Node retalis subscribes them where it has the ROS interface itself. Otherwise it tells the node that has it: the whole
-list each time, so that one that is started again has it.
+If node ``retalis`` contains the ROS interface, it subscribes the topics itself. Otherwise it publishes the complete
+list of topics on a latched topic after each change, so that an interface node that is restarted receives it.
 """
 
 import json
@@ -16,101 +16,107 @@ from ..engine.event_input import MAX_INPUT_TOPICS, AskedTopic
 from ..engine.runtime.problem_reports import Reports
 from ..events.language.event_declarations import event_fault
 from ..foundation.errors import MessageError, RetalisError, UsageError, beginning
-from .internal_topics import INPUT, OUTPUT, read_told_json, resolve
+from .internal_topics import INPUT, OUTPUT, read_control_json, resolve
 from .ros_interface import RosInterface
 
-TOLD = "retalisSubscribe"
-"""The topic on which node retalis says what to subscribe: JSON, a list of [topic, type, name of the events]."""
+SUBSCRIPTIONS_TOPIC = "retalisSubscribe"
+"""Topic with the list of subscriptions: JSON, a list of [topic, type, name of the events]."""
 
 
 class DynamicSubscriptions:
-    """Has subscribed what goals ask for, from when there is an interface on; by a thread: the master has to be told.
+    """Queue of subscriptions that goals request, executed by a thread as soon as there is an interface.
 
-    How much waits is bounded by how many topics goals may subscribe.
+    A thread is necessary because subscribing calls the master, which would block the engine. The length of the queue
+    is bounded by `MAX_INPUT_TOPICS`.
     """
 
     def __init__(self) -> None:
-        self._wanted: SimpleQueue[AskedTopic] = SimpleQueue()
-        self.ask: Callable[[AskedTopic], None] = self._wanted.put
+        self._requests: SimpleQueue[AskedTopic] = SimpleQueue()
+        self.ask: Callable[[AskedTopic], None] = self._requests.put
 
     def begin(self, interface: Optional[RosInterface]) -> None:
-        """Have done what has been asked for so far, and from now on what comes.
+        """Execute the queued requests, and start the thread for later ones.
 
         Args:
-            interface: who subscribes; None where that is the other node.
+            interface: the ROS interface of this node; None if it is another node.
         """
-        take = _Teller().tell if interface is None else lambda wanted: _subscribe(interface, wanted)
+        take = (
+            _SubscriptionPublisher().tell
+            if interface is None
+            else lambda wanted: _subscribe(interface, wanted)
+        )
 
         def run() -> None:
             while not rospy.is_shutdown():
-                take(self._wanted.get())
+                take(self._requests.get())
 
+        # Requests of the program's loading are executed before this returns, as the topics of `pub_sub.xml` are.
         try:
             while True:
-                take(self._wanted.get_nowait())
+                take(self._requests.get_nowait())
         except Empty:
             pass
         threading.Thread(target=run, daemon=True, name="topics of goals").start()
 
 
-class _Teller:
-    """Tells the other node which topics to subscribe."""
+class _SubscriptionPublisher:
+    """Publisher of the list of subscriptions, for the interface node."""
 
     def __init__(self) -> None:
         self._asked: List[AskedTopic] = []
-        self._publisher = rospy.Publisher(TOLD, String, queue_size=10, latch=True)
+        self._publisher = rospy.Publisher(SUBSCRIPTIONS_TOPIC, String, queue_size=10, latch=True)
 
     def tell(self, wanted: AskedTopic) -> None:
-        """Have a topic subscribed, too."""
+        """Add a topic to the list, and publish it."""
         self._asked.append(wanted)
         try:
             self._publisher.publish(String(json.dumps(self._asked)))
         except rospy.ROSException as error:  # the node is being shut down
-            rospy.logdebug("%s: %s", TOLD, error)
+            rospy.logdebug("%s: %s", SUBSCRIPTIONS_TOPIC, error)
 
 
-class ToldTopics:
-    """Subscribes what the other node says, each topic once.
+class SubscriptionReceiver:
+    """Receiver of the list of subscriptions in the interface node; subscribes each topic once.
 
     Args:
-        interface: subscribes.
-        reports: takes what is told and cannot be understood.
+        interface: the ROS interface.
+        reports: receives a warning for each malformed list.
     """
 
     def __init__(self, interface: RosInterface, reports: Reports):
         self._interface = interface
         self._reports = reports
         self._done: Set[AskedTopic] = set()
-        self._subscriber = rospy.Subscriber(TOLD, String, self._take, queue_size=10)
+        self._subscriber = rospy.Subscriber(SUBSCRIPTIONS_TOPIC, String, self._receive, queue_size=10)
 
-    def _take(self, message: Any) -> None:
+    def _receive(self, message: Any) -> None:
         try:
-            told = read_told(message.data)
+            topics = read_subscriptions(message.data)
         except MessageError as error:
-            self._reports.warning(f"{TOLD}: {error}", TOLD)
+            self._reports.warning(f"{SUBSCRIPTIONS_TOPIC}: {error}", SUBSCRIPTIONS_TOPIC)
             return
-        for wanted in told:
+        for wanted in topics:
             if wanted not in self._done and len(self._done) < MAX_INPUT_TOPICS:
                 self._done.add(wanted)
                 _subscribe(self._interface, wanted)
 
 
-def read_told(text: str) -> List[AskedTopic]:
-    """Return what a text tells to subscribe.
+def read_subscriptions(text: str) -> List[AskedTopic]:
+    """Return the subscriptions of a list.
 
     Raises:
-        MessageError: where it is not as it has to be.
+        MessageError: if the text does not have the expected form.
     """
-    wrong = MessageError(f"expected topics, types and names of events, found {beginning(text)}")
-    found = read_told_json(text, wrong)
-    if not isinstance(found, list):
-        raise wrong
-    for one in found:
-        if not isinstance(one, list) or len(one) != 3 or not all(part.__class__ is str for part in one):
-            raise wrong
-        if one[2] and event_fault(one[2]):
-            raise wrong
-    return [AskedTopic(*one) for one in found]
+    malformed = MessageError(f"expected topics, types and names of events, found {beginning(text)}")
+    items = read_control_json(text, malformed)
+    if not isinstance(items, list):
+        raise malformed
+    for item in items:
+        if not isinstance(item, list) or len(item) != 3 or not all(part.__class__ is str for part in item):
+            raise malformed
+        if item[2] and event_fault(item[2]):
+            raise malformed
+    return [AskedTopic(*item) for item in items]
 
 
 def _subscribe(interface: RosInterface, wanted: AskedTopic) -> None:
@@ -122,11 +128,11 @@ def _subscribe(interface: RosInterface, wanted: AskedTopic) -> None:
         rospy.logdebug("subscribe_to: topic %s: %s", beginning(wanted.topic), error)
 
 
-def plain(topic: str) -> str:
+def subscribable_name(topic: str) -> str:
     """Return the full name of a topic that a goal may subscribe.
 
     Raises:
-        UsageError: for one that is no name, or is for what passes between the nodes.
+        UsageError: if the name is invalid, or the topic belongs to the protocol between the nodes.
     """
     name = resolve(topic)
     if name in map(rospy.resolve_name, (INPUT, OUTPUT)):

@@ -1,4 +1,9 @@
-"""Node ``retalis_ros_interface``: between ROS topics and events as text."""
+"""Node ``retalis_ros_interface``: converts messages to event texts, and output texts to messages.
+
+It keeps the conversion and the TCP connections to publishers out of the process of the engine. Messages go to node
+``retalis`` as texts on one topic, in the order in which they were received; outputs come back as texts on another.
+Fields that the program does not read are left out of the texts (projection pushdown, `projection_sync`).
+"""
 
 from typing import Iterable, List
 
@@ -15,7 +20,7 @@ from ..messages.type_registry import Definitions
 from ..prolog.syntax.event_text import EventReader, event_text, to_text
 from ..prolog.terms.types import deref
 from .diagnostics import Diagnostics, InputRole, NodeHealth, program_health
-from .dynamic_subscriptions import ToldTopics
+from .dynamic_subscriptions import SubscriptionReceiver
 from .internal_topics import INPUT, OUTPUT
 from .latched_inputs import LatchedConnection
 from .node_lifecycle import run_node
@@ -29,18 +34,18 @@ from .text_topics import TextPublisher
 from .topic_statistics import OutputStatus, StartupWarnings
 
 HOLD = 0.0018
-"""Seconds for which a message may wait for the next ones, to be read and sent on together.
+"""Seconds for which a message may wait for the next ones, to be converted and sent together.
 
-Below two intervals of a topic of 1,000 Hz, so that its messages are read one by one; see `MIN_FURTHER`.
+The value is below two intervals of a topic of 1,000 Hz, so that its messages are read one by one; see `MIN_FURTHER`.
 """
 
 
-LONG = 1024
-"""Bytes of a message from which on it is looked whether some of it is read by nobody."""
+MIN_PROJECTED_BYTES = 1024
+"""Size in bytes from which on unread fields of a message are left out; for smaller ones the check costs more."""
 
 
 class InterfaceNode:
-    """The node: messages go out as text to node retalis, texts that come back go out as messages."""
+    """Node ``retalis_ros_interface``, constructed from its parameters."""
 
     def __init__(self, parameters: Parameters):
         self._reports = reports = Reports()
@@ -74,13 +79,16 @@ class InterfaceNode:
             errors = log_error(error)
             topics = Topics()
         direct = direct_topics(parameters.direct, topics, rospy.resolve_name)
+        # Before `connect`: node retalis subscribes these topics itself, and each message must enter the engine
+        # once.
         self._interface.leave(direct)
         connect(self._interface, topics, direct)
         for topic, kind in direct:
             self._interface.learn(topic, kind)
-        self._told = ToldTopics(self._interface, reports)
+        self._subscriptions = SubscriptionReceiver(self._interface, reports)
         InterfaceServices(self._interface)
         ListService(self._interface.inputs, reports=reports)
+        # After the services: they identify this node to node retalis as soon as it connects; see `late_joiners`.
         self._interface.subscribe_texts(OUTPUT, self._receive)
         loaded = program_health(errors, [])
         StartupWarnings(self._interface.inputs, [topic for topic, _ in topics.subscribed])
@@ -94,27 +102,27 @@ class InterfaceNode:
         return [self._texts.status(), *self._interface.outputs.status()]
 
     def _sender(self, decoder: Decoder) -> Take:
-        """Return what sends the messages of a type as text."""
+        """Return the handler of messages of a type, which adds their texts to the next write."""
         write, stamp, add = text_writer(decoder), decoder.stamp, self._texts.add
         received = self._receipts.stamp
 
         def take(data: bytes) -> None:
             instant = stamp(data)
-            unread = self._unread.of(decoder.functor) if len(data) > LONG else None
+            unread = self._unread.of(decoder.functor) if len(data) > MIN_PROJECTED_BYTES else None
             text = text_without(decoder, data, unread, NOT_READ) if unread else write(data)
             add(event_text(text, received() if instant is None else instant))
 
         return take
 
     def _flush_after(self, sent: Iterable[None]) -> None:
-        """Have messages that were received together sent together."""
+        """Convert messages that were read together, then send their texts with one write."""
         exhaust(sent)
         self._texts.flush()
 
     def _latched_sender(self, decoder: Decoder, publisher: Publisher, connection: LatchedConnection) -> Take:
-        """Return what sends the messages of a latched connection as text, and keeps the last one."""
+        """Return the handler of a latched connection's messages, which stores the last one for later receivers."""
         write, stamp, receipts = text_writer(decoder), decoder.stamp, self._receipts
-        write_again = text_writer(decoder.plain or decoder)  # which has been looked at
+        write_again = text_writer(decoder.plain or decoder)  # without the clock skew check, which is done
 
         def take(data: bytes) -> None:
             text = write(data)
@@ -123,7 +131,8 @@ class InterfaceNode:
             run = receipts.runs()
 
             def again() -> str:
-                """Return the text for a node that comes later, by the time of this run."""
+                """Return the text for a node that connects later, stamped in the present clock epoch."""
+                # A receipt time of a former epoch would be in the future of the present one.
                 same = stamped is not None or run == receipts.runs()
                 return event_text(write_again(data), instant if same else receipts.stamp())
 
@@ -145,7 +154,7 @@ class InterfaceNode:
 
 
 def _input_role(topic: str) -> InputRole:
-    """Return the use that the program has for a topic."""
+    """Return the role of a topic in the program."""
     return InputRole.LINK if topic == rospy.resolve_name(OUTPUT) else InputRole.NEEDED
 
 

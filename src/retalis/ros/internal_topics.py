@@ -1,8 +1,7 @@
-"""Names of topics: those between the nodes, and as programs and people write them.
+"""Topics between the nodes, resolution of topic names, and output topics without a type.
 
-What one node tells the other as JSON, read by the one that is told: anybody may have sent it.
-
-Outputs that stay text, because their topics have no type.
+The nodes exchange events and outputs as text and control data as JSON. Any node may publish on these topics, so a
+receiver validates what it reads.
 """
 
 import json
@@ -18,17 +17,17 @@ from ..foundation.ros_names import topic_fault
 
 INPUT = "retalisInputEvents"
 OUTPUT = "retalisOutputEvents"
-"""The topics on which events go between the nodes as text."""
+"""Topics of event texts: input from the interface to node retalis, and output in the other direction."""
 
 WATCH = "retalis_watch_"
-"""How a topic is called whose outputs somebody watches as text, and wants no other way."""
+"""Beginning of the names of topics whose outputs exist only as text, for ``retalis watch``."""
 
 
 def resolve(topic: str) -> str:
-    """Return the full name of a topic, remapping and namespace applied.
+    """Return the full name of a topic, after remapping and in its namespace.
 
     Raises:
-        UsageError: where it is not a name.
+        UsageError: if the name is invalid.
     """
     fault = topic_fault(topic.strip())
     if fault is not None or not topic.strip(" /"):
@@ -40,27 +39,27 @@ def resolve(topic: str) -> str:
 
 
 MAX_CONTROL_CHARACTERS = 1_000_000
-"""Characters of what is told at most."""
+"""Limit for the characters of control data."""
 
 
-def read_told_json(text: str, wrong: MessageError) -> Any:
-    """Return the data of a text.
+def read_control_json(text: str, malformed: MessageError) -> Any:
+    """Return the data of a JSON text; None if it is too long.
 
     Raises:
-        MessageError: ``wrong``, where it is no JSON or too long.
+        MessageError: the error ``wrong``, if the text is not JSON.
     """
     try:
         return json.loads(text) if len(text) <= MAX_CONTROL_CHARACTERS else None
     except (ValueError, RecursionError):
-        raise wrong from None
+        raise malformed from None
 
 
-class TextOnly:
-    """Says once of each topic without a type that nothing but text will come of its outputs.
+class UntypedTopicWarnings:
+    """Warns once about each output topic without a type, whose outputs are published only as text.
 
     Args:
-        published: the topics that have a type.
-        reports: takes the warnings.
+        published: topics with a type.
+        reports: receives the warnings.
     """
 
     def __init__(self, published: Iterable[str], reports: Reports):
@@ -68,8 +67,8 @@ class TextOnly:
         self._published = {rospy.resolve_name(topic) for topic in published}
         self._seen: Cache[str, bool] = Cache(1000, 1 << 20)
 
-    def look(self, topic: str) -> None:
-        """Look at a topic to which something is sent, or will be."""
+    def check(self, topic: str) -> None:
+        """Check a topic to which outputs are sent or will be sent."""
         if topic not in self._seen and not topic.startswith(WATCH):
             self._seen.keep(topic, True, len(topic))
             if not self._has_type(topic):
@@ -81,13 +80,13 @@ class TextOnly:
                     texts=20,
                 )
 
-    def told(self, topics: Iterable[str]) -> None:
-        """Note that of these topics it was said already."""
+    def mark_reported(self, topics: Iterable[str]) -> None:
+        """Record topics whose warning has been given elsewhere."""
         for topic in topics:
             self._seen.keep(topic, True, len(topic))
 
     def _has_type(self, topic: str) -> bool:
         try:
             return resolve(topic) in self._published
-        except UsageError:  # a name for other nodes only
+        except UsageError:  # not a valid topic name: its outputs exist only as text
             return False

@@ -4,7 +4,7 @@ ROS sends the last message of a latched topic to each new connection. A connecti
 interface node that is restarted, therefore receives a message that the engine has taken already. Nothing in the
 message says so. A message counts as a repetition if all of this holds:
 
-* its connection says that the topic is latched, and it is the first message on this connection;
+* its connection header marks the topic as latched, and it is the first message on this connection;
 * it comes from the same topic, node and process as before. The process is identified by the address at which it
   answers other nodes, as each process has a port of its own. The name of the node is not enough: a publisher that is
   restarted and publishes the same content again makes a new event;
@@ -20,10 +20,10 @@ from hashlib import blake2b
 from typing import Callable, Dict, NamedTuple, Optional
 
 MAX_PUBLISHERS = 1000
-"""Publishers of latched topics whose last messages are remembered."""
+"""Limit for the publishers of latched topics whose last messages are stored."""
 
 MARK = "event(retalis_latched("
-"""The beginning of the text that describes the latched message after it. For another receiver it is an event."""
+"""Beginning of the mark that describes the latched message after it. Other receivers read the mark as an event."""
 
 _MARK = re.compile(r"event\(retalis_latched\('([0-9a-f]{32})','([0-9a-f]{32})',([01])\)\)", re.ASCII)
 
@@ -48,8 +48,8 @@ class LatchedMessage(NamedTuple):
 
 def latched_message(mark: str) -> Optional[LatchedMessage]:
     """Return the latched message that a mark describes; None if the text is an event."""
-    found = _MARK.fullmatch(mark)
-    return None if found is None else LatchedMessage(found[1], found[2], found[3] == "1")
+    match = _MARK.fullmatch(mark)
+    return None if match is None else LatchedMessage(match[1], match[2], match[3] == "1")
 
 
 class LatchedConnection:
@@ -58,7 +58,7 @@ class LatchedConnection:
     Args:
         topic: its full name.
         node: the name of the publisher.
-        address: where the publisher's process answers other nodes; "" if unknown, then nothing is a repetition.
+        address: XML-RPC address of the publisher's process; if it is "", no message counts as a repetition.
     """
 
     def __init__(self, topic: str, node: str, address: str):
@@ -66,17 +66,17 @@ class LatchedConnection:
         self._may_repeat = bool(address)
 
     def message(self, data: bytes) -> LatchedMessage:
-        """Return the description of a message that has come on this connection."""
+        """Return the description of a message that was received on this connection."""
         is_first, self._may_repeat = self._may_repeat, False
         return LatchedMessage(self._publisher, _digest(data), is_first)
 
 
 class LatchedInputs:
-    """The last latched message that the engine has taken from each publisher.
+    """The last latched message that the engine has processed of each publisher.
 
     Args:
-        run: returns the number of the run of a simulated clock. The engine forgets its memories when a run begins,
-            so a message of a former run is not a repetition.
+        run: returns the number of the epoch of a simulated clock. The engine clears its memories when an epoch
+            begins, so a message of a former epoch is not a repetition.
     """
 
     def __init__(self, run: Callable[[], int] = int):
@@ -86,18 +86,18 @@ class LatchedInputs:
         self._lock = threading.Lock()
 
     def repeats(self, message: LatchedMessage) -> bool:
-        """Return whether the engine has taken a message already; if not, note that it takes the message now."""
+        """Return whether a message is a repetition, and record it as the last one of its publisher."""
         with self._lock:
             run = self._run_now()
             if run != self._run:
                 self._run = run
                 self._contents.clear()
-            # Removed and added again: the publisher that was quiet for longest is forgotten first.
-            known = self._contents.pop(message.publisher, None)
+            # Removed and added again, so that the publisher with the longest silence is evicted first.
+            last_content = self._contents.pop(message.publisher, None)
             self._contents[message.publisher] = message.content
             if len(self._contents) > MAX_PUBLISHERS:
                 del self._contents[next(iter(self._contents))]
-            return message.is_first and message.content == known
+            return message.is_first and message.content == last_content
 
 
 def _digest(data: bytes) -> str:

@@ -9,8 +9,18 @@ other node, the *peer*, starts or restarts. This module adds two guarantees:
 
 Other subscribers (``rostopic echo``, a logger) receive the plain stream. To tell them apart, the module asks the
 master which node offers the peer's service in this namespace: connections carry no such information, and node names
-differ between launch files. Each node offers its services before it connects. A subscriber that has not been
-identified receives nothing, and then what it has missed.
+differ between launch files. Each node offers its services before it connects. A subscriber therefore starts as
+*unidentified*. It receives nothing until it has been identified, and then everything that it has missed.
+
+States of a subscriber::
+
+    unidentified --identify(is_peer=True)--> peer        backlog, latched messages, then the live stream
+         |                                    |
+         |                                    +-- disconnects --> buffering starts again
+         +------identify(is_peer=False)--> bystander     texts since it connected, then the live stream
+
+Batches of texts are numbered in publication order. Delivery never skips a batch, so one number per subscriber is
+enough to decide which batches it has missed.
 """
 
 import socket
@@ -40,29 +50,29 @@ from ..engine.runtime.problem_reports import Reports
 from ..foundation.errors import RetalisError
 from .connection_writer import Outlet
 
-HELD_BYTES = 64_000_000
-"""Bytes of texts that are held at most, and of the messages that are kept because they are latched."""
+MAX_BUFFERED_BYTES = 64_000_000
+"""Limit for buffered texts, and separately for latched messages."""
 
-LATCHED = 1000
-"""Latched messages that are kept at most: one for each topic and publisher."""
+MAX_LATCHED_MESSAGES = 1000
+"""Limit for latched messages; there is at most one per topic and publisher."""
 
-LOOKS = 10
-"""Attempts to identify a receiver as the peer while no peer is connected: it may still be starting."""
+MAX_IDENTIFICATION_ATTEMPTS = 10
+"""Attempts to identify a bystander as the peer while no peer is connected; it may still be registering."""
 
-PAUSE = 1.0
-"""Seconds between two such looks."""
+IDENTIFICATION_INTERVAL_SECONDS = 1.0
+"""Seconds between two attempts."""
 
 
 Publishers = Callable[[], Set[Tuple[str, str]]]
-"""Gives topic and publisher of all connections from which messages come."""
+"""Returns topic and publisher of all connections that deliver messages."""
 
 
 class Peer(NamedTuple):
-    """A node that texts are meant for.
+    """The node that the texts are intended for.
 
     Attributes:
-        service: the service that this node, and no other in its namespace, offers.
-        title: its name in messages.
+        service: service that identifies the node within its namespace.
+        title: name of the node in warnings.
     """
 
     service: str
@@ -74,13 +84,13 @@ INTERFACE = Peer("add_input_subscription", "the ROS interface")
 
 
 class _Batch(NamedTuple):
-    """Texts that were made together, framed as on the wire.
+    """Texts that are published together, framed as on the wire.
 
     Attributes:
-        order: the number of the batch.
-        mark: what the peer alone gets before the texts.
+        order: number of the batch.
+        mark: frame that only the peer receives, before the texts.
         frames: the texts.
-        number: how many texts these are.
+        number: number of texts.
     """
 
     order: int
@@ -90,30 +100,31 @@ class _Batch(NamedTuple):
 
 
 class _Latched(NamedTuple):
-    """The last message of a latched topic."""
+    """The newest message of a latched topic, with the number of its batch and its size in bytes."""
 
     order: int
     write: Callable[[], bytes]
     size: int
 
 
-class _Other(NamedTuple):
-    """A receiver that is not the peer: the batches that came before it, and how often it was looked up."""
+class _Bystander(NamedTuple):
+    """A subscriber that is not the peer: the last batch before it connected, and the attempts to identify it."""
 
-    before: int
-    looks: int
+    connected_at: int
+    attempts: int
 
 
 class LateJoinerBuffer:
-    """Sends texts to the peer and to all other subscribers. Not thread-safe: the caller holds a lock.
+    """Delivers texts to the peer and to bystanders. Not thread-safe: the caller holds a lock.
 
     Args:
-        outlet: the topic.
-        peer: the node that the texts are meant for.
-        queue: how many texts are held at most while the peer is absent.
-        reports: takes a warning of each text that is dropped.
-        runs: returns how often time has gone back; texts that are held for a former run are discarded.
-        first: returns what the peer gets first, framed as on the wire; nothing by default.
+        outlet: the topic's connections.
+        peer: the node that the texts are intended for.
+        queue: number of texts to buffer while the peer is absent; the oldest are dropped and reported.
+        reports: receives a warning for every dropped text.
+        runs: returns the number of times that simulated time has jumped back. Texts of an earlier run are
+            meaningless to a peer that starts now, so they are discarded.
+        first: returns the bytes that a new peer receives first, framed as on the wire; none by default.
 
     Attributes:
         peer: see above.
@@ -133,112 +144,138 @@ class LateJoinerBuffer:
         self._outlet = outlet
         self._queue = queue
         self._reports = reports
-        self._runs = runs
-        self._run = 0
-        self._order = 0
-        """How many batches there were."""
-        self._links: Any = None
-        """The list of connections that was looked at last."""
-        self._new: Dict[Any, int] = {}
-        """Receivers that are not known yet, each with the batches that came before it."""
-        self._others: Dict[Any, _Other] = {}
-        """Receivers that are not the peer."""
+        self._clock_epoch = runs
+        self._epoch = 0
+        self._last_batch = 0
+        """Number of the last batch."""
+        self._known_connections: Any = None
+        """The list of connections at the last update."""
+        self._unidentified: Dict[Any, int] = {}
+        """Unidentified subscribers, each with the number of the last batch before it connected."""
+        self._bystanders: Dict[Any, _Bystander] = {}
+        """Subscribers that are not the peer."""
         self._peers: List[Any] = []
-        self._held: Deque[_Batch] = deque()
-        self._held_texts = self._held_bytes = 0
-        self._handed = 0
-        """The last batch that the peer has got."""
+        self._buffered: Deque[_Batch] = deque()
+        self._buffered_texts = self._buffered_bytes = 0
+        self._last_delivered = 0
+        """Number of the last batch that was delivered to a peer."""
         self._latched: Dict[Hashable, _Latched] = {}
         self._latched_bytes = 0
 
     def send(self, frames: bytes, number: int, mark: bytes = b"", for_peer: bool = True) -> None:
-        """Send texts, or hold them.
+        """Send texts to all identified subscribers, and buffer them if a subscriber may have to catch up.
 
         Args:
             frames: the texts, framed as on the wire.
-            number: how many texts these are.
-            mark: what the peer alone gets before them, framed as well.
-            for_peer: whether the peer needs them, so that they are held while it is absent.
+            number: number of texts.
+            mark: frame that only the peer receives, before the texts.
+            for_peer: whether the peer needs the texts, so that they are buffered while it is absent.
         """
-        links = self._outlet.links()
-        if links is not self._links or not self._peers or has_ended(self._peers[0]):
-            self._look(links)
-        self._order += 1
+        connections = self._outlet.links()
+        # The connection list is replaced whenever a subscriber comes or goes, so comparing its identity is enough.
+        # A dead peer may remain in an unchanged list; buffering must begin before rospy notices.
+        if connections is not self._known_connections or not self._peers or has_ended(self._peers[0]):
+            self._update_subscribers(connections)
+        self._last_batch += 1
         self._outlet.counts.sent += number
         if self._peers:
-            self._handed = self._order
-        if self._new or not self._peers:
-            # Who has not been identified gets them from what is held, whether the peer needs them or not.
-            if self._new or for_peer:
-                self._hold(_Batch(self._order, mark, frames, number))
-            links = [*self._peers, *self._others]
+            self._last_delivered = self._last_batch
+        if self._unidentified or not self._peers:
+            # An unidentified subscriber receives the texts from the buffer when it has been identified, whether
+            # the peer needs them or not.
+            if self._unidentified or for_peer:
+                self._buffer(_Batch(self._last_batch, mark, frames, number))
+            connections = [*self._peers, *self._bystanders]
         if mark:
             self._outlet.write(self._peers, mark + frames, number)
-            links = [link for link in links if link not in self._peers]
-        self._outlet.write(links, frames, number)
+            connections = [link for link in connections if link not in self._peers]
+        self._outlet.write(connections, frames, number)
 
     def latch(self, key: Hashable, write: Callable[[], bytes], size: int) -> None:
-        """Keep the message that makes the next text for each instance of the peer that connects later.
+        """Store the latched message that the next call of `send` delivers, for peers that connect later.
 
         Args:
-            key: of which the newest is kept: topic and publisher.
-            write: returns the text again, after its mark, framed as on the wire.
-            size: the bytes that are kept.
+            key: topic and publisher; a newer message with the same key replaces this one.
+            write: returns the text with its mark, framed as on the wire.
+            size: size of the stored message in bytes.
         """
         self._forget(key)
-        while self._latched and (len(self._latched) >= LATCHED or self._latched_bytes + size > HELD_BYTES):
+        while self._latched and (
+            len(self._latched) >= MAX_LATCHED_MESSAGES or self._latched_bytes + size > MAX_BUFFERED_BYTES
+        ):
             self._forget(next(iter(self._latched)))
             self._reports.warning(
                 f"too many latched messages: {self.peer.title} does not get the oldest one if it is started again"
             )
-        self._latched[key] = _Latched(self._order + 1, write, size)
+        # The message has the number of the batch that `send` is about to create: a peer that finds this batch in the
+        # buffer must not receive the message a second time.
+        self._latched[key] = _Latched(self._last_batch + 1, write, size)
         self._latched_bytes += size
 
     def latched(self) -> Dict[Hashable, int]:
-        """Return for each topic and publisher which latched message is kept."""
-        return {key: one.order for key, one in self._latched.items()}
+        """Return the batch number of the stored latched message, by topic and publisher."""
+        return {key: message.order for key, message in self._latched.items()}
 
     def forget(self, latched: Dict[Hashable, int]) -> None:
-        """Keep some latched messages no longer, where no newer ones have come."""
+        """Discard latched messages by key and batch number, unless newer ones have replaced them."""
         for key, order in latched.items():
             if key in self._latched and self._latched[key].order == order:
                 self._forget(key)
 
-    def unknown(self) -> List[Any]:
-        """Return the receivers of which it is not known whether they are the peer."""
-        self._look(self._outlet.links())
+    def unidentified(self) -> List[Any]:
+        """Return the subscribers that have to be identified, in addition bystanders while no peer is connected."""
+        self._update_subscribers(self._outlet.links())
         if self._peers:
-            return list(self._new)
-        return [*self._new, *(link for link, other in self._others.items() if other.looks < LOOKS)]
+            return list(self._unidentified)
+        return [
+            *self._unidentified,
+            *(
+                connection
+                for connection, bystander in self._bystanders.items()
+                if bystander.attempts < MAX_IDENTIFICATION_ATTEMPTS
+            ),
+        ]
 
-    def is_other(self, link: Any) -> bool:
-        """Tell whether a receiver is known not to be the peer."""
-        return link in self._others
+    def is_bystander(self, connection: Any) -> bool:
+        """Return whether a subscriber has been identified as a bystander."""
+        return connection in self._bystanders
 
-    def settle(self, link: Any, is_peer: bool) -> None:
-        """Take note of who a receiver is, and give it what it has missed."""
-        known = self._others.pop(link, None)
-        before = self._new.pop(link, self._order) if known is None else known.before
+    def identify(self, connection: Any, is_peer: bool) -> None:
+        """Record whether a subscriber is the peer, and send the texts that it has missed.
+
+        A bystander may be identified again, because a starting peer connects before the master lists its service.
+        """
+        bystander = self._bystanders.pop(connection, None)
+        connected_at = (
+            self._unidentified.pop(connection, self._last_batch)
+            if bystander is None
+            else bystander.connected_at
+        )
         if is_peer:
-            missed = self._missed(min(before, self._handed))
-            self._peers.append(link)
-            self._handed = self._order
+            # A restarted peer has lost its state, but batches that the previous instance received are not sent again:
+            # an event must not be processed twice. Latched messages are the exception.
+            missed = self._backlog(min(connected_at, self._last_delivered))
+            self._peers.append(connection)
+            self._last_delivered = self._last_batch
         else:
-            self._others[link] = _Other(before, 1 if known is None else known.looks + 1)
-            missed = [one for one in self._held if one.order > before]
-        if known is not None:  # it has got what came since
-            missed = [one for one in missed if is_peer and one.order <= before]
+            self._bystanders[connection] = _Bystander(
+                connected_at, 1 if bystander is None else bystander.attempts + 1
+            )
+            missed = [batch for batch in self._buffered if batch.order > connected_at]
+        if bystander is not None:
+            # A former bystander has received the live stream since it was identified.
+            missed = [batch for batch in missed if is_peer and batch.order <= connected_at]
         frames = [self._first()] if is_peer else []
-        for one in missed:
-            frames += (one.mark, one.frames) if is_peer else (one.frames,)
+        for batch in missed:
+            frames += (batch.mark, batch.frames) if is_peer else (batch.frames,)
         if any(frames):
-            self._outlet.write([link], b"".join(frames), sum(one.number for one in missed))
-        if self._peers and not self._new:
-            self._drop_held()
+            self._outlet.write([connection], b"".join(frames), sum(batch.number for batch in missed))
+        if self._peers and not self._unidentified:
+            self._clear_buffer()
 
-    def _missed(self, since: int) -> List[_Batch]:
-        """Return what was held since a batch, and before or between it the latched messages, each once."""
-        missed = {one.order: one for one in self._held if one.order > since}
+    def _backlog(self, since: int) -> List[_Batch]:
+        """Return the buffered batches after number ``since`` and the latched messages, in batch order, each once."""
+        missed = {batch.order: batch for batch in self._buffered if batch.order > since}
         for key, (order, write, _) in self._latched.items():
             if order not in missed:
                 try:
@@ -247,56 +284,64 @@ class LateJoinerBuffer:
                     self._reports.error(error, key)
         return [missed[order] for order in sorted(missed)]
 
-    def _look(self, links: Any) -> None:
-        """Note who has come, and forget who has gone."""
-        self._links = links
-        there = [link for link in links if not has_ended(link)]
-        self._peers = [link for link in self._peers if link in there]
-        self._others = {link: looks for link, looks in self._others.items() if link in there}
-        new, self._new = self._new, {}
-        for link in there:
-            if link not in self._peers and link not in self._others:
-                self._new[link] = new.get(link, self._order)
+    def _update_subscribers(self, connections: Any) -> None:
+        """Update the sets of subscribers from the topic's connections."""
+        self._known_connections = connections
+        alive = [connection for connection in connections if not has_ended(connection)]
+        self._peers = [connection for connection in self._peers if connection in alive]
+        self._bystanders = {
+            connection: bystander for connection, bystander in self._bystanders.items() if connection in alive
+        }
+        unidentified, self._unidentified = self._unidentified, {}
+        for connection in alive:
+            if connection not in self._peers and connection not in self._bystanders:
+                self._unidentified[connection] = unidentified.get(connection, self._last_batch)
 
-    def _hold(self, batch: _Batch) -> None:
-        run = self._runs()
-        if run != self._run:
-            self._run = run
-            self._drop_held()
-        self._held.append(batch)
-        self._held_texts += batch.number
-        self._held_bytes += len(batch.mark) + len(batch.frames)
-        while self._held_texts > self._queue or self._held_bytes > HELD_BYTES:
-            oldest = self._held.popleft()
-            self._held_texts -= oldest.number
-            self._held_bytes -= len(oldest.mark) + len(oldest.frames)
-            if oldest.order > self._handed:
+    def _buffer(self, batch: _Batch) -> None:
+        # Texts of an earlier clock epoch refer to a time line that has ended; see `ClockEpochs`.
+        run = self._clock_epoch()
+        if run != self._epoch:
+            self._epoch = run
+            self._clear_buffer()
+        self._buffered.append(batch)
+        self._buffered_texts += batch.number
+        self._buffered_bytes += len(batch.mark) + len(batch.frames)
+        while self._buffered_texts > self._queue or self._buffered_bytes > MAX_BUFFERED_BYTES:
+            oldest = self._buffered.popleft()
+            self._buffered_texts -= oldest.number
+            self._buffered_bytes -= len(oldest.mark) + len(oldest.frames)
+            # Batches that a peer has received are buffered only for unidentified subscribers, so their loss is no
+            # loss of events.
+            if oldest.order > self._last_delivered:
                 self._outlet.counts.dropped += oldest.number
                 for _ in range(oldest.number):
                     self._reports.warning(
-                        f"{self.peer.title} is not there: the oldest of the events that wait for it is dropped"
+                        f"{self.peer.title} is not connected: the oldest event that is buffered for it is dropped"
                     )
 
-    def _drop_held(self) -> None:
-        self._held.clear()
-        self._held_texts = self._held_bytes = 0
+    def _clear_buffer(self) -> None:
+        self._buffered.clear()
+        self._buffered_texts = self._buffered_bytes = 0
 
     def _forget(self, key: Hashable) -> None:
-        found = self._latched.pop(key, None)
-        if found is not None:
-            self._latched_bytes -= found.size
+        message = self._latched.pop(key, None)
+        if message is not None:
+            self._latched_bytes -= message.size
 
 
 class Introducer(rospy.SubscribeListener):  # type: ignore[misc]
-    """Finds out who the receivers of the texts are, in a thread of its own: the master has to be asked."""
+    """Identifies the subscribers of the texts.
+
+    A separate thread does it, because identification requires a call of the master, which may block for seconds.
+    """
 
     def __init__(self) -> None:
         super().__init__()
-        self._come = threading.Event()
+        self._wake_up = threading.Event()
 
     def peer_subscribe(self, topic: str, publish: object, publish_to_peer: object) -> None:
-        """Have a look at a receiver that has come."""
-        self._come.set()
+        """Wake the thread for a new subscriber; rospy calls this."""
+        self._wake_up.set()
 
     def begin(
         self,
@@ -304,46 +349,47 @@ class Introducer(rospy.SubscribeListener):  # type: ignore[misc]
         turn: ContextManager[object],
         publishers: Optional[Publishers] = None,
     ) -> None:
-        """Look at each receiver from now on.
+        """Start the thread that identifies subscribers.
 
         Args:
-            handover: is told.
-            turn: the lock by which texts are sent in turn.
-            publishers: returns topic and publisher of all connections from which messages come; latched messages of
-                others are not kept. By default all are.
+            handover: receives the result for each subscriber.
+            turn: lock that the caller of ``handover`` holds.
+            publishers: returns topic and publisher of all connections that deliver messages; latched messages of
+                other publishers are discarded. By default all are stored.
         """
 
         def run() -> None:
-            known = True
+            all_identified = True
             while not rospy.is_shutdown():
-                self._come.wait(None if known else PAUSE)
-                self._come.clear()
-                known = _introduce(handover, turn, publishers)
+                self._wake_up.wait(None if all_identified else IDENTIFICATION_INTERVAL_SECONDS)
+                self._wake_up.clear()
+                all_identified = _identify_all(handover, turn, publishers)
 
-        self._come.set()
-        threading.Thread(target=run, daemon=True, name="introducing receivers").start()
+        self._wake_up.set()
+        threading.Thread(target=run, daemon=True, name="identifying subscribers").start()
 
 
-def _introduce(
+def _identify_all(
     handover: LateJoinerBuffer, turn: ContextManager[object], publishers: Optional[Publishers]
 ) -> bool:
-    """Look at the receivers that are not known; return whether all are now."""
+    """Identify all unidentified subscribers; return whether none is left."""
     with turn:
-        unknown, latched = handover.unknown(), handover.latched()
+        unknown, latched = handover.unidentified(), handover.latched()
     if not unknown:
         return True
+    # The master is asked without the lock: texts are sent meanwhile, and subscribers come and go.
     peers = offering(handover.peer.service)
-    there: Collection[Hashable] = latched if publishers is None else publishers()
+    publishing: Collection[Hashable] = latched if publishers is None else publishers()
     with turn:
-        # What was latched by who is gone now, a node that subscribes its topics itself would not get either.
-        handover.forget({key: order for key, order in latched.items() if key not in there})
-        for link in set(unknown) & set(handover.unknown()):
-            handover.settle(link, getattr(link, "endpoint_id", None) in peers)
-        return not handover.unknown()
+        # A node that subscribed the topics itself would receive nothing from publishers that have gone.
+        handover.forget({key: order for key, order in latched.items() if key not in publishing})
+        for connection in set(unknown) & set(handover.unidentified()):
+            handover.identify(connection, getattr(connection, "endpoint_id", None) in peers)
+        return not handover.unidentified()
 
 
 def offering(service: str) -> Set[str]:
-    """Return the nodes that offer a service, none where the master does not answer."""
+    """Return the nodes that offer a service; none if the master does not answer."""
     name = rospy.resolve_name(service)
     try:
         services = rosgraph.Master(rospy.get_name()).getSystemState()[2]
@@ -353,13 +399,14 @@ def offering(service: str) -> Set[str]:
     return {node for offered, nodes in services if offered == name for node in nodes}
 
 
-def has_ended(link: Any) -> bool:
-    """Tell whether a connection has ended: what is written would be lost without a word."""
-    link = getattr(link, "_connection", link)  # of rospy's QueuedConnection
-    sock = getattr(link, "socket", None)
+def has_ended(connection: Any) -> bool:
+    """Return whether the other side has closed a connection; data written to it would be lost silently."""
+    connection = getattr(connection, "_connection", connection)  # of rospy's QueuedConnection
+    sock = getattr(connection, "socket", None)
     if sock is None:
-        return bool(getattr(link, "done", False))
+        return bool(getattr(connection, "done", False))
     try:
+        # A subscriber sends nothing after the handshake, so a readable socket means the end of the stream.
         return not sock.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
     except BlockingIOError:
         return False

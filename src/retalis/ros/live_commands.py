@@ -1,6 +1,7 @@
-"""A node that runs, as the command line reaches it: finding it, and calling its services.
+"""Commands for a running node: ``query``, ``explain``, ``list``, ``status``, ``watch``, ``reload``.
 
-What the commands for a node that runs do.
+A `LiveNode` finds the node through the master and calls its services. The process itself becomes a ROS node only if
+it has to subscribe topics or run for long (``status``, ``watch``).
 """
 
 import argparse
@@ -32,25 +33,27 @@ from .master_watch import MasterWatch
 from .services import NEVER
 
 MARK = "/add_memory"
-"""End of the name of a service that every node with an engine offers, old and new."""
+"""End of the name of a service that every version of a node with an engine offers."""
 
 INTERFACE_MARK = "/add_input_subscription"
 """End of the name of a service that every node with a ROS interface offers."""
 
 MASTER_TIMEOUT_SECONDS = 5.0
-"""Seconds in which the master has to answer."""
+"""Timeout in seconds for calls of the master."""
 
 State = Tuple[Dict[str, Set[str]], Dict[str, Set[str]]]
-"""The nodes that publish each topic, and those that have each service."""
+"""The publishers of each topic, and the nodes that offer each service."""
 
 
 def master_state() -> State:
-    """Return what the master knows.
+    """Return the publishers and services that the master knows.
 
     Raises:
-        UsageError: where there is none.
+        UsageError: if no master answers.
     """
     master = rosgraph.Master("/retalis_command_line")
+    # rosgraph has no parameter for a timeout: without the default of sockets, a master that hangs would block
+    # forever.
     before = socket.getdefaulttimeout()
     socket.setdefaulttimeout(MASTER_TIMEOUT_SECONDS)
     try:
@@ -63,53 +66,53 @@ def master_state() -> State:
     return _by_name(published), _by_name(services)
 
 
-def _by_name(found: List[Tuple[str, List[str]]]) -> Dict[str, Set[str]]:
-    return {name: set(nodes) for name, nodes in found}
+def _by_name(pairs: List[Tuple[str, List[str]]]) -> Dict[str, Set[str]]:
+    return {name: set(nodes) for name, nodes in pairs}
 
 
 def nodes_of(services: Dict[str, Set[str]], interfaces: bool = False) -> List[str]:
-    """Return the nodes of ours that run and have an engine, or also those that are only a ROS interface."""
+    """Return the running nodes with an engine, on request also those that are only a ROS interface."""
     marks = (MARK, INTERFACE_MARK) if interfaces else (MARK,)
     return sorted({node for name, nodes in services.items() if name.endswith(marks) for node in nodes})
 
 
 class LiveNode:
-    """A node ``retalis`` that runs.
+    """A running node ``retalis``.
 
     Args:
-        wanted: its name, relative to the namespace of environment variable ``ROS_NAMESPACE``; by default the only
-            one that runs in that namespace.
+        wanted: name of the node, relative to the namespace of environment variable ``ROS_NAMESPACE``; by default
+            the only one that runs in that namespace.
         interfaces: whether a node that is only a ROS interface may be named, too.
 
     Attributes:
-        name: its name.
-        has_engine: whether it is more than a ROS interface.
-        published: the topics that it publishes.
+        name: full name of the node.
+        has_engine: whether the node has an engine.
+        published: topics that the node publishes.
 
     Raises:
-        UsageError: where there is no master, no such node, or more than one.
+        UsageError: if no master answers, or the node does not exist or is ambiguous.
     """
 
     def __init__(self, wanted: Optional[str] = None, interfaces: bool = False):
         topics, self._services = master_state()
-        found = nodes_of(self._services)
+        engine_nodes = nodes_of(self._services)
         if wanted is None:
-            self.name = _only(found)
+            self.name = _only_node(engine_nodes)
         else:
-            self.name = _named(wanted, nodes_of(self._services, interfaces), self._services)
-        self.has_engine = self.name in found
+            self.name = _node_named(wanted, nodes_of(self._services, interfaces), self._services)
+        self.has_engine = self.name in engine_nodes
         self.published = sorted(topic for topic, nodes in topics.items() if self.name in nodes)
 
     def call(self, service: str, kind: Any, **fields: Any) -> Any:
         """Call a service of the node; return the response.
 
         Args:
-            service: its private name.
-            kind: its class.
-            fields: of the request.
+            service: private name of the service.
+            kind: class of the service.
+            fields: fields of the request.
 
         Raises:
-            UsageError: where it has no such service, or does not answer.
+            UsageError: if the node does not offer the service, or does not answer.
         """
         name = f"{self.name}/{service}"
         if self.name not in self._services.get(name, ()):
@@ -119,7 +122,7 @@ class LiveNode:
         return self._call(name, kind, fields)
 
     def call_shared(self, service: str, kind: Any, **fields: Any) -> Any:
-        """Call a service of the node whose name is relative: that with this ending which the node has."""
+        """Call a service of the node with a relative name, which is found by the end of its full name."""
         for name, nodes in self._services.items():
             if name.endswith(f"/{service}") and self.name in nodes:
                 return self._call(name, kind, fields)
@@ -132,51 +135,53 @@ class LiveNode:
             raise UsageError(f"service {name} does not answer: {error}") from error
 
 
-def _named(wanted: str, found: List[str], services: Container[str]) -> str:
+def _node_named(wanted: str, nodes: List[str], services: Container[str]) -> str:
     """Return the full name of a node that a user has named."""
     name = str(
         rosgraph.names.resolve_name(wanted, f"{rosgraph.names.get_ros_namespace()}retalis_command_line")
     )
-    if name not in found and f"{name}/list" not in services:  # which the ROS interface has too
-        raise UsageError(f"there is no node {name}; {_there(found)}")
+    if name not in nodes and f"{name}/list" not in services:  # the ROS interface offers `list`, too
+        raise UsageError(f"there is no node {name}; {_running_nodes(nodes)}")
     return name
 
 
-def _only(found: List[str]) -> str:
+def _only_node(nodes: List[str]) -> str:
     """Return the only node that runs in the namespace of ``ROS_NAMESPACE``."""
-    space = rosgraph.names.get_ros_namespace()
-    inside = [name for name in found if name.startswith(space)]
+    namespace = rosgraph.names.get_ros_namespace()
+    inside = [name for name in nodes if name.startswith(namespace)]
     if len(inside) == 1:
         return inside[0]
     if inside:
-        raise UsageError(f"which node? {_there(inside)}; choose one by --node")
-    if found:
-        raise UsageError(f"no node retalis runs in namespace {space[:-1]} (ROS_NAMESPACE); {_there(found)}")
-    raise UsageError(_there(found))
+        raise UsageError(f"which node? {_running_nodes(inside)}; choose one by --node")
+    if nodes:
+        raise UsageError(
+            f"no node retalis runs in namespace {namespace[:-1]} (ROS_NAMESPACE); {_running_nodes(nodes)}"
+        )
+    raise UsageError(_running_nodes(nodes))
 
 
-def _there(found: List[str]) -> str:
-    return f"those that run are {', '.join(found)}" if found else "no node retalis runs"
+def _running_nodes(nodes: List[str]) -> str:
+    return f"those that run are {', '.join(nodes)}" if nodes else "no node retalis runs"
 
 
 def plain(message: Any) -> Any:
-    """Return a message as dictionaries, lists and plain values; times as seconds, None where there is none."""
+    """Return a message as dictionaries, lists and plain values; times in seconds, absent ones as None."""
     if isinstance(message, genpy.Message):
         return {name: plain(getattr(message, name)) for name in message.__slots__}
     if isinstance(message, (list, tuple)):
-        return [plain(one) for one in message]
+        return [plain(item) for item in message]
     if isinstance(message, genpy.TVal):
         nanoseconds = message.to_nsec()
-        none = nanoseconds == NEVER if isinstance(message, genpy.Duration) else not nanoseconds
-        return None if none else message.to_sec()
+        is_absent = nanoseconds == NEVER if isinstance(message, genpy.Duration) else not nanoseconds
+        return None if is_absent else message.to_sec()
     return message
 
 
 def checked(response: Any) -> Any:
-    """Return a response whose result is good.
+    """Return a response if its result is ``ok``.
 
     Raises:
-        UsageError: what its result says.
+        UsageError: with the reason in the result.
     """
     if response.result != "ok":
         raise UsageError(response.result[len("error: ") :])
@@ -184,14 +189,14 @@ def checked(response: Any) -> Any:
 
 
 _CLEAR = "\x1b[H\x1b[J"
-"""Has a terminal begin at its top, with nothing below."""
+"""Control sequence that moves the cursor to the top of the terminal and clears the screen."""
 
 
-_SELDOM = 86_400
-"""Seconds from one look at a node's status to the next, at most."""
+_MAX_STATUS_INTERVAL_SECONDS = 86_400
+"""Limit in seconds for the interval of ``status``."""
 
-_LAST = 1 << 32
-"""Seconds after the last that a message of ROS can tell."""
+_TIME_LIMIT_SECONDS = 1 << 32
+"""First second that a time in a ROS message cannot represent."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -202,20 +207,20 @@ def run(options: argparse.Namespace) -> int:
         rospy.signal_shutdown("done")
 
 
-def solutions(found: Any) -> Iterator[Dict[str, Any]]:
-    """Yield the solutions of a response as plain values by the variables' names."""
-    for solution in found.solutions:
-        yield {one.name: json.loads(one.json) for one in solution.bindings}
+def solutions(response: Any) -> Iterator[Dict[str, Any]]:
+    """Yield the solutions of a response as dictionaries from variable names to plain values."""
+    for solution in response.solutions:
+        yield {binding.name: json.loads(binding.json) for binding in solution.bindings}
 
 
-def lines_of(found: Any) -> Iterator[str]:
-    """Yield the solutions of a response as a top level shows them."""
-    for solution in found.solutions:
-        yield ", ".join(f"{one.name} = {one.text}" for one in solution.bindings) or "true"
+def lines_of(response: Any) -> Iterator[str]:
+    """Yield the solutions of a response in the form of a Prolog top level."""
+    for solution in response.solutions:
+        yield ", ".join(f"{binding.name} = {binding.text}" for binding in solution.bindings) or "true"
 
 
 def _query(options: argparse.Namespace) -> int:
-    found = checked(
+    response = checked(
         LiveNode(options.node).call(
             "query",
             srv.Query,
@@ -229,30 +234,32 @@ def _query(options: argparse.Namespace) -> int:
         )
     )
     if options.json:
-        _print_all(map(json.dumps, solutions(found)))
+        _print_all(map(json.dumps, solutions(response)))
     else:
-        _print_all(map(printable, lines_of(found)))
-        if not found.solutions:
+        _print_all(map(printable, lines_of(response)))
+        if not response.solutions:
             print("false")
-    if not found.complete:
-        told = "one answer holds no more" if len(found.solutions) < options.most else "see --most"
-        print(f"there are more solutions ({told})", file=sys.stderr)
-    return 0 if found.solutions else 1
+    if not response.complete:
+        reason = "one answer holds no more" if len(response.solutions) < options.most else "see --most"
+        print(f"there are more solutions ({reason})", file=sys.stderr)
+    return 0 if response.solutions else 1
 
 
 def _time(seconds: float) -> genpy.Time:
-    if not 0 <= seconds < _LAST:
-        raise UsageError(f"--stamp: expected seconds since the epoch, below {_LAST}, found {seconds:g}")
+    if not 0 <= seconds < _TIME_LIMIT_SECONDS:
+        raise UsageError(
+            f"--stamp: expected seconds since the epoch, below {_TIME_LIMIT_SECONDS}, found {seconds:g}"
+        )
     return genpy.Time.from_sec(seconds)
 
 
 def _explain(options: argparse.Namespace) -> int:
-    found = checked(LiveNode(options.node).call("explain", srv.Explain, event=options.event))
+    response = checked(LiveNode(options.node).call("explain", srv.Explain, event=options.event))
     if options.json:
-        print(json.dumps({"happened": found.happened, "lines": found.lines}))
+        print(json.dumps({"happened": response.happened, "lines": response.lines}))
         return 0
-    print(f"{printable(options.event)} {'happened' if found.happened else 'did not happen'}")
-    _print_all(map(printable, found.lines))
+    print(f"{printable(options.event)} {'happened' if response.happened else 'did not happen'}")
+    _print_all(map(printable, response.lines))
     return 0
 
 
@@ -262,39 +269,41 @@ def _print_all(lines: Iterator[str]) -> None:
 
 
 def _reload(options: argparse.Namespace) -> int:
-    found = checked(LiveNode(options.node).call("reload", srv.Reload))
+    response = checked(LiveNode(options.node).call("reload", srv.Reload))
     if options.json:
-        print(json.dumps(found.changes))
+        print(json.dumps(response.changes))
     else:
-        _print_all(map(printable, found.changes))
+        _print_all(map(printable, response.changes))
     return 0
 
 
 def _listed(node: LiveNode) -> Dict[str, Any]:
-    """Return what a node says of itself."""
-    found: Dict[str, Any] = plain(checked(node.call("list", srv.List)))
-    del found["result"]
-    return {"node": node.name, **found}
+    """Return the answer of a node's service ``~list``."""
+    answer: Dict[str, Any] = plain(checked(node.call("list", srv.List)))
+    del answer["result"]
+    return {"node": node.name, **answer}
 
 
 def _list(options: argparse.Namespace) -> int:
-    found = _listed(LiveNode(options.node, interfaces=True))
-    print(json.dumps(found) if options.json else "\n".join(map(printable, text_tables.report(found))))
+    answer = _listed(LiveNode(options.node, interfaces=True))
+    print(json.dumps(answer) if options.json else "\n".join(map(printable, text_tables.report(answer))))
     return 0
 
 
 def _status(options: argparse.Namespace) -> int:
-    if not 0 < options.every <= _SELDOM:
-        raise UsageError(f"--every: expected a number above 0, up to {_SELDOM}, found {options.every:g}")
+    if not 0 < options.every <= _MAX_STATUS_INTERVAL_SECONDS:
+        raise UsageError(
+            f"--every: expected a number above 0, up to {_MAX_STATUS_INTERVAL_SECONDS}, found {options.every:g}"
+        )
     node = LiveNode(options.node, interfaces=True)
     once = options.once or not (sys.stdout.isatty() or options.json)
     if once and options.json:
         return _list(options)
     if once:
-        before, looked = _listed(node), monotonic()
+        before, listed_at = _listed(node), monotonic()
         sleep(options.every)
-        found = _listed(node)
-        _print_all(_page(node, before, found, monotonic() - looked))
+        answer = _listed(node)
+        _print_all(_page(node, before, answer, monotonic() - listed_at))
         return 0
     with _ros_node("retalis_status") as output:
         _show_status(node, options, output)
@@ -303,32 +312,32 @@ def _status(options: argparse.Namespace) -> int:
 
 def _show_status(node: LiveNode, options: argparse.Namespace, output: IO[str]) -> None:
     """Show the status of a node until the command is interrupted."""
-    before, looked, told = _listed(node), monotonic(), ""
+    before, listed_at, last_error = _listed(node), monotonic(), ""
     while True:
         rospy.rostime.wallsleep(options.every)
         try:
-            found, now = _listed(node), monotonic()
-        except UsageError as error:  # node or master may come back
-            if str(error) != told:
+            answer, now = _listed(node), monotonic()
+        except UsageError as error:  # the node or the master may return
+            if str(error) != last_error:
                 print(f"retalis: {error}", file=sys.stderr, flush=True)
-            told = str(error)
+            last_error = str(error)
             continue
-        told = ""
+        last_error = ""
         if options.json:
-            print(json.dumps(_rate(before, found, now - looked)), file=output, flush=True)
+            print(json.dumps(_rate(before, answer, now - listed_at)), file=output, flush=True)
         else:
             height = shutil.get_terminal_size().lines
-            lines = list(_page(node, before, found, now - looked))[: height - 1]
+            lines = list(_page(node, before, answer, now - listed_at))[: height - 1]
             print(_CLEAR + "\n".join(lines), end="", file=output, flush=True)
-        before, looked = found, now
+        before, listed_at = answer, now
 
 
 @contextmanager
 def _ros_node(name: str) -> Iterator[IO[str]]:
     """Make this process a ROS node; yield the stream for the output of the command.
 
-    rospy prints messages of its own to stdout, from several threads: that it cannot register, or that somebody asks
-    the node to end. Programs read the output of the command, so these messages go to stderr.
+    rospy prints messages to stdout, from several threads: that it cannot register, or that the node is asked to end.
+    Programs read the output of the command, so these messages are redirected to stderr.
     """
     output = sys.stdout
     with redirect_stdout(sys.stderr):
@@ -336,17 +345,17 @@ def _ros_node(name: str) -> Iterator[IO[str]]:
         yield output
 
 
-def _page(node: LiveNode, before: Dict[str, Any], found: Dict[str, Any], seconds: float) -> Iterator[str]:
-    """Yield the status of a node in lines that are no longer than those of the terminal."""
+def _page(node: LiveNode, before: Dict[str, Any], answer: Dict[str, Any], seconds: float) -> Iterator[str]:
+    """Yield the lines of a node's status, cut at the width of the terminal."""
     columns = shutil.get_terminal_size().columns
-    for line in text_tables.status_page(before, found, seconds, columns, node.has_engine):
+    for line in text_tables.status_page(before, answer, seconds, columns, node.has_engine):
         yield printable(line)[:columns]
 
 
-def _rate(before: Dict[str, Any], found: Dict[str, Any], seconds: float) -> Dict[str, Any]:
-    """Return what a node says of itself, with the events that it has taken a second."""
-    taken = max(0, found["taken"] - before["taken"])  # a node that was started anew counts anew
-    return {"node": found["node"], "events_a_second": round(taken / seconds, 1), **found}
+def _rate(before: Dict[str, Any], answer: Dict[str, Any], seconds: float) -> Dict[str, Any]:
+    """Return the answer of a node's service ``~list``, with the rate of events."""
+    taken = max(0, answer["taken"] - before["taken"])  # a restarted node counts from 0
+    return {"node": answer["node"], "events_a_second": round(taken / seconds, 1), **answer}
 
 
 def _watch(options: argparse.Namespace) -> int:
@@ -357,46 +366,48 @@ def _watch(options: argparse.Namespace) -> int:
 
 
 def _watch_node(node: LiveNode, options: argparse.Namespace, output: IO[str]) -> None:
-    """Print what a node sends, with a subscription for each event that is asked for."""
+    """Print the outputs of a node, with a temporary subscription for each requested event."""
     MasterWatch().start()
-    came: Queue[Tuple[str, str]] = Queue(maxsize=10_000)
+    received: Queue[Tuple[str, str]] = Queue(maxsize=10_000)
     outputs = next((topic for topic in node.published if topic.endswith(f"/{OUTPUT}")), None)
     if outputs is None:
         raise UsageError(f"node {node.name} publishes no {OUTPUT}")
     topic = f"{WATCH}{os.getpid()}"
-    rospy.Subscriber(outputs, String, lambda text: came.put(("output", text.data)))
+    rospy.Subscriber(outputs, String, lambda text: received.put(("output", text.data)))
     if options.inputs:
-        place = outputs[: -len(OUTPUT)] + INPUT
-        rospy.Subscriber(place, String, lambda text: came.put(("input", text.data)))
+        input_topic = outputs[: -len(OUTPUT)] + INPUT
+        rospy.Subscriber(input_topic, String, lambda text: received.put(("input", text.data)))
+    # The subscriptions exist in the node: they have to be deleted by whatever way this process ends.
     for end in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(end) is not signal.SIG_IGN:  # as under nohup
-            signal.signal(end, _leave)
+        if signal.getsignal(end) is not signal.SIG_IGN:  # nohup ignores SIGHUP
+            signal.signal(end, _exit)
     added = []
     try:
         for number, pattern in enumerate(options.event):
             fields = {"event": pattern, "conditions": "", "format": "_", "topic": topic, "id": str(number)}
             checked(node.call_shared("add_output_subscription", srv.AddOutputSubscription, **fields))
             added.append(str(number))
-        _print_what_comes(came, topic, options, output)
+        _print_received(received, topic, options, output)
     finally:
         for name in added:
             node.call_shared("delete_output_subscription", srv.DeleteOutputSubscription, topic=topic, id=name)
 
 
-def _leave(number: int, frame: Any) -> None:
-    """End by a signal, with the subscriptions deleted."""
+def _exit(number: int, frame: Any) -> None:
+    """Exit after a signal, so that the subscriptions are deleted."""
     raise SystemExit(128 + number)
 
 
-def _print_what_comes(came: Any, own: str, options: argparse.Namespace, output: IO[str]) -> None:
+def _print_received(received: Any, own: str, options: argparse.Namespace, output: IO[str]) -> None:
     shown = 0
     while not options.count or shown < options.count:
-        kind, text = came.get()
+        kind, text = received.get()
         topic = None
         if kind == "output":
-            kind, topic, text = _taken_apart(text)
+            kind, topic, text = _output_parts(text)
             if topic == own:
                 kind, topic = "event", None
+            # The outputs of other `retalis watch` commands.
             elif topic.startswith(WATCH):
                 continue
         shown += 1
@@ -406,28 +417,28 @@ def _print_what_comes(came: Any, own: str, options: argparse.Namespace, output: 
             print(f"{kind if topic is None else topic}: {printable(text)}", file=output, flush=True)
 
 
-def _taken_apart(text: str) -> Tuple[str, str, str]:
-    """Return kind, topic and term of a text ``event(TERM,TOPIC,ID)``."""
+def _output_parts(text: str) -> Tuple[str, str, str]:
+    """Return kind, topic and term of an output text ``event(TERM,TOPIC,ID)``."""
     try:
         term: Any = deref(read_term(text, Operators.prolog(), OUTPUT).term)
         return "output", write_term(term[2]), writeq(term[1])
-    except (RetalisError, IndexError, TypeError):  # from others, who may write what they like
+    except (RetalisError, IndexError, TypeError):  # any node may publish on this topic
         return "output", OUTPUT, text
 
 
 def names(kind: str, node: Optional[str]) -> List[str]:
-    """Return the names of the nodes that run, or the ids of the memories of one, for a shell to complete.
+    """Return the names of the running nodes, or the ids of a node's memories, for completion in a shell.
 
     Raises:
-        UsageError: where no master answers, or no node.
+        UsageError: if no master or node answers.
     """
     try:
         if kind == "nodes":
             return list(nodes_of(master_state()[1]))
-        found = LiveNode(node).call("query", srv.Query, goal="memory_size(Id, _)", max_solutions=1000)
+        response = LiveNode(node).call("query", srv.Query, goal="memory_size(Id, _)", max_solutions=1000)
     finally:
         rospy.signal_shutdown("done")
-    return [one.text for solution in found.solutions for one in solution.bindings]
+    return [binding.text for solution in response.solutions for binding in solution.bindings]
 
 
 _COMMANDS: Dict[str, Callable[[argparse.Namespace], int]] = {

@@ -1,4 +1,4 @@
-"""The top level of a node that runs: goals are read here and asked there."""
+"""Prolog top level for a running node: goals are parsed here and solved by the node's service ``~query``."""
 
 import argparse
 import sys
@@ -35,14 +35,14 @@ def run(options: argparse.Namespace) -> int:
 
 
 class LiveConsole:
-    """Asks the goals of a user or a pipe.
+    """Top level whose goals are solved by a node.
 
     Args:
-        node: answers.
-        most: solutions shown of a goal where nobody is there to ask for more.
+        node: the node.
+        most: limit for the solutions of a goal if the input is not a terminal.
 
     Attributes:
-        errors: how many there were.
+        errors: number of errors.
     """
 
     def __init__(self, node: LiveNode, most: int):
@@ -52,7 +52,7 @@ class LiveConsole:
         self._logic = PrologSystem()
 
     def goals(self, lines: Union[prompt.Lines, prompt.Terminal]) -> None:
-        """Read goals and answer them until the end of the input or ``halt``."""
+        """Read and solve goals until the end of the input or ``halt``."""
         while True:
             try:
                 read = prompt.read_clause(lines, self._logic, "?- ")
@@ -77,20 +77,21 @@ class LiveConsole:
 
     def _ask(self, read: ReadTerm, lines: Union[prompt.Lines, prompt.Terminal]) -> None:
         names = {var: name for name, var in read.names.items()}
+        # Parsed and written again: the node gets a single goal without comments, with the names of its variables.
         goal = write_term(read.term, self._logic.operators, quoted=True, variable_names=names)
-        most = _MAX_TERMINAL_SOLUTIONS if lines.is_terminal else self._most
-        found = checked(self.node.call("query", srv.Query, goal=goal, max_solutions=most))
-        shown = list(lines_of(found))
-        for number, line in enumerate(shown, 1):
+        limit = _MAX_TERMINAL_SOLUTIONS if lines.is_terminal else self._most
+        response = checked(self.node.call("query", srv.Query, goal=goal, max_solutions=limit))
+        lines_shown = list(lines_of(response))
+        for number, line in enumerate(lines_shown, 1):
             print(printable(line), end="", flush=True)
-            if number == len(shown) and found.complete:
+            if number == len(lines_shown) and response.complete:
                 print(".")
-            elif number == len(shown) or not lines.wants_more():
+            elif number == len(lines_shown) or not lines.wants_more():
                 print(" .")
                 break
             else:
                 print(" ;", flush=True)
-        if not shown:
+        if not lines_shown:
             print("false.")
-        elif not found.complete and number == len(shown):
+        elif not response.complete and number == len(lines_shown):
             print("% there may be more")

@@ -1,9 +1,12 @@
-"""Registering again with a master that was started anew.
+"""Re-registration of a node after a restart of the master.
 
-A master that ends takes with it who publishes, subscribes and offers what, and the parameters. rospy registers once,
-and never looks again: connections that are there go on, but nobody new finds the node. So a thread asks the master
-each second for one of the node's own services. Where the master answers, and does not know it, the node registers all
-that it has, by the XML-RPC interface that masters and nodes are defined by.
+A restarted master has lost all registrations and parameters. rospy registers once and never checks again: existing
+connections continue, but new nodes cannot find the node. A thread therefore asks the master each second for one of
+the node's own services. If the master answers but does not know the service, the node registers its topics, services
+and parameters again, with the XML-RPC API of master and nodes.
+
+rospy may unregister a topic or service at the same time, so the node compares its registrations before and after, and
+unregisters those that have ended meanwhile.
 """
 
 import sys
@@ -18,13 +21,13 @@ import rospy
 from rospy.impl.registration import get_service_manager
 
 PERIOD = 1.0
-"""Seconds from one look to the next."""
+"""Seconds between two checks."""
 
 TIMEOUT = 5.0
-"""Seconds after which an answer is not waited for any longer."""
+"""Timeout in seconds of a call."""
 
 SIGN = "~get_loggers"
-"""A service that rospy offers for each node. It is registered last, so that it stands for all the others."""
+"""A service that rospy offers in each node. It is registered last, so that its presence implies all the others."""
 
 SIMULATED = "/use_sim_time"
 
@@ -32,29 +35,29 @@ _Pairs = List[Tuple[str, str]]
 
 
 def wait_for_master() -> None:
-    """Return when the master answers.
+    """Wait until the master answers.
 
-    rospy waits too where it registers, but ends with an error where it sets the parameters of the command line.
+    rospy itself waits when it registers, but fails when it sets the parameters of the command line.
     """
     uri = rosgraph.get_master_uri()
-    master, told = _proxy(uri), False
+    master, is_reported = _proxy(uri), False
     while True:
         try:
             master.getPid("/retalis")
             return
         except (OSError, HTTPException, Error) as error:
-            if not told:
-                told = True
+            if not is_reported:
+                is_reported = True
                 text = f"no master answers at {uri} ({error}): waiting for it; roscore starts one"
                 print(text, file=sys.stderr, flush=True)
         time.sleep(PERIOD / 5)
 
 
 class MasterWatch:
-    """Looks whether the master knows the node, and registers it again where it does not.
+    """Periodic check that the master knows the node, with re-registration if it does not.
 
-    The node's private parameters and ``/use_sim_time`` are given back to it as they were when this was made, but for
-    what somebody else has set meanwhile.
+    The node's private parameters and ``/use_sim_time`` are restored to their values at construction, except those
+    that have been set meanwhile.
     """
 
     def __init__(self) -> None:
@@ -67,7 +70,7 @@ class MasterWatch:
         self._ended = threading.Event()
 
     def start(self) -> None:
-        """Look from now on, until the node is shut down."""
+        """Start the periodic check, which ends with the node."""
         if self._sign not in dict(_services()):
             rospy.logdebug("%s is not there: the master is not watched", self._sign)
             return
@@ -75,10 +78,10 @@ class MasterWatch:
         threading.Thread(target=self._run, daemon=True, name="master watch").start()
 
     def look(self) -> None:
-        """Look once.
+        """Check once, and register again if necessary.
 
         Raises:
-            OSError, HTTPException, Error: where the master does not answer.
+            OSError, HTTPException, Error: if the master does not answer.
         """
         code, _, _ = self._master.lookupService(self._name, self._sign)
         if code == -1:
@@ -95,25 +98,26 @@ class MasterWatch:
                     rospy.logdebug("the master does not answer: %s", error)
 
     def _stop(self) -> None:
-        """Have nothing registered once rospy takes it back."""
+        """Stop the checks, and wait for a registration in progress: rospy is about to unregister everything."""
         self._ended.set()
         if self._work.acquire(timeout=TIMEOUT):
             self._work.release()
 
     def _register(self) -> None:
         for name, value in self._parameters.items():
+            # A launch file that restarted the master may have set other values.
             if not self._master.hasParam(self._name, name)[2]:
                 self._master.setParam(self._name, name, value)
         published, subscribed, services = self._publications(), self._subscriptions(), _services()
         refused = []
         for name, kind in published:
-            refused += self._ask("registerPublisher", name, kind)
+            refused += self._register_one("registerPublisher", name, kind)
         for name, kind in subscribed:
             refused += self._subscribe(name, kind)
-        for name, uri in sorted(services, key=lambda one: one[0] == self._sign):
+        for name, uri in sorted(services, key=lambda service: service[0] == self._sign):
             if not self._ended.is_set():
-                refused += self._ask("registerService", name, uri)
-        self._take_back(published, subscribed, services)
+                refused += self._register_one("registerService", name, uri)
+        self._unregister_closed(published, subscribed, services)
         rospy.logwarn(
             "the master was started anew: this node has registered again, with %d published and %d subscribed topics "
             "and %d services%s",
@@ -123,24 +127,26 @@ class MasterWatch:
             f"; refused: {', '.join(refused)}" if refused else "",
         )
 
-    def _ask(self, method: str, name: str, what: str) -> List[str]:
-        """Register one thing; return its name where the master refuses."""
+    def _register_one(self, method: str, name: str, what: str) -> List[str]:
+        """Register a topic or service; return its name if the master refuses."""
         code, _, _ = getattr(self._master, method)(self._name, name, what, rospy.get_node_uri())
         return [] if code == 1 else [name]
 
     def _subscribe(self, name: str, kind: str) -> List[str]:
-        """Register a subscription, and connect to those publishers that the master knows already."""
+        """Register a subscription, and connect to the publishers that the master knows already."""
         code, _, publishers = self._master.registerSubscriber(self._name, name, kind, rospy.get_node_uri())
         if code != 1:
             return [name]
+        # The master informs only later subscribers about new publishers; this call stands for its first
+        # notification.
         self._self.publisherUpdate("/master", name, publishers)
         return []
 
-    def _take_back(self, published: _Pairs, subscribed: _Pairs, services: _Pairs) -> None:
-        """Unregister what the node has given up while it was being registered."""
-        for name in _gone(published, self._publications()):
+    def _unregister_closed(self, published: _Pairs, subscribed: _Pairs, services: _Pairs) -> None:
+        """Unregister topics and services that the node has closed during the registration."""
+        for name in _removed_names(published, self._publications()):
             self._master.unregisterPublisher(self._name, name, rospy.get_node_uri())
-        for name in _gone(subscribed, self._subscriptions()):
+        for name in _removed_names(subscribed, self._subscriptions()):
             self._master.unregisterSubscriber(self._name, name, rospy.get_node_uri())
         kept = dict(_services())
         for name, uri in services:
@@ -154,15 +160,15 @@ class MasterWatch:
         return _pairs(self._self.getSubscriptions(self._name)[2])
 
     def _known_parameters(self) -> Dict[str, Any]:
-        """Return the parameters that the node was started with, by their full names."""
+        """Return the node's parameters at its start, by full name."""
         private = rospy.get_param("~", {})
-        found = {rospy.resolve_name("~" + name): value for name, value in private.items()}
+        parameters = {rospy.resolve_name("~" + name): value for name, value in private.items()}
         simulated = rospy.get_param(SIMULATED, None)
-        return found if simulated is None else {**found, SIMULATED: simulated}
+        return parameters if simulated is None else {**parameters, SIMULATED: simulated}
 
 
-class _Impatient(Transport):
-    """Does not wait for an answer forever."""
+class _TimeoutTransport(Transport):
+    """Transport with a timeout: a master that hangs must not block the thread forever."""
 
     def make_connection(self, host: Union[str, Tuple[str, Dict[str, str]]]) -> HTTPConnection:
         connection = super().make_connection(host)
@@ -171,19 +177,19 @@ class _Impatient(Transport):
 
 
 def _proxy(uri: str) -> Any:
-    return ServerProxy(uri, _Impatient())
+    return ServerProxy(uri, _TimeoutTransport())
 
 
 def _services() -> _Pairs:
-    """Return the node's services and their addresses, which no interface of rospy's tells."""
+    """Return the node's services and their addresses, which rospy's node API does not contain."""
     manager = get_service_manager()
     return [] if manager is None else _pairs(manager.get_services())
 
 
-def _pairs(found: Any) -> _Pairs:
-    return [(name, what) for name, what in found]
+def _pairs(entries: Any) -> _Pairs:
+    return [(name, what) for name, what in entries]
 
 
-def _gone(before: _Pairs, now: _Pairs) -> List[str]:
+def _removed_names(before: _Pairs, now: _Pairs) -> List[str]:
     kept = {name for name, _ in now}
     return [name for name, _ in before if name not in kept]

@@ -1,4 +1,4 @@
-"""Topics that are published: terms become messages."""
+"""Publishing of terms as messages on the output topics of a program."""
 
 import threading
 from struct import Struct
@@ -17,20 +17,21 @@ from .internal_topics import OUTPUT, WATCH, resolve
 from .topic_statistics import OutputStatus
 
 MAX_UNTYPED_TOPICS_NAMED = 100
-"""Topics without a type that are named."""
+"""Limit for the topics without a type that are logged."""
 
 _SIZE = Struct("<I")
 
 
 class OutputTopics:
-    """Publishes terms.
+    """The output topics of a program.
 
-    A topic whose type is not installed is published once a publisher has brought the definition; see `learned`.
+    A topic whose type is not installed is advertised as soon as a publisher of an input topic has defined the type;
+    see `learned`.
 
     Args:
-        definitions: the message types that are known.
-        queue: length of the queues.
-        reports: takes what goes wrong while messages flow.
+        definitions: known message types.
+        queue: number of messages to queue for each subscriber.
+        reports: receives the errors of single messages.
     """
 
     def __init__(self, definitions: Definitions, queue: int, reports: Reports):
@@ -39,95 +40,100 @@ class OutputTopics:
         self._reports = reports
         self._lock = threading.Lock()
         self._typed: Dict[str, Tuple[Outlet, Encoder]] = {}
-        self._awaited: Dict[str, Tuple[str, bool]] = {}
-        """Types that are not known yet, and whether to latch, by topic."""
-        self._told: Set[str] = set()
+        self._awaiting_type: Dict[str, Tuple[str, bool]] = {}
+        """Unknown type and latching of topics that are not advertised yet, by topic."""
+        self._logged_topics: Set[str] = set()
 
     def advertise(self, topic: str, kind: str, latched: bool = False) -> None:
-        """Make a topic to which terms of a message type can be published.
+        """Advertise a topic with a message type.
 
         Args:
-            topic: its name.
-            kind: the message type; where it is not known, the topic is made when it is.
-            latched: whether its last message goes to each subscriber that comes later.
+            topic: name of the topic.
+            kind: message type; if it is unknown, the topic is advertised when the type becomes known.
+            latched: whether each new subscriber receives the last message.
 
         Raises:
-            MessageError: where the type is not known yet, or wrong.
-            UsageError: where the topic's name is wrong, or it has another type already.
+            MessageError: if the type is unknown yet, or invalid.
+            UsageError: if the topic's name is invalid, or the topic has another type already.
         """
         name = resolve(topic)
         with self._lock:
-            known = self._kind(name)
-            if known is not None:
-                if known != kind:
-                    raise UsageError(f"topic {topic} already has the type {known}")
+            known_type = self._kind(name)
+            if known_type is not None:
+                if known_type != kind:
+                    raise UsageError(f"topic {topic} already has the type {known_type}")
                 return
             try:
-                self._make(name, kind, latched)
+                self._advertise(name, kind, latched)
             except MessageError:
-                self._awaited[name] = (kind, latched)
+                self._awaiting_type[name] = (kind, latched)
                 raise
 
     def status(self) -> List[OutputStatus]:
-        """Return what has gone out on each topic."""
+        """Return the counters of each topic."""
         return [outlet.status(encoder.definition.name) for outlet, encoder in list(self._typed.values())]
 
     def knows(self, kind: str) -> bool:
-        """Tell whether a message type is known."""
+        """Return whether a message type is known."""
         return kind in self._definitions
 
     def _kind(self, name: str) -> Optional[str]:
-        """Return the type that a topic has been given."""
+        """Return the type of a topic; None if it has none."""
         if name in self._typed:
             return self._typed[name][1].definition.name
-        return self._awaited[name][0] if name in self._awaited else None
+        return self._awaiting_type[name][0] if name in self._awaiting_type else None
 
-    def _make(self, name: str, kind: str, latched: bool) -> None:
+    def _advertise(self, name: str, kind: str, latched: bool) -> None:
         definition = self._definitions.find(kind)
         outlet = Outlet(name, raw_class(definition), self._queue, self._reports, latched=latched)
         self._typed[name] = (outlet, self._definitions.encoder(definition))
 
     def learned(self) -> None:
-        """Make the topics whose types have become known: a publisher of a subscribed topic has come."""
-        if not self._awaited:
+        """Advertise the topics whose types have become known through a new connection to a publisher."""
+        # Called for each new connection, in nearly all programs without a topic that waits for its type.
+        if not self._awaiting_type:
             return
         with self._lock:
-            for name, (kind, latched) in list(self._awaited.items()):
+            for name, (kind, latched) in list(self._awaiting_type.items()):
                 if kind in self._definitions:
-                    self._make(name, kind, latched)
-                    del self._awaited[name]
+                    self._advertise(name, kind, latched)
+                    del self._awaiting_type[name]
                     rospy.loginfo(
                         "topic %s is published: its type %s was learned from a publisher", name, kind
                     )
 
     def publish(self, term: Term, topic: str) -> None:
-        """Publish a term as a message; what does not fit the topic's type is logged and not published.
+        """Publish a term as a message; a term that does not fit the topic's type is reported and not published.
 
-        A topic without a type is for those who listen to the outputs as text.
+        Outputs to a topic without a type exist only as text.
         """
         try:
-            found = self._typed.get(resolve(topic))
-            if found is None:
-                self._leave(topic)
+            output = self._typed.get(resolve(topic))
+            if output is None:
+                self._report_unpublished(topic)
                 return
-            outlet, encoder = found
+            outlet, encoder = output
             data = encoder.encode(term, topic)
             outlet.send(_SIZE.pack(len(data)) + data)
         except RetalisError as error:
             self._reports.error(error, ("out", topic))
 
-    def _leave(self, topic: str) -> None:
-        """Say that a topic's outputs stay text: once, where nothing was promised; each time counts where it was."""
-        awaited = self._awaited.get(resolve(topic))
+    def _report_unpublished(self, topic: str) -> None:
+        """Report an output that is not published as message.
+
+        For a topic that waits for its type each message is a loss, and is counted as a warning. For a topic without a
+        type it is normal, and is logged once.
+        """
+        awaited = self._awaiting_type.get(resolve(topic))
         if awaited is not None:
-            text = f"topic {topic}: {awaited[0]} is not known yet, and no publisher has brought it: a message is lost"
+            text = f"topic {topic}: a message is dropped: type {awaited[0]} is unknown until a publisher defines it"
             self._reports.warning(text, ("out", topic))
         elif (
-            len(self._told) < MAX_UNTYPED_TOPICS_NAMED
-            and topic not in self._told
+            len(self._logged_topics) < MAX_UNTYPED_TOPICS_NAMED
+            and topic not in self._logged_topics
             and not topic.startswith(WATCH)
         ):
-            self._told.add(topic)
+            self._logged_topics.add(topic)
             rospy.loginfo(
                 "topic %s has no type in %s: its outputs are on %s only",
                 printable(beginning(topic)),

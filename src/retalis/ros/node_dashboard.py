@@ -1,4 +1,7 @@
-"""The page of node retalis: a dashboard of its engine, with what the nodes tell of their topics."""
+"""Dashboard of node ``retalis``, with the input topics of all nodes of the program.
+
+The counters of topics that other nodes subscribe are read from ``/diagnostics``.
+"""
 
 from typing import Any, Callable, Dict, Iterable, List, Optional, Sequence
 
@@ -14,34 +17,35 @@ from .diagnostics import TOPIC
 from .internal_topics import INPUT, OUTPUT
 from .topic_statistics import InputStatus
 
-_MARK = ": input "
-"""What stands between the names of node and topic in what a node tells of a topic on ``/diagnostics``."""
+_SEPARATOR = ": input "
+"""Separator between the names of node and topic in a status on ``/diagnostics``; see `InputHealth`."""
 
-_TOLD = {"type", "publishers", "messages", "lag (s)"}
-"""Values by which a status of a subscribed topic is known, whatever the hardware id of the node."""
+_TOPIC_KEYS = {"type", "publishers", "messages", "lag (s)"}
+"""Keys that identify the status of a subscribed topic, whatever the hardware id of the node."""
 
-PORTS = 100
-"""Ports that are tried, from the one that is asked for on."""
+MAX_PORTS_TRIED = 100
+"""Number of ports to try, from the requested one on."""
 
 MAX_REMOTE_TOPICS = 200
-"""Topics of other nodes that are remembered."""
+"""Limit for the topics of other nodes."""
 
 
 class NodeDashboard:
-    """Serves the page as long as the node runs; where that cannot be, a warning says why, and the node goes on.
+    """Web page of the engine, served while the node runs.
 
-    If the port is taken, the page has the next one that is free, and the log names it.
+    If the port is in use, the next free one is taken and logged. If the page cannot be served, a warning gives the
+    reason, and the node continues without it.
 
     Args:
-        port: where, on the loopback address; None for no page.
-        queries: whether those who have the page may ask.
-        engine: is shown.
-        inputs: gives what has come on the topics that the node subscribes itself.
-        named: the topics that the program names, whoever subscribes them.
-        events: tells what the events of some of them are called.
+        port: port on the loopback address; None for no page.
+        queries: whether users of the page may ask goals.
+        engine: the engine to show.
+        inputs: returns the counters of the topics that this node subscribes.
+        named: topics of the program, whichever node subscribes them.
+        events: returns pairs of topic and event name, for topics whose events are not named after their type.
 
     Attributes:
-        url: the address of the page, "" if there is none.
+        url: address of the page; "" if there is none.
     """
 
     def __init__(
@@ -54,19 +58,21 @@ class NodeDashboard:
         events: Callable[[], Iterable[TopicEvent]] = tuple,
     ):
         self._inputs = inputs
-        self._named = [TopicLook(rospy.resolve_name(one.topic), one.type) for one in named]
+        self._named = [
+            TopicLook(rospy.resolve_name(topic_type.topic), topic_type.type) for topic_type in named
+        ]
         self._events = events
-        self._told: Dict[str, TopicLook] = {}
+        self._remote_topics: Dict[str, TopicLook] = {}
         self.url = ""
         if port is None:
             return
         source = DashboardSource(engine, rospy.get_name(), self.topics, queries)
         try:
-            page = Dashboard(source, port, tries=PORTS)
+            page = Dashboard(source, port, tries=MAX_PORTS_TRIED)
         except UsageError as error:
             rospy.logwarn("%s; the node goes on without it", error)
             return
-        self._listen()
+        self._subscribe_diagnostics()
         rospy.on_shutdown(page.close)
         self.url = page.url
         if page.port != port:
@@ -75,45 +81,51 @@ class NodeDashboard:
             rospy.loginfo("the dashboard is at %s", page.url)
 
     def topics(self) -> List[TopicLook]:
-        """Return all topics that become events, with what is known of each."""
-        found = {one.name: one for one in self._named}
-        found.update(self._told)
-        found.update({one.topic: _look(one) for one in self._inputs()})
+        """Return all input topics with the known counters of each."""
+        by_name = {look.name: look for look in self._named}
+        # In increasing precedence: names only, statuses of other nodes, the node's own counters.
+        by_name.update(self._remote_topics)
+        by_name.update({look.topic: _topic_look(look) for look in self._inputs()})
         events = {rospy.resolve_name(topic): event for topic, event in self._events()}
         between = {rospy.resolve_name(name) for name in (INPUT, OUTPUT)}
         return [
-            one._replace(event=events.get(name, "")) for name, one in found.items() if name not in between
+            look._replace(event=events.get(name, "")) for name, look in by_name.items() if name not in between
         ]
 
-    def _listen(self) -> None:
-        """Take what the ROS interface tells of its topics, where it is another node."""
+    def _subscribe_diagnostics(self) -> None:
+        """Subscribe ``/diagnostics``, on which the interface node reports its topics."""
         try:
-            from diagnostic_msgs import msg  # noqa: PLC0415 - a node runs without it
+            from diagnostic_msgs import msg  # noqa: PLC0415 - an optional package
         except ImportError:
             return
-        self._subscriber = rospy.Subscriber(TOPIC, msg.DiagnosticArray, self._take, queue_size=10)
+        self._subscriber = rospy.Subscriber(TOPIC, msg.DiagnosticArray, self._receive, queue_size=10)
 
-    def _take(self, message: Any) -> None:
-        """Note what is told of topics by nodes of this package in the same namespace."""
+    def _receive(self, message: Any) -> None:
+        """Store the topics that nodes of this package report in the same namespace."""
         own = rospy.get_name().strip("/")
-        space = own.rpartition("/")[0]
+        namespace = own.rpartition("/")[0]
         for status in message.status:
-            node, mark, topic = status.name.partition(_MARK)
+            node, separator, topic = status.name.partition(_SEPARATOR)
             values = {value.key: value.value for value in status.values}
-            if not mark or not values.keys() >= _TOLD or node == own or node.rpartition("/")[0] != space:
-                continue  # of another program, or no topic
-            if topic in self._told or len(self._told) < MAX_REMOTE_TOPICS:
-                self._told[topic] = _told_look(topic, values)
+            if (
+                not separator
+                or not values.keys() >= _TOPIC_KEYS
+                or node == own
+                or node.rpartition("/")[0] != namespace
+            ):
+                continue  # the status of another program, or of something else than a topic
+            if topic in self._remote_topics or len(self._remote_topics) < MAX_REMOTE_TOPICS:
+                self._remote_topics[topic] = _remote_topic_look(topic, values)
 
 
-def _look(one: InputStatus) -> TopicLook:
-    lag = None if one.lag is None else one.lag / SECOND
-    lost = one.dropped + one.refused
-    return TopicLook(one.topic, one.type, one.messages, one.publishers, lost, one.age, lag)
+def _topic_look(status: InputStatus) -> TopicLook:
+    lag = None if status.lag is None else status.lag / SECOND
+    lost = status.dropped + status.refused
+    return TopicLook(status.topic, status.type, status.messages, status.publishers, lost, status.age, lag)
 
 
-def _told_look(topic: str, values: Dict[str, str]) -> TopicLook:
-    """Return what another node tells of a topic; see `InputHealth.of`."""
+def _remote_topic_look(topic: str, values: Dict[str, str]) -> TopicLook:
+    """Return the topic that the values of a status describe; see `InputHealth.of`."""
     messages, publishers = _number(values, "messages"), _number(values, "publishers")
     return TopicLook(
         topic,
@@ -127,9 +139,9 @@ def _told_look(topic: str, values: Dict[str, str]) -> TopicLook:
 
 
 def _number(values: Dict[str, str], key: str) -> Optional[float]:
-    """Return a finite number that is told; None where there is none."""
+    """Return a value as finite number; None if it is absent or not a number."""
     try:
-        found = float(values.get(key, ""))
+        number = float(values.get(key, ""))
     except ValueError:
         return None
-    return found if abs(found) < float("inf") else None
+    return number if abs(number) < float("inf") else None

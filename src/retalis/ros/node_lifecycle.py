@@ -1,6 +1,9 @@
-"""What SIGINT and SIGTERM do to a node.
+"""Start and shutdown of a node, and handling of SIGINT and SIGTERM.
 
-Starting and ending a node.
+rospy's own signal handler calls the master within the handler, and deadlocks if the interrupted code was calling the
+master, too. Here a signal raises KeyboardInterrupt in the main thread, and the node shuts down afterwards. During the
+construction of the node a signal is delayed while the main thread is in a call of the master, because an aborted call
+would leave the node registered (`Interrupts`).
 """
 
 import logging
@@ -23,81 +26,83 @@ from .parameters import Parameters, read_parameters
 from .ros_log import forward_log, write_out_each_line
 
 SIGNAL_DELAY_SECONDS = (("xmlrpc.", 2.0), ("rospy.", 0.2))
-"""Seconds for which a signal is put off at most, by the modules that the main thread is in.
+"""Longest delay of a signal in seconds, by the module prefix of a function that the main thread is executing.
 
-That is in a request to the master, which may be one that hangs; or in rospy, which may be between two steps that
-belong together, or wait for a master that is not there.
+``xmlrpc.`` is a call of the master, which may hang. ``rospy.`` may be between two steps that belong together, or wait
+for a master.
 """
 
-PAUSE = 0.05
-"""Seconds from one look to the next whether it need not be put off any longer."""
+RETRY_INTERVAL_SECONDS = 0.05
+"""Seconds between two attempts to deliver a delayed signal."""
 
-LAST = 10.0
-"""Seconds that taking a node down may take. Whoever started it often kills it after 15."""
+MAX_SHUTDOWN_SECONDS = 10.0
+"""Limit in seconds for the shutdown; roslaunch sends SIGTERM and then SIGKILL from 15 s after SIGINT on."""
 
 
 class Interrupts:
-    """Raises KeyboardInterrupt for a signal, but not amid a conversation with the master.
+    """Raises KeyboardInterrupt for a signal, but not during a call of the master.
 
-    A request that is cut off leaves its connection of no use, and the node would stay registered with the master. So
-    a signal that comes while the node is set up is put off until such a request is over, for a moment mostly.
+    An aborted call leaves its connection unusable, and the node would remain registered with the master. A signal
+    during the node's construction is therefore delayed until the call has returned, usually for a few milliseconds.
     """
 
     def __init__(self) -> None:
-        self._allowed = self._raised = self._insisting = False
+        self._allowed = self._raised = self._is_repeating = False
         self._since: Optional[float] = None
 
     def begin(self) -> None:
-        """Take the signals from now on."""
-        self._set(self._take)
+        """Install the signal handlers."""
+        self._set(self._handle_signal)
 
     def allow(self) -> None:
-        """Let signals interrupt at any moment from now on, and do so if one was put off."""
+        """Allow interrupts at any moment, and raise one if a signal was delayed."""
         self._allowed = True
         if self._since is not None:
             self._interrupt()
 
     def shut_down(self) -> None:
-        """Interrupt what the main thread is doing, where the node is shut down before it was set up."""
+        """Interrupt the main thread if the node is shut down before its construction has ended."""
         main = threading.main_thread().ident
         if not (self._allowed or self._raised or main is None):
             signal.pthread_kill(main, signal.SIGTERM)
 
     def end(self, status: int) -> None:
-        """Let no signal cut off what the master has to be told at the end, nor the end wait for it forever."""
+        """Ignore signals during the shutdown, and start a thread that limits its duration."""
         self._raised = True
         self._set(signal.SIG_IGN)
-        threading.Thread(target=_give_up, args=(status,), daemon=True, name="last resort").start()
+        threading.Thread(target=_exit_after_timeout, args=(status,), daemon=True, name="last resort").start()
 
     def _set(self, handler: Union[Callable[[int, Optional[FrameType]], None], signal.Handlers]) -> None:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, handler)
 
-    def _take(self, number: int, frame: Optional[FrameType]) -> None:
+    def _handle_signal(self, number: int, frame: Optional[FrameType]) -> None:
         if self._since is None:
             self._since = time.monotonic()
-        if self._allowed or time.monotonic() - self._since >= _patience(frame):
+        if self._allowed or time.monotonic() - self._since >= _max_delay(frame):
             self._interrupt()
-        if not self._insisting:
-            self._insisting = True
-            threading.Thread(target=self._insist, args=(number,), daemon=True, name="interrupt").start()
+        if not self._is_repeating:
+            self._is_repeating = True
+            threading.Thread(
+                target=self._repeat_signal, args=(number,), daemon=True, name="interrupt"
+            ).start()
 
     def _interrupt(self) -> None:
         self._raised = True
         raise KeyboardInterrupt
 
-    def _insist(self, number: int) -> None:
-        """Send a signal that was put off again and again."""
+    def _repeat_signal(self, number: int) -> None:
+        """Repeat a delayed signal until it has been raised."""
         main = threading.main_thread().ident
         while True:
-            time.sleep(PAUSE)
+            time.sleep(RETRY_INTERVAL_SECONDS)
             if self._raised or main is None:
                 return
             signal.pthread_kill(main, number)
 
 
-def _patience(frame: Optional[FrameType]) -> float:
-    """Return how long a signal may be put off for what runs in a frame, and in those that it was called from."""
+def _max_delay(frame: Optional[FrameType]) -> float:
+    """Return the longest delay of a signal in seconds for the functions on the stack of a frame."""
     modules = []
     while frame is not None:
         modules.append(frame.f_globals.get("__name__") or "")
@@ -108,49 +113,55 @@ def _patience(frame: Optional[FrameType]) -> float:
     return 0.0
 
 
-def _give_up(status: int) -> None:
-    """End the process, where a master that hangs, or a thread that does not end, keeps it from doing so."""
-    time.sleep(LAST)
+def _exit_after_timeout(status: int) -> None:
+    """Exit the process if a master that hangs, or a thread that does not end, prevents its normal exit."""
+    time.sleep(MAX_SHUTDOWN_SECONDS)
     try:
-        print(f"not everything has ended after {LAST:.0f} s: the process ends all the same", file=sys.stderr)
+        print(
+            f"the shutdown has not ended after {MAX_SHUTDOWN_SECONDS:.0f} s: the process exits now",
+            file=sys.stderr,
+        )
         sys.stderr.flush()
         sys.stdout.flush()
     finally:
         os._exit(status)
 
 
-SPIN = 0.5
-"""Seconds from one look to the next whether the node has been shut down."""
+SHUTDOWN_CHECK_SECONDS = 0.5
+"""Seconds between two checks whether the node has been shut down."""
 
-IDLE = 0.02
-"""Share of one core below which a node counts as idle: garbage is collected then, if much may have gathered."""
+MAX_IDLE_LOAD = 0.02
+"""Share of one core below which a node counts as idle, so that the garbage collector may run."""
 
 
 def run_node(name: str, build: Callable[[Parameters], object]) -> int:
     """Run a node until it is shut down or interrupted; return its exit status.
 
-    That is 1 where the node could not be set up, and 0 where it was asked to end, at whatever moment.
+    The status is 1 if the node could not be constructed, and 0 if it was asked to end, at whatever moment.
 
-    rospy's own signal handler calls the master from within the handler, and hangs where the interrupted code
-    was just doing the same. Here a signal raises KeyboardInterrupt, and the node is taken down afterwards.
+    Args:
+        name: default name of the node.
+        build: constructs the node from its parameters.
     """
     interrupts = Interrupts()
     status = 0
     try:
         interrupts.begin()
-        status = _live(name, build, interrupts)
+        status = _run_until_shutdown(name, build, interrupts)
     except KeyboardInterrupt:
         pass
     finally:
         interrupts.end(status)
         rospy.signal_shutdown("ended")
-        while not rospy.is_shutdown():  # another thread is at it (``rosnode kill``)
-            time.sleep(PAUSE)
-        stop_collecting()  # 100,000 recorded events would take seconds at each of the collections to come
+        while not rospy.is_shutdown():  # another thread has begun the shutdown (``rosnode kill``)
+            time.sleep(RETRY_INTERVAL_SECONDS)
+        # With 100,000 recorded events, each of the interpreter's collections at exit would take seconds.
+        stop_collecting()
     return status
 
 
-def _live(name: str, build: Callable[[Parameters], object], interrupts: Interrupts) -> int:
+def _run_until_shutdown(name: str, build: Callable[[Parameters], object], interrupts: Interrupts) -> int:
+    # All three before `init_node`, in which rospy sets up its log, calls the master, and starts its servers.
     write_out_each_line()
     wait_for_master()
     limit_connections()
@@ -164,13 +175,14 @@ def _live(name: str, build: Callable[[Parameters], object], interrupts: Interrup
     except RetalisError as error:
         rospy.logfatal("%s", error)
         return 1
+    # After construction: all objects of the program and of rospy are exempted from later collections.
     limit_gc_pauses()
     interrupts.allow()
-    while not rospy.is_shutdown():  # not `rospy.spin`, which takes the node down from within the interrupt
-        worked = time.process_time()
-        time.sleep(SPIN)
-        if time.process_time() - worked < IDLE * SPIN:
-            # In a thread of its own: an interrupt that comes in a callback of the garbage collector would be lost.
+    while not rospy.is_shutdown():  # `rospy.spin` would shut the node down within the interrupt
+        cpu_time = time.process_time()
+        time.sleep(SHUTDOWN_CHECK_SECONDS)
+        if time.process_time() - cpu_time < MAX_IDLE_LOAD * SHUTDOWN_CHECK_SECONDS:
+            # In another thread, because an interrupt during a callback of the garbage collector would be lost.
             collecting = threading.Thread(target=collect_when_idle, daemon=True)
             collecting.start()
             collecting.join()

@@ -1,4 +1,4 @@
-"""The parameters of the two nodes, checked."""
+"""Private parameters of the two nodes: defaults, validation and conversion."""
 
 import sys
 from difflib import get_close_matches
@@ -17,10 +17,10 @@ from ..prolog.machine.resource_limits import Limits, Number, checked_number
 from .diagnostics import HARDWARE
 
 LIMITS = Limits(seconds=10.0, megabytes=500)
-"""What an event, a service or a query may use with all that it starts, by default."""
+"""Default limits for an event, a service call or a query, including everything that it triggers."""
 
 WATCHDOG = 1.0
-"""Seconds after which what is still at work is named."""
+"""Default of ``~watchdog``: seconds after which work in progress is logged."""
 
 
 KNOWN = (
@@ -54,22 +54,23 @@ KNOWN = (
 
 
 class Parameters(NamedTuple):
-    """What a node was told.
+    """The parameters of a node.
 
     Attributes:
-        program: the folder with pub_sub.xml and goalPredicates.txt.
-        direct: ``auto``, True, False, or the topics that node retalis subscribes by itself.
+        program: folder with pub_sub.xml and goalPredicates.txt.
+        direct: ``auto``, True, False, or the topics that node retalis subscribes itself.
         embedded: whether the ROS interface runs inside node retalis.
-        queue: the length of each queue.
-        settings: of the engine.
-        bare: how many elements without bytes a message may have.
-        explain: whether to record what events come from.
-        max_skew: how many seconds a stamp may be away from what its topic and frame had so far; None for any number.
-        diagnostics: seconds from one message on ``/diagnostics`` to the next; None for none.
-        hardware_id: of the node's statuses on ``/diagnostics``.
-        dashboard: the port of the page that shows the engine; None for no page.
-        dashboard_queries: whether those who have the page may ask.
-        checkpoint: the file in which the engine's state is kept while it runs; None for none.
+        queue: length of each queue, in events or messages.
+        settings: settings of the engine.
+        bare: limit for the elements of a message that occupy no bytes.
+        explain: whether to record the causes of events.
+        max_skew: largest difference in seconds between a stamp and the expected time of its topic and frame; None
+            for no limit.
+        diagnostics: seconds between two messages on ``/diagnostics``; None for none.
+        hardware_id: hardware id of the node's statuses on ``/diagnostics``.
+        dashboard: port of the dashboard; None for no dashboard.
+        dashboard_queries: whether users of the dashboard may ask goals.
+        checkpoint: file for the engine's state; None for none.
     """
 
     program: Path
@@ -91,10 +92,10 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
     """Return the private parameters of this node.
 
     Raises:
-        UsageError: for a value of the wrong kind, naming the parameter.
+        UsageError: if a value is invalid; the message names the parameter.
     """
     argv = rospy.myargv(sys.argv if arguments is None else arguments)
-    _warn_of_unknown()
+    _warn_about_unknown()
     limits = Limits(
         _limit("~max_seconds", float, LIMITS.seconds),
         _limit("~max_inferences", int, LIMITS.inferences),
@@ -136,11 +137,11 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
     )
 
 
-def _warn_of_unknown() -> None:
+def _warn_about_unknown() -> None:
     for name in rospy.get_param("~", {}):
         if name not in KNOWN:
-            meant = get_close_matches(name, KNOWN, 1)
-            hint = f"did you mean ~{meant[0]}?" if meant else f"the parameters are ~{', ~'.join(KNOWN)}"
+            matches = get_close_matches(name, KNOWN, 1)
+            hint = f"did you mean ~{matches[0]}?" if matches else f"the parameters are ~{', ~'.join(KNOWN)}"
             rospy.logwarn("there is no parameter ~%s; %s", printable(beginning(name)), hint)
 
 
@@ -155,14 +156,14 @@ def _program(argv: List[str]) -> Path:
     return _existing(Path(_package()) / "application_source", "the program's folder")
 
 
-def _existing(folder: Path, what: str) -> Path:
+def _existing(folder: Path, description: str) -> Path:
     if folder.is_dir():
         return folder
-    found = "is no folder" if folder.exists() else "does not exist"
+    problem = "is no folder" if folder.exists() else "does not exist"
     shown = printable(beginning(str(folder)))
     raise UsageError(
-        f"{what}: {shown} {found}: give the absolute path of the folder with goalPredicates.txt and pub_sub.xml, "
-        "as program:=/path of retalis.launch or as parameter ~program"
+        f"{description}: {shown} {problem}: give the absolute path of the folder with goalPredicates.txt "
+        "and pub_sub.xml, as program:=/path of retalis.launch or as parameter ~program"
     )
 
 
@@ -191,7 +192,7 @@ def _folders(name: str) -> Tuple[str, ...]:
 
 
 def _file(name: str) -> Optional[Path]:
-    """Return the file that a parameter names, None for none."""
+    """Return the absolute path in a parameter; None if it is empty."""
     value = rospy.get_param(name, "")
     if not isinstance(value, str) or "\0" in value:
         raise UsageError(f"parameter {name}: expected the path of a file, found {value!r}")
@@ -199,7 +200,7 @@ def _file(name: str) -> Optional[Path]:
 
 
 def _text(name: str, default: str) -> str:
-    """Return the text that a parameter gives; ``default`` if it is empty."""
+    """Return the text of a parameter; ``default`` if it is empty."""
     value = rospy.get_param(name, default)
     if not isinstance(value, str):
         raise UsageError(f"parameter {name}: expected a text, found {value!r}")
@@ -214,7 +215,7 @@ def _flag(name: str) -> bool:
 
 
 def _port(name: str) -> Optional[int]:
-    """Return the port that a parameter asks for, None for none."""
+    """Return the port in a parameter: the default port for true, None for false."""
     value = rospy.get_param(name, False)
     if isinstance(value, bool):
         return DASHBOARD_PORT if value else None
@@ -224,7 +225,7 @@ def _port(name: str) -> Optional[int]:
 
 
 def _limit(name: str, kind: Type[Number], default: Optional[Number]) -> Optional[Number]:
-    """Return a number from 0 on, None for 0: without limit."""
+    """Return a number of 0 or more; None for 0, which means no limit."""
     return (
         checked_number(f"parameter {name} (0 means no limit)", rospy.get_param(name, default or 0), kind)
         or None

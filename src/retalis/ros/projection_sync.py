@@ -1,8 +1,9 @@
-"""What node retalis reads of messages, told to the ROS interface, which writes as text only that.
+"""Projection pushdown between the nodes: the interface omits fields of messages that node ``retalis`` does not read.
 
-Nothing is left out where that could be seen. The interface writes all of a message unless node retalis, and nobody
-else, is connected to the texts, and the connection over which it has told what it reads is still there: one that was
-started anew tells anew.
+Node ``retalis`` publishes the argument positions that no rule, memory or goal reads, after each change. The interface
+writes a message completely unless it is certain that the omission is invisible: node ``retalis`` is the only
+subscriber of the texts, and the connection on which it has published the positions still exists. A restarted node
+publishes them again.
 """
 
 import json
@@ -16,39 +17,44 @@ from ..engine.engine import Engine
 from ..engine.runtime.problem_reports import Reports
 from ..foundation.errors import MessageError, beginning
 from ..prolog.terms.types import Functor
-from .internal_topics import MAX_CONTROL_CHARACTERS, read_told_json
+from .internal_topics import MAX_CONTROL_CHARACTERS, read_control_json
 
-UNREAD = "retalisUnread"
-"""The topic on which node retalis says what it reads not: JSON, the numbers of arguments by name and arity."""
+UNREAD_TOPIC = "retalisUnread"
+"""Topic of the unread arguments: JSON, lists of argument positions by functor (name and arity)."""
 
 NONE: FrozenSet[int] = frozenset()
 
 
 class ProjectionPublisher:
-    """Tells what an engine does not read, again whenever that has changed, by a thread of its own."""
+    """Publishes the unread arguments of an engine after each change, in a thread."""
 
     def __init__(self, engine: Engine):
         self._dispatcher = engine.dispatcher
-        self._publisher = rospy.Publisher(UNREAD, String, queue_size=10, latch=True)
+        self._publisher = rospy.Publisher(UNREAD_TOPIC, String, queue_size=10, latch=True)
         self._last: Optional[str] = None
         self._changed = threading.Event()
         self._changed.set()
         self._dispatcher.on_change = self._changed.set
-        threading.Thread(target=self._run, name=UNREAD, daemon=True).start()
+        threading.Thread(target=self._run, name=UNREAD_TOPIC, daemon=True).start()
 
     def _run(self) -> None:
         while not rospy.is_shutdown():
+            # Several changes during the loading of a program are combined into one message.
             self._changed.wait()
             self._changed.clear()
             try:
-                self._tell()
+                self._publish_changes()
             except rospy.ROSException as error:  # the node is being shut down
-                rospy.logdebug("%s: %s", UNREAD, error)
+                rospy.logdebug("%s: %s", UNREAD_TOPIC, error)
 
-    def _tell(self) -> None:
-        found = self._dispatcher.unread.tell()
-        text = json.dumps({str(functor): sorted(positions) for functor, positions in found.items()})
-        if len(text) > MAX_CONTROL_CHARACTERS:  # beyond, nothing is told, and everything is written
+    def _publish_changes(self) -> None:
+        unread_positions = self._dispatcher.unread.tell()
+        text = json.dumps(
+            {str(functor): sorted(positions) for functor, positions in unread_positions.items()}
+        )
+        if (
+            len(text) > MAX_CONTROL_CHARACTERS
+        ):  # the receiver would reject it; "{}" means that everything is read
             text = "{}"
         if text != self._last:
             self._publisher.publish(String(text))
@@ -56,63 +62,69 @@ class ProjectionPublisher:
 
 
 class _Notice(NamedTuple):
-    """What was told last, and the header of the connection over which it came."""
+    """The last received positions, and the header of the connection on which they were received."""
 
     header: Dict[str, str]
     unread: Dict[str, FrozenSet[int]]
 
 
 class ProjectionReceiver:
-    """What the reader of the texts does not read of events, as far as that is sure.
+    """Receiver of the unread arguments in the interface node.
 
     Args:
-        links: gives the connections of those who get the texts.
-        reports: takes what is told and cannot be understood.
+        links: returns the connections of the subscribers of the texts.
+        reports: receives a warning for each malformed message.
     """
 
     def __init__(self, links: Callable[[], List[Any]], reports: Reports):
         self._links = links
         self._reports = reports
-        self._told: Optional[_Notice] = None
-        self._subscriber = rospy.Subscriber(UNREAD, String, self._take, queue_size=10)
+        self._notice: Optional[_Notice] = None
+        self._subscriber = rospy.Subscriber(UNREAD_TOPIC, String, self._receive, queue_size=10)
 
     def of(self, functor: Functor) -> FrozenSet[int]:
-        """Return the arguments of events, by number, that may be left out now.
+        """Return the argument positions of events that may be omitted now.
 
-        That is for what is sent at once: a text that is kept, to be sent to who comes later, has to be whole.
+        This is valid only for a text that is sent at once. A text that is stored for later subscribers has to be
+        complete.
         """
-        told = self._told
-        positions = NONE if told is None else told.unread.get(str(functor), NONE)
-        return positions if positions and told is not None and self._holds(told) else NONE
+        notice = self._notice
+        positions = NONE if notice is None else notice.unread.get(str(functor), NONE)
+        return positions if positions and notice is not None and self._is_valid(notice) else NONE
 
-    def _holds(self, told: _Notice) -> bool:
-        """Tell whether the one who has told it is there, and the only one who gets texts."""
-        links = self._links()
-        if len(links) != 1 or getattr(links[0], "endpoint_id", None) != told.header.get("callerid"):
+    def _is_valid(self, notice: _Notice) -> bool:
+        """Return whether the positions' publisher is still connected, and the only subscriber of the texts."""
+        subscribers = self._links()
+        if len(subscribers) != 1 or getattr(subscribers[0], "endpoint_id", None) != notice.header.get(
+            "callerid"
+        ):
             return False
         sources = getattr(self._subscriber.impl, "connections", ())
-        return any(link.header is told.header and not link.done for link in sources)
+        # A restarted node has the same name, but another connection, and its rules may read other arguments.
+        return any(connection.header is notice.header and not connection.done for connection in sources)
 
-    def _take(self, message: Any) -> None:
+    def _receive(self, message: Any) -> None:
         header = message._connection_header  # noqa: SLF001 - rospy has no other name for it
         try:
-            self._told = _Notice(header, _read(message.data))
+            self._notice = _Notice(header, _read(message.data))
         except MessageError as error:
-            self._told = None
-            self._reports.warning(f"{UNREAD} from {header.get('callerid', 'somebody')}: {error}", UNREAD)
+            self._notice = None
+            self._reports.warning(
+                f"{UNREAD_TOPIC} from {header.get('callerid', 'somebody')}: {error}", UNREAD_TOPIC
+            )
 
 
 def _read(text: str) -> Dict[str, FrozenSet[int]]:
-    """Return what a text tells.
+    """Return the argument positions by functor in a text.
 
     Raises:
-        MessageError: where it is not as it has to be.
+        MessageError: if the text does not have the expected form.
     """
-    wrong = MessageError(f"expected numbers of arguments by name, found {beginning(text)}")
-    found = read_told_json(text, wrong)
-    if not isinstance(found, dict):
-        raise wrong
-    for positions in found.values():
-        if not isinstance(positions, list) or not all(one.__class__ is int for one in positions):
-            raise wrong
-    return {name: frozenset(positions) for name, positions in found.items()}
+    malformed = MessageError(f"expected numbers of arguments by name, found {beginning(text)}")
+    data = read_control_json(text, malformed)
+    if not isinstance(data, dict):
+        raise malformed
+    for positions in data.values():
+        if not isinstance(positions, list) or not all(position.__class__ is int for position in positions):
+            raise malformed
+    return {name: frozenset(positions) for name, positions in data.items()}

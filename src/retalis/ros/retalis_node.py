@@ -1,4 +1,11 @@
-"""Node ``retalis``: the engine behind its services and topics."""
+"""Node ``retalis``: an engine with its topics, services, diagnostics and dashboard.
+
+The order of construction matters. The engine exists first, restored from a checkpoint if there is one; then the
+program is loaded, so that subscriptions of its goals are known; then topics are subscribed. Services are offered
+before the node subscribes the texts of the interface, because they identify it as the receiver (`late_joiners`).
+
+The ROS interface runs in its own node by default, and inside this one with parameter ``~embedded``.
+"""
 
 import threading
 import time
@@ -23,8 +30,8 @@ from ..prolog.syntax.event_text import to_text
 from ..prolog.terms.types import CompoundTerm, Term, atom
 from .checkpoint_file import StateFile
 from .diagnostics import LATE, Diagnostics, EngineHealth, Health, InputRole, NodeHealth, program_health
-from .dynamic_subscriptions import DynamicSubscriptions, plain
-from .internal_topics import INPUT, OUTPUT, TextOnly, resolve
+from .dynamic_subscriptions import DynamicSubscriptions, subscribable_name
+from .internal_topics import INPUT, OUTPUT, UntypedTopicWarnings, resolve
 from .latched_inputs import LatchedConnection, LatchedInputs
 from .node_dashboard import NodeDashboard
 from .node_lifecycle import run_node
@@ -45,19 +52,22 @@ from .text_topics import OutputTexts
 from .topic_statistics import OutputStatus, StartupWarnings
 
 MAX_EPOCH_WAIT_SECONDS = 10.0
-"""Seconds after which an engine is in a run at the latest: a full queue may have dropped what would have told it."""
+"""Longest delay in seconds until the engine enters a new clock epoch.
+
+A full queue may have dropped the announcement of the epoch.
+"""
 
 
-HEARD = 5.0
-"""Seconds for which alarms that came due while the node was away wait for the interface to be connected."""
+MAX_INTERFACE_WAIT_SECONDS = 5.0
+"""Longest wait in seconds for the interface before alarms run that became due while the node was not running."""
 
 
 class RosClock(Clock):
-    """ROS time, simulated or not; wakes the engine when an alarm is due.
+    """ROS time, simulated or not, with alarms that wake the engine.
 
     Attributes:
-        engine: is woken.
-        resumed: whether the engine goes on from a file, and simulated time has not been heard of since.
+        engine: the engine to wake.
+        resumed: whether the engine continues from a checkpoint, and simulated time is still unknown.
     """
 
     def __init__(self, runs: Optional[ClockEpochs] = None) -> None:
@@ -69,55 +79,56 @@ class RosClock(Clock):
         self._timer_for: Optional[int] = None
 
     def _time_of_run(self, runs: ClockEpochs) -> int:
-        """Return the time of the run that the engine is in: it may still have messages of the one before."""
+        """Return the time of the engine's epoch; messages of an older epoch may still be queued."""
         if self._run != runs.run and time.monotonic() - runs.since > MAX_EPOCH_WAIT_SECONDS:
             self._run = runs.run
         now = runs.now(self._run)
         if self.resumed and not now:
-            return self._newest  # /clock has said nothing yet: no time that went back
+            return self._newest  # without a message on /clock, time is 0, which is not a jump back
         self.resumed = False
         return now
 
     def begin_run(self, run: int) -> None:
-        """Have the engine go on to another run."""
+        """Set the engine's clock epoch."""
         self._run = run
 
     def call_at(self, instant: int, alarm: Alarm) -> None:
-        """Have ``alarm`` called when ROS time reaches an instant."""
+        """Schedule ``alarm`` for an instant of ROS time in nanoseconds."""
         super().call_at(instant, alarm)
         self._set_timer()
 
     def put_back(self, instant: int, order: int, alarm: Alarm) -> None:
-        """Have ``alarm`` called as another clock had it; see `call_at`."""
+        """Schedule ``alarm`` with the order that it had in another clock; see `call_at`."""
         super().put_back(instant, order, alarm)
         self._set_timer()
 
     def due(self, until: Optional[int] = None) -> Optional[Tuple[int, Alarm]]:
-        """Take and return the next alarm that is due; where there is none, a timer waits for the next one.
+        """Remove and return the next due alarm; if there is none, start the timer for the next one.
 
-        The timer is set here, where the engine works, and not when it rings: an engine that is busy then would
-        be woken again and again for the same alarm.
+        The timer is started here, in the engine's thread, and not when it fires: a busy engine would be woken again
+        and again for the same alarm.
         """
-        found = super().due(until)
-        if found is None:
+        due_alarm = super().due(until)
+        if due_alarm is None:
             self._set_timer()
-        return found
+        return due_alarm
 
     def _set_timer(self) -> None:
-        """Have one timer, for the earliest alarm.
+        """Start a timer for the earliest alarm, in place of a later one.
 
-        Not before there is an engine to wake: one that goes on from a file sets its alarms before that, when ROS time
-        may not be known either.
+        Without an engine to wake, nothing is started: an engine that continues from a checkpoint schedules its alarms
+        earlier, when ROS time may be unknown, too.
         """
         if self.engine is None:
             return
         instant = self.next_alarm()
-        timer, timer_for = self._timer, self._timer_for  # another thread may be just in `_wake`
+        timer, timer_for = self._timer, self._timer_for  # `_wake` may reset both in another thread
         if instant is None or (timer_for is not None and timer_for <= instant):
             return
         if timer is not None:
             timer.shutdown()
         self._timer_for = instant
+        # At least 1 ms: rospy rejects negative durations, and the alarm may be due by now.
         wait = max(1_000_000, instant - self.now())
         self._timer = rospy.Timer(rospy.Duration.from_sec(wait / 1e9), self._wake, oneshot=True, reset=True)
 
@@ -128,18 +139,19 @@ class RosClock(Clock):
 
 
 class RetalisNode:
-    """Node ``retalis``, set up from its parameters."""
+    """Node ``retalis``, constructed from its parameters."""
 
     def __init__(self, parameters: Parameters):
         self._parameters = parameters
         self._errors: List[str] = []
-        self._doubts: List[str] = []
+        self._program_warnings: List[str] = []
         self._reports = Reports()
         self._time = SimulatedTime(self._reports)
         definitions = Definitions(bare=parameters.bare)
         state = StateFile(parameters, self._reports)
         self.engine = state.engine(lambda: RosClock(self._time.runs), definitions)
         print_lines_of(self.engine.logic)
+        # Now the engine can be woken, and its alarms get a timer.
         clock: Any = self.engine.clock
         clock.engine, clock.resumed = self.engine, state.resumed
         skew = ClockSkewMonitor(
@@ -151,9 +163,10 @@ class RetalisNode:
             record_origins(self.engine)
         topics = self._topics()
         direct = direct_topics(parameters.direct, topics, rospy.resolve_name)
-        asked = DynamicSubscriptions()
+        # Before the program is loaded: its goals may subscribe topics, which are queued until the interface exists.
+        subscriptions = DynamicSubscriptions()
         input_topics = self.engine.input_topics
-        input_topics.begin(asked.ask, topics, direct, plain)
+        input_topics.begin(subscriptions.ask, topics, direct, subscribable_name)
         if not state.resumed:
             self._load()
         runs = self._time.runs
@@ -169,8 +182,9 @@ class RetalisNode:
             latched=self._latched_reader,
             runs=runs,
         )
-        self._text_only = TextOnly((topic for topic, _ in topics.published), self._reports)
-        self._look_through(topics)
+        self._untyped_topics = UntypedTopicWarnings((topic for topic, _ in topics.published), self._reports)
+        self._log_mistakes(topics)
+        # Before topics are subscribed, so that the outputs of the first message are sent.
         self.engine.on_output(self._send_text)
         if parameters.embedded:
             connect(self._interface, topics, direct)
@@ -178,15 +192,15 @@ class RetalisNode:
             InterfaceServices(self._interface)
         else:
             ProjectionPublisher(self.engine)
-        for topic, kind in direct:
-            self._subscribe(topic, kind, topics.event_of(topic, rospy.resolve_name))
-        asked.begin(self._interface if parameters.embedded else None)
-        types = {rospy.resolve_name(topic): kind for topic, kind in topics.published}
+        for topic, message_type in direct:
+            self._subscribe(topic, message_type, topics.event_of(topic, rospy.resolve_name))
+        subscriptions.begin(self._interface if parameters.embedded else None)
+        types = {rospy.resolve_name(topic): message_type for topic, message_type in topics.published}
         EngineServices(
             self.engine,
-            self._text_only,
-            lambda pattern: self._doubt(pattern, topics, direct),
-            lambda goal, topic: self._misfit(goal, topic, types, definitions),
+            self._untyped_topics,
+            lambda pattern: self._missing_source(pattern, topics, direct),
+            lambda goal, topic: self._type_mismatch(goal, topic, types, definitions),
         )
         QueryServices(self.engine)
         RuleServices(self.engine)
@@ -197,7 +211,7 @@ class RetalisNode:
         texts = self._interface.subscribe_texts(INPUT, self.engine.post_text, runs, self._latched)
         self._time.begin([self._interface.turn, texts], skew.begin_run, lambda end: self._begin_run(clock))
         rospy.loginfo("%s: %s", parameters.program, self.engine.summary())
-        StartupWarnings(self._interface.inputs, self._named(input_topics.joined(topics)), clock=True)
+        StartupWarnings(self._interface.inputs, self._named_topics(input_topics.joined(topics)), clock=True)
         self._diagnostics = Diagnostics(
             parameters.diagnostics,
             NodeHealth(
@@ -218,17 +232,17 @@ class RetalisNode:
         )
         state.begin(self.engine)
         if state.resumed:
-            threading.Thread(target=self._ring, daemon=True).start()
+            threading.Thread(target=self._run_missed_alarms, daemon=True).start()
 
-    def _ring(self) -> None:
-        """Let alarms ring that came due while the node was away, when there is somebody to hear them."""
-        end = time.monotonic() + HEARD
+    def _run_missed_alarms(self) -> None:
+        """Run the alarms that became due while the node was not running, after the interface has connected."""
+        end = time.monotonic() + MAX_INTERFACE_WAIT_SECONDS
         while not self._parameters.embedded and not self._texts.links() and time.monotonic() < end:
             time.sleep(0.05)
         self.engine.advance()
 
     def _begin_run(self, clock: RosClock) -> None:
-        """Have the engine start anew when it has taken what was posted so far."""
+        """Enter a new clock epoch after the engine has processed its queue, which belongs to the former one."""
         if self._time.runs is not None:
             self.engine.advance(partial(clock.begin_run, self._time.runs.run))
 
@@ -243,16 +257,16 @@ class RetalisNode:
             )
             return [
                 *engine.of(time.monotonic(), status),
-                program_health(list(self._errors), list(self._doubts)),
+                program_health(list(self._errors), list(self._program_warnings)),
             ]
 
         return health
 
     def _input_roles(self, topics: Topics, direct: Iterable[TopicType]) -> Callable[[str], InputRole]:
-        """Return what gives the use that the program has for a topic, as its rules are when it is called."""
+        """Return a function from a topic to its present role in the program, whose rules may change."""
         embedded, takes = self._parameters.embedded, self.engine.dispatcher.takes_name
         resolve_name = rospy.resolve_name
-        named = set(map(resolve_name, self._named(topics)))
+        named = set(map(resolve_name, self._named_topics(topics)))
         # Topics that the node subscribes by default, with the names of their events.
         default = {
             resolve_name(topic): topics.event_of(topic, resolve_name) or functor_name(kind)
@@ -274,41 +288,42 @@ class RetalisNode:
 
     def _reloaded(self, topics: Topics) -> None:
         self._errors.clear()
-        self._doubts.clear()
-        self._look_through(topics)
+        self._program_warnings.clear()
+        self._log_mistakes(topics)
 
-    def _look_through(self, topics: Topics) -> None:
-        """Say what is probably not meant in the program that has been loaded."""
-        self._text_only.told(self.engine.output_topics())
-        definitions = Definitions(Installed(rosbags=False))  # which the node has no other need of
+    def _log_mistakes(self, topics: Topics) -> None:
+        """Log probable mistakes in the loaded program."""
+        self._untyped_topics.mark_reported(self.engine.output_topics())
+        # Separate definitions, which are freed afterwards: the checks load types that the node does not need.
+        definitions = Definitions(Installed(rosbags=False))
         direct = direct_topics(self._parameters.direct, topics, rospy.resolve_name)
         for warning in self.engine.warnings(self._parameters.program, definitions, topics, direct):
-            self._doubts.append(warning.brief())
+            self._program_warnings.append(warning.brief())
             rospy.logwarn("%s", warning)
 
-    def _named(self, topics: Topics) -> List[str]:
-        """Return the topics of this node that somebody has named; not those that it subscribes by default."""
+    def _named_topics(self, topics: Topics) -> List[str]:
+        """Return the topics of this node that its program or parameters name, without those subscribed by default."""
         direct = self._parameters.direct
         own = [*(topics.subscribed if self._parameters.embedded else ())]
         own += direct if isinstance(direct, tuple) else ()
         return [topic for topic, _ in own]
 
-    def _doubt(self, pattern: Term, topics: Topics, direct: Iterable[TopicType]) -> str:
-        """Return why events of a pattern will hardly come, "" where they may."""
+    def _missing_source(self, pattern: Term, topics: Topics, direct: Iterable[TopicType]) -> str:
+        """Return the reason why no events of a pattern are expected; "" if there may be some."""
         definitions = Definitions(Installed(rosbags=False))
         return never_comes(self.engine, pattern, definitions, topics, direct)
 
-    def _misfit(
+    def _type_mismatch(
         self, goal: CompoundTerm, topic: str, types: Mapping[str, str], definitions: Definitions
     ) -> str:
-        """Return why no output of a subscription can be a message of its topic's type, "" if some may be."""
+        """Return the reason why no output of a subscription fits its topic's type; "" if some may."""
         try:
             kind = types.get(resolve(topic))
         except UsageError:  # a name for other nodes only
             kind = None
         if kind is None:
             return ""
-        # Types that messages have brought are in the node's own definitions; `find` there would load rosbags' types.
+        # Types that publishers define are in the node's definitions; `find` there would load the types of rosbags.
         known = definitions if definitions.known(kind) else Definitions(Installed(rosbags=False))
         return never_sent(goal, topic, kind, known)
 
@@ -322,7 +337,7 @@ class RetalisNode:
         try:
             return read_topics(self._parameters.program / TOPICS)
         except RetalisError as error:
-            if self._parameters.embedded:  # otherwise the other node, whose file it is, says it
+            if self._parameters.embedded:  # otherwise the interface node reports it
                 rospy.logerr("%s", error)
             return Topics()
 
@@ -333,12 +348,12 @@ class RetalisNode:
             rospy.logerr("parameter ~direct: %s", error)
 
     def _reader(self, decoder: Decoder) -> Take:
-        """Return what makes an event of a message, and its instant."""
+        """Return the handler of messages of a type, which returns the event and its instant."""
         decode, stamp = decoder.decode, decoder.stamp
         return lambda data: (decode(data), stamp(data))
 
     def _latched_reader(self, decoder: Decoder, publisher: Publisher, connection: LatchedConnection) -> Take:
-        """Return what makes an event of a latched message, unless the engine has it already."""
+        """Return the handler of latched messages, which skips messages that the engine has processed already."""
         read, latched = self._reader(decoder), self._latched
 
         def take(data: bytes) -> Any:
@@ -348,14 +363,14 @@ class RetalisNode:
         return take
 
     def _output_texts(self, topics: Topics) -> OutputTexts:
-        """Return what sends outputs as text; with the interface embedded, nobody else has to get them."""
+        """Return the publisher of output texts; with an embedded interface, no other node requires them."""
         if self._parameters.embedded:
             topics = Topics()
         published = [topic for topic, _ in topics.published]
         return OutputTexts(OUTPUT, self._parameters.queue, self._reports, published, topics.latched)
 
     def _send_text(self, term: Term, topic: str, name: Term) -> None:
-        self._text_only.look(topic)  # of a subscription that a rule has made
+        self._untyped_topics.check(topic)  # a rule may have added a subscription to a new topic
         self._texts.send(topic, lambda: to_text((OUTPUT_EVENT, term, atom(topic), name)))
 
 

@@ -1,6 +1,14 @@
-"""Between ROS topics and events: messages become terms, terms become messages.
+"""Conversion between ROS messages and terms: subscription of input topics, publishing of output topics.
 
-What both nodes do with the topics of a program, and what passes between them.
+Both nodes use it: the interface node, and node ``retalis`` for the topics that it subscribes itself. A message passes
+through these steps:
+
+1. `connection_reader` reads a batch of serialized messages of one connection.
+2. The handler that was created for the connection (`MessageTaker`) converts each message. The types of publisher and
+   subscription are compared once per connection, where an unknown type is learned from the connection header.
+3. The results of a batch are passed on together (`HandOn`), under the lock `RosInterface.turn`.
+
+A message that cannot be converted is dropped, counted and reported; the connection continues.
 """
 
 import threading
@@ -28,54 +36,54 @@ from .text_topics import text_taker
 from .topic_statistics import InputCounts, InputStatus
 
 Take = Callable[[bytes], Any]
-"""Takes a message; returns what is handed on of it, None for one that has gone on its way."""
+"""Handler of a message; returns the result to pass on, or None if the handler has passed it on itself."""
 
 HandOn = Callable[[Iterable[Any]], object]
-"""Takes what was made of messages that were received together, each when it is asked for."""
+"""Receives the results of messages that were read together, as a lazy iterable."""
 
 Publisher = Tuple[str, str]
 """A topic, and a node that publishes it."""
 
 LatchedTaker = Callable[[Decoder, Publisher, LatchedConnection], Take]
-"""Gives what takes the messages of a latched connection."""
+"""Returns the handler of a latched connection's messages."""
 
 MessageTaker = Callable[[Decoder], Take]
-"""Gives what takes the messages that a decoder reads."""
+"""Returns the handler of messages that a decoder reads."""
 
-LINKS = 1000
-"""Connections of a topic that are remembered."""
+MAX_CACHED_CONNECTIONS = 1000
+"""Limit for the connections of a topic whose handlers are cached."""
 
 TakeAll = Callable[[List[bytes]], None]
-"""Takes messages that were received together."""
+"""Handler of messages that were read together."""
 
-_Link = Tuple[Dict[str, str], TakeAll]
-"""A connection's header, and who takes its messages."""
+_CachedHandler = Tuple[Dict[str, str], TakeAll]
+"""A connection's header, and the handler of its messages."""
 
 HOLD = 0.0012
-"""Seconds for which a message may wait for the next ones, where they come fast."""
+"""Seconds for which a message of a fast topic may wait for the next ones."""
 
 
 exhaust: HandOn = deque(maxlen=0).extend
-"""Has all that was received together taken, and does nothing with it."""
+"""Processes all messages of a batch and discards the results."""
 
 
 class RosInterface:
-    """Subscribes topics for an engine and publishes what comes out of it.
+    """Subscriptions and publications of a program.
 
     Args:
-        taker: gives what takes the messages of a type.
-        queue: length of the queues.
-        reports: takes what goes wrong while messages flow.
-        definitions: the message types that are known.
-        hand_on: takes what is made of messages that were received together.
-        hold: seconds for which a message may wait for the next ones, where they come fast.
-        skew: looks at the stamps of messages.
-        latched: gives what takes the messages of latched connections, where that is something else.
-        runs: holds messages of a run that has not begun.
+        taker: returns the handler of messages of a type.
+        queue: length of rospy's queues, in messages.
+        reports: receives the errors of single messages.
+        definitions: known message types.
+        hand_on: receives the results of messages that were read together.
+        hold: seconds for which a message of a fast topic may wait for the next ones.
+        skew: checks the stamps of messages.
+        latched: returns the handler of messages of latched connections; by default ``taker`` serves them, too.
+        runs: clock epochs; messages of an epoch that has not begun are queued there.
 
     Attributes:
-        turn: the lock under which messages are taken.
-        outputs: the topics that are published.
+        turn: lock under which messages are processed.
+        outputs: the published topics.
     """
 
     def __init__(
@@ -92,7 +100,7 @@ class RosInterface:
     ):
         self._runs = runs
         self._taker = taker
-        self._latched = None if latched is None else self._learning(latched)
+        self._latched = None if latched is None else self._latched_learned(latched)
         self._hand_on = hand_on
         self._hold = hold
         self._skew = skew
@@ -108,10 +116,15 @@ class RosInterface:
         self._reports = reports
 
     def subscribe(self, topic: str, kind: str, event: str = "") -> None:
-        """Have the messages of a topic become events, called by their type or as it is said.
+        """Subscribe a topic; each message becomes an event.
+
+        Args:
+            topic: name of the topic.
+            kind: message type.
+            event: name of the events; by default it is derived from the type.
 
         Raises:
-            UsageError: for a topic that is subscribed already, or names that are none.
+            UsageError: if the topic is subscribed already, or a name is invalid.
         """
         topic, kind = topic_type(topic, kind)
         name = resolve(topic)
@@ -139,18 +152,18 @@ class RosInterface:
             )
 
     def publishers(self) -> Set[Publisher]:
-        """Return all from whom messages come."""
+        """Return all connected publishers of the subscribed topics."""
         with self._lock:
             topics = list(self._inputs.items())
         return {(name, node) for name, topic in topics for node in topic.publishers()}
 
     def _learned(self, decoder: Decoder) -> Take:
-        """Return what takes the messages of a connection that has just been made: it may have brought a type."""
+        """Return the handler of a new connection's messages, after output topics have used a type that it defines."""
         self.outputs.learned()
         return self._taker(decoder)
 
-    def _learning(self, latched: LatchedTaker) -> LatchedTaker:
-        """Return what does as `_learned` for latched connections."""
+    def _latched_learned(self, latched: LatchedTaker) -> LatchedTaker:
+        """Return the equivalent of `_learned` for latched connections."""
 
         def taker(decoder: Decoder, publisher: Publisher, connection: LatchedConnection) -> Take:
             self.outputs.learned()
@@ -165,13 +178,13 @@ class RosInterface:
         runs: Optional[ClockEpochs] = None,
         latched: Optional[LatchedInputs] = None,
     ) -> ContextManager[object]:
-        """Have the texts of one of the topics between the nodes taken; return the lock under which they are.
+        """Subscribe a topic of texts between the nodes; return the lock under which the texts are processed.
 
         Args:
-            topic: its name.
-            take: takes a text.
-            runs: holds the texts of a run that has not begun.
-            latched: recognizes the texts of latched messages that were taken already.
+            topic: name of the topic.
+            take: handler of a text.
+            runs: clock epochs; texts of an epoch that has not begun are queued there.
+            latched: recognizes the texts of latched messages that were processed already.
         """
         name = rospy.resolve_name(topic)
         taker = text_taker(take, runs, latched)
@@ -182,11 +195,11 @@ class RosInterface:
         return turn
 
     def leave(self, topics: Iterable[TopicType]) -> None:
-        """Refuse topics that node retalis subscribes by itself, so that none enters twice."""
+        """Reject topics that node retalis subscribes itself, so that no message is processed twice."""
         self._elsewhere = {rospy.resolve_name(topic) for topic, _ in topics}
 
     def learn(self, topic: str, kind: str) -> None:
-        """Learn a type that is not known from a topic that node retalis subscribes by itself; take no messages."""
+        """Learn an unknown type from a publisher of a topic that node retalis subscribes; process no messages."""
         if self.outputs.knows(kind):
             return
         known = threading.Event()
@@ -200,6 +213,7 @@ class RosInterface:
             self._definitions, resolve(topic), kind, taker, self._queue, self.turn, self._reports
         )
 
+        # Not closed by `taker`: rospy calls it in the thread of the connection that closing would end.
         def close() -> None:
             known.wait()
             listening.close()
@@ -207,30 +221,31 @@ class RosInterface:
         threading.Thread(target=close, daemon=True, name=f"learning {kind}").start()
 
     def inputs(self) -> List[InputStatus]:
-        """Return what has come on each subscribed topic."""
-        return [one.status() for one in [*self._inputs.values(), *self._texts]]
+        """Return the counters of each subscribed topic."""
+        return [topic.status() for topic in [*self._inputs.values(), *self._texts]]
 
     def unsubscribe(self, topic: str) -> None:
-        """Stop a subscription.
+        """Unsubscribe a topic.
 
         Raises:
-            UsageError: where there is none.
+            UsageError: if it is not subscribed.
         """
         with self._lock:
-            found = self._inputs.pop(resolve(topic), None)
-        if found is None:
+            input_topic = self._inputs.pop(resolve(topic), None)
+        if input_topic is None:
             raise UsageError(f"topic {topic} is not subscribed")
-        found.close()
+        input_topic.close()
 
 
 class InputTopic:
-    """One subscribed topic: its messages are read by the type it was given.
+    """One subscribed topic.
 
-    A type that is not installed is learned from the publisher's connection header. ``event`` is what the events are
-    called, where that is not what their type says.
+    A type that is not installed is learned from the publisher's connection header. ``event`` is the name of the
+    events; by default it is derived from the type. The other arguments are those of `RosInterface`.
 
-    rospy has a thread for each publisher. ``turn`` lets one of them at a time hand on what it has: the others wait,
-    and those who send to them, instead of piling up messages before the engine.
+    rospy has a thread for each publisher. The lock ``turn`` lets one of them at a time pass on its messages. The
+    others wait, and TCP's flow control slows down their publishers (backpressure), instead of a queue growing
+    before the engine.
     """
 
     def __init__(
@@ -261,14 +276,14 @@ class InputTopic:
         self._name = name
         self._taker = taker
         self.counts = InputCounts()
-        self._links: Cache[int, _Link] = Cache(LINKS, 16 << 20, 4 << 20)
+        self._links: Cache[int, _CachedHandler] = Cache(MAX_CACHED_CONNECTIONS, 16 << 20, 4 << 20)
         self._subscriber = rospy.Subscriber(
             name, rospy.AnyMsg, self._receive, queue_size=queue, tcp_nodelay=True
         )
-        read_by(self._subscriber, self._taking, hold)
+        read_by(self._subscriber, self._handler_of, hold)
 
     def status(self) -> InputStatus:
-        """Return what has come so far, and have the lag of the next message noted."""
+        """Return the counters, and request that the lag of the next message is measured."""
         counts = self.counts
         counts.wanted = True
         age = None if counts.last is None else time.monotonic() - counts.last
@@ -288,30 +303,33 @@ class InputTopic:
         self._subscriber.unregister()
 
     def publishers(self) -> List[str]:
-        """Return the nodes to which there is a connection."""
+        """Return the connected publishers."""
         topic = getattr(self._subscriber, "impl", None)
-        links = getattr(topic, "connections", None) or ()
-        headers = [link.header for link in links if getattr(link, "socket", None) is not None]
+        connections = getattr(topic, "connections", None) or ()
+        headers = [
+            connection.header for connection in connections if getattr(connection, "socket", None) is not None
+        ]
         return [header["callerid"] for header in headers if header and "callerid" in header]
 
     def _receive(self, message: Any) -> None:
-        """Take a message that rospy has read."""
-        # The connection's own header, the same object for each of its messages; rospy has no other name for either.
+        """Process a message that rospy has read."""
+        # rospy attaches the connection's header, the same object to each message. It has no public name.
         header = message._connection_header
         data = message._buff if message.__class__ is rospy.AnyMsg else raw_bytes(message)
-        self._taking(header)([data])
+        self._handler_of(header)([data])
 
-    def _taking(self, header: Dict[str, str]) -> TakeAll:
-        """Return what takes the messages of a connection."""
-        link = self._links.get(id(header))
-        if link is None:
-            link = self._connected(header)
-        return link[1]
+    def _handler_of(self, header: Dict[str, str]) -> TakeAll:
+        """Return the handler of a connection's messages."""
+        # By identity: a comparison of the headers would cost more than the conversion of a small message.
+        cached = self._links.get(id(header))
+        if cached is None:
+            cached = self._add_connection(header)
+        return cached[1]
 
-    def _one_by_one(self, take: Take, stamp: Callable[[bytes], Optional[int]], publisher: str) -> TakeAll:
-        """Return what takes messages that were received together, or has them held."""
+    def _batch_handler(self, take: Take, stamp: Callable[[bytes], Optional[int]], publisher: str) -> TakeAll:
+        """Return the handler of messages that were read together, which queues those of a coming epoch."""
         turn, counts, runs = self._turn, self.counts, self._runs
-        take_them = self._reporting(take, publisher)
+        take_them = self._reporting_handler(take, publisher)
 
         def take_all(messages: List[bytes]) -> None:
             counts.note(len(messages))
@@ -325,25 +343,27 @@ class InputTopic:
 
         return take_all
 
-    def _reporting(self, take: Take, publisher: str) -> TakeAll:
-        """Return what takes messages and hands them on, and reports those that cannot be taken."""
+    def _reporting_handler(self, take: Take, publisher: str) -> TakeAll:
+        """Return a handler that converts messages, passes on the results, and reports failures."""
         hand_on, counts = self._hand_on, self.counts
 
         def taken(messages: List[bytes]) -> Iterator[Any]:
-            for at, data in enumerate(messages):
+            for position, data in enumerate(messages):
                 try:
-                    found = take(data)
-                except Refused:  # reported where it was seen
+                    result = take(data)
+                except Refused:  # reported by the clock skew monitor
                     counts.refused += 1
+                # The message belongs to the next epoch. It and all later ones of its connection wait for the
+                # epoch's begin, so that the order within the connection is preserved.
                 except Early:
                     if self._runs is not None:
-                        self._runs.keep_early(publisher, take_them, messages[at:])
+                        self._runs.keep_early(publisher, take_them, messages[position:])
                         return
-                except Exception as error:  # one message must not end the connection
+                except Exception as error:  # rospy would close the connection
                     self._drop(error)
                 else:
-                    if found is not None:
-                        yield found
+                    if result is not None:
+                        yield result
 
         def take_them(messages: List[bytes]) -> None:
             hand_on(taken(messages))
@@ -351,7 +371,7 @@ class InputTopic:
         return take_them
 
     def _drop(self, error: Exception) -> None:
-        """Count and report a message that cannot be taken."""
+        """Count and report a message that cannot be converted."""
         self.counts.dropped += 1
         if isinstance(error, MessageError):
             text = f"a message on {self._name} is dropped: {error}"
@@ -359,38 +379,49 @@ class InputTopic:
         else:
             self._reports.error(error)
 
-    def _connected(self, header: Dict[str, str]) -> _Link:
-        """Note who takes the messages of a connection; its header is kept, so that its id stays its own."""
+    def _add_connection(self, header: Dict[str, str]) -> _CachedHandler:
+        """Create and cache the handler of a new connection's messages.
+
+        The cache holds the header, too: its identity is the key, and would be reused if the header were freed.
+        """
         try:
-            decoder = self._learn(header)
+            decoder = self._decoder_of(header)
             stamp = decoder.stamp
             if self._skew is not None:
                 decoder = self._skew.watch(decoder, self._name, header.get("callerid", ""))
-            take = self._one_by_one(self._taker_of(header, decoder), stamp, header.get("callerid", ""))
-        except Exception as error:  # rospy would try again at once, and forever
+            take = self._batch_handler(
+                self._message_handler(header, decoder), stamp, header.get("callerid", "")
+            )
+        # Without a handler, rospy would close the connection and connect again at once, forever. A publisher of the
+        # wrong type is therefore connected to a handler that drops its messages.
+        except Exception as error:
             if not isinstance(error, MessageError):
                 self._reports.error(error)
             reason = getattr(error, "message", "internal error")
             publisher = header.get("callerid", "somebody")
-            take = self._refuser(f"topic {self._name}: {reason}: a message of {publisher} is dropped")
+            take = self._dropping_handler(
+                f"topic {self._name}: {reason}: a message of {publisher} is dropped"
+            )
         size = sum(map(len, header.values()))
         return self._links.keep(id(header), (header, take), 2 * size)
 
-    def _taker_of(self, header: Dict[str, str], decoder: Decoder) -> Take:
-        """Return what takes the messages of a connection."""
+    def _message_handler(self, header: Dict[str, str], decoder: Decoder) -> Take:
+        """Return the handler of a connection's messages, latched or not."""
         if self._latched is not None and header.get("latching") == "1":
             publisher = (self._name, header.get("callerid", ""))
             return self._latched(decoder, publisher, LatchedConnection(*publisher, self._address(header)))
         return self._taker(decoder)
 
     def _address(self, header: Dict[str, str]) -> str:
-        """Return where the publisher at the other end of a connection answers other nodes; "" if unknown."""
+        """Return the XML-RPC address of a connection's publisher; "" if unknown."""
         topic = getattr(self._subscriber, "impl", None)
-        links = getattr(topic, "connections", None) or ()
-        return next((str(link.endpoint_id) for link in links if link.header is header), "")
+        connections = getattr(topic, "connections", None) or ()
+        return next(
+            (str(connection.endpoint_id) for connection in connections if connection.header is header), ""
+        )
 
-    def _refuser(self, reason: str) -> TakeAll:
-        """Return what drops messages, and reports and counts them."""
+    def _dropping_handler(self, reason: str) -> TakeAll:
+        """Return a handler that drops, counts and reports messages."""
 
         def refuse(messages: List[bytes]) -> None:
             self.counts.note(len(messages))
@@ -400,11 +431,11 @@ class InputTopic:
 
         return refuse
 
-    def _learn(self, header: Dict[str, str]) -> Decoder:
+    def _decoder_of(self, header: Dict[str, str]) -> Decoder:
         """Return the decoder for a publisher's messages.
 
         Raises:
-            MessageError: where they are of another type.
+            MessageError: if their type differs from the subscription's.
         """
         sent = header.get("type", "*")
         learned = self._definitions.learn(
@@ -422,24 +453,24 @@ class InputTopic:
 
 
 OUTPUT_EVENT = functor("event", 3)
-"""What is said of an output between the nodes: the term, its topic, and the id of the subscription."""
+"""Functor of an output between the nodes: term, topic, and id of the subscription."""
 
 
 def connect(interface: RosInterface, topics: Topics, direct: Iterable[TopicType] = ()) -> None:
-    """Subscribe and advertise what ``pub_sub.xml`` names, but for what node retalis subscribes by itself."""
+    """Subscribe and advertise the topics of ``pub_sub.xml``, except those that node retalis subscribes itself."""
     direct = tuple(direct)
-    apart = {rospy.resolve_name(topic) for topic, _ in direct}
-    learning = any(not interface.outputs.knows(kind) for _, kind in (*topics.subscribed, *direct))
+    direct_names = {rospy.resolve_name(topic) for topic, _ in direct}
+    may_be_learned = any(not interface.outputs.knows(kind) for _, kind in (*topics.subscribed, *direct))
     for topic, kind in topics.published:
         latched = topic in topics.latched
-        _try(lambda: interface.outputs.advertise(topic, kind, latched), topic, learning)  # noqa: B023
+        _try(lambda: interface.outputs.advertise(topic, kind, latched), topic, may_be_learned)  # noqa: B023
     for topic, kind in topics.subscribed:
-        if rospy.resolve_name(topic) not in apart:
+        if rospy.resolve_name(topic) not in direct_names:
             _try(lambda: interface.subscribe(topic, kind, topics.event_of(topic)), topic)  # noqa: B023
 
 
 def _try(work: Callable[[], None], topic: str, may_come: bool = False) -> None:
-    """Do what a line of ``pub_sub.xml`` asks for; say why it cannot be done, or that its type has to come first."""
+    """Apply a line of ``pub_sub.xml``; log a failure, as information if a publisher may still define the type."""
     try:
         work()
     except RetalisError as error:

@@ -1,7 +1,7 @@
-"""The node's log: records of the package sent to ROS, counts of warnings and errors, and what goals print.
+"""Log of a node: forwarding of the package's records to ROS, counts of problems, and output of goals.
 
-Texts from outside get into both. So control characters are shown as escapes, and only what the node itself logs
-begins a line as a record does: further lines of a record are indented, and lines that goals print have a mark.
+Records and printed lines contain text from outside, for example from messages. To prevent forged log lines, control
+characters are escaped, further lines of a record are indented, and lines that goals print begin with `PRINTED`.
 """
 
 import io
@@ -40,7 +40,7 @@ class LogCounts(logging.Handler):
 
 
 _sending = threading.local()
-"""True while this thread sends a record to ROS that has been counted."""
+"""Attribute ``counted`` is true while this thread sends a record to ROS that `Reports` has counted."""
 
 
 class _RosHandler(logging.Handler):
@@ -66,22 +66,23 @@ log_counts = LogCounts()
 
 
 def write_out_each_line() -> None:
-    """Write out each line of stdout as soon as it is complete.
+    """Switch stdout to line buffering.
 
-    rospy prints messages of level INFO there and does not flush. In a file or a pipe, which is what roslaunch gives
-    its nodes unless a terminal is asked for, they would wait for 8 KiB, or for the end of the node.
+    rospy prints messages of level INFO there and does not flush. In a file or a pipe, the stdout of a node that
+    roslaunch starts, they would be delayed until 8 KiB are full or the node ends.
     """
-    if isinstance(sys.stdout, io.TextIOWrapper):  # None where the node was started with stdout closed
+    if isinstance(sys.stdout, io.TextIOWrapper):  # None if the node was started with stdout closed
         sys.stdout.reconfigure(line_buffering=True)
 
 
 def forward_log(logger: logging.Logger) -> None:
-    """Send what a logger gets to rospy's log functions, so that it is seen on the screen and on ``/rosout``.
+    """Forward the records of a logger to rospy's log functions, for the screen and ``/rosout``.
 
-    All that these log from now on is counted in `log_counts`, and shown as `show_safely` says.
+    All later records of rospy are counted in `log_counts`, and escaped by `show_safely`.
     """
     rosout = logging.getLogger("rosout")
     rosout.addHandler(log_counts)
+    # Filters of a logger are not applied to records of its children, so the handlers get the filter, too.
     for filtered in (rosout, *rosout.handlers, *logging.getLogger().handlers):
         filtered.addFilter(show_safely)
     logger.addHandler(_RosHandler())
@@ -90,14 +91,15 @@ def forward_log(logger: logging.Logger) -> None:
 
 
 def show_safely(record: logging.LogRecord) -> bool:
-    """Change the text of a log record so that no part of it is taken for another record or acted on; return True.
+    """Escape the text of a log record so that it cannot look like another record; return True, as a log filter.
 
-    rospy's own handler would put values in place of ``${...}`` in the text, and fail at one without an end.
+    ``${`` is escaped because rospy's console handler would substitute it, and fail if the bracket is not closed.
     """
+    # A record passes several handlers, and must be escaped once.
     if not hasattr(record, "shown_safely"):
         try:
             text = printable(record.getMessage())
-        except Exception:  # wrong arguments: rospy's handler would raise the error where the text is logged
+        except Exception:  # arguments that do not fit the format: rospy's handler would raise in the caller
             text = printable(f"{record.msg} {record.args}")
         record.msg, record.args = text.replace("\n", "\n    ").replace("${", "\\x24{"), ()
         record.shown_safely = True
@@ -105,14 +107,14 @@ def show_safely(record: logging.LogRecord) -> bool:
 
 
 PRINTED = "| "
-"""Before each line that goals print."""
+"""Prefix of each line that goals print."""
 
 MAX_PRINTED_LINE_CHARACTERS = 4096
-"""Characters of a printed line: what is longer goes on in another."""
+"""Limit for the characters of a printed line; longer ones are wrapped."""
 
 
 class PrintedLines:
-    """Prints what goals write to ``user_output`` or ``user_error``, in whole lines.
+    """Output stream for goals that write to ``user_output`` or ``user_error``, printed in complete lines.
 
     Args:
         stream: ``stdout`` or ``stderr``.
@@ -120,30 +122,30 @@ class PrintedLines:
 
     def __init__(self, stream: str):
         self._stream = stream
-        self._held = ""
+        self._incomplete_line = ""
 
     def __call__(self, text: str) -> None:
-        """Print the lines that are complete by now."""
-        *lines, self._held = (self._held + text).split("\n")
-        if len(self._held) > MAX_PRINTED_LINE_CHARACTERS:
-            size = len(self._held) // MAX_PRINTED_LINE_CHARACTERS * MAX_PRINTED_LINE_CHARACTERS
+        """Append a text, and print the complete lines."""
+        *lines, self._incomplete_line = (self._incomplete_line + text).split("\n")
+        if len(self._incomplete_line) > MAX_PRINTED_LINE_CHARACTERS:
+            size = len(self._incomplete_line) // MAX_PRINTED_LINE_CHARACTERS * MAX_PRINTED_LINE_CHARACTERS
             lines += [
-                self._held[at : at + MAX_PRINTED_LINE_CHARACTERS]
-                for at in range(0, size, MAX_PRINTED_LINE_CHARACTERS)
+                self._incomplete_line[start : start + MAX_PRINTED_LINE_CHARACTERS]
+                for start in range(0, size, MAX_PRINTED_LINE_CHARACTERS)
             ]
-            self._held = self._held[size:]
+            self._incomplete_line = self._incomplete_line[size:]
         stream = getattr(sys, self._stream)
-        if lines and stream is not None:  # None where the node was started with it closed
+        if lines and stream is not None:  # None if the node was started with it closed
             stream.write("".join(f"{PRINTED}{line}\n" for line in lines))
 
     def end(self) -> None:
-        """Print a last line that nothing ended."""
-        if self._held:
+        """Print the last line if it is incomplete."""
+        if self._incomplete_line:
             self("\n")
 
 
 def print_lines_of(logic: PrologSystem) -> None:
-    """Have goals print lines that cannot be taken for records of the log."""
+    """Redirect the output of goals to `PrintedLines`, so that it cannot be mistaken for log records."""
     streams = PrintedLines("stdout"), PrintedLines("stderr")
     logic.print_to(*streams)
     for stream in streams:
@@ -151,8 +153,8 @@ def print_lines_of(logic: PrologSystem) -> None:
 
 
 def log_error(error: RetalisError) -> List[str]:
-    """Log an error, each by itself where it is several; return their texts."""
-    texts = [str(one) for one in (error.errors if isinstance(error, ProgramErrors) else [error])]
+    """Log an error, or each error of `ProgramErrors`; return their texts."""
+    texts = [str(part) for part in (error.errors if isinstance(error, ProgramErrors) else [error])]
     for text in texts:
         rospy.logerr("%s", text)
     return texts

@@ -1,4 +1,4 @@
-"""ROS time as integer nanoseconds."""
+"""ROS time as integer nanoseconds, its epochs if it is simulated, and receipt stamps."""
 
 import threading
 import time
@@ -13,15 +13,15 @@ from ..engine.runtime.clock_epochs import ClockEpochs
 from ..engine.runtime.problem_reports import Reports
 
 UNSET_CLOCK_WARNING_SECONDS = 5.0
-"""Seconds after which a clock that nobody has set is worth a warning."""
+"""Seconds without a message on ``/clock`` after which a warning is logged."""
 
 _began = time.monotonic()
 
 
 def ros_now() -> int:
-    """Return ROS time, simulated or not.
+    """Return ROS time in nanoseconds, simulated or not.
 
-    Every event asks: rospy makes its object of the system's time out of a float, in ten times the time.
+    This runs for each event. rospy would create its object for wall time from a float, which takes ten times as long.
     """
     if is_wallclock():
         return time.time_ns()
@@ -35,10 +35,12 @@ def ros_now() -> int:
 
 
 class SimulatedTime:
-    """ROS time, where it is simulated: all in the node see it go back at once, when a run begins (`ClockEpochs`).
+    """ROS time with clock epochs if it is simulated.
+
+    When simulated time jumps back, all parts of the node enter the new epoch at the same moment; see `ClockEpochs`.
 
     Attributes:
-        runs: the runs; None where time is not simulated.
+        runs: the epochs; None for wall time.
     """
 
     def __init__(self, reports: Reports):
@@ -48,15 +50,15 @@ class SimulatedTime:
         self.runs = None if is_wallclock() else ClockEpochs(reports, ros_now, self._woken.set)
 
     def now(self) -> int:
-        """Return the time of the run at hand."""
+        """Return the time of the present epoch in nanoseconds."""
         return ros_now() if self.runs is None else self.runs.now()
 
     def may_wait(self) -> bool:
-        """Tell whether messages may wait for a run to begin."""
+        """Return whether messages may be queued for an epoch that has not begun."""
         return self.runs is not None and self.runs.may_wait()
 
     def begin(self, turns: Sequence[ContextManager[object]], *began: Callable[[int], object]) -> None:
-        """Follow ``/clock`` from now on; see `ClockEpochs.begin`."""
+        """Start to follow ``/clock``; see `ClockEpochs.begin`."""
         runs = self.runs
         if runs is None:
             return
@@ -69,23 +71,24 @@ class SimulatedTime:
                 self._woken.clear()
                 try:
                     wait = runs.step()
-                except Exception as error:  # the next step does what this one has left
+                except Exception as error:  # the next step continues the work of this one
                     self._reports.error(error)
 
         threading.Thread(target=work, daemon=True, name="runs of /clock").start()
-        # rospy has subscribed it, too: this is called after it has set its time, in the same thread.
+        # rospy itself subscribes /clock. Its callback is registered earlier and runs in the same thread, so rospy's
+        # time has been updated when this callback runs.
         self._clock = rospy.Subscriber(
             "/clock", ClockMessage, lambda message: runs.clock_at(message.clock.to_nsec())
         )
 
 
 class Receipts:
-    """Stamps what comes without a stamp as the engine does: no two alike, never going back but with time itself.
+    """Receipt stamps for messages without a stamp: strictly increasing within a clock epoch, as in the engine.
 
-    Two messages that come while ``/clock`` stands still are one after the other then, whichever node stamps them.
+    Two messages that are received while ``/clock`` stands still get different stamps, whichever node stamps them.
 
     Args:
-        now: the present; by default ROS time.
+        now: clock in nanoseconds; by default ROS time.
     """
 
     def __init__(self, now: Callable[[], int] = ros_now) -> None:
@@ -93,15 +96,15 @@ class Receipts:
         self._runs = 0
 
     def stamp(self) -> int:
-        """Return the instant of what has come now."""
+        """Return the stamp of a message that is received now, in nanoseconds."""
         instant = self._clock.stamp_at_once()
-        if instant is None:  # time has gone back
+        if instant is None:  # time has jumped back
             self.runs()
             instant = self._clock.stamp()
         return instant
 
     def runs(self) -> int:
-        """Return how often time has gone back so far."""
+        """Return the number of times that time has jumped back."""
         if self._clock.went_back():
             self._runs += 1
         return self._runs

@@ -1,12 +1,13 @@
-"""The six services: texts in, ``ok`` or ``error: ...`` out.
+"""ROS services of the nodes.
 
-The services that change rules: ``~add_rule`` and ``~delete_rule``.
+* `EngineServices`: subscriptions and memories; `InterfaceServices`: subscriptions of input topics;
+* `RuleServices`: ``~add_rule`` and ``~delete_rule``;
+* `ListService`: ``~list``, the contents of a node with counters;
+* `QueryServices`: ``~query`` and ``~explain``;
+* `ReloadService`: ``~reload``, which reads the program's folder again.
 
-Service ``~list``: what a node holds, with counters.
-
-The services that answer questions: ``~query`` and ``~explain``.
-
-Service ``~reload``: the program's folder read again while the node runs.
+The first field of each response is ``ok``, or ``error: `` with the reason. A handler runs in a thread of rospy and
+hands its work to the engine, which executes it between two events.
 """
 
 import os
@@ -33,7 +34,7 @@ from ..prolog.terms.list_terms import conjuncts, make_list
 from ..prolog.terms.term_traversal import variables
 from ..prolog.terms.timestamps import SECOND
 from ..prolog.terms.types import COMMA, TRUE, Atom, CompoundTerm, Term, Var, atom, deref, functor
-from .internal_topics import TextOnly, resolve
+from .internal_topics import UntypedTopicWarnings, resolve
 from .ros_interface import RosInterface
 from .ros_log import log_counts
 from .topic_statistics import InputStatus, published_types
@@ -41,34 +42,34 @@ from .topic_statistics import InputStatus, published_types
 OK = "ok"
 
 MAX_ANSWER_CHARACTERS = 1000
-"""Characters of what a service says is wrong."""
+"""Limit for the reason in a response."""
 
 
 MAX_REQUEST_CHARACTERS = 100_000
-"""Characters of a request's fields together: the engine takes no events while they are read, for 0.5 to 1 s."""
+"""Limit for the fields of a request together. The engine processes no events while they are parsed: 0.5 to 1 s."""
 
 _SUBSCRIBE = functor("subscribe", 5)
 
 
 def shown(text: str) -> str:
-    """Return the field of a request as answers show it."""
+    """Return the field of a request in the form in which responses quote it."""
     return printable(beginning(text.strip()))
 
 
 def provide(name: str, kind: Any, handler: Callable[[Any], Any]) -> None:
-    """Provide a service whose requests have texts of a bounded length.
+    """Offer a service whose requests have a limited number of characters.
 
     Args:
-        name: the service.
-        kind: its class; the first field of its response is the result.
-        handler: takes a request and returns its response.
+        name: name of the service.
+        kind: class of the service; the first field of its response is the result.
+        handler: returns the response to a request.
     """
 
     def handle(request: Any) -> Any:
         size = sum(len(value) for value in _texts(request))
         if size > MAX_REQUEST_CHARACTERS:
-            most = MAX_REQUEST_CHARACTERS
-            return {"result": f"error: the request has {size} characters: expected at most {most}"}
+            limit = MAX_REQUEST_CHARACTERS
+            return {"result": f"error: the request has {size} characters: expected at most {limit}"}
         return handler(request)
 
     rospy.Service(name, kind, handle)
@@ -84,7 +85,7 @@ def _texts(request: Any) -> Iterator[str]:
 
 
 def answer(work: Callable[[], None]) -> str:
-    """Do a request; return ``ok``, or ``error: `` and the reason in one line with the position in the text."""
+    """Execute a request; return ``ok``, or ``error: `` and the reason in one line with the position in the text."""
     try:
         work()
     except RetalisError as error:
@@ -93,20 +94,20 @@ def answer(work: Callable[[], None]) -> str:
 
 
 def reason(error: RetalisError) -> str:
-    """Return an error as services answer it."""
+    """Return the result of a request that failed with an error."""
     return "error: " + " ".join(
         beginning(error.brief(), MAX_ANSWER_CHARACTERS).splitlines()
-    )  # names may have line breaks
+    )  # quoted names may contain line breaks
 
 
 class _Fields(NamedTuple):
-    """What requests for a memory and for a subscription have in common.
+    """The common fields of requests for a memory and for a subscription.
 
     Attributes:
-        event: the pattern of events.
+        event: pattern of events.
         conditions: goals.
-        form: what is made of an event; a variable for the event itself.
-        free: the names in the format to which nothing gives a value.
+        form: template of the result; a variable stands for the event itself.
+        free: names of variables in the template that occur neither in the pattern nor in the goals.
     """
 
     event: Term
@@ -119,24 +120,24 @@ class EngineServices:
     """The services of node retalis: subscriptions and memories.
 
     Args:
-        engine: whose they are.
-        text_only: is told of the topics that are subscribed.
-        doubt: says why events of a pattern will hardly come, "" where they may.
-        misfit: says why no output of a subscription, a goal ``subscribe/5``, can be a message of the type of its
-            topic; "" if some may be.
+        engine: engine of the node.
+        untyped_topics: warns about subscribed topics without a type.
+        doubt: returns the reason why no events of a pattern are expected; "" if there may be some.
+        misfit: returns the reason why no output of a subscription, a goal ``subscribe/5``, can be a message of its
+            topic's type; "" if some may be.
     """
 
     def __init__(
         self,
         engine: Engine,
-        text_only: TextOnly,
+        untyped_topics: UntypedTopicWarnings,
         doubt: Callable[[Term], str],
         misfit: Callable[[CompoundTerm, str], str],
     ):
-        from .. import srv  # noqa: PLC0415 - generated: there only where the package was built
+        from .. import srv  # noqa: PLC0415 - generated when the package is built
 
         self._engine = engine
-        self._text_only = text_only
+        self._untyped_topics = untyped_topics
         self._doubt = doubt
         self._misfit = misfit
         provide("add_output_subscription", srv.AddOutputSubscription, self._add_subscription)
@@ -153,14 +154,15 @@ class EngineServices:
                 )
             fields = self._fields(request)
             goal = (_SUBSCRIBE, fields.event, make_list(fields.conditions), fields.form, topic, key)
+            # Checked before the subscription is added: a response with an error must leave the engine unchanged.
             misfit = self._misfit(goal, request.topic.strip())
             if misfit:
                 raise UsageError(f"format: {misfit}")
             self._engine.add_subscription(fields.event, fields.conditions, fields.form, topic, key)
-            self._warn_of_free("subscribe", request.id, fields)
+            self._warn_about_unbound("subscribe", request.id, fields)
             taken = fields._replace(event=subscribed_event(fields.event))
-            self._warn_of_silence("subscribe", request.id, taken)
-            self._text_only.look(request.topic.strip())
+            self._warn_about_missing_source("subscribe", request.id, taken)
+            self._untyped_topics.check(request.topic.strip())
 
         return answer(lambda: do_for_others(self._engine, work))
 
@@ -171,8 +173,8 @@ class EngineServices:
                 raise UsageError(f"a memory {shown(request.id)} already exists")
             fields = self._fields(request)
             self._engine.add_memory(fields.event, fields.conditions, fields.form, key, size)
-            self._warn_of_free("memorize", request.id, fields)
-            self._warn_of_silence("memorize", request.id, fields)
+            self._warn_about_unbound("memorize", request.id, fields)
+            self._warn_about_missing_source("memorize", request.id, fields)
 
         return answer(lambda: do_for_others(self._engine, work))
 
@@ -195,18 +197,18 @@ class EngineServices:
 
     def _fields(self, request: Any) -> _Fields:
         fields = {"event": request.event, "conditions": request.conditions.strip() or "true"}
-        (event, conditions, form), names = self._read_together({**fields, "format": request.format})
+        (event, conditions, form), names = self._parse_fields({**fields, "format": request.format})
         goals = [] if conditions is TRUE else list(conjuncts(conditions))
         self._check("event", "an event: an atom or a compound term", event, (Atom, tuple, Var))
-        for one in goals:
-            self._check("conditions", "goals: atoms or compound terms", one, (Atom, tuple))
+        for goal in goals:
+            self._check("conditions", "goals: atoms or compound terms", goal, (Atom, tuple))
         self._check("format", "an atom or a compound term, or _ for the event", form, (Atom, tuple, Var))
         unbound = set(variables(form)).difference(variables((COMMA, event, conditions)))
         free = [name for name, var in names.items() if var in unbound]
         return _Fields(event, goals, form, [] if isinstance(form, Var) else free)
 
-    def _warn_of_free(self, goal: str, text: str, fields: _Fields) -> None:
-        """Say where the format has variables that will never have a value."""
+    def _warn_about_unbound(self, goal: str, text: str, fields: _Fields) -> None:
+        """Log variables of the format that never get a value."""
         if fields.free:
             rospy.logwarn(
                 "%s %s: nothing in event or conditions gives %s in the format a value",
@@ -215,8 +217,8 @@ class EngineServices:
                 " and ".join(fields.free),
             )
 
-    def _warn_of_silence(self, goal: str, text: str, fields: _Fields) -> None:
-        """Say where nothing makes the events that are waited for."""
+    def _warn_about_missing_source(self, goal: str, text: str, fields: _Fields) -> None:
+        """Log that the pattern's events have no source."""
         doubt = self._doubt(fields.event)
         if doubt:
             rospy.logwarn("%s %s: %s", goal, shown(text), printable(doubt))
@@ -225,22 +227,23 @@ class EngineServices:
         if not isinstance(deref(term), kinds):
             raise UsageError(f"{field}: expected {expected}, found {self._engine.brief(term)}")
 
-    def _read_together(self, fields: Dict[str, str]) -> Tuple[List[Term], Dict[str, Var]]:
-        """Read fields each by itself, and have variables of one name be the same in all of them."""
+    def _parse_fields(self, fields: Dict[str, str]) -> Tuple[List[Term], Dict[str, Var]]:
+        """Parse each field; variables with the same name are shared by all fields."""
         shared: Dict[str, Var] = {}
         terms: List[Term] = []
         for field, text in fields.items():
             if not text.strip():
                 raise UsageError(f"{field} is empty")
             try:
+                # Separate parsing of the fields gives errors with positions within the field that the caller sent.
                 flags = ReadFlags(made=field == "format")
                 read = read_term(text, self._engine.operators, field, flags)
             except SyntaxFault as fault:
                 raise UsageError(f"{field}: {fault.brief()}") from fault
             for name, var in read.names.items():
-                known = shared.setdefault(name, var)
-                if known is not var:
-                    var.ref = known
+                first = shared.setdefault(name, var)
+                if first is not var:
+                    var.ref = first
             terms.append(read.term)
         return terms, shared
 
@@ -255,10 +258,10 @@ class EngineServices:
 
 
 class InterfaceServices:
-    """The services of the ROS interface: input subscriptions."""
+    """The services of the ROS interface: subscriptions of input topics."""
 
     def __init__(self, interface: RosInterface):
-        from .. import srv  # noqa: PLC0415 - generated: there only where the package was built
+        from .. import srv  # noqa: PLC0415 - generated when the package is built
 
         self._interface = interface
         provide("add_input_subscription", srv.AddInputSubscription, self._add)
@@ -268,14 +271,14 @@ class InterfaceServices:
         topic, kind = request.topic.strip(), request.message_type.strip()
 
         def work() -> None:
-            topic_type(topic, kind)  # names that ROS does not allow are refused before any is looked up
+            topic_type(topic, kind)  # rejects invalid names before any lookup
             known = self._interface.outputs.knows(kind)
-            meant = "" if known else Definitions().misspelt(kind)
-            # A publisher brings the definition of its type, so that a type which is not installed is no mistake.
-            if meant and not _is_published(topic, kind):
+            suggestion = "" if known else Definitions().misspelt(kind)
+            # An unknown type is not an error: a publisher's connection header contains its definition.
+            if suggestion and not _is_published(topic, kind):
                 raise UsageError(
-                    f"message_type: there is no type '{shown(kind)}' here; did you mean {meant}? If a publisher is "
-                    "to bring the type, start the publisher first"
+                    f"message_type: there is no type '{shown(kind)}' here; did you mean {suggestion}? "
+                    "If a publisher is to bring the type, start the publisher first"
                 )
             self._interface.subscribe(topic, kind)
             if not known:
@@ -292,14 +295,14 @@ class InterfaceServices:
 
 
 def _is_published(topic: str, kind: str) -> bool:
-    """Return whether somebody publishes a topic as a type, as far as the master knows."""
+    """Return whether the master knows a publisher of a topic with this type."""
     return published_types().get(resolve(topic)) == kind
 
 
 def name(text: str, field: str) -> Term:
-    """Return the term of a topic or an id: what the text reads as if that is a constant, else the text's atom.
+    """Return the term of a topic or an id: the parsed text if it is an atom or an integer, otherwise an atom.
 
-    A topic like ``robot/marker1`` reads as a division, but is meant as a name.
+    The parser reads a topic like ``robot/marker1`` as a division, but it is a name.
     """
     text = text.strip()
     if not text:
@@ -315,11 +318,11 @@ class RuleServices:
     """Services ``~add_rule`` and ``~delete_rule`` of node retalis.
 
     Args:
-        engine: whose rules they change.
+        engine: engine of the node.
     """
 
     def __init__(self, engine: Engine):
-        from .. import srv  # noqa: PLC0415 - generated: there only where the package was built
+        from .. import srv  # noqa: PLC0415 - generated when the package is built
 
         self._engine = engine
         self._added = srv.AddRuleResponse
@@ -332,7 +335,7 @@ class RuleServices:
         except (SyntaxFault, ProgramErrors) as error:
             return self._added(
                 f"error: {beginning(str(error), MAX_ANSWER_CHARACTERS)}", ""
-            )  # with the lines and carets
+            )  # with the source lines and the carets below them
         except RetalisError as error:
             return self._added(reason(error), "")
 
@@ -341,16 +344,16 @@ class RuleServices:
 
 
 DEFAULT_LISTED_ITEMS = 100
-"""How many of each kind are listed where a request does not say it."""
+"""Default number of items that ``~list`` returns of each kind."""
 
 MAX_LISTED_ITEMS = 10_000
-"""How many of each kind are listed, whatever a request says."""
+"""Limit for the items that ``~list`` returns of each kind."""
 
 NEVER = -1
-"""Nanoseconds of a duration that is none."""
+"""Duration in nanoseconds that stands for an absent value."""
 
 _LAST = 1 << 32
-"""Seconds after the last that a message of ROS can tell."""
+"""First second that a time in a ROS message cannot represent."""
 
 _MAX_INT32 = 1 << 31
 
@@ -359,9 +362,9 @@ class ListService:
     """Service ``~list`` of a node.
 
     Args:
-        inputs: gives what has come on its subscribed topics.
-        status: gives the status of its engine with at most so many of each kind; None where it has no engine.
-        reports: the problems of a node that has no engine.
+        inputs: returns the counters of the subscribed topics.
+        status: returns the status of the engine with a limited number of items of each kind; None without an engine.
+        reports: problem counts of a node without an engine.
     """
 
     def __init__(
@@ -370,7 +373,7 @@ class ListService:
         status: Optional[Callable[[int], Status]] = None,
         reports: Optional[Reports] = None,
     ):
-        from .. import msg, srv  # noqa: PLC0415 - generated: there only where the package was built
+        from .. import msg, srv  # noqa: PLC0415 - generated when the package is built
 
         self._inputs = inputs
         self._status = status
@@ -380,17 +383,18 @@ class ListService:
         rospy.Service("~list", srv.List, self._list)
 
     def _list(self, request: Any) -> Any:
-        most = min(request.most or DEFAULT_LISTED_ITEMS, MAX_LISTED_ITEMS)
+        limit = min(request.most or DEFAULT_LISTED_ITEMS, MAX_LISTED_ITEMS)
         response = self._response(result=OK)
         inputs = self._inputs()
-        response.inputs = [self._input(one) for one in inputs[:most]]
-        response.more_inputs = max(0, len(inputs) - most)
+        response.inputs = [self._input(status) for status in inputs[:limit]]
+        response.more_inputs = max(0, len(inputs) - limit)
         if self._status is None:
             response.now = rospy.get_rostime()
             if self._reports is not None:
                 response.errors, response.warnings = self._reports.errors, self._reports.warnings
         else:
-            self._fill(response, self._status(most))
+            self._fill(response, self._status(limit))
+        # `Reports` counts the problems of events, and `log_counts` all other records of the log; see `ros_log`.
         response.errors += log_counts.errors
         response.warnings += log_counts.warnings
         return response
@@ -403,69 +407,69 @@ class ListService:
             response.work_time = _duration(int(status.work.seconds * SECOND))
         for name in ("taken", "fired", "queued", "dropped", "errors", "warnings", "alarms"):
             setattr(response, name, getattr(status, name))
-        response.rules = [self._rule(one) for one in status.rules]
-        response.memories = [self._memory(one) for one in status.memories]
-        response.subscriptions = [self._subscription(one) for one in status.subscriptions]
-        response.waiting = [self._query(one) for one in status.waiting]
+        response.rules = [self._rule(item) for item in status.rules]
+        response.memories = [self._memory(item) for item in status.memories]
+        response.subscriptions = [self._subscription(item) for item in status.subscriptions]
+        response.waiting = [self._query(item) for item in status.waiting]
         for name, number in status.left_out._asdict().items():
             setattr(response, f"more_{name}", number)
 
-    def _rule(self, one: RuleStatus) -> Any:
-        return self._msg.RuleStatus(**one._replace(last_fired=_time(one.last_fired))._asdict())
+    def _rule(self, rule: RuleStatus) -> Any:
+        return self._msg.RuleStatus(**rule._replace(last_fired=_time(rule.last_fired))._asdict())
 
-    def _memory(self, one: MemoryStatus) -> Any:
+    def _memory(self, memory: MemoryStatus) -> Any:
         return self._msg.MemoryStatus(
-            **one._replace(oldest=_time(one.oldest), newest=_time(one.newest))._asdict()
+            **memory._replace(oldest=_time(memory.oldest), newest=_time(memory.newest))._asdict()
         )
 
-    def _subscription(self, one: SubscriptionStatus) -> Any:
-        return self._msg.SubscriptionStatus(**one._asdict())
+    def _subscription(self, subscription: SubscriptionStatus) -> Any:
+        return self._msg.SubscriptionStatus(**subscription._asdict())
 
-    def _query(self, one: WaitingStatus) -> Any:
+    def _query(self, query: WaitingStatus) -> Any:
         memories = [
             self._msg.AwaitedMemory(memory.id, _time(memory.instant), _duration(memory.behind))
-            for memory in one.memories
+            for memory in query.memories
         ]
-        return self._msg.WaitingStatus(one.event, _time(one.since), memories, one.left_out)
+        return self._msg.WaitingStatus(query.event, _time(query.since), memories, query.left_out)
 
-    def _input(self, one: InputStatus) -> Any:
-        age = None if one.age is None else int(one.age * SECOND)
+    def _input(self, status: InputStatus) -> Any:
+        age = None if status.age is None else int(status.age * SECOND)
         return self._msg.InputStatus(
-            **one._replace(age=_duration(age), lag=_duration(one.lag or 0))._asdict()
+            **status._replace(age=_duration(age), lag=_duration(status.lag or 0))._asdict()
         )
 
 
 def _time(instant: Optional[int]) -> Any:
-    """Return an instant as ROS has it; zero for none, the first or last one for those that it cannot tell."""
+    """Return an instant as ROS time: zero for None, and the nearest representable one if it is out of range."""
     return rospy.Time(0, min(max(instant or 0, 0), _LAST * SECOND - 1))
 
 
 def _duration(nanoseconds: Optional[int]) -> Any:
-    """Return a time span as ROS has it; the shortest negative one for none."""
+    """Return a time span as ROS duration: -1 ns for None, and the nearest representable one if it is out of range."""
     span = NEVER if nanoseconds is None else nanoseconds
     return rospy.Duration(0, min(max(span, -_MAX_INT32 * SECOND), _MAX_INT32 * SECOND - 1))
 
 
 DEFAULT_MAX_SOLUTIONS = 100
-"""Solutions of a query that does not say how many."""
+"""Default number of solutions of a query."""
 
 MAX_SOLUTIONS = 100_000
-"""Solutions of a query, whatever it says."""
+"""Limit for the solutions of a query."""
 
 DEFAULT_QUERY_WAIT_SECONDS = 10.0
-"""Seconds that a query waits for memories where it does not say how long."""
+"""Default time in seconds that a query waits for memories."""
 
-AT_ONCE = 50
-"""Queries that may wait for memories at once: each holds a thread and a connection."""
+MAX_WAITING_QUERIES = 50
+"""Limit for queries that wait for memories at the same time: each holds a thread and a connection."""
 
 MAX_EXPLANATION_LINE_CHARACTERS = MAX_ANSWER_CHARACTERS
-"""Characters of a line of an explanation."""
+"""Limit for the characters of a line of an explanation."""
 
-EXPLAINING = 2.0
-"""Seconds in which an explanation has to be found: no event is taken meanwhile."""
+MAX_EXPLANATION_SECONDS = 2.0
+"""Limit in seconds for the search for an explanation: the engine processes no events meanwhile."""
 
 MAX_EXPLANATION_LINES = 1_000
-"""Lines of an explanation."""
+"""Limit for the lines of an explanation."""
 
 NOT_RECORDED = (
     "what events come from is not recorded: "
@@ -477,15 +481,15 @@ class QueryServices:
     """Services ``~query`` and ``~explain`` of node retalis.
 
     Args:
-        engine: answers.
+        engine: engine of the node.
     """
 
     def __init__(self, engine: Engine):
-        from .. import msg, srv  # noqa: PLC0415 - generated: there only where the package was built
+        from .. import msg, srv  # noqa: PLC0415 - generated when the package is built
 
         self._engine = engine
         self._msg, self._srv = msg, srv
-        self._waiting = BoundedSemaphore(AT_ONCE)
+        self._waiting = BoundedSemaphore(MAX_WAITING_QUERIES)
         provide("~query", srv.Query, self._query)
         provide("~explain", srv.Explain, self._explain)
 
@@ -494,25 +498,26 @@ class QueryServices:
         try:
             seconds = checked_number("seconds", request.seconds, float)
             limits = Limits(seconds or None, request.inferences or None, output_megabytes=None)
-            most = min(request.max_solutions or DEFAULT_MAX_SOLUTIONS, MAX_SOLUTIONS)
+            solution_limit = min(request.max_solutions or DEFAULT_MAX_SOLUTIONS, MAX_SOLUTIONS)
             if request.wait_for:
                 self._await(request)
-            found = ask(self._engine, request.goal, most, limits)
+            answers = ask(self._engine, request.goal, solution_limit, limits)
         except SyntaxFault as fault:
             return response(f"error: goal: {fault.brief()}", False, [])
         except RetalisError as error:
             return response(reason(error), False, [])
         solutions = [
             self._msg.Solution([self._msg.Binding(*value) for value in solution])
-            for solution in found.solutions
+            for solution in answers.solutions
         ]
-        return response(OK, found.complete, solutions)
+        return response(OK, answers.complete, solutions)
 
     def _await(self, request: Any) -> None:
         names = [name(text, "wait_for") for text in request.wait_for]
         seconds = checked_number("timeout", request.timeout, float) or DEFAULT_QUERY_WAIT_SECONDS
+        # A query beyond the limit fails at once instead of waiting: a blocked thread is what the limit avoids.
         if not self._waiting.acquire(blocking=False):
-            raise UsageError(f"{AT_ONCE} queries wait already")
+            raise UsageError(f"{MAX_WAITING_QUERIES} queries wait already")
         try:
             await_memories(self._engine, names, request.stamp.to_nsec(), seconds)
         finally:
@@ -523,20 +528,20 @@ class QueryServices:
         if not records_origins(self._engine):
             return response(f"error: {NOT_RECORDED}", False, [])
         try:
-            found = explain(self._engine, request.event, EXPLAINING)
+            explanation = explain(self._engine, request.event, MAX_EXPLANATION_SECONDS)
         except RetalisError as error:
             return response(reason(error), False, [])
         lines: List[str] = []
-        for tree in found.lines:
+        for tree in explanation.lines:
             lines += tree.indented()
             if len(lines) > MAX_EXPLANATION_LINES:
                 lines = [*lines[:MAX_EXPLANATION_LINES], "..."]
                 break
-        return response(OK, found.happened, [line[:MAX_EXPLANATION_LINE_CHARACTERS] for line in lines])
+        return response(OK, explanation.happened, [line[:MAX_EXPLANATION_LINE_CHARACTERS] for line in lines])
 
 
 MAX_RELOAD_ERROR_CHARACTERS = 10_000
-"""Characters of what an answer says is wrong."""
+"""Limit for the errors in a response: a program may have several, each with its source line."""
 
 RESTART = f"topics: {TOPICS} has changed; its topics change when the node is started again"
 
@@ -545,11 +550,11 @@ class ReloadService:
     """Service ``~reload`` of node retalis.
 
     Args:
-        engine: whose program it is.
-        folder: the program's.
-        writable: where goals may write files; None means anywhere.
-        topics: of the program when the node started.
-        loaded: called where the program has been read again.
+        engine: engine of the node.
+        folder: folder of the program.
+        writable: folders in which goals may write files; None means anywhere.
+        topics: topics of the program when the node started.
+        loaded: called with the present topics after the program has been read again.
     """
 
     def __init__(
@@ -560,7 +565,7 @@ class ReloadService:
         topics: Topics,
         loaded: Callable[[Topics], None],
     ):
-        from .. import srv  # noqa: PLC0415 - generated: there only where the package was built
+        from .. import srv  # noqa: PLC0415 - generated when the package is built
 
         self._engine = engine
         self._folder = folder
@@ -578,7 +583,7 @@ class ReloadService:
         except RetalisError as error:
             return self._reloaded(
                 f"error: {beginning(str(error), MAX_RELOAD_ERROR_CHARACTERS)}", []
-            )  # with the lines and carets
+            )  # with the source lines and the carets below them
         if topics != self._topics:
             changes.append(RESTART)
         self._loaded(topics)
@@ -587,26 +592,30 @@ class ReloadService:
 
 
 def check_writers(folder: Path, writable: Optional[Tuple[str, ...]]) -> None:
-    """Accept a program's folder in which no goal may write: its goals and rules may more than those of services.
+    """Check that no goal may write into a program's folder.
+
+    The goals and rules of a program have more permissions than those of services. A goal that a service calls could
+    therefore extend its permissions by writing a program.
 
     Raises:
-        UsageError: where a goal may.
+        UsageError: if goals may write into the folder.
     """
+    # Resolved paths: a symbolic link must not hide that one folder contains the other.
     real = os.path.realpath(folder)
-    for other in ("/",) if writable is None else writable:
-        above = os.path.realpath(other)
-        if os.path.commonpath((real, above)) == above:
+    for folder_of_goals in ("/",) if writable is None else writable:
+        real_writable = os.path.realpath(folder_of_goals)
+        if os.path.commonpath((real, real_writable)) == real_writable:
             raise UsageError(
-                f"{folder} is in {other} of ~write_folders: goals of services could write the program; "
+                f"{folder} is in {folder_of_goals} of ~write_folders: goals of services could write the program; "
                 "restart the node to have it read again"
             )
 
 
 def topics_now(folder: Path) -> Topics:
-    """Return the topics of a program; none where there is no file of them, as when the node starts.
+    """Return the topics of a program; none if its file of topics does not exist, as when the node starts.
 
     Raises:
-        ProgramErrors: what is wrong in the file.
+        ProgramErrors: if the file has errors.
     """
     try:
         return read_topics(folder / TOPICS)

@@ -1,4 +1,10 @@
-"""Events as text on the String topics between the nodes."""
+"""Events as text on the ``std_msgs/String`` topics between node ``retalis`` and the interface node.
+
+`TextPublisher` sends events to node ``retalis``, `OutputTexts` sends outputs to the interface. Both deliver through a
+`LateJoinerBuffer`. Some texts are *marks* that control the receiver: one announces the clock epoch of the texts after
+it, another describes the latched message after it. A mark has the syntax of an event, so that other subscribers can
+read the stream.
+"""
 
 import threading
 from functools import partial
@@ -19,7 +25,7 @@ from .late_joiners import ENGINE, INTERFACE, Introducer, LateJoinerBuffer, Publi
 from .topic_statistics import OutputStatus
 
 MAX_TEXTS_PER_WRITE = 64
-"""Texts that are written at once at most."""
+"""Limit for the texts that one write combines."""
 
 _SIZE = Struct("<I")
 _SIZES = Struct("<II")
@@ -33,14 +39,14 @@ def text_frame(text: str) -> bytes:
 
 
 class TextPublisher:
-    """Publishes texts for node retalis: those that are made together with one write. Not for two threads at once.
+    """Publishes events as text for node retalis, several texts per write. Not thread-safe.
 
     Args:
-        topic: its name.
-        queue: how many texts may wait.
-        reports: takes a warning of each text that is dropped.
+        topic: name of the topic.
+        queue: number of texts to buffer.
+        reports: receives a warning for every dropped text.
         runs: see `LateJoinerBuffer`.
-        simulated: the runs of a simulated clock, of which the receivers are told.
+        simulated: the epochs of a simulated clock, which are announced to the receivers; None for wall time.
     """
 
     def __init__(
@@ -58,35 +64,35 @@ class TextPublisher:
         self._waiting: List[bytes] = []
 
     def begin(self, turn: ContextManager[object], publishers: Publishers) -> None:
-        """Find out who listens from now on.
+        """Start to identify subscribers.
 
         Args:
-            turn: the lock under which all else here is called.
-            publishers: gives topic and publisher of all connections from which messages come.
+            turn: lock that the caller holds in all other methods.
+            publishers: returns topic and publisher of all connections that deliver messages.
         """
         self._introducer.begin(self._handover, turn, publishers)
 
     def _mark(self) -> bytes:
-        """Return the text that tells of the run at hand, framed as on the wire; nothing where there are no runs."""
+        """Return the mark of the current epoch, framed as on the wire; empty for wall time."""
         return b"" if self._simulated is None else text_frame(mark_of(self._simulated.run))
 
     def begin_run(self, ended: int) -> None:
-        """Tell that a run begins."""
+        """Announce a new epoch of simulated time, after all texts of the former one."""
         self.flush()
         self._handover.send(self._mark(), 1)
 
     def _is_patient(self, link: Any) -> bool:
-        """Tell whether those who send are held up for a receiver: not for one that only looks on, slowly maybe."""
-        return not self._handover.is_other(link)
+        """Return whether publishers wait for a receiver: not for a bystander, which may be slow."""
+        return not self._handover.is_bystander(link)
 
     def add(self, text: str) -> None:
-        """Add a text to those that go out next."""
+        """Add a text to the next write."""
         self._waiting.append(text_frame(text))
         if len(self._waiting) >= MAX_TEXTS_PER_WRITE:
             self.flush()
 
     def links(self) -> Any:
-        """Return the connections to those who listen."""
+        """Return the connections to the receivers."""
         return self._outlet.links()
 
     def status(self) -> OutputStatus:
@@ -101,23 +107,24 @@ class TextPublisher:
         again: Callable[[], str],
         size: int,
     ) -> None:
-        """Send the text of a latched message, also to each node retalis that connects later.
+        """Send the text of a latched message, and store it for instances of node retalis that connect later.
 
         Args:
-            text: is sent now.
-            message: describes the message, so that node retalis recognizes a repetition.
-            publisher: the message's topic and publisher; the newest message of each is kept.
+            text: text to send now.
+            message: description of the message, by which node retalis recognizes a repetition.
+            publisher: topic and publisher of the message; the newest message of each is stored.
             again: returns the text for a node that connects later.
-            size: the bytes that are kept.
+            size: size of the stored message in bytes.
         """
         self.flush()
-        # A node whose connection has only dropped and returned has the message already.
+        # A node whose connection has only dropped and returned has processed the message already. The flag makes
+        # it compare the message with the last one that it has taken.
         mark_again = text_frame(message._replace(is_first=True).mark())
         self._handover.latch(publisher, lambda: mark_again + text_frame(again()), size)
         self._handover.send(text_frame(text), 1, text_frame(message.mark()))
 
     def flush(self) -> None:
-        """Write the texts that were added."""
+        """Write the added texts."""
         waiting = self._waiting
         if waiting:
             self._handover.send(b"".join(waiting), len(waiting))
@@ -125,17 +132,17 @@ class TextPublisher:
 
 
 class OutputTexts:
-    """Sends outputs as text to the ROS interface, when it runs in another node, and to all other subscribers.
+    """Publishes outputs as text for the interface node and for all other subscribers. Thread-safe.
 
-    An output to a topic that the interface publishes is held until the interface has connected. The last output to a
-    latched topic is sent again to an interface that is restarted. May be called by any thread.
+    An output to a topic that the interface publishes is buffered until the interface has connected. The last output
+    to a latched topic is sent again to an interface that is restarted.
 
     Args:
-        topic: the topic of the texts.
-        queue: how many texts may wait.
-        reports: takes a warning of each text that is dropped.
-        published: the topics that the interface publishes.
-        latched: those of them that are latched.
+        topic: topic of the texts.
+        queue: number of texts to buffer.
+        reports: receives a warning for every dropped text.
+        published: topics that the interface publishes.
+        latched: latched topics among ``published``.
     """
 
     def __init__(
@@ -144,7 +151,7 @@ class OutputTexts:
         self._published = frozenset(map(_full_name, published))
         self._latched = frozenset(map(_full_name, latched))
         self._names: Cache[str, str] = Cache(1000, 1 << 20)
-        """Full names of topics by what programs call them."""
+        """Full names of topics by their names in programs."""
         self._introducer = Introducer()
         self._outlet = Outlet(topic, String, queue, reports, listener=self._introducer)
         self._handover = LateJoinerBuffer(self._outlet, INTERFACE, queue, reports)
@@ -152,10 +159,11 @@ class OutputTexts:
         self._introducer.begin(self._handover, self._turn)
 
     def send(self, topic: str, write: Callable[[], str]) -> None:
-        """Send an output to a topic, or hold it; ``write`` returns the text."""
+        """Send or buffer an output to a topic; ``write`` returns the text, and is called only if it is needed."""
         name = self._names.get(topic) or self._names.keep(topic, _full_name(topic), 2 * len(topic))
         is_published = name in self._published
-        if not is_published and not self.links():  # as for topics that somebody only watches
+        # Topics such as those of `retalis watch` exist only as text: without a subscriber nothing is written.
+        if not is_published and not self.links():
             return
         frame = text_frame(write())
         with self._turn:
@@ -173,7 +181,7 @@ class OutputTexts:
 
 
 def _full_name(topic: str) -> str:
-    """Return the full name of a topic, or what is no name as it is: such outputs are text only."""
+    """Return the full name of a topic; an invalid name is returned unchanged, as its outputs are only text."""
     try:
         return resolve(topic)
     except UsageError:
@@ -181,25 +189,25 @@ def _full_name(topic: str) -> str:
 
 
 MARK = "event(retalis_run("
-"""How the text begins that tells of which run those after it are. To whoever does not know it, it is an event."""
+"""Beginning of the mark that announces the clock epoch of the texts after it."""
 
 _MARK_END = "))"
 
 
 def mark_of(run: int) -> str:
-    """Return the text that tells that those after it are of a run."""
+    """Return the mark that announces texts of an epoch."""
     return f"{MARK}{run}{_MARK_END}"
 
 
-def _marked(text: str) -> Optional[int]:
-    """Return the run that a text tells of; None for an event."""
+def _epoch_of_mark(text: str) -> Optional[int]:
+    """Return the epoch that a mark announces; None if the text is an event."""
     number = text[len(MARK) : -len(_MARK_END)]
     is_mark = len(number) < 10 and number.isascii() and number.isdigit() and text.endswith(_MARK_END)
     return int(number) if is_mark else None
 
 
 _ANY_MARK = "event(retalis_"
-"""The beginning of all marks."""
+"""Beginning of all marks."""
 
 
 def text_taker(
@@ -207,18 +215,18 @@ def text_taker(
     runs: Optional[ClockEpochs] = None,
     latched: Optional[LatchedInputs] = None,
 ) -> Callable[[object], Callable[[bytes], None]]:
-    """Return what `InputTopic` needs to pass the texts of ``std_msgs/String`` messages to ``take``.
+    """Return a factory of message handlers that pass the texts of ``std_msgs/String`` messages to ``take``.
 
     Args:
-        take: takes a text.
-        runs: holds the texts of a run that has not begun.
-        latched: recognizes texts of latched messages that ``take`` had already.
+        take: handler of a text.
+        runs: clock epochs; texts of an epoch that has not begun are queued there. None if marks are not expected.
+        latched: recognizes texts of latched messages that ``take`` has received already.
     """
     return lambda decoder: _TextReceiver(take, runs, latched).receive
 
 
 class _TextReceiver:
-    """Takes the texts of one connection; see `text_taker`."""
+    """Receives the texts of one connection; see `text_taker`."""
 
     def __init__(
         self, take: Callable[[str], object], runs: Optional[ClockEpochs], latched: Optional[LatchedInputs]
@@ -227,28 +235,29 @@ class _TextReceiver:
         self._runs = runs
         self._latched = latched
         self._message: Optional[LatchedMessage] = None
-        """The latched message whose text comes next."""
+        """Latched message that the next text contains."""
 
     def receive(self, data: bytes) -> None:
         if len(data) < 4 or _SIZE.unpack_from(data)[0] != len(data) - 4:
             raise MessageError("expected a std_msgs/String, found other bytes")
         text = str(data[4:], "utf-8", "replace")
-        if text.startswith(_ANY_MARK) and self._is_mark(text):
+        # A test of the prefix first: nearly all texts are events, and this runs for each of them.
+        if text.startswith(_ANY_MARK) and self._apply_mark(text):
             return
         runs, message = self._runs, self._message
         if message is not None:
             self._message = None
         if runs is not None and runs.holding and runs.holds_texts(self):
-            # A text of a latched message is compared when it is taken: another run may have begun by then.
+            # The text of a latched message is compared when it is taken: the next epoch may have begun by then.
             runs.keep(self._take_all if message is None else partial(self._take_latched, message), [text])
         elif message is None:
             self._take(text)
         else:
             self._take_latched(message, [text])
 
-    def _is_mark(self, text: str) -> bool:
-        """Take note of a mark; return whether the text is one."""
-        run = _marked(text) if text.startswith(MARK) else None
+    def _apply_mark(self, text: str) -> bool:
+        """Apply a mark; return False if the text is an event."""
+        run = _epoch_of_mark(text) if text.startswith(MARK) else None
         if run is not None and self._runs is not None:
             self._runs.tell(self, run)
             return True

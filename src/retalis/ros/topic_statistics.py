@@ -1,7 +1,4 @@
-"""What comes in on topics and goes out of them, counted by those who take and send it.
-
-What is said once, some seconds after the start: topics that nobody publishes, and a clock that does not come.
-"""
+"""Counters of subscribed and published topics, and warnings about topics without publishers after the start."""
 
 import threading
 import time
@@ -18,15 +15,16 @@ from .ros_time import ros_now
 
 
 class InputCounts:
-    """What has come on a subscribed topic; noted for all messages of a wake-up together.
+    """Counters of a subscribed topic, updated once for all messages that are read together.
 
     Attributes:
-        messages: how many have come.
-        dropped: how many of them could not be read.
-        refused: how many came from publishers of another type.
-        last: when the last ones came, by the monotonic clock; None before the first.
-        lag: by how many nanoseconds a message came after its stamp; None where it has none.
-        wanted: whether the lag of the next message is wanted: reading a stamp costs, so once in a while is enough.
+        messages: number of received messages.
+        dropped: number of messages that could not be decoded.
+        refused: number of messages from publishers of another type, or with a refused stamp.
+        last: receipt time of the last messages in seconds of the monotonic clock; None before the first.
+        lag: time in nanoseconds from a message's stamp to its receipt; None if it has no stamp.
+        wanted: whether to measure the lag of the next message. Decoding a stamp is expensive, so only one message per
+            status report is measured.
     """
 
     __slots__ = ("dropped", "lag", "last", "messages", "refused", "wanted")
@@ -38,27 +36,27 @@ class InputCounts:
         self.wanted = True
 
     def note(self, number: int) -> None:
-        """Note messages that have come."""
+        """Count received messages."""
         self.messages += number
         self.last = time.monotonic()
 
     def look(self, stamp: Callable[[bytes], Optional[int]], data: bytes) -> None:
-        """Note the lag of a message."""
+        """Measure the lag of a message."""
         self.wanted = False
         try:
             instant = stamp(data)
-        except MessageError:  # said by who takes it
+        except MessageError:  # reported by the handler of the message
             return
         now = ros_now()
         self.lag = None if not instant or not now else now - instant
 
 
 class OutputCounts:
-    """What has gone out on a topic.
+    """Counters of a published topic.
 
     Attributes:
-        sent: how many messages, whether or not anybody listened.
-        dropped: how many were dropped for a subscriber that did not keep up; one for two of them counts twice.
+        sent: number of published messages, with or without subscribers.
+        dropped: number of messages that were dropped for a slow subscriber; counted for each subscriber.
     """
 
     __slots__ = ("dropped", "sent")
@@ -71,14 +69,14 @@ class InputStatus(NamedTuple):
     """A subscribed topic.
 
     Attributes:
-        topic: its full name.
-        type: the message type that it was subscribed as.
-        publishers: how many are connected.
-        messages: how many have come.
-        dropped: how many of them could not be read.
-        refused: how many came from publishers of another type.
-        age: how many seconds ago the last ones came; None where none has.
-        lag: by how many nanoseconds a message came after its stamp, lately; None where messages have none.
+        topic: full name of the topic.
+        type: message type of the subscription.
+        publishers: number of connected publishers.
+        messages: number of received messages.
+        dropped: number of messages that could not be decoded.
+        refused: number of messages from publishers of another type, or with a refused stamp.
+        age: seconds since the last message; None before the first.
+        lag: time in nanoseconds from a recent message's stamp to its receipt; None if messages have no stamps.
     """
 
     topic: str
@@ -95,11 +93,11 @@ class OutputStatus(NamedTuple):
     """A published topic.
 
     Attributes:
-        topic: its full name.
-        type: its message type.
-        subscribers: how many are connected.
-        sent: how many messages have gone out.
-        dropped: how many were dropped for a subscriber that did not keep up.
+        topic: full name of the topic.
+        type: message type of the topic.
+        subscribers: number of connected subscribers.
+        sent: number of published messages.
+        dropped: number of messages that were dropped for a slow subscriber.
     """
 
     topic: str
@@ -110,12 +108,12 @@ class OutputStatus(NamedTuple):
 
 
 PUBLISHER_WAIT_SECONDS = 10.0
-"""Seconds that publishers have to come."""
+"""Seconds after the start until topics without publishers are reported."""
 
-_ALIKE = 0.7
+_MIN_SIMILARITY = 0.7
 
 _SERVICES = ("add_memory", "add_input_subscription")
-"""Services by which the two nodes of a program are found; they have one each."""
+"""Services that identify the two nodes of a program; each offers one."""
 
 _NO_MASTER = (OSError, Error, HTTPException, rosgraph.MasterException)
 
@@ -123,37 +121,40 @@ _NO_MASTER = (OSError, Error, HTTPException, rosgraph.MasterException)
 def unpublished(
     inputs: Iterable[InputStatus], publishers: Mapping[str, Collection[str]], own: Collection[str]
 ) -> Iterator[str]:
-    """Yield a warning for each subscribed topic that nobody publishes.
+    """Yield a warning for each subscribed topic without a publisher.
 
     Args:
-        inputs: what has come on each topic.
-        publishers: the nodes that publish each topic.
-        own: the nodes that run this program: a topic that nobody else publishes is no input that was meant.
+        inputs: counters of each topic.
+        publishers: publishers of each topic.
+        own: nodes of this program; topics that only they publish are not suggested as intended inputs.
     """
     foreign = [topic for topic, nodes in publishers.items() if any(node not in own for node in nodes)]
-    for one in inputs:
-        if one.publishers or one.messages or publishers.get(one.topic):
+    for status in inputs:
+        if status.publishers or status.messages or publishers.get(status.topic):
             continue
-        near = get_close_matches(one.topic, foreign, 1, _ALIKE)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        yield f"nobody publishes topic {one.topic} ({one.type}) {PUBLISHER_WAIT_SECONDS:g} s after the start{hint}"
+        matches = get_close_matches(status.topic, foreign, 1, _MIN_SIMILARITY)
+        hint = f"; did you mean {matches[0]}?" if matches else ""
+        name = f"{status.topic} ({status.type})"
+        yield f"nobody publishes topic {name} {PUBLISHER_WAIT_SECONDS:g} s after the start{hint}"
 
 
 def published_types() -> Dict[str, str]:
-    """Return the types of all topics that somebody publishes; none if the master does not answer."""
+    """Return the types of all published topics; none if the master does not answer."""
     try:
         return dict(rosgraph.Master(rospy.get_name()).getPublishedTopics(""))
-    except _NO_MASTER:  # which is said elsewhere
+    except _NO_MASTER:  # reported by `MasterWatch`
         return {}
 
 
 class StartupWarnings:
-    """Looks once, by the clock on the wall: that of ROS may stand still.
+    """Warnings some seconds after the start: topics without publishers, and missing messages on ``/clock``.
+
+    The delay is wall time, because simulated time may stand still.
 
     Args:
-        inputs: tells what has come on each topic.
-        named: the topics that somebody has named, which are looked at.
-        clock: whether to say, too, that ``/clock`` is expected and does not come.
+        inputs: returns the counters of each topic.
+        named: topics of the program or its parameters; others are not checked.
+        clock: whether to check ``/clock``, too.
     """
 
     def __init__(self, inputs: Callable[[], List[InputStatus]], named: Iterable[str], clock: bool = False):
@@ -166,17 +167,19 @@ class StartupWarnings:
         rospy.on_shutdown(timer.cancel)
 
     def look(self) -> None:
-        """Say what is missing."""
+        """Log the warnings."""
         if rospy.is_shutdown():
             return
         if self._clock:
-            ros_now()  # which says it, once
-        waiting = [one for one in self._inputs() if not one.publishers and one.topic in self._named]
+            ros_now()  # logs the warning, once
+        waiting = [
+            status for status in self._inputs() if not status.publishers and status.topic in self._named
+        ]
         if not waiting:
             return
         try:
             published, _, services = rosgraph.Master(rospy.get_name()).getSystemState()
-        except _NO_MASTER:  # which is said elsewhere
+        except _NO_MASTER:  # reported by `MasterWatch`
             return
         servers = {rospy.resolve_name(name) for name in _SERVICES}
         own = {rospy.get_name(), *(node for name, nodes in services if name in servers for node in nodes)}
