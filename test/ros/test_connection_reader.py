@@ -18,7 +18,7 @@ from retalis.ros.connection_reader import (  # noqa: E402
     WINDOW,
     ConnectionReader,
     Pace,
-    read_by,
+    read_in_batches,
 )
 
 HEADER = {"type": "std_msgs/String", "callerid": "/talker"}
@@ -118,7 +118,7 @@ def test_connections_that_lack_something_stay_rospys(missing):
     link = new_link(None)
     delattr(link, missing)
     subscriber = subscribed(data_class=rospy.AnyMsg, connections=[link], add_connection=lambda link: True)
-    read_by(subscriber, print, 0.001)
+    read_in_batches(subscriber, print, 0.001)
     assert link.receive_once is None
 
 
@@ -127,10 +127,10 @@ def test_topics_that_keep_their_callbacks_otherwise_stay_rospys(callbacks):
     link = new_link(None)
     subscriber = subscribed(data_class=rospy.AnyMsg, connections=[link], add_connection=lambda link: True)
     subscriber.impl.callbacks = callbacks
-    read_by(subscriber, print, 0.001)
+    read_in_batches(subscriber, print, 0.001)
     assert link.receive_once is None
     del subscriber.impl.callbacks
-    read_by(subscriber, print, 0.001)
+    read_in_batches(subscriber, print, 0.001)
     assert link.receive_once is None
 
 
@@ -191,7 +191,7 @@ def ignore(header):
 def test_connections_present_and_future_are_read(pair):
     present, future = new_link(pair[1]), new_link(pair[1])
     found, added = subscriber(connections=[present])
-    read_by(found, ignore, 0.001)
+    read_in_batches(found, ignore, 0.001)
     found.impl.add_connection(future)
     assert isinstance(present.receive_once, ConnectionReader)
     assert isinstance(future.receive_once, ConnectionReader)
@@ -205,16 +205,16 @@ def test_connections_present_and_future_are_read(pair):
 def test_topics_that_are_rospys_own_are_left_to_it(pair, options):
     link = new_link(pair[1])
     found, _ = subscriber(connections=[link], **options)
-    read_by(found, ignore, 0.001)
+    read_in_batches(found, ignore, 0.001)
     assert link.receive_once is None
 
 
 def test_connections_of_another_make_are_left_to_rospy():
     link = SimpleNamespace(receive_once=None)
     found, _ = subscriber(connections=[link])
-    read_by(found, ignore, 0.001)
+    read_in_batches(found, ignore, 0.001)
     assert link.receive_once is None
-    read_by(SimpleNamespace(), ignore, 0.001)
+    read_in_batches(SimpleNamespace(), ignore, 0.001)
 
 
 class Options:

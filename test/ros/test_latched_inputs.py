@@ -10,7 +10,7 @@ from retalis.engine.runtime.clock_epochs import ClockEpochs  # noqa: E402
 from retalis.engine.runtime.problem_reports import Reports  # noqa: E402  # noqa: E402
 from retalis.ros import latched_inputs  # noqa: E402
 from retalis.ros.latched_inputs import LatchedConnection, LatchedInputs, latched_message  # noqa: E402
-from retalis.ros.text_topics import mark_of, text_taker  # noqa: E402
+from retalis.ros.text_topics import mark_of, text_handler_factory  # noqa: E402
 
 MAP = ("/map", "/map_server", "http://robot:4711/")
 
@@ -88,13 +88,13 @@ def test_marks_read_back():
 )
 def test_what_only_looks_like_a_mark_is_an_event(text):
     taken = []
-    text_taker(taken.append, None, LatchedInputs())(None)(frame(text))
+    text_handler_factory(taken.append, None, LatchedInputs())(None)(frame(text))
     assert taken == [text]
 
 
 def test_a_text_is_taken_once_whichever_connection_it_comes_on():
     taken = []
-    taker = text_taker(taken.append, None, LatchedInputs())
+    taker = text_handler_factory(taken.append, None, LatchedInputs())
     for _ in range(2):  # an interface, and the one that is started after it was killed
         receive, connection = taker(None), LatchedConnection(*MAP)
         for text in ("event(a)", "event(b)", "event(b)"):
@@ -114,7 +114,7 @@ def test_a_text_that_waits_for_its_run_is_compared_when_it_is_taken():
     runs = ClockEpochs(Reports(), lambda: 0, lambda: None)
     runs.clock_at(9_000_000_000)
     inputs = LatchedInputs(lambda: runs.run)
-    receive = text_taker(taken.append, runs, inputs)(None)
+    receive = text_handler_factory(taken.append, runs, inputs)(None)
     mark = LatchedConnection(*MAP).message(b"a").mark()
     for text in (mark_of(0), mark, "event(a)", mark_of(1), mark, "event(a)", mark, "event(a)"):
         receive(frame(text))

@@ -63,7 +63,9 @@ def taken_by(monkeypatch):
     """Return what is handed to who reads the connections: for each topic, what gives the taker of one."""
     takers = []
     monkeypatch.setattr(rospy, "Subscriber", lambda *arguments, **options: None)
-    monkeypatch.setattr(ros_interface, "read_by", lambda subscriber, taker, hold: takers.append(taker))
+    monkeypatch.setattr(
+        ros_interface, "read_in_batches", lambda subscriber, taker, hold: takers.append(taker)
+    )
     return takers
 
 

@@ -8,7 +8,7 @@ pytest.importorskip("rospy", reason="ROS is not installed")
 
 from retalis.engine.runtime.clock_epochs import ClockEpochs  # noqa: E402
 from retalis.engine.runtime.problem_reports import Reports  # noqa: E402  # noqa: E402
-from retalis.ros.text_topics import mark_of, text_taker  # noqa: E402
+from retalis.ros.text_topics import mark_of, text_handler_factory  # noqa: E402
 
 
 def message(text):
@@ -29,7 +29,7 @@ def runs():
 
 
 def test_texts_of_a_run_that_has_not_begun_wait_for_it(taken, runs):
-    receive = text_taker(taken.append, runs)(None)
+    receive = text_handler_factory(taken.append, runs)(None)
     for text in (mark_of(0), "event(a)", mark_of(1), "event(b)"):
         receive(message(text))
     assert taken == ["event(a)"]
@@ -39,7 +39,7 @@ def test_texts_of_a_run_that_has_not_begun_wait_for_it(taken, runs):
 
 
 def test_senders_are_told_apart(taken, runs):
-    taker = text_taker(taken.append, runs)
+    taker = text_handler_factory(taken.append, runs)
     late, silent = taker(None), taker(None)
     late(message(mark_of(7)))
     runs.clock_at(0)
@@ -57,10 +57,10 @@ def test_senders_are_told_apart(taken, runs):
     ["event(retalis_run(x))", "event(retalis_run(-1))", "event(retalis_run(1), [1,1])", "event(retalis_run("],
 )
 def test_what_only_looks_like_it_is_an_event(text, taken, runs):
-    text_taker(taken.append, runs)(None)(message(text))
+    text_handler_factory(taken.append, runs)(None)(message(text))
     assert taken == [text]
 
 
 def test_without_simulated_time_it_is_an_event(taken):
-    text_taker(taken.append)(None)(message(mark_of(3)))
+    text_handler_factory(taken.append)(None)(message(mark_of(3)))
     assert taken == [mark_of(3)]

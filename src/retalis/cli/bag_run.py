@@ -61,8 +61,11 @@ def play(
         state: snapshot of the program to continue from; None to start without state.
     """
     with ExitStack() as stack:
+        # The bags are opened before the program is loaded, because rules may name fields of types that only a bag
+        # defines.
         bags = stack.enter_context(bags_of(options))
         playback = playback_of(options, report, bags, state)
+        # Recording costs time and memory per event, so it is switched on only for the explanations.
         if options.explain:
             record_origins(playback.engine)
         writer = _writer(options, playback, stack)
@@ -156,6 +159,7 @@ class _RunPrinter:
             return
         self._clear()
         topic = atom(output.topic)
+        # The program's clock is the bag's, so each run over a bag prints the same times.
         if self._options.times:
             instant: Term = timestamps.to_term(timestamps.WholeSeconds(output.time))
             if self._origin is not None:
@@ -208,8 +212,10 @@ class _OutputWriter:
         self._connections: Dict[str, object] = {}
 
     def write(self, output: Output) -> None:
-        if output.definition is None or output.data is None:  # not a message; the error was reported
+        if output.definition is None or output.data is None:
+            # Not a message; the error was reported.
             return
+        # Names in a bag are absolute.
         topic = output.topic if output.topic.startswith("/") else f"/{output.topic}"
         if topic not in self._connections:
             self._connections[topic] = self._writer.add(topic, output.definition, self._is_latched(topic))

@@ -57,6 +57,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     definitions = Definitions(Installed(further=[_package(path) for path in options.msg]))
+    # Before the check: rules with field names cannot be checked without the types.
     for path in options.bag:
         _learn(definitions, path, options.max_chunk_megabytes)
     findings = check_program(
@@ -75,6 +76,7 @@ def run(options: argparse.Namespace) -> int:
         print(
             f"{printable(str(options.folder))}: {_counted(errors, 'error')}, {_counted(warnings, 'warning')}"
         )
+    # A closed pipe is reported here, where the caller handles it, and not at exit.
     sys.stdout.flush()
     if errors:
         return 1

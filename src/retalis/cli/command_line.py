@@ -26,11 +26,13 @@ def version() -> str:
         manifest = ElementTree.parse(MANIFEST).getroot()
         if manifest.findtext("name") == "retalis":
             return str(manifest.findtext("version"))
+    # Without a manifest this is an installed copy, whose version is in its metadata.
     from importlib import metadata  # noqa: PLC0415  takes 30 ms
 
     try:
         return metadata.version("retalis")
-    except metadata.PackageNotFoundError:  # the folder alone was copied
+    except metadata.PackageNotFoundError:
+        # The folder alone was copied.
         return "unknown"
 
 
@@ -82,6 +84,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
     parser.set_defaults(whole=parser)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     try:
+        # argparse lists the subcommands in the order of their registration.
         for module in import_commands(words):
             module.add_parser(commands.add_parser)
         options = parser.parse_args(join_times(words))
@@ -104,6 +107,7 @@ def import_commands(words: List[str]) -> List[Any]:
     """Return the modules whose parsers a command line needs, in the order of the help."""
     first = words[0] if words else ""
     names: Iterable[str] = dict.fromkeys(COMMANDS.values())
+    # All parsers are needed only for the general help, for an unknown command, and for completion.
     if first in COMMANDS and first != _NEEDS_ALL:
         names = (COMMANDS[first],)
     elif first == "--version":

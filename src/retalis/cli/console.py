@@ -94,6 +94,8 @@ def _is_of(name: str, key: str) -> bool:
 
 def _rows() -> Iterator[_PredicateRow]:
     for line in _page().read_text(encoding="utf-8").split("\n"):
+        # Rows of the tables begin with the indicator in code font. A vertical bar inside a cell is escaped, and
+        # replaced by a zero byte while the row is split.
         if line.startswith("| ``"):
             cells = [cell.replace("\0", "|") for cell in line.replace("\\|", "\0").split(" | ")]
             keys = [key.strip() for key in cells[0].split("``")[1::2]]
@@ -150,6 +152,7 @@ class LoadedFiles:
         return [path for path, stamp in self._stamps.items() if self._stamp(path) != stamp]
 
     def _stamp(self, path: Path) -> _FileStates:
+        # A program may include further files, and a folder may get new ones: all of them count.
         deployment = self._engine.deployments.get(os.path.realpath(path))
         files = set() if deployment is None else {Path(file) for file in deployment.files}
         files |= set(path.iterdir()) if path.is_dir() else {path}
@@ -159,7 +162,8 @@ class LoadedFiles:
 def _stat(path: Path) -> Tuple[str, int, int]:
     try:
         status = path.stat()
-    except OSError:  # deleted
+    except OSError:
+        # Deleted.
         return str(path), 0, 0
     return str(path), status.st_mtime_ns, status.st_size
 
@@ -222,6 +226,7 @@ def run(options: argparse.Namespace) -> int:
     console = Console(report, limited(UNRESTRICTED, options), options.most)
     for path in options.files:
         console.load(path)
+    # After the files are loaded: their clauses are exempted from later collections.
     limit_gc_pauses()
     if options.goal:
         for goal in options.goal:
@@ -261,6 +266,7 @@ class Console:
             Clock(time.time_ns), UNRESTRICTED if settings is None else settings, self.reports
         )
         self._rules = self.engine.rules
+        # As in other top levels, singleton variables of loaded clauses are reported.
         self._rules.warn_singletons = True
         self._files = LoadedFiles(self.engine)
         self.engine.on_output(to_reader(self._output))
@@ -322,12 +328,14 @@ class Console:
     def _goal(self, read: ReadTerm) -> bool:
         """Solve a goal; return False if it ends the console."""
         goal = deref(read.term)
+        # `?- Goal.` and `:- Goal.` are accepted, as text is often pasted from a file.
         if goal.__class__ is tuple and goal[0] in _QUERY:
             goal = deref(goal[1])
         if goal.__class__ is Atom and goal.name in LEAVE and not self._defines(goal):
             return False
         # Alarms that became due while the user was typing precede the goal.
         self.engine.advance()
+        # Commands and events are executed outside of `Engine.do`, as they call the engine themselves.
         if self._is_command(goal) or self._is_event(goal):
             return True
         traced = self._tracing
@@ -355,6 +363,7 @@ class Console:
             if files is None and goal[0] is _CONSULT:
                 files = list_items(goal[1]) or [deref(goal[1])]
         names = [_text(name) for name in files] if files else []
+        # A list with anything but names is a goal, not a list of files.
         if not names or None in names:
             return False
         loaded = [self._user() if name == "user" else self.load(Path(cast(str, name))) for name in names]
@@ -380,7 +389,8 @@ class Console:
                 lines = (help_lines if query[0] is _HELP else apropos_lines)(
                     word, map(str, self.logic.names())
                 )
-            except UsageError as error:  # the page of predicates was not copied with the package
+            except UsageError as error:
+                # The page of predicates was not copied with the package.
                 self._report(error)
                 return True
         print("\n".join(lines or [f"% nothing is known of {word}"]))
@@ -434,6 +444,7 @@ class Console:
     def _answer(self, goal: Term, read: ReadTerm, traced: bool) -> None:
         logic = self.logic
         outputs = logic.output, logic.error_output
+        # The trace goes to stderr, so that the answers can be piped.
         tracer = Tracer(logic, lambda line: print(line, file=sys.stderr))
         try:
             with tracer.on() if traced else nullcontext():
@@ -450,6 +461,8 @@ class Console:
 
     def _solutions(self, goal: Term, names: Dict[str, Var]) -> None:
         choices = self.logic.machine.choices
+        # A deterministic goal leaves only the choice point of the query itself. Its last solution ends with a full
+        # stop, and the user is not asked.
         height = len(choices) + 1
         shown = 0
         with closing(self.logic.solutions(goal)) as solutions:

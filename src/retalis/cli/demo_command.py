@@ -44,6 +44,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     report = Report().listen()
     folder = example_folder()
+    # The example's modules are scripts beside its data, not part of the package.
     sys.path.append(str(folder))
     truth_module = importlib.import_module("nao_truth")
     with tempfile.TemporaryDirectory() as temporary:
@@ -64,6 +65,7 @@ def run(options: argparse.Namespace) -> int:
             ) from error
         located = locate(bag, folder.parent.parent / "application_source", report)
     comparisons = truth_module.compare(truth, located)
+    # The status is 1 without any comparison, too: nothing has been verified then.
     print(truth_module.table(comparisons))
     return (
         0 if comparisons and all(comparison.good for comparison in comparisons) and not report.errors else 1
@@ -77,7 +79,9 @@ def locate(bag: Path, program: Path, report: Report) -> Dict[str, Tuple[float, f
     with MergedBag([bag]) as bags, progress("messages", share_of(playback, bags)) as bar:
         for output in playback.run(bags, bar or _nothing):
             if output.topic.startswith("marker"):
-                term: Any = resolve(output.term)  # a geometry_msgs/PoseStamped
+                # A geometry_msgs/PoseStamped.
+                term: Any = resolve(output.term)
+                # The fields of the message in their order: header, then pose with position and orientation.
                 header, pose = term[1:]
                 located[header[3].name.strip('"')] = pose[1][1:]
     return located

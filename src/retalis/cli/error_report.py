@@ -51,6 +51,7 @@ class Report(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Print a log record, and count it if it is an error."""
         text = printable(self.format(record))
+        # Events that the program requests to be shown are output, not problems: no level, and no count.
         if record.name == _shown.name:
             print(text, file=sys.stderr)
             return

@@ -87,11 +87,13 @@ def _event(reader: EventReader, text: str, place: Place) -> Optional[ReadLine]:
     This is the usual case, and much faster than the full parser. Text that the two parsers read differently is left
     to the full parser.
     """
+    # The two parsers read strings, back quotes and special numbers differently.
     if not text.endswith(").") or _DIFFERENT.search(text):
         return None
     try:
         return ReadLine(reader.read(text[:-1]), place)
-    except SyntaxFault:  # several terms, or an error, which the full parser reports
+    except SyntaxFault:
+        # Several terms, or an error, which the full parser reports.
         return None
 
 
@@ -119,13 +121,16 @@ def is_left_unread(number: int = 0) -> bool:
         return False
     try:
         mode = os.fstat(number)
+        # Redirected files and pipes are checked. A terminal has no data until its user types, and reading it would
+        # block.
         if stat.S_ISREG(mode.st_mode):
             return mode.st_size > os.lseek(number, 0, os.SEEK_CUR)
         if not stat.S_ISFIFO(mode.st_mode):
             return False
         waiting = array("i", [0])
         fcntl.ioctl(number, termios.FIONREAD, waiting)
-    except OSError:  # closed
+    except OSError:
+        # Closed.
         return False
     return waiting[0] > 0
 
@@ -230,12 +235,14 @@ class Session:
         self._clock = StreamClock(0)
         self.reports = Reports()
         self.engine = Engine(self._clock, limited(allow_folders(Settings(), options), options), self.reports)
+        # Registered before goals are called, because goals may cause events.
         self.engine.on_event(to_reader(printer.event))
         self.engine.on_output(to_reader(self._output))
         self._first: Optional[int] = None
         if options.times == RELATIVE:
             self.engine.on_event(self._note_first)
         self.engine.logic.define_control("sleep", 1, self._sleep)
+        # Before any event: the causes of earlier events cannot be recovered.
         if options.explain:
             record_origins(self.engine)
         if options.clock:
@@ -293,6 +300,7 @@ class Session:
     def _do(self, goal: Term) -> None:
         event = event_of(goal)
         if event is None:
+            # A goal of the stream is a command, so its failure is an error.
             if not self.engine.call(goal):
                 raise RuleError("this goal fails")
             return
@@ -325,6 +333,7 @@ class Session:
         term = goal_of(goal.term)
         try:
             for answer in self.engine.query(term):
+                # Each solution is printed as an instance of the goal, which can be read back as a term.
                 values = dict(zip(variables(term), answer.values()))
                 instances.append(rebuild(term, values.__getitem__))
         except RetalisError as error:

@@ -51,18 +51,21 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     report = Report().listen()
+    # Before the program is loaded: a wrong suffix is reported at once.
     kind = _format_of(options.output)
     folder = options.folder
     if not (folder / GOALS).is_file():
         raise UsageError(f"{folder.resolve()} is no program: it has no file {GOALS}")
     engine = Engine(settings=limited(Settings(), options))
     input_topics = engine.input_topics
+    # Goals may subscribe topics during loading. They are recorded for the graph, and nothing is subscribed.
     input_topics.begin(lambda wanted: None)
     try:
         engine.load_program(folder)
     except ProgramErrors as errors:
         for error in errors.errors:
             report(error)
+    # A program with errors is drawn as far as it was loaded.
     text = dot_text(program_graph(engine, _topics(folder, input_topics)), folder.resolve().name)
     if options.output is None:
         sys.stdout.write(text)

@@ -98,11 +98,13 @@ def play_bag(task: BagTask, scratch: str) -> Played:
                 state = _play_into(result, bag, task, report)
         except RetalisError as error:
             failure = str(error)
-        except Exception as error:  # an internal error in one bag must not stop the others
+        except Exception as error:
+            # An internal error in one bag must not stop the others.
             failure = f"{type(error).__name__}: {error}"
         finally:
             leave()
             restore_gc()
+    # Messages name the bag as the user gave it, not the temporary copy of a URL.
     messages, failure = (text.replace(bag, task.place) for text in (said.getvalue(), failure))
     return Played(report.errors, messages, failure or None, state)
 
@@ -113,11 +115,13 @@ def _play_into(result: str, bag: str, task: BagTask, report: Report) -> Optional
     tell = print_line
     with ExitStack() as stack:
         if task.format == "bag":
+            # The recording has the outputs, so they are not printed.
             options.output, options.quiet = result, True
         elif task.format is not None:
             options.json = True
         if task.format == "parquet":
             tell = stack.enter_context(RunTable(result, options.events)).write
+        # Printed output becomes the result of the formats that consist of lines, and is discarded otherwise.
         printed = result if task.format in (None, "jsonl") else os.devnull
         file = stack.enter_context(open(printed, "w", encoding="utf-8"))
         stack.enter_context(redirect_stdout(file))
@@ -131,6 +135,7 @@ class _LimitedOutput(io.StringIO):
     _more = 0
 
     def write(self, text: str) -> int:
+        # A bag with an error per message must not fill the memory of the process that collects the messages.
         kept = text[: max(0, _MAX_MESSAGE_CHARACTERS - self.tell())]
         self._more += len(text) - len(kept)
         super().write(kept)
@@ -389,6 +394,7 @@ class _Results:
         if isinstance(outcome, Played):
             self._errors += outcome.errors
             self._report_messages(task, outcome.said)
+        # A worker of a cluster may have written to a folder of its own machine with the same path.
         if failure is None and not (self._to_print or is_url(task.target) or os.path.exists(task.target)):
             failure = f"{task.target} is not seen here: this machine and the workers need to share its folder"
         if failure is not None:

@@ -43,6 +43,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
+    # Functors in programs have `__0__` in place of the slash; both forms are accepted.
     kind = plain_type(options.type.replace("__0__", "/"))
     definitions = Definitions()
     fault = type_fault(kind)

@@ -116,6 +116,7 @@ def ros_module(name: str) -> Any:
         UsageError: if ROS is not installed.
     """
     try:
+        # By name, because package `cli` must not depend on package `ros`.
         return import_module(f"retalis.ros.{name}")
     except ImportError as error:
         raise UsageError(

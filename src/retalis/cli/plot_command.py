@@ -93,6 +93,7 @@ def _played(options: argparse.Namespace, report: Report) -> TimelineBuilder:
                 if bar is not None:
                     bar(done)
 
+            # After the program is loaded: only the objects of the run are left to the collector.
             limit_gc_pauses()
             for output in playback.run(bags, advance):
                 recorder.output(output)

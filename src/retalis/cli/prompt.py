@@ -70,6 +70,8 @@ def _grouped(names: Dict[str, Var]) -> List[_Group]:
             continue
         value = deref(var)
         for group in groups:
+            # Compound terms are grouped only if they are the same object: a comparison of large terms would take
+            # too long.
             if group.value is value or (value.__class__ is not tuple and compare(group.value, value) == 0):
                 group.names.append(name)
                 break
@@ -83,6 +85,7 @@ def _variable_names(groups: List[_Group]) -> Dict[Var, str]:
     named = {group.value: group.names[-1] for group in groups if group.value.__class__ is Var}
     counts: Dict[Var, int] = {}
     _count((functor("", len(groups)), *[group.value for group in groups]), counts)
+    # Generated names must not coincide with names of the goal.
     taken = {name for group in groups for name in group.names}
     letters = (f"_{letter}" for letter in _letters() if f"_{letter}" not in taken)
     for var, count in counts.items():
@@ -100,6 +103,7 @@ def _letters() -> Iterator[str]:
 
 def _walk(term: Term, visit: Callable[[Term], None]) -> bool:
     """Visit the leaves of a term from left to right; return False if it has more than `_MAX_NODES` subterms."""
+    # Iterative, because a term may be deeper than Python's recursion limit.
     stack = [term]
     nodes = 0
     while stack:
@@ -172,16 +176,20 @@ class Terminal:
     def _set_up(self) -> None:
         try:
             import readline  # noqa: PLC0415 - not every Python has it
-        except ImportError:  # a Python without it: plain lines
+        except ImportError:
+            # A Python without it: plain lines.
             return
         readline.set_completer(self._complete)
+        # All characters that cannot be part of an unquoted atom.
         readline.set_completer_delims(" \t\n()[]{}|,;:.!&'\"`+-*/\\<>=")
         readline.parse_and_bind("tab: complete")
         try:
             readline.read_history_file(str(HISTORY))
-        except OSError:  # there is no history yet
+        except OSError:
+            # There is no history yet.
             pass
-        except Exception:  # another library than GNU readline on a terminal that it does not support
+        except Exception:
+            # Another library than GNU readline on a terminal that it does not support.
             return
         readline.set_history_length(2000)
         atexit.register(_save_history)
@@ -223,7 +231,8 @@ def _key() -> str:
     try:
         import termios  # noqa: PLC0415 - not every system has it
         import tty  # noqa: PLC0415 - not every system has it
-    except ImportError:  # a system without termios: the first character of a line
+    except ImportError:
+        # A system without termios: the first character of a line.
         return input()[:1]
     stdin = sys.stdin.fileno()
     before = termios.tcgetattr(stdin)
@@ -254,7 +263,8 @@ def read_clause(lines: Union[Lines, Terminal], logic: PrologSystem, prompt: str)
         if "." in incomplete:
             program = read_program(incomplete, logic.operators, "user", _flags(logic))
             term = next(iter(program), None)
-            if term is None:  # comments only
+            if term is None:
+                # Comments only.
                 incomplete = ""
             elif not _is_incomplete(term, incomplete):
                 if not isinstance(term, SyntaxFault) and incomplete[program.end :].strip():

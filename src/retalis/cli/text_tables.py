@@ -143,7 +143,8 @@ def _age(instant: Optional[float], time: _StatusTime) -> str:
 
 
 def _lag(seconds: Optional[float]) -> str:
-    if not seconds:  # messages without stamps
+    if not seconds:
+        # Messages without stamps.
         return "-"
     return f"{seconds * 1000:.0f}ms" if abs(seconds) < 1 else _span(seconds)
 
@@ -244,6 +245,7 @@ def _rows(
     width: int,
 ) -> List[List[str]]:
     """Return the heading and the rows of a table that fits a width, without empty rare columns."""
+    # Rows are identified by key, not by position: rules and topics may have been added or removed meanwhile.
     known = {_key(row, form): row for row in before}
     shown: List[_Column] = []
     cells: List[List[str]] = []
@@ -258,6 +260,7 @@ def _rows(
     # The widest column is shortened character by character, so that short columns remain complete.
     while over > 0:
         widest = max(elastic, key=lambda index: widths[index])
+        # All shortened columns have reached the minimum; the lines are cut at the terminal's width afterwards.
         if widths[widest] <= _MIN_COLUMN_WIDTH:
             break
         widths[widest] -= 1

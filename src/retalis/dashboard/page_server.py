@@ -67,7 +67,8 @@ class Dashboard:
             try:
                 self._loop.call_soon_threadsafe(self._loop.stop)
             except RuntimeError:
-                pass  # the loop has been closed meanwhile
+                # The loop has been closed meanwhile.
+                pass
         self._thread.join(5)
 
     def _run(self) -> None:
@@ -119,6 +120,7 @@ def _bound(port: int) -> socket.socket:
     """Return a socket that listens on a port."""
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
+        # A port with connections in state TIME_WAIT can be bound again after a restart of the program.
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.bind((ADDRESS, port))
         listening.listen(BACKLOG)

@@ -77,7 +77,8 @@ class Answers:
         done: asyncio.Future[Json] = loop.create_future()
 
         def deliver(result: Json) -> None:
-            if not done.done():  # cancelled if the page was closed
+            if not done.done():
+                # Cancelled if the page was closed.
                 done.set_result(result)
 
         def run() -> None:
@@ -90,6 +91,7 @@ class Answers:
                 result = {"error": beginning(error.brief(), MAX_ERROR_CHARACTERS)}
             finally:
                 self._free.release()
+                # The server may have been closed while the thread was working.
                 if not loop.is_closed():
                     loop.call_soon_threadsafe(deliver, result)
 
@@ -101,6 +103,8 @@ class Answers:
         if not records_origins(self._engine):
             return {"error": NOT_RECORDED}
         serial: Any = request.get("serial")
+        # The page sends a number and no text, so nothing has to be parsed and any event can be explained without
+        # permission.
         event = self._events.find(serial) if serial.__class__ is int else None
         if event is None:
             return {"error": GONE}
@@ -174,7 +178,8 @@ class LocalHandler(RequestHandler):
     ``Origin`` and ``Sec-Fetch-Site``, or by a host name that resolves to the loopback address (``Host``).
     """
 
-    _stream: Any = None  # tornado answers a request with an unknown method without calling `prepare`
+    # Tornado answers a request with an unknown method without calling `prepare`.
+    _stream: Any = None
 
     def prepare(self) -> None:
         """Refuse requests that a foreign page may have sent."""
@@ -185,6 +190,7 @@ class LocalHandler(RequestHandler):
         host = headers.get("Host", "")
         if _host_name(host) not in LOOPBACK:
             raise HTTPError(403, reason="Not the loopback address")
+        # Browsers send Origin with requests of scripts and with POST requests of forms.
         if headers.get("Origin", f"http://{host}") != f"http://{host}":
             raise HTTPError(403, reason="Another page")
         # A link from a foreign page to the start page is harmless, and users follow them.

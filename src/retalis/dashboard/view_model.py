@@ -135,11 +135,13 @@ class RecentEvents:
         """Count an event, and store its text unless its functor has reached `MAX_WRITTEN_PER_SNAPSHOT`."""
         if term is _NO_EVENT:
             return after
+        # This runs for every event: only a dictionary access and two assignments, unless the text is wanted.
         key = term[0] if term.__class__ is tuple else getattr(term, "functor", None)
         kind = self._kinds.get(key)
         if kind is None:
             if len(self._kinds) >= MAX_FUNCTORS:
-                key = None  # all others
+                # All others.
+                key = None
             kind = self._kinds.setdefault(key, _FunctorEvents())
         kind.number += 1
         kind.end = end
@@ -170,6 +172,8 @@ class RecentEvents:
         for kind in list(self._kinds.values()):
             for event in kind.kept.copy():
                 if event.serial == serial and event.whole:
+                    # The stored text is parsed again: the term itself may hold large buffers, and is not kept alive
+                    # for the page.
                     term = read_term(event.text, self._engine.operators, "event").term
                     stamps = make_list([timestamps.datime(event.start), timestamps.datime(event.end)])
                     return (_ASKED, term, stamps)
@@ -369,6 +373,7 @@ class Snapshots:
         now = self._clock()
         self._history.append((now, numbers))
         then, before = self._history[0]
+        # The first snapshot after a pause has no predecessor, and gives no rates.
         if now <= then:
             return {}
         return {
@@ -519,6 +524,7 @@ class LiveUpdates:
         graph = self._snapshots.graph
         drawn = b""
         for client in list(self._clients):
+            # The graph is large and rarely changes, so it is sent only when the page does not have this object.
             if client.graph is graph:
                 client.put(look)
                 continue

@@ -227,7 +227,8 @@ def _shut_down(sock: socket.socket) -> None:
     """End the stream of a socket in both directions, which wakes a thread that reads or writes it."""
     try:
         sock.shutdown(socket.SHUT_RDWR)
-    except OSError:  # the peer or the owner has closed it already
+    except OSError:
+        # The peer or the owner has closed it already.
         pass
 
 
@@ -368,7 +369,8 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
         except OSError as error:
             if error.errno in _NO_RESOURCES:
                 self._handshakes.make_room()
-            return  # the client has closed the connection, or the server is being shut down
+            # The client has closed the connection, or the server is being shut down.
+            return
         sock.setblocking(False)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         self._handshakes.add(sock, address[0])
@@ -402,7 +404,8 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
             refusal = self._refusal(sock, address, rosgraph.network.decode_ros_handshake_header(data))
             if refusal:
                 rosgraph.network.write_ros_handshake_header(sock, {"error": refusal})
-        except Exception as error:  # rospy raises arbitrary exceptions for unexpected headers
+        except Exception as error:
+            # rospy raises arbitrary exceptions for unexpected headers.
             refusal = f"handshake failed: {error}"
             self.closed.count(refusal, address[0])
         finally:
@@ -455,7 +458,8 @@ class RequestHandler(getattr(rosgraph.xmlrpc, "SilenceableXMLRPCRequestHandler",
     def decode_request_content(self, data: bytes) -> Optional[bytes]:
         """Return the text of a request; refuse a document type, whose entities expand without limit in old ones."""
         decoded: Optional[bytes] = super().decode_request_content(data)
-        if decoded is None:  # refused already because of its encoding
+        if decoded is None:
+            # Refused already because of its encoding.
             return None
         # Without zero bytes, text in UTF-16 and UTF-32 contains the word, too.
         if b"<!DOCTYPE" in decoded.replace(b"\0", b"") or len(decoded) > MAX_REQUEST_BYTES:
@@ -490,7 +494,8 @@ class RequestServer(getattr(rosgraph.xmlrpc, "ThreadingXMLRPCServer", object)): 
         except OSError as error:
             if error.errno in _NO_RESOURCES:
                 self.connections.make_room()
-            raise  # the server's loop ignores it and continues
+            # The server's loop ignores it and continues.
+            raise
 
     def process_request(self, request: socket.socket, client_address: Address) -> None:
         """Start the thread of a connection."""

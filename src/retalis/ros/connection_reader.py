@@ -1,10 +1,10 @@
 """Batched reading of messages from the connections of a topic.
 
 A wake-up of a thread, with its cold caches, costs more than the processing of a message, and rospy's path from the
-socket to the callback adds to it. `read_by` therefore replaces `receive_once` of a subscriber's connections by a
-`ConnectionReader`: a loop that reads from the socket, splits the data into messages, and passes all complete messages
-of a read to the handler together. Fast topics are batched further: the socket option ``SO_RCVLOWAT`` lets the kernel
-wake the thread only when several messages have arrived (`Pace`).
+socket to the callback adds to it. `read_in_batches` therefore replaces `receive_once` of a subscriber's connections
+by a `ConnectionReader`: a loop that reads from the socket, splits the data into messages, and passes all complete
+messages of a read to the handler together. Fast topics are batched further: the socket option ``SO_RCVLOWAT`` lets
+the kernel wake the thread only when several messages have arrived (`Pace`).
 
 Everything else remains rospy's: connecting, the header, reconnecting, closing, statistics. If the internals of this
 rospy are not the expected ones, its connections are left unchanged, and rospy calls back for each message.
@@ -43,7 +43,7 @@ NEVER = pack("ll", 0, 0)
 MAX_SINGLE_MESSAGE_WINDOWS = 64
 """Limit for the windows without batching, after which it is tried again."""
 
-ConnectionTaker = Callable[[Dict[str, str]], Callable[[List[bytes]], object]]
+BatchHandlerFactory = Callable[[Dict[str, str]], Callable[[List[bytes]], object]]
 """Returns the handler of a connection's messages, by the connection's header."""
 
 _NEEDED = (
@@ -127,7 +127,8 @@ class Pace:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, TIMEOUT if least > 1 else NEVER)
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVLOWAT, least)
             self.least = least
-        except OSError as error:  # the socket was closed, which the next read reports
+        except OSError as error:
+            # The socket was closed, which the next read reports.
             rospy.logdebug("the receive rate of a connection stays as it was: %s", error)
 
 
@@ -138,15 +139,15 @@ class ConnectionReader:
         link: rospy's connection.
         subscriber: owner of the connection. If this process has further subscribers of the topic, rospy calls all
             of them.
-        taker: returns the handler of the messages of a wake-up, a list of bytes, by the connection's header.
+        handler_factory: returns the handler of a wake-up's messages, a list of bytes, by the connection's header.
         hold: see `Pace`.
     """
 
-    def __init__(self, link: Any, subscriber: Any, taker: ConnectionTaker, hold: float):
+    def __init__(self, link: Any, subscriber: Any, handler_factory: BatchHandlerFactory, hold: float):
         self._link = link
         self._topic = subscriber.impl
         self._callback = subscriber.callback
-        self._taker = taker
+        self._handler_factory = handler_factory
         self._hold = hold
         self._socket: Any = None
 
@@ -157,7 +158,7 @@ class ConnectionReader:
             raise TransportException("connection not initialized")
         if connection.socket is not self._socket:
             self._start()
-        take = self._taker(connection.header)
+        handler = self._handler_factory(connection.header)
         while not (connection.done or is_shutdown()):
             messages = self._read()
             if not messages:
@@ -167,7 +168,7 @@ class ConnectionReader:
             # Another subscriber in this process has the same topic: rospy has to call all of them for this batch.
             if [callback for callback, _ in self._topic.callbacks or ()] != [self._callback]:
                 return [self._message(data) for data in messages]
-            take(messages)
+            handler(messages)
         return []
 
     def _start(self) -> None:
@@ -246,21 +247,23 @@ def _are_callbacks(callbacks: object) -> bool:
     )
 
 
-def read_by(subscriber: Any, taker: ConnectionTaker, hold: float) -> None:
+def read_in_batches(subscriber: Any, handler_factory: BatchHandlerFactory, hold: float) -> None:
     """Read the connections of a subscriber with a `ConnectionReader`, if rospy's internals are the expected ones."""
     topic = getattr(subscriber, "impl", None)
     add = getattr(topic, "add_connection", None)
     if topic is None or add is None or getattr(topic, "data_class", None) is not rospy.AnyMsg:
-        return  # this process subscribed the topic by its class before (rospy itself subscribes ``/clock``)
+        # This process subscribed the topic by its class before (rospy itself subscribes ``/clock``).
+        return
     if not _are_callbacks(getattr(topic, "callbacks", None)):
         return
     if getattr(topic, "statistics_logger", None) is not None:
-        return  # the logger has to be called for each message
+        # The logger has to be called for each message.
+        return
 
     def prepare(connection: Any) -> None:
         is_prepared = getattr(connection, "receive_once", None).__class__ is ConnectionReader
         if not is_prepared and all(hasattr(connection, name) for name in _NEEDED):
-            connection.receive_once = ConnectionReader(connection, subscriber, taker, hold)
+            connection.receive_once = ConnectionReader(connection, subscriber, handler_factory, hold)
 
     def add_connection(connection: Any) -> Any:
         prepare(connection)

@@ -245,7 +245,8 @@ class _Receiver:
     def write(self, frames: bytes, number: int) -> None:
         """Write messages, or queue them while a thread is writing."""
         sock = getattr(self._connection, "socket", None)
-        if sock is None:  # closed, or an unexpected type of connection, whose own method is used
+        if sock is None:
+            # Closed, or an unexpected type of connection, whose own method is used.
             self._rospy_connection.write_data(frames)
             return
         if self._queued >= self._queue:
@@ -301,7 +302,8 @@ class _Receiver:
         """Wait until the queue has room, or the receiver has read nothing for `RECEIVER_WAIT_SECONDS`."""
         unread, deadline = self._progress(), time.monotonic() + RECEIVER_WAIT_SECONDS
         while self._queued >= self._queue and time.monotonic() < deadline and not rospy.is_shutdown():
-            if self._connection.socket is None:  # the connection has ended
+            if self._connection.socket is None:
+                # The connection has ended.
                 return
             # Wall time: simulated time may stand still.
             wallsleep(PAUSE)
@@ -314,7 +316,8 @@ class _Receiver:
         unread = bytearray(4)
         try:
             ioctl(self._connection.socket, TIOCOUTQ, unread)
-        except (OSError, TypeError, ValueError):  # closed meanwhile, or a system without TIOCOUTQ
+        except (OSError, TypeError, ValueError):
+            # Closed meanwhile, or a system without TIOCOUTQ.
             pass
         return self._connection.stat_bytes, bytes(unread)
 

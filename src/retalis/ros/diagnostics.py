@@ -189,7 +189,8 @@ class InputHealth:
             return None
         # The instant of the last message is used, not the present: a silence must not lengthen the usual interval.
         first, since = self._intervals.get(status.topic, (status.messages, now - status.age))
-        if status.messages < first:  # the topic was subscribed again, with new counters
+        if status.messages < first:
+            # The topic was subscribed again, with new counters.
             first, since = status.messages, now - status.age
         self._intervals[status.topic] = first, since
         later = status.messages - first
@@ -349,7 +350,8 @@ def _machine_memory() -> Tuple[int, int]:
                 name, _, rest = line.partition(":")
                 if name in sizes:
                     sizes[name] = 1024 * int(rest.split()[0])
-    except OSError:  # a system without /proc
+    except OSError:
+        # A system without /proc.
         pass
     return sizes["MemTotal"], sizes["MemAvailable"]
 
@@ -455,7 +457,8 @@ class Diagnostics:
         while not self._ended.wait(period):
             try:
                 self._publisher.publish(self._array(self._health.look()))
-            except rospy.ROSException:  # the node is being shut down
+            except rospy.ROSException:
+                # The node is being shut down.
                 if not rospy.is_shutdown():
                     raise
             # Counters are read without locks while other threads change them: a rare error affects one message only.

@@ -71,7 +71,8 @@ class _SubscriptionPublisher:
         self._asked.append(wanted)
         try:
             self._publisher.publish(String(json.dumps(self._asked)))
-        except rospy.ROSException as error:  # the node is being shut down
+        except rospy.ROSException as error:
+            # The node is being shut down.
             rospy.logdebug("%s: %s", SUBSCRIPTIONS_TOPIC, error)
 
 
@@ -124,7 +125,8 @@ def _subscribe(interface: RosInterface, wanted: AskedTopic) -> None:
         interface.subscribe(*wanted)
     except RetalisError as error:
         rospy.logerr("subscribe_to: %s", error)
-    except rospy.ROSException as error:  # the node is being shut down
+    except rospy.ROSException as error:
+        # The node is being shut down.
         rospy.logdebug("subscribe_to: topic %s: %s", beginning(wanted.topic), error)
 
 

@@ -26,7 +26,7 @@ from .latched_inputs import LatchedConnection
 from .node_lifecycle import run_node
 from .parameters import Parameters
 from .projection_sync import ProjectionReceiver
-from .ros_interface import OUTPUT_EVENT, Publisher, RosInterface, Take, connect, exhaust
+from .ros_interface import OUTPUT_EVENT, MessageHandler, Publisher, RosInterface, connect, discard_results
 from .ros_log import log_error
 from .ros_time import Receipts, SimulatedTime
 from .services import InterfaceServices, ListService
@@ -70,8 +70,8 @@ class InterfaceNode:
             latched=self._latched_sender,
             runs=self._time.runs,
         )
-        self._texts.begin(self._interface.turn, self._interface.publishers)
-        self._time.begin([self._interface.turn], skew.begin_run, self._texts.begin_run)
+        self._texts.begin(self._interface.processing_lock, self._interface.publishers)
+        self._time.begin([self._interface.processing_lock], skew.begin_run, self._texts.begin_run)
         errors: List[str] = []
         try:
             topics = read_topics(parameters.program / TOPICS)
@@ -101,30 +101,33 @@ class InterfaceNode:
     def _outputs(self) -> List[OutputStatus]:
         return [self._texts.status(), *self._interface.outputs.status()]
 
-    def _sender(self, decoder: Decoder) -> Take:
+    def _sender(self, decoder: Decoder) -> MessageHandler:
         """Return the handler of messages of a type, which adds their texts to the next write."""
         write, stamp, add = text_writer(decoder), decoder.stamp, self._texts.add
         received = self._receipts.stamp
 
-        def take(data: bytes) -> None:
+        def handle(data: bytes) -> None:
             instant = stamp(data)
             unread = self._unread.of(decoder.functor) if len(data) > MIN_PROJECTED_BYTES else None
             text = text_without(decoder, data, unread, NOT_READ) if unread else write(data)
             add(event_text(text, received() if instant is None else instant))
 
-        return take
+        return handle
 
     def _flush_after(self, sent: Iterable[None]) -> None:
         """Convert messages that were read together, then send their texts with one write."""
-        exhaust(sent)
+        discard_results(sent)
         self._texts.flush()
 
-    def _latched_sender(self, decoder: Decoder, publisher: Publisher, connection: LatchedConnection) -> Take:
+    def _latched_sender(
+        self, decoder: Decoder, publisher: Publisher, connection: LatchedConnection
+    ) -> MessageHandler:
         """Return the handler of a latched connection's messages, which stores the last one for later receivers."""
         write, stamp, receipts = text_writer(decoder), decoder.stamp, self._receipts
-        write_again = text_writer(decoder.plain or decoder)  # without the clock skew check, which is done
+        # Without the clock skew check, which is done.
+        write_again = text_writer(decoder.plain or decoder)
 
-        def take(data: bytes) -> None:
+        def handle(data: bytes) -> None:
             text = write(data)
             stamped = stamp(data)
             instant = receipts.stamp() if stamped is None else stamped
@@ -139,7 +142,7 @@ class InterfaceNode:
             message = connection.message(data)
             self._texts.add_latched(event_text(text, instant), message, publisher, again, len(data))
 
-        return take
+        return handle
 
     def _receive(self, text: str) -> None:
         try:

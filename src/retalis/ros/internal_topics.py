@@ -88,5 +88,6 @@ class UntypedTopicWarnings:
     def _has_type(self, topic: str) -> bool:
         try:
             return resolve(topic) in self._published
-        except UsageError:  # not a valid topic name: its outputs exist only as text
+        except UsageError:
+            # Not a valid topic name: its outputs exist only as text.
             return False

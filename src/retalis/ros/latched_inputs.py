@@ -1,16 +1,16 @@
 """Recognition of latched messages that enter the running engine a second time.
 
 ROS sends the last message of a latched topic to each new connection. A connection that drops and returns, or an
-interface node that is restarted, therefore receives a message that the engine has taken already. Nothing in the
+interface node that is restarted, therefore receives a message that the engine has processed already. Nothing in the
 message says so. A message counts as a repetition if all of this holds:
 
 * its connection header marks the topic as latched, and it is the first message on this connection;
 * it comes from the same topic, node and process as before. The process is identified by the address at which it
   answers other nodes, as each process has a port of its own. The name of the node is not enough: a publisher that is
   restarted and publishes the same content again makes a new event;
-* its bytes are those of the last message that the engine has taken from this publisher.
+* its bytes are those of the last message that the engine has processed of this publisher.
 
-The node in which the engine runs decides, because only this node knows what the engine has taken. If another node
+The node in which the engine runs decides, because only this node knows what the engine has processed. If another node
 receives the messages and sends them as text, it sends a mark with these facts before the text.
 """
 

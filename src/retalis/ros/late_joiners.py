@@ -329,7 +329,7 @@ class LateJoinerBuffer:
             self._latched_bytes -= message.size
 
 
-class Introducer(rospy.SubscribeListener):  # type: ignore[misc]
+class SubscriberIdentifier(rospy.SubscribeListener):  # type: ignore[misc]
     """Identifies the subscribers of the texts.
 
     A separate thread does it, because identification requires a call of the master, which may block for seconds.
@@ -345,15 +345,15 @@ class Introducer(rospy.SubscribeListener):  # type: ignore[misc]
 
     def begin(
         self,
-        handover: LateJoinerBuffer,
-        turn: ContextManager[object],
+        late_joiners: LateJoinerBuffer,
+        lock: ContextManager[object],
         publishers: Optional[Publishers] = None,
     ) -> None:
         """Start the thread that identifies subscribers.
 
         Args:
-            handover: receives the result for each subscriber.
-            turn: lock that the caller of ``handover`` holds.
+            late_joiners: receives the result for each subscriber.
+            lock: lock that the caller of ``late_joiners`` holds.
             publishers: returns topic and publisher of all connections that deliver messages; latched messages of
                 other publishers are discarded. By default all are stored.
         """
@@ -363,29 +363,29 @@ class Introducer(rospy.SubscribeListener):  # type: ignore[misc]
             while not rospy.is_shutdown():
                 self._wake_up.wait(None if all_identified else IDENTIFICATION_INTERVAL_SECONDS)
                 self._wake_up.clear()
-                all_identified = _identify_all(handover, turn, publishers)
+                all_identified = _identify_all(late_joiners, lock, publishers)
 
         self._wake_up.set()
         threading.Thread(target=run, daemon=True, name="identifying subscribers").start()
 
 
 def _identify_all(
-    handover: LateJoinerBuffer, turn: ContextManager[object], publishers: Optional[Publishers]
+    late_joiners: LateJoinerBuffer, lock: ContextManager[object], publishers: Optional[Publishers]
 ) -> bool:
     """Identify all unidentified subscribers; return whether none is left."""
-    with turn:
-        unknown, latched = handover.unidentified(), handover.latched()
+    with lock:
+        unknown, latched = late_joiners.unidentified(), late_joiners.latched()
     if not unknown:
         return True
     # The master is asked without the lock: texts are sent meanwhile, and subscribers come and go.
-    peers = offering(handover.peer.service)
+    peers = offering(late_joiners.peer.service)
     publishing: Collection[Hashable] = latched if publishers is None else publishers()
-    with turn:
+    with lock:
         # A node that subscribed the topics itself would receive nothing from publishers that have gone.
-        handover.forget({key: order for key, order in latched.items() if key not in publishing})
-        for connection in set(unknown) & set(handover.unidentified()):
-            handover.identify(connection, getattr(connection, "endpoint_id", None) in peers)
-        return not handover.unidentified()
+        late_joiners.forget({key: order for key, order in latched.items() if key not in publishing})
+        for connection in set(unknown) & set(late_joiners.unidentified()):
+            late_joiners.identify(connection, getattr(connection, "endpoint_id", None) in peers)
+        return not late_joiners.unidentified()
 
 
 def offering(service: str) -> Set[str]:
@@ -401,7 +401,8 @@ def offering(service: str) -> Set[str]:
 
 def has_ended(connection: Any) -> bool:
     """Return whether the other side has closed a connection; data written to it would be lost silently."""
-    connection = getattr(connection, "_connection", connection)  # of rospy's QueuedConnection
+    # Of rospy's QueuedConnection.
+    connection = getattr(connection, "_connection", connection)
     sock = getattr(connection, "socket", None)
     if sock is None:
         return bool(getattr(connection, "done", False))

@@ -140,7 +140,8 @@ def _node_named(wanted: str, nodes: List[str], services: Container[str]) -> str:
     name = str(
         rosgraph.names.resolve_name(wanted, f"{rosgraph.names.get_ros_namespace()}retalis_command_line")
     )
-    if name not in nodes and f"{name}/list" not in services:  # the ROS interface offers `list`, too
+    if name not in nodes and f"{name}/list" not in services:
+        # The ROS interface offers `list`, too.
         raise UsageError(f"there is no node {name}; {_running_nodes(nodes)}")
     return name
 
@@ -317,7 +318,8 @@ def _show_status(node: LiveNode, options: argparse.Namespace, output: IO[str]) -
         rospy.rostime.wallsleep(options.every)
         try:
             answer, now = _listed(node), monotonic()
-        except UsageError as error:  # the node or the master may return
+        except UsageError as error:
+            # The node or the master may return.
             if str(error) != last_error:
                 print(f"retalis: {error}", file=sys.stderr, flush=True)
             last_error = str(error)
@@ -354,7 +356,8 @@ def _page(node: LiveNode, before: Dict[str, Any], answer: Dict[str, Any], second
 
 def _rate(before: Dict[str, Any], answer: Dict[str, Any], seconds: float) -> Dict[str, Any]:
     """Return the answer of a node's service ``~list``, with the rate of events."""
-    taken = max(0, answer["taken"] - before["taken"])  # a restarted node counts from 0
+    # A restarted node counts from 0.
+    taken = max(0, answer["taken"] - before["taken"])
     return {"node": answer["node"], "events_a_second": round(taken / seconds, 1), **answer}
 
 
@@ -379,7 +382,8 @@ def _watch_node(node: LiveNode, options: argparse.Namespace, output: IO[str]) ->
         rospy.Subscriber(input_topic, String, lambda text: received.put(("input", text.data)))
     # The subscriptions exist in the node: they have to be deleted by whatever way this process ends.
     for end in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(end) is not signal.SIG_IGN:  # nohup ignores SIGHUP
+        if signal.getsignal(end) is not signal.SIG_IGN:
+            # Nohup ignores SIGHUP.
             signal.signal(end, _exit)
     added = []
     try:
@@ -422,7 +426,8 @@ def _output_parts(text: str) -> Tuple[str, str, str]:
     try:
         term: Any = deref(read_term(text, Operators.prolog(), OUTPUT).term)
         return "output", write_term(term[2]), writeq(term[1])
-    except (RetalisError, IndexError, TypeError):  # any node may publish on this topic
+    except (RetalisError, IndexError, TypeError):
+        # Any node may publish on this topic.
         return "output", OUTPUT, text
 
 

@@ -113,7 +113,8 @@ class NodeDashboard:
                 or node == own
                 or node.rpartition("/")[0] != namespace
             ):
-                continue  # the status of another program, or of something else than a topic
+                # The status of another program, or of something else than a topic.
+                continue
             if topic in self._remote_topics or len(self._remote_topics) < MAX_REMOTE_TOPICS:
                 self._remote_topics[topic] = _remote_topic_look(topic, values)
 

@@ -153,7 +153,8 @@ def run_node(name: str, build: Callable[[Parameters], object]) -> int:
     finally:
         interrupts.end(status)
         rospy.signal_shutdown("ended")
-        while not rospy.is_shutdown():  # another thread has begun the shutdown (``rosnode kill``)
+        # Another thread has begun the shutdown (``rosnode kill``).
+        while not rospy.is_shutdown():
             time.sleep(RETRY_INTERVAL_SECONDS)
         # With 100,000 recorded events, each of the interpreter's collections at exit would take seconds.
         stop_collecting()
@@ -178,7 +179,8 @@ def _run_until_shutdown(name: str, build: Callable[[Parameters], object], interr
     # After construction: all objects of the program and of rospy are exempted from later collections.
     limit_gc_pauses()
     interrupts.allow()
-    while not rospy.is_shutdown():  # `rospy.spin` would shut the node down within the interrupt
+    # `rospy.spin` would shut the node down within the interrupt.
+    while not rospy.is_shutdown():
         cpu_time = time.process_time()
         time.sleep(SHUTDOWN_CHECK_SECONDS)
         if time.process_time() - cpu_time < MAX_IDLE_LOAD * SHUTDOWN_CHECK_SECONDS:

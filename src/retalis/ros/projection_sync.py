@@ -44,7 +44,8 @@ class ProjectionPublisher:
             self._changed.clear()
             try:
                 self._publish_changes()
-            except rospy.ROSException as error:  # the node is being shut down
+            except rospy.ROSException as error:
+                # The node is being shut down.
                 rospy.logdebug("%s: %s", UNREAD_TOPIC, error)
 
     def _publish_changes(self) -> None:

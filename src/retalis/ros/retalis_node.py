@@ -37,7 +37,7 @@ from .node_dashboard import NodeDashboard
 from .node_lifecycle import run_node
 from .parameters import WATCHDOG, Parameters
 from .projection_sync import ProjectionPublisher
-from .ros_interface import OUTPUT_EVENT, Publisher, RosInterface, Take, connect
+from .ros_interface import OUTPUT_EVENT, MessageHandler, Publisher, RosInterface, connect
 from .ros_log import log_counts, log_error, print_lines_of
 from .ros_time import SimulatedTime, ros_now
 from .services import (
@@ -84,7 +84,8 @@ class RosClock(Clock):
             self._run = runs.run
         now = runs.now(self._run)
         if self.resumed and not now:
-            return self._newest  # without a message on /clock, time is 0, which is not a jump back
+            # Without a message on /clock, time is 0, which is not a jump back.
+            return self._newest
         self.resumed = False
         return now
 
@@ -122,7 +123,8 @@ class RosClock(Clock):
         if self.engine is None:
             return
         instant = self.next_alarm()
-        timer, timer_for = self._timer, self._timer_for  # `_wake` may reset both in another thread
+        # `_wake` may reset both in another thread.
+        timer, timer_for = self._timer, self._timer_for
         if instant is None or (timer_for is not None and timer_for <= instant):
             return
         if timer is not None:
@@ -209,7 +211,9 @@ class RetalisNode:
         )
         ListService(self._interface.inputs, self.engine.status)
         texts = self._interface.subscribe_texts(INPUT, self.engine.post_text, runs, self._latched)
-        self._time.begin([self._interface.turn, texts], skew.begin_run, lambda end: self._begin_run(clock))
+        self._time.begin(
+            [self._interface.processing_lock, texts], skew.begin_run, lambda end: self._begin_run(clock)
+        )
         rospy.loginfo("%s: %s", parameters.program, self.engine.summary())
         StartupWarnings(self._interface.inputs, self._named_topics(input_topics.joined(topics)), clock=True)
         self._diagnostics = Diagnostics(
@@ -319,7 +323,8 @@ class RetalisNode:
         """Return the reason why no output of a subscription fits its topic's type; "" if some may."""
         try:
             kind = types.get(resolve(topic))
-        except UsageError:  # a name for other nodes only
+        except UsageError:
+            # A name for other nodes only.
             kind = None
         if kind is None:
             return ""
@@ -337,7 +342,8 @@ class RetalisNode:
         try:
             return read_topics(self._parameters.program / TOPICS)
         except RetalisError as error:
-            if self._parameters.embedded:  # otherwise the interface node reports it
+            if self._parameters.embedded:
+                # Otherwise the interface node reports it.
                 rospy.logerr("%s", error)
             return Topics()
 
@@ -347,20 +353,24 @@ class RetalisNode:
         except RetalisError as error:
             rospy.logerr("parameter ~direct: %s", error)
 
-    def _reader(self, decoder: Decoder) -> Take:
+    def _reader(self, decoder: Decoder) -> MessageHandler:
         """Return the handler of messages of a type, which returns the event and its instant."""
         decode, stamp = decoder.decode, decoder.stamp
         return lambda data: (decode(data), stamp(data))
 
-    def _latched_reader(self, decoder: Decoder, publisher: Publisher, connection: LatchedConnection) -> Take:
+    def _latched_reader(
+        self, decoder: Decoder, publisher: Publisher, connection: LatchedConnection
+    ) -> MessageHandler:
         """Return the handler of latched messages, which skips messages that the engine has processed already."""
         read, latched = self._reader(decoder), self._latched
 
-        def take(data: bytes) -> Any:
-            found = read(data)  # first: a message that comes too early, or is broken, is not taken
-            return None if latched.repeats(connection.message(data)) else found
+        def handle(data: bytes) -> Any:
+            # Before `repeats`, which records the message as processed: decoding may fail, or the message may belong
+            # to the next clock epoch.
+            event = read(data)
+            return None if latched.repeats(connection.message(data)) else event
 
-        return take
+        return handle
 
     def _output_texts(self, topics: Topics) -> OutputTexts:
         """Return the publisher of output texts; with an embedded interface, no other node requires them."""
@@ -370,7 +380,8 @@ class RetalisNode:
         return OutputTexts(OUTPUT, self._parameters.queue, self._reports, published, topics.latched)
 
     def _send_text(self, term: Term, topic: str, name: Term) -> None:
-        self._untyped_topics.check(topic)  # a rule may have added a subscription to a new topic
+        # A rule may have added a subscription to a new topic.
+        self._untyped_topics.check(topic)
         self._texts.send(topic, lambda: to_text((OUTPUT_EVENT, term, atom(topic), name)))
 
 

@@ -4,9 +4,9 @@ Both nodes use it: the interface node, and node ``retalis`` for the topics that 
 through these steps:
 
 1. `connection_reader` reads a batch of serialized messages of one connection.
-2. The handler that was created for the connection (`MessageTaker`) converts each message. The types of publisher and
-   subscription are compared once per connection, where an unknown type is learned from the connection header.
-3. The results of a batch are passed on together (`HandOn`), under the lock `RosInterface.turn`.
+2. The handler that was created for the connection (`HandlerFactory`) converts each message. The types of publisher
+   and subscription are compared once per connection; an unknown type is learned from the connection header.
+3. The results of a batch are passed on together (`ResultConsumer`), under the lock `RosInterface.processing_lock`.
 
 A message that cannot be converted is dropped, counted and reported; the connection continues.
 """
@@ -27,43 +27,43 @@ from ..foundation.errors import MessageError, RetalisError, UsageError, beginnin
 from ..messages.decoder import Decoder
 from ..messages.type_registry import Definitions
 from ..prolog.terms.types import functor
-from .connection_reader import read_by
+from .connection_reader import read_in_batches
 from .connection_writer import raw_bytes
 from .internal_topics import INPUT, OUTPUT, resolve
 from .latched_inputs import LatchedConnection, LatchedInputs
 from .message_publishers import OutputTopics
-from .text_topics import text_taker
+from .text_topics import text_handler_factory
 from .topic_statistics import InputCounts, InputStatus
 
-Take = Callable[[bytes], Any]
+MessageHandler = Callable[[bytes], Any]
 """Handler of a message; returns the result to pass on, or None if the handler has passed it on itself."""
 
-HandOn = Callable[[Iterable[Any]], object]
+ResultConsumer = Callable[[Iterable[Any]], object]
 """Receives the results of messages that were read together, as a lazy iterable."""
 
 Publisher = Tuple[str, str]
 """A topic, and a node that publishes it."""
 
-LatchedTaker = Callable[[Decoder, Publisher, LatchedConnection], Take]
+LatchedHandlerFactory = Callable[[Decoder, Publisher, LatchedConnection], MessageHandler]
 """Returns the handler of a latched connection's messages."""
 
-MessageTaker = Callable[[Decoder], Take]
+HandlerFactory = Callable[[Decoder], MessageHandler]
 """Returns the handler of messages that a decoder reads."""
 
 MAX_CACHED_CONNECTIONS = 1000
 """Limit for the connections of a topic whose handlers are cached."""
 
-TakeAll = Callable[[List[bytes]], None]
+BatchHandler = Callable[[List[bytes]], None]
 """Handler of messages that were read together."""
 
-_CachedHandler = Tuple[Dict[str, str], TakeAll]
+_CachedHandler = Tuple[Dict[str, str], BatchHandler]
 """A connection's header, and the handler of its messages."""
 
 HOLD = 0.0012
 """Seconds for which a message of a fast topic may wait for the next ones."""
 
 
-exhaust: HandOn = deque(maxlen=0).extend
+discard_results: ResultConsumer = deque(maxlen=0).extend
 """Processes all messages of a batch and discards the results."""
 
 
@@ -71,37 +71,37 @@ class RosInterface:
     """Subscriptions and publications of a program.
 
     Args:
-        taker: returns the handler of messages of a type.
+        handler_factory: returns the handler of messages of a type.
         queue: length of rospy's queues, in messages.
         reports: receives the errors of single messages.
         definitions: known message types.
-        hand_on: receives the results of messages that were read together.
+        consume_results: receives the results of messages that were read together.
         hold: seconds for which a message of a fast topic may wait for the next ones.
         skew: checks the stamps of messages.
-        latched: returns the handler of messages of latched connections; by default ``taker`` serves them, too.
+        latched: returns the handler of messages of latched connections; by default ``handler_factory`` does.
         runs: clock epochs; messages of an epoch that has not begun are queued there.
 
     Attributes:
-        turn: lock under which messages are processed.
+        processing_lock: lock under which messages are processed.
         outputs: the published topics.
     """
 
     def __init__(
         self,
-        taker: MessageTaker,
+        handler_factory: HandlerFactory,
         queue: int,
         reports: Reports,
         definitions: Optional[Definitions] = None,
-        hand_on: HandOn = exhaust,
+        consume_results: ResultConsumer = discard_results,
         hold: float = HOLD,
         skew: Optional[ClockSkewMonitor] = None,
-        latched: Optional[LatchedTaker] = None,
+        latched: Optional[LatchedHandlerFactory] = None,
         runs: Optional[ClockEpochs] = None,
     ):
         self._runs = runs
-        self._taker = taker
+        self._handler_factory = handler_factory
         self._latched = None if latched is None else self._latched_learned(latched)
-        self._hand_on = hand_on
+        self._consume_results = consume_results
         self._hold = hold
         self._skew = skew
         self._queue = queue
@@ -112,7 +112,7 @@ class RosInterface:
         self._elsewhere: Set[str] = set()
         self._reserved = {rospy.resolve_name(topic) for topic in (INPUT, OUTPUT)}
         self._lock = threading.Lock()
-        self.turn = threading.Lock()
+        self.processing_lock = threading.Lock()
         self._reports = reports
 
     def subscribe(self, topic: str, kind: str, event: str = "") -> None:
@@ -141,9 +141,9 @@ class RosInterface:
                 kind,
                 self._learned,
                 self._queue,
-                self.turn,
+                self.processing_lock,
                 self._reports,
-                self._hand_on,
+                self._consume_results,
                 self._hold,
                 self._skew,
                 self._latched,
@@ -157,24 +157,26 @@ class RosInterface:
             topics = list(self._inputs.items())
         return {(name, node) for name, topic in topics for node in topic.publishers()}
 
-    def _learned(self, decoder: Decoder) -> Take:
+    def _learned(self, decoder: Decoder) -> MessageHandler:
         """Return the handler of a new connection's messages, after output topics have used a type that it defines."""
         self.outputs.learned()
-        return self._taker(decoder)
+        return self._handler_factory(decoder)
 
-    def _latched_learned(self, latched: LatchedTaker) -> LatchedTaker:
+    def _latched_learned(self, latched: LatchedHandlerFactory) -> LatchedHandlerFactory:
         """Return the equivalent of `_learned` for latched connections."""
 
-        def taker(decoder: Decoder, publisher: Publisher, connection: LatchedConnection) -> Take:
+        def handler_factory(
+            decoder: Decoder, publisher: Publisher, connection: LatchedConnection
+        ) -> MessageHandler:
             self.outputs.learned()
             return latched(decoder, publisher, connection)
 
-        return taker
+        return handler_factory
 
     def subscribe_texts(
         self,
         topic: str,
-        take: Callable[[str], object],
+        handler: Callable[[str], object],
         runs: Optional[ClockEpochs] = None,
         latched: Optional[LatchedInputs] = None,
     ) -> ContextManager[object]:
@@ -182,17 +184,25 @@ class RosInterface:
 
         Args:
             topic: name of the topic.
-            take: handler of a text.
+            handler: handler of a text.
             runs: clock epochs; texts of an epoch that has not begun are queued there.
             latched: recognizes the texts of latched messages that were processed already.
         """
         name = rospy.resolve_name(topic)
-        taker = text_taker(take, runs, latched)
-        turn = threading.Lock()
+        handler_factory = text_handler_factory(handler, runs, latched)
+        processing_lock = threading.Lock()
         self._texts.append(
-            InputTopic(self._definitions, name, "std_msgs/String", taker, self._queue, turn, self._reports)
+            InputTopic(
+                self._definitions,
+                name,
+                "std_msgs/String",
+                handler_factory,
+                self._queue,
+                processing_lock,
+                self._reports,
+            )
         )
-        return turn
+        return processing_lock
 
     def leave(self, topics: Iterable[TopicType]) -> None:
         """Reject topics that node retalis subscribes itself, so that no message is processed twice."""
@@ -204,16 +214,22 @@ class RosInterface:
             return
         known = threading.Event()
 
-        def taker(decoder: Decoder) -> Take:
+        def handler_factory(decoder: Decoder) -> MessageHandler:
             self.outputs.learned()
             known.set()
             return lambda data: None
 
         listening = InputTopic(
-            self._definitions, resolve(topic), kind, taker, self._queue, self.turn, self._reports
+            self._definitions,
+            resolve(topic),
+            kind,
+            handler_factory,
+            self._queue,
+            self.processing_lock,
+            self._reports,
         )
 
-        # Not closed by `taker`: rospy calls it in the thread of the connection that closing would end.
+        # Not closed by `handler_factory`: rospy calls it in the thread of the connection that closing would end.
         def close() -> None:
             known.wait()
             listening.close()
@@ -243,9 +259,9 @@ class InputTopic:
     A type that is not installed is learned from the publisher's connection header. ``event`` is the name of the
     events; by default it is derived from the type. The other arguments are those of `RosInterface`.
 
-    rospy has a thread for each publisher. The lock ``turn`` lets one of them at a time pass on its messages. The
-    others wait, and TCP's flow control slows down their publishers (backpressure), instead of a queue growing
-    before the engine.
+    rospy has a thread for each publisher. The lock ``processing_lock`` lets one of them at a time pass on its
+    messages. The others wait, and TCP's flow control slows down their publishers (backpressure), instead of a queue
+    growing before the engine.
     """
 
     def __init__(
@@ -253,14 +269,14 @@ class InputTopic:
         definitions: Definitions,
         name: str,
         kind: str,
-        taker: MessageTaker,
+        handler_factory: HandlerFactory,
         queue: int,
-        turn: ContextManager[object],
+        processing_lock: ContextManager[object],
         reports: Reports,
-        hand_on: HandOn = exhaust,
+        consume_results: ResultConsumer = discard_results,
         hold: float = HOLD,
         skew: Optional[ClockSkewMonitor] = None,
-        latched: Optional[LatchedTaker] = None,
+        latched: Optional[LatchedHandlerFactory] = None,
         event: str = "",
         runs: Optional[ClockEpochs] = None,
     ):
@@ -270,17 +286,17 @@ class InputTopic:
         self.kind = kind
         self._skew = skew
         self._reports = reports
-        self._turn = turn
-        self._hand_on = hand_on
+        self._processing_lock = processing_lock
+        self._consume_results = consume_results
         self._definitions = definitions
         self._name = name
-        self._taker = taker
+        self._handler_factory = handler_factory
         self.counts = InputCounts()
-        self._links: Cache[int, _CachedHandler] = Cache(MAX_CACHED_CONNECTIONS, 16 << 20, 4 << 20)
+        self._cached_handlers: Cache[int, _CachedHandler] = Cache(MAX_CACHED_CONNECTIONS, 16 << 20, 4 << 20)
         self._subscriber = rospy.Subscriber(
             name, rospy.AnyMsg, self._receive, queue_size=queue, tcp_nodelay=True
         )
-        read_by(self._subscriber, self._handler_of, hold)
+        read_in_batches(self._subscriber, self._handler_of, hold)
 
     def status(self) -> InputStatus:
         """Return the counters, and request that the lag of the next message is measured."""
@@ -318,57 +334,61 @@ class InputTopic:
         data = message._buff if message.__class__ is rospy.AnyMsg else raw_bytes(message)
         self._handler_of(header)([data])
 
-    def _handler_of(self, header: Dict[str, str]) -> TakeAll:
+    def _handler_of(self, header: Dict[str, str]) -> BatchHandler:
         """Return the handler of a connection's messages."""
         # By identity: a comparison of the headers would cost more than the conversion of a small message.
-        cached = self._links.get(id(header))
+        cached = self._cached_handlers.get(id(header))
         if cached is None:
             cached = self._add_connection(header)
         return cached[1]
 
-    def _batch_handler(self, take: Take, stamp: Callable[[bytes], Optional[int]], publisher: str) -> TakeAll:
+    def _batch_handler(
+        self, handler: MessageHandler, stamp: Callable[[bytes], Optional[int]], publisher: str
+    ) -> BatchHandler:
         """Return the handler of messages that were read together, which queues those of a coming epoch."""
-        turn, counts, runs = self._turn, self.counts, self._runs
-        take_them = self._reporting_handler(take, publisher)
+        processing_lock, counts, runs = self._processing_lock, self.counts, self._runs
+        handle_batch = self._reporting_handler(handler, publisher)
 
-        def take_all(messages: List[bytes]) -> None:
+        def handle_messages(messages: List[bytes]) -> None:
             counts.note(len(messages))
             if counts.wanted:
                 counts.look(stamp, messages[-1])
-            with turn:
+            with processing_lock:
                 if runs is not None and runs.holding and runs.holds(publisher):
-                    runs.keep(take_them, messages)
+                    runs.keep(handle_batch, messages)
                 else:
-                    take_them(messages)
+                    handle_batch(messages)
 
-        return take_all
+        return handle_messages
 
-    def _reporting_handler(self, take: Take, publisher: str) -> TakeAll:
+    def _reporting_handler(self, handler: MessageHandler, publisher: str) -> BatchHandler:
         """Return a handler that converts messages, passes on the results, and reports failures."""
-        hand_on, counts = self._hand_on, self.counts
+        consume_results, counts = self._consume_results, self.counts
 
-        def taken(messages: List[bytes]) -> Iterator[Any]:
+        def results(messages: List[bytes]) -> Iterator[Any]:
             for position, data in enumerate(messages):
                 try:
-                    result = take(data)
-                except Refused:  # reported by the clock skew monitor
+                    result = handler(data)
+                except Refused:
+                    # Reported by the clock skew monitor.
                     counts.refused += 1
                 # The message belongs to the next epoch. It and all later ones of its connection wait for the
                 # epoch's begin, so that the order within the connection is preserved.
                 except Early:
                     if self._runs is not None:
-                        self._runs.keep_early(publisher, take_them, messages[position:])
+                        self._runs.keep_early(publisher, handle_batch, messages[position:])
                         return
-                except Exception as error:  # rospy would close the connection
+                except Exception as error:
+                    # rospy would close the connection.
                     self._drop(error)
                 else:
                     if result is not None:
                         yield result
 
-        def take_them(messages: List[bytes]) -> None:
-            hand_on(taken(messages))
+        def handle_batch(messages: List[bytes]) -> None:
+            consume_results(results(messages))
 
-        return take_them
+        return handle_batch
 
     def _drop(self, error: Exception) -> None:
         """Count and report a message that cannot be converted."""
@@ -389,7 +409,7 @@ class InputTopic:
             stamp = decoder.stamp
             if self._skew is not None:
                 decoder = self._skew.watch(decoder, self._name, header.get("callerid", ""))
-            take = self._batch_handler(
+            handler = self._batch_handler(
                 self._message_handler(header, decoder), stamp, header.get("callerid", "")
             )
         # Without a handler, rospy would close the connection and connect again at once, forever. A publisher of the
@@ -399,18 +419,18 @@ class InputTopic:
                 self._reports.error(error)
             reason = getattr(error, "message", "internal error")
             publisher = header.get("callerid", "somebody")
-            take = self._dropping_handler(
+            handler = self._dropping_handler(
                 f"topic {self._name}: {reason}: a message of {publisher} is dropped"
             )
         size = sum(map(len, header.values()))
-        return self._links.keep(id(header), (header, take), 2 * size)
+        return self._cached_handlers.keep(id(header), (header, handler), 2 * size)
 
-    def _message_handler(self, header: Dict[str, str], decoder: Decoder) -> Take:
+    def _message_handler(self, header: Dict[str, str], decoder: Decoder) -> MessageHandler:
         """Return the handler of a connection's messages, latched or not."""
         if self._latched is not None and header.get("latching") == "1":
             publisher = (self._name, header.get("callerid", ""))
             return self._latched(decoder, publisher, LatchedConnection(*publisher, self._address(header)))
-        return self._taker(decoder)
+        return self._handler_factory(decoder)
 
     def _address(self, header: Dict[str, str]) -> str:
         """Return the XML-RPC address of a connection's publisher; "" if unknown."""
@@ -420,7 +440,7 @@ class InputTopic:
             (str(connection.endpoint_id) for connection in connections if connection.header is header), ""
         )
 
-    def _dropping_handler(self, reason: str) -> TakeAll:
+    def _dropping_handler(self, reason: str) -> BatchHandler:
         """Return a handler that drops, counts and reports messages."""
 
         def refuse(messages: List[bytes]) -> None:

@@ -71,7 +71,8 @@ def write_out_each_line() -> None:
     rospy prints messages of level INFO there and does not flush. In a file or a pipe, the stdout of a node that
     roslaunch starts, they would be delayed until 8 KiB are full or the node ends.
     """
-    if isinstance(sys.stdout, io.TextIOWrapper):  # None if the node was started with stdout closed
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # None if the node was started with stdout closed.
         sys.stdout.reconfigure(line_buffering=True)
 
 
@@ -99,7 +100,8 @@ def show_safely(record: logging.LogRecord) -> bool:
     if not hasattr(record, "shown_safely"):
         try:
             text = printable(record.getMessage())
-        except Exception:  # arguments that do not fit the format: rospy's handler would raise in the caller
+        except Exception:
+            # Arguments that do not fit the format: rospy's handler would raise in the caller.
             text = printable(f"{record.msg} {record.args}")
         record.msg, record.args = text.replace("\n", "\n    ").replace("${", "\\x24{"), ()
         record.shown_safely = True
@@ -135,7 +137,8 @@ class PrintedLines:
             ]
             self._incomplete_line = self._incomplete_line[size:]
         stream = getattr(sys, self._stream)
-        if lines and stream is not None:  # None if the node was started with it closed
+        if lines and stream is not None:
+            # None if the node was started with it closed.
             stream.write("".join(f"{PRINTED}{line}\n" for line in lines))
 
     def end(self) -> None:

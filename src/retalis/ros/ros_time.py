@@ -71,7 +71,8 @@ class SimulatedTime:
                 self._woken.clear()
                 try:
                     wait = runs.step()
-                except Exception as error:  # the next step continues the work of this one
+                except Exception as error:
+                    # The next step continues the work of this one.
                     self._reports.error(error)
 
         threading.Thread(target=work, daemon=True, name="runs of /clock").start()
@@ -98,7 +99,8 @@ class Receipts:
     def stamp(self) -> int:
         """Return the stamp of a message that is received now, in nanoseconds."""
         instant = self._clock.stamp_at_once()
-        if instant is None:  # time has jumped back
+        if instant is None:
+            # Time has jumped back.
             self.runs()
             instant = self._clock.stamp()
         return instant

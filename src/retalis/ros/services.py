@@ -271,7 +271,8 @@ class InterfaceServices:
         topic, kind = request.topic.strip(), request.message_type.strip()
 
         def work() -> None:
-            topic_type(topic, kind)  # rejects invalid names before any lookup
+            # Rejects invalid names before any lookup.
+            topic_type(topic, kind)
             known = self._interface.outputs.knows(kind)
             suggestion = "" if known else Definitions().misspelt(kind)
             # An unknown type is not an error: a publisher's connection header contains its definition.

@@ -21,7 +21,7 @@ from .connection_writer import Outlet
 from .internal_topics import resolve
 from .latched_inputs import MARK as LATCHED_MARK
 from .latched_inputs import LatchedInputs, LatchedMessage, latched_message
-from .late_joiners import ENGINE, INTERFACE, Introducer, LateJoinerBuffer, Publishers
+from .late_joiners import ENGINE, INTERFACE, LateJoinerBuffer, Publishers, SubscriberIdentifier
 from .topic_statistics import OutputStatus
 
 MAX_TEXTS_PER_WRITE = 64
@@ -58,19 +58,19 @@ class TextPublisher:
         simulated: Optional[ClockEpochs] = None,
     ):
         self._simulated = simulated
-        self._introducer = Introducer()
-        self._outlet = Outlet(topic, String, queue, reports, self._is_patient, listener=self._introducer)
-        self._handover = LateJoinerBuffer(self._outlet, ENGINE, queue, reports, runs, self._mark)
+        self._identifier = SubscriberIdentifier()
+        self._outlet = Outlet(topic, String, queue, reports, self._is_patient, listener=self._identifier)
+        self._late_joiners = LateJoinerBuffer(self._outlet, ENGINE, queue, reports, runs, self._mark)
         self._waiting: List[bytes] = []
 
-    def begin(self, turn: ContextManager[object], publishers: Publishers) -> None:
+    def begin(self, processing_lock: ContextManager[object], publishers: Publishers) -> None:
         """Start to identify subscribers.
 
         Args:
-            turn: lock that the caller holds in all other methods.
+            processing_lock: lock that the caller holds in all other methods.
             publishers: returns topic and publisher of all connections that deliver messages.
         """
-        self._introducer.begin(self._handover, turn, publishers)
+        self._identifier.begin(self._late_joiners, processing_lock, publishers)
 
     def _mark(self) -> bytes:
         """Return the mark of the current epoch, framed as on the wire; empty for wall time."""
@@ -79,11 +79,11 @@ class TextPublisher:
     def begin_run(self, ended: int) -> None:
         """Announce a new epoch of simulated time, after all texts of the former one."""
         self.flush()
-        self._handover.send(self._mark(), 1)
+        self._late_joiners.send(self._mark(), 1)
 
     def _is_patient(self, link: Any) -> bool:
         """Return whether publishers wait for a receiver: not for a bystander, which may be slow."""
-        return not self._handover.is_bystander(link)
+        return not self._late_joiners.is_bystander(link)
 
     def add(self, text: str) -> None:
         """Add a text to the next write."""
@@ -96,7 +96,7 @@ class TextPublisher:
         return self._outlet.links()
 
     def status(self) -> OutputStatus:
-        """Return what has gone out so far."""
+        """Return the counters of the topic."""
         return self._outlet.status("std_msgs/String")
 
     def add_latched(
@@ -120,14 +120,14 @@ class TextPublisher:
         # A node whose connection has only dropped and returned has processed the message already. The flag makes
         # it compare the message with the last one that it has taken.
         mark_again = text_frame(message._replace(is_first=True).mark())
-        self._handover.latch(publisher, lambda: mark_again + text_frame(again()), size)
-        self._handover.send(text_frame(text), 1, text_frame(message.mark()))
+        self._late_joiners.latch(publisher, lambda: mark_again + text_frame(again()), size)
+        self._late_joiners.send(text_frame(text), 1, text_frame(message.mark()))
 
     def flush(self) -> None:
         """Write the added texts."""
         waiting = self._waiting
         if waiting:
-            self._handover.send(b"".join(waiting), len(waiting))
+            self._late_joiners.send(b"".join(waiting), len(waiting))
             waiting.clear()
 
 
@@ -152,11 +152,11 @@ class OutputTexts:
         self._latched = frozenset(map(_full_name, latched))
         self._names: Cache[str, str] = Cache(1000, 1 << 20)
         """Full names of topics by their names in programs."""
-        self._introducer = Introducer()
-        self._outlet = Outlet(topic, String, queue, reports, listener=self._introducer)
-        self._handover = LateJoinerBuffer(self._outlet, INTERFACE, queue, reports)
-        self._turn = threading.Lock()
-        self._introducer.begin(self._handover, self._turn)
+        self._identifier = SubscriberIdentifier()
+        self._outlet = Outlet(topic, String, queue, reports, listener=self._identifier)
+        self._late_joiners = LateJoinerBuffer(self._outlet, INTERFACE, queue, reports)
+        self._processing_lock = threading.Lock()
+        self._identifier.begin(self._late_joiners, self._processing_lock)
 
     def send(self, topic: str, write: Callable[[], str]) -> None:
         """Send or buffer an output to a topic; ``write`` returns the text, and is called only if it is needed."""
@@ -166,17 +166,17 @@ class OutputTexts:
         if not is_published and not self.links():
             return
         frame = text_frame(write())
-        with self._turn:
+        with self._processing_lock:
             if name in self._latched:
-                self._handover.latch(name, lambda: frame, len(frame))
-            self._handover.send(frame, 1, for_peer=is_published)
+                self._late_joiners.latch(name, lambda: frame, len(frame))
+            self._late_joiners.send(frame, 1, for_peer=is_published)
 
     def links(self) -> Any:
         """Return the connections to the subscribers."""
         return self._outlet.links()
 
     def status(self) -> OutputStatus:
-        """Return what has gone out so far."""
+        """Return the counters of the topic."""
         return self._outlet.status("std_msgs/String")
 
 
@@ -210,28 +210,28 @@ _ANY_MARK = "event(retalis_"
 """Beginning of all marks."""
 
 
-def text_taker(
-    take: Callable[[str], object],
+def text_handler_factory(
+    handler: Callable[[str], object],
     runs: Optional[ClockEpochs] = None,
     latched: Optional[LatchedInputs] = None,
 ) -> Callable[[object], Callable[[bytes], None]]:
-    """Return a factory of message handlers that pass the texts of ``std_msgs/String`` messages to ``take``.
+    """Return a factory of message handlers that pass the texts of ``std_msgs/String`` messages to ``handler``.
 
     Args:
-        take: handler of a text.
+        handler: handler of a text.
         runs: clock epochs; texts of an epoch that has not begun are queued there. None if marks are not expected.
-        latched: recognizes texts of latched messages that ``take`` has received already.
+        latched: recognizes texts of latched messages that ``handler`` has received already.
     """
-    return lambda decoder: _TextReceiver(take, runs, latched).receive
+    return lambda decoder: _TextReceiver(handler, runs, latched).receive
 
 
 class _TextReceiver:
-    """Receives the texts of one connection; see `text_taker`."""
+    """Receives the texts of one connection; see `text_handler_factory`."""
 
     def __init__(
-        self, take: Callable[[str], object], runs: Optional[ClockEpochs], latched: Optional[LatchedInputs]
+        self, handler: Callable[[str], object], runs: Optional[ClockEpochs], latched: Optional[LatchedInputs]
     ):
-        self._take = take
+        self._handler = handler
         self._runs = runs
         self._latched = latched
         self._message: Optional[LatchedMessage] = None
@@ -251,7 +251,7 @@ class _TextReceiver:
             # The text of a latched message is compared when it is taken: the next epoch may have begun by then.
             runs.keep(self._take_all if message is None else partial(self._take_latched, message), [text])
         elif message is None:
-            self._take(text)
+            self._handler(text)
         else:
             self._take_latched(message, [text])
 
@@ -268,7 +268,7 @@ class _TextReceiver:
 
     def _take_all(self, texts: List[str]) -> None:
         for text in texts:
-            self._take(text)
+            self._handler(text)
 
     def _take_latched(self, message: LatchedMessage, texts: List[str]) -> None:
         if self._latched is None or not self._latched.repeats(message):

@@ -45,7 +45,8 @@ class InputCounts:
         self.wanted = False
         try:
             instant = stamp(data)
-        except MessageError:  # reported by the handler of the message
+        except MessageError:
+            # Reported by the handler of the message.
             return
         now = ros_now()
         self.lag = None if not instant or not now else now - instant
@@ -142,7 +143,8 @@ def published_types() -> Dict[str, str]:
     """Return the types of all published topics; none if the master does not answer."""
     try:
         return dict(rosgraph.Master(rospy.get_name()).getPublishedTopics(""))
-    except _NO_MASTER:  # reported by `MasterWatch`
+    except _NO_MASTER:
+        # Reported by `MasterWatch`.
         return {}
 
 
@@ -171,7 +173,8 @@ class StartupWarnings:
         if rospy.is_shutdown():
             return
         if self._clock:
-            ros_now()  # logs the warning, once
+            # Logs the warning, once.
+            ros_now()
         waiting = [
             status for status in self._inputs() if not status.publishers and status.topic in self._named
         ]
@@ -179,7 +182,8 @@ class StartupWarnings:
             return
         try:
             published, _, services = rosgraph.Master(rospy.get_name()).getSystemState()
-        except _NO_MASTER:  # reported by `MasterWatch`
+        except _NO_MASTER:
+            # Reported by `MasterWatch`.
             return
         servers = {rospy.resolve_name(name) for name in _SERVICES}
         own = {rospy.get_name(), *(node for name, nodes in services if name in servers for node in nodes)}
