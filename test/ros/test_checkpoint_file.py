@@ -86,7 +86,7 @@ def test_starts_fresh_where_the_program_has_changed_or_the_file_is_damaged(devel
     (program / "rules.txt").write_text(RULES + "% changed\n")
     process = node()
     assert f"{path} is not restored: {program}/rules.txt has changed since it was read" in devel.printed()
-    assert f"The node starts fresh; the file is kept as {path}.aside" in devel.printed()
+    assert f"the node starts without state; the file is kept as {path}.aside" in devel.printed()
     devel.expect(lambda found, services: path.exists() and written(path))
     kill(devel, process)
     for name in ("state.db-wal", "state.db-shm"):
