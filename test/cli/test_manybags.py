@@ -103,7 +103,7 @@ REFUSED = {
     "bags --parts": "--parts needs --jobs or --scheduler",
     "bags --format jsonl --output new": "--format needs --jobs or --scheduler",
     "bags --jobs 2 --write-folder x": "--write-folder: bags that are played at the same time",
-    "bags --jobs 2 --output new --events": "--events: a bag has what is published only",
+    "bags --jobs 2 --output new --events": "--events: a bag contains only published messages",
     "bags --jobs 2 --output new --explain x": "--explain: --format bag has no place for it",
     "bags --jobs 2 --output bags/new": "--output bags/new is below bags: results would be played the next time",
     "bags --jobs 2 --output old": "old/r1/b.bag already exists; --overwrite replaces it",

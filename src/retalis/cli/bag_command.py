@@ -17,8 +17,9 @@ not, or of ROS 2: a folder with metadata.yaml, or its .db3, .mcap, .db3.zstd or 
 played as one, in the order in which their messages came. ROS 2 messages are read as those of ROS 1 with the same
 names.
 
-With --jobs or --scheduler each bag is played by itself, several at a time: also all bags below a folder, in the
-order of their names, and those of URLs as s3://BUCKET/FOLDER. What is printed is the same, bag after bag.
+With --jobs or --scheduler each bag is a separate run, and several run at a time. Folders stand for all bags below
+them, in the order of their names; URLs such as s3://BUCKET/FOLDER are allowed. The output is the same as that of the
+bags one after the other.
 """
 LINES = """\
   {"output": TERM, "topic": TOPIC, "id": ID, "time": T}    unless --quiet; T is the bag's time
@@ -40,8 +41,8 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     )
     add_source(parser)
     add = parser.add_argument
-    add("--output", metavar="BAG", help="write what is published to a bag")
-    add("--overwrite", action="store_true", help="replace that bag if it is there")
+    add("--output", metavar="BAG", help="write the published messages to a bag")
+    add("--overwrite", action="store_true", help="replace this bag if it exists")
     add_many(parser)
     add("--events", action="store_true", help="print each event too, as event(TERM,[T1,T2])")
     add(
@@ -62,7 +63,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         metavar="TERM",
         action="append",
         default=[],
-        help="print at the end why such an event happened or what was missing, in lines that start with %%",
+        help="print at the end why an event like TERM happened or did not happen, in lines that start with %%",
     )
     add("--json", action="store_true", help="print one JSON object per line instead of terms")
     add("--quiet", action="store_true", help="print no outputs")
@@ -87,9 +88,14 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
         type=from_zero(float),
         default=0.0,
         metavar="SECONDS",
-        help="leave out what came earlier than so long after the first message (0)",
+        help="skip messages within this many seconds after the first message (0)",
     )
-    add("--duration", type=from_zero(float), metavar="SECONDS", help="end after so long (to the end)")
+    add(
+        "--duration",
+        type=from_zero(float),
+        metavar="SECONDS",
+        help="stop after this many seconds (at the end)",
+    )
     add(
         "--topic",
         action="append",
@@ -102,14 +108,14 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
         "--max-skew",
         type=from_zero(float),
         metavar="SECONDS",
-        help="leave out messages whose stamp is further away from those before on their topic and frame "
-        "(0: take all)",
+        help="skip messages whose stamp differs by more than this from the former ones on their topic and frame "
+        "(0: no limit)",
     )
     add(
         "--max-gap",
         type=from_zero(float),
         metavar="SECONDS",
-        help="interpolate over no gap that is wider than that (0: any gap)",
+        help="do not interpolate over longer gaps (0: no limit)",
     )
     add_chunk_limit(parser)
 

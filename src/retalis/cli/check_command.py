@@ -16,17 +16,18 @@ from .bag_run import add_chunk_limit
 from .command_options import add_direct, add_swi
 
 DESCRIPTION = """\
-Load a program's folder as a node does, without ROS, or a file of rules, and say all that is wrong with it or hardly
-meant, each thing with its place and what to do. The exit status is 1 where there are errors; with --strict it is 2
-where there are only warnings. Message types come from the installation, from the bags of --bag and from the folders
-of --msg.
+Load a program's folder as a node does, without ROS, or a file of rules, and report errors and likely mistakes, each
+with its place and a suggestion. The exit status is 1 if there are errors; with --strict it is 2 if there are only
+warnings. Message types come from the installation, from the bags of --bag and from the folders of --msg.
 """
 
 
 def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     """Add the command."""
     parser = add_command(
-        "check", help="say what is wrong with a program, before it runs", description=DESCRIPTION
+        "check",
+        help="report errors and likely mistakes of a program, before it runs",
+        description=DESCRIPTION,
     )
     add = parser.add_argument
     add(
@@ -35,13 +36,20 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         type=Path,
         default=Path(),
         metavar="FOLDER",
-        help="the program's (this one), or a file",
+        help="the program's folder (the current one), or a file of rules",
     )
     add("--format", choices=("text", "json"), default="text", help="lines for people, or one JSON object")
     add_swi(parser)
     add_direct(parser)
-    add("--strict", action="store_true", help="end with status 2 where there are warnings")
-    add("--bag", type=Path, action="append", default=[], metavar="BAG", help="a bag that has message types")
+    add("--strict", action="store_true", help="exit with status 2 if there are warnings")
+    add(
+        "--bag",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="BAG",
+        help="a bag whose message types are added",
+    )
     add(
         "--msg",
         type=Path,

@@ -77,8 +77,8 @@ def main(arguments: Optional[List[str]] = None) -> int:
     parser = argparse.ArgumentParser(
         prog="retalis",
         description="Event rules and a knowledge base for robots.",
-        epilog="retalis COMMAND --help says what a command takes. The exit status is 0 where all went well, 1 with "
-        "errors, 2 where a command is called wrongly, 130 after ctrl-C.",
+        epilog="retalis COMMAND --help lists the options of a command. The exit status is 0 for success, 1 for "
+        "errors, 2 for wrong usage, 130 after ctrl-C.",
     )
     parser.add_argument("--version", action=ShowVersion, help="print the version and exit")
     parser.set_defaults(whole=parser)

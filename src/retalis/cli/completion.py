@@ -69,6 +69,7 @@ def candidates(
     option_values: Dict[str, str] = {}
     open_option: Optional[argparse.Action] = None
     position = 0
+    # The words are interpreted as argparse would do it, without requiring that the line is complete or correct.
     for word in before:
         if open_option is not None:
             option_values[open_option.dest] = word
@@ -130,6 +131,7 @@ def _values(
 ) -> Iterable[str]:
     if action.choices is not None:
         return [str(choice) for choice in action.choices if choice != "words"]
+    # Names in running nodes, if ROS is installed and a master answers.
     if action.dest in NAMES:
         return names(NAMES[action.dest], given.get("node"))
     return []

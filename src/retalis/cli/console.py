@@ -362,6 +362,7 @@ class Console:
             files = list_items(goal)
             if files is None and goal[0] is _CONSULT:
                 files = list_items(goal[1]) or [deref(goal[1])]
+        # File names may be atoms or strings.
         names = [_text(name) for name in files] if files else []
         # A list with anything but names is a goal, not a list of files.
         if not names or None in names:

@@ -70,6 +70,8 @@ def read_stream(file: IO[str], operators: Operators, source: str) -> Iterator[Re
                 yield event
                 start_line = line + 1
                 continue
+        # Lines are collected until the parser finds no unfinished term at their end. Comments and quoted atoms may
+        # contain full stops, so a full stop alone does not end a term.
         incomplete += text
         # Only a full stop can complete a term: without one, the lines read so far need not be parsed again.
         if "." not in text:
@@ -170,7 +172,11 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         help="goals called first, one per line",
     )
     add("--stream", metavar="FILE", help="events and goals; - is standard input, read as it arrives")
-    add("--outputs", metavar="FILE", help="write what subscribers get, as output(TERM,TOPIC,ID); - prints it")
+    add(
+        "--outputs",
+        metavar="FILE",
+        help="write the outputs to subscribers, as output(TERM,TOPIC,ID); - prints them",
+    )
     add("--queries", type=Path, metavar="FILE", help="goals whose solutions are printed at the end")
     add("--memory-events", action="store_true", help="print memory events too, as memory_event(TERM,[T1,T2])")
     add(
@@ -178,7 +184,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         metavar="TERM",
         action="append",
         default=[],
-        help="print at the end, in lines that start with %%, why such an event happened or what was missing; a term "
+        help="print at the end, in lines that start with %%, why an event happened or did not happen; TERM is a term "
         "with variables, or event(TERM,[T1,T2])",
     )
     add(

@@ -19,9 +19,9 @@ AS_TEXT = ("dot", "gv")
 """Suffixes of files in the text format of Graphviz."""
 
 DESCRIPTION = """\
-Load a program and draw it: its topics, events, rules, queries, memories and subscriptions, and what leads where.
-The ending of the file says how: .svg, .png and .pdf are drawn by Graphviz; .dot, or no file at all, is the text
-that Graphviz takes, for which it need not be there.
+Load a program and draw its graph: topics, events, rules, queries, memories, subscriptions, and the data flow between
+them. The suffix of the file determines the format: .svg, .png and .pdf are drawn by Graphviz; .dot, or no file, is
+the input text of Graphviz, which is not required for it.
 """
 
 

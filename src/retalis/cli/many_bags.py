@@ -177,11 +177,11 @@ def add_many(parser: argparse.ArgumentParser) -> None:
     """Add the options for many bags."""
     group = parser.add_argument_group(
         "many bags",
-        "Each bag is played by itself, from the program's start. One that cannot be played is told of, and the "
-        "others are played; one whose worker dies is played again by another.",
+        "Each bag is a separate run of the program. A bag that cannot be played is reported, and the others are "
+        "played. A bag whose worker dies is played again by another worker.",
     )
     add = group.add_argument
-    add("--jobs", type=from_one, metavar="N", help="play so many at a time, in processes of this machine")
+    add("--jobs", type=from_one, metavar="N", help="play N bags at a time, in processes of this machine")
     add(
         "--scheduler",
         metavar="ADDRESS",
@@ -191,14 +191,14 @@ def add_many(parser: argparse.ArgumentParser) -> None:
     add(
         "--parts",
         action="store_true",
-        help="have what rosbag record --split has written in parts, NAME_0.bag, NAME_1.bag and so on, go on with "
-        "what the part before has left: memories, half-matched patterns, waiting queries",
+        help="play the parts of a recording by rosbag record --split, NAME_0.bag, NAME_1.bag and so on, as one run: "
+        "each continues with the memories, partial matches and waiting queries of the former one",
     )
     add(
         "--format",
         choices=FORMATS,
-        help="with --output, which is then the folder or URL that gets a file for each bag: a bag of what is "
-        "published, or what --json prints, as lines or as Parquet (bag; with --json: jsonl)",
+        help="format of the results; --output is then the folder or URL for one file per bag: a bag of the published "
+        "messages, or the output of --json, as lines or as Parquet (bag; with --json: jsonl)",
     )
 
 
@@ -281,6 +281,7 @@ def _check_options(options: argparse.Namespace) -> None:
     kind = _format(options)
     if options.jobs and options.scheduler:
         raise UsageError("--jobs and --scheduler: give one of them; a cluster has as many workers as it has")
+    # The results of other machines have to be written to a folder or URL that both sides can read.
     if options.scheduler and not options.output:
         raise UsageError("--scheduler needs --output: a folder that the workers see, or a URL")
     if options.format and not options.output:
@@ -290,7 +291,7 @@ def _check_options(options: argparse.Namespace) -> None:
             "--write-folder: bags that are played at the same time would write over each other's files"
         )
     if kind == "bag" and options.events:
-        raise UsageError("--events: a bag has what is published only; --format jsonl and parquet have events")
+        raise UsageError("--events: a bag contains only published messages; use --format jsonl or parquet")
     if kind in ("bag", "parquet") and options.explain:
         raise UsageError(f"--explain: --format {kind} has no place for it, jsonl has")
     if options.output and not is_url(options.output):
@@ -338,6 +339,8 @@ def _tasks(
         ready.append(len(tasks))
         for bag in bags:
             if kind is None:
+                # Printed output is collected in temporary files, so that it can be printed in the order of the
+                # bags.
                 target = os.path.join(scratch, str(len(tasks)))
             else:
                 target = shared_path(f"{options.output.rstrip('/')}/{bag.name}.{kind}")

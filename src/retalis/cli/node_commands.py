@@ -21,24 +21,26 @@ STATUS = "The exit status is 0 with a solution, 1 without one or with an error."
 def add_parser(add_command: AddCommand) -> None:
     """Add the commands."""
     _add_query(add_command)
-    explain = _command(add_command, "explain", "say why an event happened in a node, or why not")
-    explain.add_argument("event", metavar="EVENT", help="as far as it is known, as in fever(bob,_)")
+    explain = _command(add_command, "explain", "explain why an event happened in a node, or why not")
+    explain.add_argument(
+        "event", metavar="EVENT", help="a term, in which _ stands for any value, such as fever(bob,_)"
+    )
     _command(add_command, "list", "list the rules, memories, subscriptions and queries of a node")
-    status = _command(add_command, "status", "show what a node is doing, again and again")
+    status = _command(add_command, "status", "show the status of a node, updated periodically")
     status.add_argument(
         "--every",
         type=any_number,
         default=1.0,
         metavar="SECONDS",
-        help="seconds from one look to the next, over which rates are taken (1)",
+        help="seconds between two updates, over which rates are averaged (1)",
     )
     status.add_argument(
         "--once",
         action="store_true",
-        help="show it once, after --every seconds; so it is if the output is no terminal",
+        help="show it once, after --every seconds; default if the output is not a terminal",
     )
     _add_watch(add_command)
-    _command(add_command, "reload", "have a node read its program again, all or nothing")
+    _command(add_command, "reload", "make a node read its program again, completely or not at all")
 
 
 def _add_query(add_command: AddCommand) -> None:
@@ -80,15 +82,15 @@ def _add_watch(add_command: AddCommand) -> None:
         action="append",
         default=[],
         metavar="PATTERN",
-        help="these events too, by a subscription meanwhile",
+        help="print these events, too, with a temporary subscription",
     )
-    add("--inputs", action="store_true", help="also what comes in as text")
-    add("--count", type=from_zero(int), metavar="N", default=0, help="end after so many; 0: never (0)")
+    add("--inputs", action="store_true", help="print the input events that arrive as text, too")
+    add("--count", type=from_zero(int), metavar="N", default=0, help="stop after N lines; 0: never (0)")
 
 
 def _command(add_command: AddCommand, name: str, summary: str) -> argparse.ArgumentParser:
     parser = add_command(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}. {DESCRIPTION}")
-    parser.add_argument("--node", metavar="/NAME", help="the node, where several run")
+    parser.add_argument("--node", metavar="/NAME", help="the node, if several are running")
     parser.add_argument("--json", action="store_true", help="print JSON, one value a line")
     parser.set_defaults(run=run)
     return parser

@@ -16,15 +16,15 @@ from .error_report import Report, progress
 PAGES = ("html", "htm")
 
 DESCRIPTION = """\
-Run a program over bags, or read a run that "bag --events --json" has written, and draw it over time: a lane for each
-event, for the waits of each query, for each memory and for each output. An .html file is a page to zoom in, which
+Run a program over bags, or read a run that "bag --events --json" has written, and draw its timeline: a row for each
+event, for the waits of each query, for each memory and for each output. An .html file is a page with zoom, which
 needs neither other files nor a network; .png, .svg and .pdf are drawn by matplotlib.
 """
 
 
 def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     """Add the command."""
-    parser = add_command("plot", help="draw what happened in a run", description=DESCRIPTION)
+    parser = add_command("plot", help="draw the timeline of a run", description=DESCRIPTION)
     add_source(parser, "*", required=False)
     add = parser.add_argument
     add(

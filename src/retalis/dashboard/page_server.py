@@ -50,6 +50,7 @@ class Dashboard:
         self._server = server
         self._source = source
         self._period = period
+        # The port is bound here and not in the thread, so that the caller gets the error.
         self._sockets = _listen(port, tries)
         self.port: int = self._sockets[0].getsockname()[1]
         self._loop = asyncio.new_event_loop()
@@ -92,6 +93,7 @@ async def _cancel_tasks() -> None:
     """Cancel all tasks, and wait for their end."""
     current = asyncio.current_task()
     others = [task for task in asyncio.all_tasks() if task is not current]
+    # Open pages wait for data in tasks, which would keep the loop from ending.
     for task in others:
         task.cancel()
     await asyncio.gather(*others, return_exceptions=True)

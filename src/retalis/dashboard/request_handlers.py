@@ -245,6 +245,7 @@ class StreamHandler(LocalHandler):
 
     async def get(self) -> None:
         """Send updates until the page is closed."""
+        # Without events no listener is registered in the engine; see `RecentEvents`.
         client = self._streams.enter(self.get_query_argument("events", "1") == "1")
         if client is None:
             raise HTTPError(503, reason="Too many pages are open")
@@ -340,6 +341,7 @@ def server(streams: LiveUpdates, answers: Answers) -> HTTPServer:
         ("/explain", AnswerHandler, {"answer": answers.explain, "answers": answers}),
         ("/query", AnswerHandler, {"answer": answers.query, "answers": answers}),
     ]
+    # Weak references: a connection that tornado drops without `on_finish` must not stay marked as busy.
     settings: Any = {BUSY_CONNECTIONS: WeakSet()}
     application = Application(
         routes, default_handler_class=NothingHandler, log_function=lambda handler: None, **settings

@@ -173,6 +173,7 @@ class InputHealth:
             if role is InputRole.OPTIONAL:
                 return Level.OK, "no publisher, and none is needed"
             return Level.WARN, "no publisher"
+        # A topic that has not had two messages has no usual interval, and is not stale.
         silent = (
             status.age is not None
             and interval is not None
@@ -284,6 +285,7 @@ class EngineHealth:
         values = [(_name_of(rule), counted(rule.errors, "error")) for rule in wrong[:LISTED]]
         if len(wrong) > LISTED:
             values.append(("further rules", str(len(wrong) - LISTED)))
+        # Buffers of partial matches are the usual reason for growing memory.
         largest = sorted(status.rules, key=lambda rule: -rule.bytes)[:LARGEST_RULES_NAMED]
         values += [(f"held by {_name_of(rule)}", _held_by(rule)) for rule in largest if rule.waiting]
         total = len(status.rules) + status.left_out.rules

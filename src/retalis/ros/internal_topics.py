@@ -29,6 +29,7 @@ def resolve(topic: str) -> str:
     Raises:
         UsageError: if the name is invalid.
     """
+    # rospy accepts names that the master or other clients reject, so the package's own check comes first.
     fault = topic_fault(topic.strip())
     if fault is not None or not topic.strip(" /"):
         raise UsageError(fault or f'"{topic}" is not a topic name')

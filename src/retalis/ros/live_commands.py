@@ -95,6 +95,7 @@ class LiveNode:
 
     def __init__(self, wanted: Optional[str] = None, interfaces: bool = False):
         topics, self._services = master_state()
+        # A node is identified by its services, not by its name, which launch files may change.
         engine_nodes = nodes_of(self._services)
         if wanted is None:
             self.name = _only_node(engine_nodes)

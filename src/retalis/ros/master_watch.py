@@ -71,6 +71,7 @@ class MasterWatch:
 
     def start(self) -> None:
         """Start the periodic check, which ends with the node."""
+        # A rospy without this service: its absence in the master would not prove a restart.
         if self._sign not in dict(_services()):
             rospy.logdebug("%s is not there: the master is not watched", self._sign)
             return

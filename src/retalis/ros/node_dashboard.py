@@ -115,6 +115,7 @@ class NodeDashboard:
             ):
                 # The status of another program, or of something else than a topic.
                 continue
+            # Any node may publish on /diagnostics: the number of stored topics must be bounded.
             if topic in self._remote_topics or len(self._remote_topics) < MAX_REMOTE_TOPICS:
                 self._remote_topics[topic] = _remote_topic_look(topic, values)
 

@@ -139,6 +139,7 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
 
 def _warn_about_unknown() -> None:
     for name in rospy.get_param("~", {}):
+        # A misspelt parameter would otherwise be ignored without notice.
         if name not in KNOWN:
             matches = get_close_matches(name, KNOWN, 1)
             hint = f"did you mean ~{matches[0]}?" if matches else f"the parameters are ~{', ~'.join(KNOWN)}"
@@ -151,6 +152,7 @@ def _program(argv: List[str]) -> Path:
         raise UsageError(f"parameter ~program: expected the path of a folder, found {folder!r}")
     if folder:
         return _existing(Path(folder), "parameter ~program")
+    # The argument is the folder of a package, with the program in its folder `application_source`.
     if len(argv) > 1:
         return _existing(Path(argv[1]) / "application_source", "the program's folder")
     return _existing(Path(_package()) / "application_source", "the program's folder")

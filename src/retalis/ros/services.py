@@ -309,6 +309,7 @@ def name(text: str, field: str) -> Term:
     if not text:
         raise UsageError(f"{field} is empty")
     try:
+        # Standard operators, not the program's: the name of a topic must not depend on the operators of a program.
         term = read_term(text, Operators.prolog(), field).term
     except SyntaxFault:
         return atom(text)
@@ -384,6 +385,7 @@ class ListService:
         rospy.Service("~list", srv.List, self._list)
 
     def _list(self, request: Any) -> Any:
+        # Each kind is cut separately, and the response has the number of omitted items.
         limit = min(request.most or DEFAULT_LISTED_ITEMS, MAX_LISTED_ITEMS)
         response = self._response(result=OK)
         inputs = self._inputs()
@@ -498,6 +500,7 @@ class QueryServices:
         response = self._srv.QueryResponse
         try:
             seconds = checked_number("seconds", request.seconds, float)
+            # Zero stands for an absent value in a ROS message. The output limit is the engine's.
             limits = Limits(seconds or None, request.inferences or None, output_megabytes=None)
             solution_limit = min(request.max_solutions or DEFAULT_MAX_SOLUTIONS, MAX_SOLUTIONS)
             if request.wait_for:
@@ -580,6 +583,7 @@ class ReloadService:
         try:
             check_writers(self._folder, self._writable)
             topics = topics_now(self._folder)
+            # The engine replaces the program completely, or not at all if there are errors.
             changes = self._engine.reload(self._folder)
         except RetalisError as error:
             return self._reloaded(

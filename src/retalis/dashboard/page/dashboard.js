@@ -1,4 +1,5 @@
-// The page: takes the numbers as they come and asks on demand. All texts go in by textContent.
+// The page: receives snapshots as server-sent events, and requests explanations and queries on demand.
+// Texts of the program are inserted as textContent only, never as HTML: events may contain text from outside.
 
 import { draw } from "./graph.js";
 
@@ -56,7 +57,7 @@ function set(node, text) {
   if (node.textContent !== text) node.textContent = text;
 }
 
-// Fill a table with rows, each { key, cells: [{ text, sub, kind, part }] }; what is the same stays.
+// Fill a table with rows, each { key, cells: [{ text, sub, kind, part }] }; unchanged elements are reused.
 function fill(id, rows, columns, none) {
   const body = find(id).tBodies[0];
   const there = new Map(Array.from(body.rows, (row) => [row.dataset.key, row]));
@@ -104,7 +105,7 @@ function fillCell(place, cell) {
 
 const numeric = (text, bad = false, wide = false) => ({ text, kind: `n${bad ? " bad" : ""}${wide ? " wide" : ""}` });
 
-// ---- What is shown -------------------------------------------------------------------------------------------
+// ---- Snapshots -----------------------------------------------------------------------------------------------
 
 function showTiles({ status, rates, memory }) {
   const tiles = [
@@ -253,7 +254,7 @@ function show(look) {
   document.body.dataset.looks = Number(document.body.dataset.looks || 0) + 1;
 }
 
-// ---- What is asked -------------------------------------------------------------------------------------------
+// ---- Requests ------------------------------------------------------------------------------------------------
 
 async function ask(path, asked) {
   try {

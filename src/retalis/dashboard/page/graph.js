@@ -1,8 +1,8 @@
-// The graph of a program in layers from left to right, as SVG.
+// Layered drawing of a program's graph from left to right, as SVG (Sugiyama method).
 //
-// Nodes get the layer after the last of those that lead to them; ways that run back are turned round for that. A way
-// over several layers gets a place in each, so that it passes between the nodes. Within a layer nodes stand near the
-// mean of those that they are connected with.
+// 1. Each node is assigned to the layer after its last predecessor; edges that close a cycle are reversed for this.
+// 2. An edge over several layers gets a dummy position in each layer that it crosses, so that it passes between nodes.
+// 3. Within a layer, nodes are ordered by the mean position of the nodes that they are connected with (barycenter).
 
 const SPACE = "http://www.w3.org/2000/svg";
 const WIDTH = 132, HEIGHT = 26, ACROSS = 184, DOWN = 34, NARROW = 14, MARGIN = 10, SWEEPS = 12, LONGEST = 17;
@@ -12,7 +12,7 @@ function layersOf(nodes, edges) {
   for (const edge of edges) out.get(edge.source).push(edge);
   const state = new Map();
   const turned = new Set();
-  for (const root of nodes) {  // depth first, without recursion
+  for (const root of nodes) {  // depth first, iterative: a program may have long chains
     if (state.has(root.id)) continue;
     const stack = [[root.id, 0]];
     state.set(root.id, 1);
@@ -35,7 +35,7 @@ function layersOf(nodes, edges) {
     }
   }
   const entered = new Set(ways.map(([, to]) => to));
-  for (const node of nodes) {  // what nothing leads to stands right before what it leads to
+  for (const node of nodes) {  // a node without predecessors: directly before its first successor
     const next = ways.filter(([from]) => from === node.id).map(([, to]) => layer.get(to));
     if (!entered.has(node.id) && next.length) layer.set(node.id, Math.min(...next) - 1);
   }
@@ -67,7 +67,7 @@ const size = (spot) => spot.node ? DOWN : NARROW;
 const mean = (values) => values.reduce((sum, value) => sum + value, 0) / values.length;
 
 function pack(row) {
-  // Move spots down until none overlaps the one before; then as far up again as the row allows.
+  // Move spots down until none overlaps the previous one, then up again as far as the row allows.
   let free = -Infinity;
   for (const spot of row) {
     spot.y = Math.max(spot.y, free + size(spot) / 2);
@@ -109,7 +109,7 @@ export function shortName(label) {
 }
 
 function line(path) {
-  // From the right side of a node to the left side of the next, through the places between.
+  // From the right side of a node to the left side of the next one, through the dummy positions between them.
   const points = path.map((spot, at) => {
     const half = spot.node ? WIDTH / 2 : 0;
     return [spot.x + (at === 0 ? half : at === path.length - 1 ? -half - 5 : 0), spot.y];
@@ -138,7 +138,7 @@ function labelAt(edge, edges, points) {
   return { x: middle[0], y: middle[1] - 3, "text-anchor": "middle" };
 }
 
-// Draw a graph into an element; return what sets the rates at its edges.
+// Draw a graph into an element; return a function that sets the rates at its edges.
 export function draw(graph, place, shown) {
   place.replaceChildren();
   if (!graph.nodes.length) return () => {};
