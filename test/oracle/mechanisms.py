@@ -345,8 +345,8 @@ MECHANISMS: Dict[str, Mechanism] = {
     "operators run again without what is taken back": Mechanism(
         method(StreamNode, "unmade", lambda node: []), replays
     ),
-    "an event ends a state": Mechanism(method(DeclaredState, "_over", nothing), states(None)),
-    "time ends a state": Mechanism(method(DeclaredState, "_time_over", nothing), states(3)),
+    "an event ends a state": Mechanism(method(DeclaredState, "_end_state", nothing), states(None)),
+    "time ends a state": Mechanism(method(DeclaredState, "_end_by_timeout", nothing), states(3)),
     "timers of one instant ring as they were set": Mechanism(method(Clock, "call_at", later_first), timers),
     "timers ring before an event of their instant": Mechanism(method(Clock, "due", after_the_event), timers),
     "later steps pass over": Mechanism(method(RowPatternNFA, "__init__", never_later), steps),

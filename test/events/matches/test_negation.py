@@ -26,7 +26,7 @@ def test_keys_under_which_nothing_waits_any_more_are_forgotten():
         program.feed(f"c({number})@{number}")
     (absence,) = _absences(program)
     assert len(absence.buffer.newest) < 10
-    assert len(absence.borders) < 1100
+    assert len(absence.frontiers) < 1100
     assert program.feed("a(1)@3000 a(2)@3000 c(1)@3001 b(1)@3002 b(2)@3002") == "d(2)@3000-3002"
 
 
@@ -34,7 +34,7 @@ def test_what_an_interrupt_leaves_half_done_is_made_anew():
     program = Program("d(X) <- (a(X) seq b(X)) cnot c(X).")
     assert program.feed("a(1)@1 c(1)@2 c(1)@3 c(1)@4") == ""
     absence = _absences(program)[0]
-    for border in absence.borders.values():
+    for border in absence.frontiers.values():
         del border.ends[:], border.starts[1:]
     absence.buffer.mend()
     assert program.feed("b(1)@5 a(1)@6 b(1)@7") == "d(1)@6-7"
@@ -255,7 +255,7 @@ def test_the_index_of_absent_events_does_not_keep_those_that_have_left(rule, fir
     for at in range(20_000):
         program.engine.event(walk if first and at % first == 0 else "temp", at)
     (absence,) = _absences(program)
-    (border,) = absence.borders.values()
+    (border,) = absence.frontiers.values()
     assert len(border.matches) < (1100 if "within" in rule else 12_000)
 
 

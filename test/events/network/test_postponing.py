@@ -118,15 +118,15 @@ def test_what_was_put_off_is_done_in_order_and_forgotten_after_an_interrupt():
     postponing, done, end = ReentrancyQueue(dispatcher), [], ("end",)
     assert postponing.before(end) is end
     for number in (1, 2):
-        postponing.put_off(lambda frame, number=number: done.append(number) or frame)
+        postponing.defer(lambda frame, number=number: done.append(number) or frame)
     frame = postponing.before(end)
     while frame is not end:
         frame = frame[0].run(frame)
     assert done == [1, 2]
-    postponing.put_off(lambda frame: frame)
+    postponing.defer(lambda frame: frame)
     with pytest.raises(KeyboardInterrupt):
-        postponing.while_at_work(_interrupt)
-    assert not postponing.at_work
+        postponing.run_operator(_interrupt)
+    assert not postponing.is_running
     postponing.clear()
     assert postponing.before(end) is end
 

@@ -118,7 +118,7 @@ def fused_absence(absence: NegationBuffer, rule: Any, whole: bool, plain: EventA
             # A waiting event without a key may be a duplicate of this one or may dominate it; the general path
             # compares them.
             Block("if key in waiting or None in waiting:", [writer.plain]),
-            Block("if absence.borders:", ["absence.borders.pop(key, None)"]),
+            Block("if absence.frontiers:", ["absence.frontiers.pop(key, None)"]),
             *writer.clock(True),
             *writer.wait(False),
             _RETURN,

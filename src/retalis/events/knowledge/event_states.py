@@ -112,7 +112,7 @@ class PastState(NamedTuple):
 
     @property
     def gone(self) -> bool:
-        """Whether its event was retracted."""
+        """True if its event was retracted."""
         return self.token is not None and self.token.gone
 
 
@@ -157,7 +157,7 @@ class DeclaredState:
         self.past: Deque[PastState] = deque(maxlen=form.past)
         self.dropped = 0
         self.version = next(_VERSIONS)
-        self._timeouts = Timeouts(clock, self._by_order, self._time_over)
+        self._timeouts = Timeouts(clock, self._by_order, self._end_by_timeout)
         self.listeners: List[Listener] = []
 
     def listen(self) -> None:
@@ -195,6 +195,7 @@ class DeclaredState:
             known = None
         if known is None:
             self._add(OpenState(key, state, shared, next(self._order), [(end, token)]))
+        # The state holds already. This event would have begun it if the earlier ones are retracted.
         elif token is not None and len(known.openings) < _MAX_OPENINGS:
             known.openings.append((end, token))
             self.version = next(_VERSIONS)
@@ -202,6 +203,8 @@ class DeclaredState:
 
     def _add(self, state: OpenState) -> None:
         self.version = next(_VERSIONS)
+        # Open states that never end would accumulate, so their number is bounded, and the oldest is dropped with a
+        # warning.
         if len(self.open) >= self.form.open:
             self._drop(next(iter(self.open.values())))
         self.open[state.key] = state
@@ -223,6 +226,7 @@ class DeclaredState:
         del self._by_order[state.order]
         group = self._by_shared[state.shared]
         del group[state.key]
+        # Empty groups are removed: the values of states are unbounded in the long run.
         if not group:
             del self._by_shared[state.shared]
 
@@ -241,10 +245,12 @@ class DeclaredState:
         if group is None:
             return after
         token = self._dispatcher.token() if self._dispatcher.tracked else None
-        over = [self._over(state, start, token) for state in list(group.values())]
-        return self._tell((self, iter([state for state in over if state is not None]), after))
+        # All states are ended before their events are dispatched: such an event may begin or end states of this
+        # declaration.
+        over = [self._end_state(state, start, token) for state in list(group.values())]
+        return self._dispatch_ended((self, iter([state for state in over if state is not None]), after))
 
-    def _over(self, state: OpenState, end: int, token: Optional[Occurrence]) -> Optional[PastState]:
+    def _end_state(self, state: OpenState, end: int, token: Optional[Occurrence]) -> Optional[PastState]:
         """End a state; return None if it begins after the given instant, or was retracted."""
         begin = state.begin
         if begin is not None and begin > end:
@@ -263,9 +269,9 @@ class DeclaredState:
 
     def run(self, frame: Frame) -> Frame:
         """Dispatch the events of the remaining states."""
-        return self._tell(frame)
+        return self._dispatch_ended(frame)
 
-    def _tell(self, frame: Frame) -> Frame:
+    def _dispatch_ended(self, frame: Frame) -> Frame:
         """Dispatch the events of states that have ended, one after the other."""
         over: Iterator[PastState] = frame[1]
         for past_state in over:
@@ -277,20 +283,22 @@ class DeclaredState:
         after: Frame = frame[2]
         return after
 
-    def _time_over(self, order: int, instant: int) -> None:
+    def _end_by_timeout(self, order: int, instant: int) -> None:
         """End a state whose time has passed."""
         state, within = self._by_order[order], self.form.within
         begin = state.begin
         if within is not None and begin is not None and int(begin) + within > instant:
-            # It began later: the first was taken back.
+            # The first opening was retracted, so the state began later.
             self._timeouts.add_at(order, int(begin) + within)
             return
-        over = self._over(state, WholeSeconds(instant), None)
+        over = self._end_state(state, WholeSeconds(instant), None)
         if over is not None:
             machine = self._logic.machine
             # The alarm may ring while another event is served; the event of the state is dispatched independently
             # of it.
-            self._dispatcher.apart(lambda: machine.run(self._tell((self, iter([over]), machine.done))))
+            self._dispatcher.apart(
+                lambda: machine.run(self._dispatch_ended((self, iter([over]), machine.done)))
+            )
 
     # ---- queries -------------------------------------------------------------------------------------
 
@@ -399,6 +407,7 @@ class StateRegistry:
         if len(self._all) >= MAX_STATES:
             raise resource_error("states", reason=f"more than {MAX_STATES} states are declared")
         before = self._aside.get(form.key)
+        # The declaration was set aside by a reload and is unchanged: it keeps its open states.
         if before is not None and _is_same_form(before.form, form):
             declared = self._aside.pop(form.key)
         else:
@@ -499,6 +508,7 @@ class StateRegistry:
         self._note()
         for declaration in self._all.values():
             declaration.mend()
+        # An interrupt may leave listeners of a declaration that was not completed.
         chosen = {listener for declaration in self._all.values() for listener in declaration.listeners}
         self._dispatcher.keep_only(ListenerPhase.STATES, chosen)
 
@@ -528,6 +538,7 @@ class _StateGoals:
 
     def declare(self, goal: Term) -> bool:
         try:
+            # The events are checked first: if one is refused, nothing has been declared.
             for event in state_form(goal).events:
                 self.states.on_event(event)
             self.states.declare(goal)

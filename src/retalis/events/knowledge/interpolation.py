@@ -69,6 +69,7 @@ class MemoryGaps:
 
         def note(start: int, end: int) -> None:
             noted = self.noted
+            # Removing and inserting the entry again moves it to the end: the dictionary is in order of last use.
             before = noted.pop((start, end), ())
             noted[start, end] = before if instance in before else (*before, instance)
             if len(noted) > MAX_NOTED_GAPS:
@@ -79,6 +80,7 @@ class MemoryGaps:
     def weight(self, start: int, end: int, instant: int) -> Optional[Number]:
         """Return the weight of the first of two instants at a third one; None if they are too far apart."""
         apart = end - start
+        # The instants may be given in either order.
         if apart > self.most or -apart > self.most:
             return None
         if self.noted and (start, end) in self.noted:
@@ -167,6 +169,7 @@ class TransformChains:
         if items is None:
             raise instantiation_error() if deref(links).__class__ is Var else type_error("list", links)
         value: Optional[Pose] = None
+        # The product is from left to right, as in a chain of frames: each pose is relative to the frame before it.
         for link in items:
             here = self._pose(link if link.__class__ is Atom else deref(link), instant)
             if here is None:
@@ -208,6 +211,8 @@ class TransformChains:
             (_, v1, q1, v2, q2, listed, result),
         ) = goals
         fraction = deref(weighed[-1])
+        # The goals must be connected exactly as in the documented sequence; any other use of a variable needs the
+        # plain goals.
         if list_items(listed) != [fraction] or deref(name) is not deref(other_name):
             return None
         same = [
@@ -220,6 +225,8 @@ class TransformChains:
             return None
         form, again = _layout(first, v1, q1, counts), _layout(second, v2, q2, counts)
         between = [deref(term) for term in (before_args[0], after_args[0], fraction, v1, q1, v2, q2)]
+        # Each intermediate variable occurs twice: where it is computed and where it is used. A third use would see
+        # it unbound.
         if form is None or form != again or any(counts.get(var) != 2 for var in between):
             return None
         if len(set(between)) < len(between) or any(

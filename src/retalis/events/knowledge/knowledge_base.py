@@ -76,6 +76,7 @@ class KnowledgeBase:
         self.waiting = PendingQueries(logic, dispatcher, self.memories, warn, clock)
         self.subscriptions = Subscriptions(logic, dispatcher, deliver, warn, rules)
         self.states = StateRegistry(logic, dispatcher, clock, warn)
+        # Looked up at each call, because `on_pattern` is assigned later.
         self.states.on_event = lambda event: self.on_pattern(event)
         self._define()
 
@@ -152,6 +153,7 @@ class KnowledgeBase:
         return memorize
 
     def _create(self, arguments: Sequence[Term], active: bool, after: Frame) -> Frame:
+        # Checks run before the memory is created, so an error leaves no memory behind.
         self.on_pattern(arguments[0])
         frame = self.memories.create((MEMORIZE, *arguments), active, after)
         self.on_conditions(arguments[1], f"memory {self._logic.brief(arguments[3])}")

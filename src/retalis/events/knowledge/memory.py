@@ -108,6 +108,7 @@ def compile_recording(
     if body is TRUE:
         return keep, closed
     test = logic.compile_goal(body, inputs, output_vars, name=name).test
+    # An event with variables may have them bound by the conditions, so the form is an output of the goal then.
     test_open = logic.compile_goal(body, inputs, [TRUE if whole else form], name=name).test
     build = compile_builder(form, [*inputs, *output_vars], "form")
 
@@ -226,6 +227,7 @@ class Memory:
         self._become(self._gone + len(self.ends), [], [])
 
     def _become(self, gone: int, ends: List[int], records: List[MemoryRecord]) -> None:
+        # A write-ahead record: after an interrupt between the assignments, `mend` repeats them.
         self._next = gone, ends, records
         self.indices = {}
         self._gone, self.ends, self.records = gone, ends, records
@@ -287,6 +289,7 @@ class Memory:
     def _insert(self, record: MemoryRecord, end: int) -> bool:
         ends, records = self.ends, self.records
         position = bisect_right(ends, end)
+        # The record would be older than all that count, and would be cut immediately.
         if self.size and position <= len(ends) - self.size:
             self.late += 1
             return False
@@ -337,6 +340,7 @@ class Memory:
         if position < 1 or position <= held - self.size:
             return None
         start = ends[position - 1]
+        # A record at the instant itself is both the last one before and the first one after it.
         if start == instant:
             return self.records[position - 1], self.records[
                 bisect_left(ends, instant, max(0, held - self.size), position)
@@ -423,6 +427,7 @@ class MemoryInstance:
         if group is not None:
             group[order] = query
             return
+        # One heap entry per instant: queries about one instant, the usual case, share it.
         self.waiting[instant] = {order: query}
         heappush(self.times, instant)
         if instant < self.due:
@@ -523,6 +528,7 @@ class Recorder:
             return after
         dispatcher = self._dispatcher
         ground = dispatcher.current[GROUND]
+        # Computed once per event and cached for all listeners.
         if ground is None:
             ground = dispatcher.ground()
         kept = self._take(term, values, ground)
@@ -553,6 +559,8 @@ class Recorder:
                 memory.records.append(record)
                 if len(ends) >= memory.room:
                     memory.cut()
+            # The frame contains the iterator: after the queries and reports of this memory, recording continues
+            # with the next one.
             if instance.due <= end or (telling and instance.active):
                 frame = (self, record, opens, instances, after)
                 result = self._follow(instance, record[2], frame)

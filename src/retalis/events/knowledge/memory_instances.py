@@ -85,6 +85,7 @@ class MemoryInstances:
 
         An incremental table that is being evaluated depends on the instance from then on.
         """
+        # The usual case: an atom is its own key, and no table is being evaluated.
         if name.__class__ is Atom and not self._evaluated:
             return self.instances.get(name)
         try:
@@ -127,6 +128,7 @@ class MemoryInstances:
         Raises:
             PrologError: if the id is taken, or the arguments do not define a memory.
         """
+        # The definition outlives the goal, whose variables are undone on backtracking.
         copied: Any = copy(definition)
         pattern, conditions, form, name, size = (deref(part) for part in copied[1:])
         key = key_of(name)
@@ -138,6 +140,7 @@ class MemoryInstances:
             raise domain_error("not_less_than_zero", size)
         instance = MemoryInstance(name, size, active, copied)
         before = self._aside.get(key)
+        # Set aside by a reload and unchanged: the memory keeps its records.
         if before is not None and before.key == instance.key:
             instance = self._aside.pop(key)
         else:
@@ -162,6 +165,7 @@ class MemoryInstances:
         instance = self.find(name)
         if instance is None:
             raise UsageError(f"there is no memory {self._logic.brief(name)}")
+        # The memory is gone before its deletion is reported: a listener may create a new one with the same name.
         del self.instances[key_of(instance.id)]
         instance.recorder.remove(instance)
         self.on_delete(instance)
@@ -229,6 +233,7 @@ class MemoryInstances:
         While an event is served, a new recorder is made, because a memory that is created then must not record that
         event.
         """
+        # Conditions may have side effects or depend on time, so their memories never share a recorder.
         alike = conditions is NIL and pattern.__class__ is not Var
         key = term_key((MINUS, pattern, form)) if alike else None
         last = self._newest

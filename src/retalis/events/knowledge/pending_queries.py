@@ -316,6 +316,7 @@ def compile_question(
     event, query = deref(event), deref(query)
     mentioned = set(variables(query))
     known = set(names)
+    # A variable query is called through `call/1`; one that is bound only at run time cannot be compiled.
     if query.__class__ is Var:
         if query not in known:
             return None
@@ -442,6 +443,7 @@ class PendingQueries:
         See `restore`. Clients that wait are not included.
         """
         order = next(self._order)
+        # Reading the counter advances it, so it is set back.
         self._order = count(order)
         queries: List[KeptQuery] = []
         for number, question, values, start, end, missing in self._all.values():
@@ -463,6 +465,7 @@ class PendingQueries:
                 self._general if token is None else DerivedQuery(self._dispatcher, self._general, token)
             )
             waiting = self._all[number] = (number, question, (event, query), start, end, missing)
+            # Queries are registered with the last memory that is missing, as in `_wait`.
             instance, instant = missing[-1]
             instance.wait(instant, number, waiting)
 
@@ -482,6 +485,7 @@ class PendingQueries:
         except UsageError as error:
             self._drop(event, error)
             return after
+        # Without missing data, the query runs within the dispatch of the synchronized event.
         if missing:
             self._wait(self._followed(), (event, query), start, end, missing)
             return after
@@ -542,6 +546,7 @@ class PendingQueries:
             return None
 
         def ask_or_wait(values: Values, start: int, end: int, after: Frame) -> Frame:
+            # The rule counts as fired although its head is not dispatched.
             firings.number += 1
             firings.last = end
             try:
@@ -567,6 +572,7 @@ class PendingQueries:
         if len(self._all) >= self.limit:
             self._drop_oldest()
         order = next(self._order)
+        # The query is in the list before it is registered: `mend` registers all that are in the list.
         waiting = self._all[order] = (order, question, values, start, end, missing)
         instance, instant = missing[-1]
         instance.wait(instant, order, waiting)
@@ -608,6 +614,7 @@ class PendingQueries:
         ready: Iterator[Waiting] = frame[1]
         for _, question, values, start, end, _ in ready:
             result = question.ask(values, start, end, frame)
+            # The query has begun to run; the machine returns to this frame when it is finished.
             if result is not frame:
                 return result
         return frame[2]  # type: ignore[no-any-return]

@@ -82,6 +82,7 @@ def candidates(memory: Memory, record: Term) -> Union[List[int], range]:
                 index = memory.indices.get(position)
                 if index is None:
                     index = memory.indices[position] = RecordIndex(memory, position)
+                # Of several indexed arguments, the one with the fewest records is used.
                 places = index.places(value)
                 if len(places) < len(positions):
                     positions = places
@@ -160,6 +161,7 @@ def _find(
         if not count % RECORDS_PER_CHECK:
             look(RECORDS_PER_CHECK)
         term, began, ended = memory.records[places[index]]
+        # Variables in a stored record belong to the memory; the reader gets new ones.
         kept = copy(term) if instance.open else term
         shown = timestamps.shown
         if machine.unify_all((record, kept), (start, shown(began)), (end, shown(ended))):

@@ -125,6 +125,7 @@ class OutputRateLimiter:
         # A flag may have changed the bounds, which are replaced as a whole.
         if stream.bounds is not self._clock.key_bounds:
             stream.set_bounds(self._clock.key_bounds)
+        # The element contains the term that is sent; the operator only reads its key, values and interval.
         outputs = stream.take(StreamElement(term, start, end, *self._making.item(values)), now, 0)
         if stream.late != before:
             self.late += 1
@@ -278,6 +279,7 @@ class Subscriptions:
             self._logic, self._dispatcher, pattern, conditions, form, who, self._problem
         )
         before = self._aside.get(key)
+        # Set aside by a reload and unchanged: the counter and the state of the rate limiter continue.
         known = before if before is not None and before.key == term_key(copied) else None
         tally = SentCounter() if known is None else known.tally
         rate = None if part is None else self._rate(part, variables(pattern), who, known)
@@ -296,6 +298,7 @@ class Subscriptions:
         deliver, ground = self._deliver, self._dispatcher.ground
 
         def send(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+            # Counted before delivery: a callback that reads the counter sees its own event.
             tally.sent += 1
             deliver(term, topic, name)
             return after

@@ -75,6 +75,7 @@ class Timeouts:
     def add_at(self, order: int, instant: int) -> None:
         """Add a deadline at an instant."""
         if len(self._due) > self._room:
+            # Twice the remaining size as the next threshold makes the rebuild O(1) per deadline, amortized.
             self._due = [entry for entry in self._due if entry[1] in self._waiting]
             heapify(self._due)
             self._room = 2 * len(self._due) + _STALE_TOLERANCE

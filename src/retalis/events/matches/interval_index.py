@@ -85,9 +85,9 @@ class _TreeNode:
             if half is not None:
                 keys.insert(position + 1, half.keys[0][:3])
                 kids.insert(position + 1, half)
-        return self._halved() if len(keys) > MAX_NODE_KEYS else None
+        return self._split_off_half() if len(keys) > MAX_NODE_KEYS else None
 
-    def _halved(self) -> "_TreeNode":
+    def _split_off_half(self) -> "_TreeNode":
         keys, kids = self.keys, self.kids
         middle = len(keys) // 2
         half = _TreeNode(keys[middle:], None if kids is None else kids[middle:])
@@ -176,7 +176,7 @@ class IntervalIndex:
 
     @property
     def idle(self) -> bool:
-        """Whether the updates since the last search have cost more than building the index again would."""
+        """True if the updates since the last search have cost more than building the index again would."""
         return 2 * (self.changes - self.searched) > self.size
 
     def search(self, limits: TimeBounds, newest: bool, beyond: int) -> Iterator[PartialMatch]:

@@ -192,17 +192,18 @@ class MatchBuffer:
             candidate = last
             # A dictionary is created only for keys with more matches than a short scan visits.
             for _ in range(MAX_MISSES_WITH_INDEX):
-                if (candidate.identity or self._named(candidate)) == name:
+                if (candidate.identity or self._identify_match(candidate)) == name:
                     return candidate
                 candidate = candidate.older
                 if candidate is last:
                     return None
             names = self.names[key] = {
-                candidate.identity or self._named(candidate): candidate for candidate in self.with_key(key)
+                candidate.identity or self._identify_match(candidate): candidate
+                for candidate in self.with_key(key)
             }
         return names.get(name)
 
-    def _named(self, match: PartialMatch) -> Hashable:
+    def _identify_match(self, match: PartialMatch) -> Hashable:
         """Set and return the identity of a match; a match that is alone under its key may not have one yet."""
         assert self.name is not None
         match.identity = name = self.name(match)
@@ -297,7 +298,7 @@ class MatchBuffer:
                 yield match
                 # The consumer of the iterator may have removed the next match, whose links are gone then.
                 if step.buffer is not self:
-                    behind = self._behind(key, order, newest)
+                    behind = self._next_after_removed(key, order, newest)
                     if behind is None:
                         return
                     step = behind
@@ -317,7 +318,7 @@ class MatchBuffer:
             index = self.indices[key] = IntervalIndex(self.with_key(key), by_end)
         return index
 
-    def _behind(self, key: Hashable, order: int, newest: bool) -> Optional[PartialMatch]:
+    def _next_after_removed(self, key: Hashable, order: int, newest: bool) -> Optional[PartialMatch]:
         """Return the next match of a key after an order whose match may have been removed."""
         for match in reversed(self.with_key(key)) if newest else self.with_key(key):
             if match.order < order if newest else match.order > order:

@@ -112,7 +112,7 @@ class NegationBuffer:
         condition: tests the values of the pair together with a negated match, if the negated pattern has conditions
             on the pair; else None.
         carried: negation buffers that those conditions contain, with the nodes of their negated patterns.
-        borders: frontiers by key.
+        frontiers: frontiers by key.
     """
 
     def __init__(self, rule: "EventRule", shared: Sequence[Tuple[int, int]], ever: bool):
@@ -125,12 +125,12 @@ class NegationBuffer:
         self.buffer.reach = BEFORE if ever else BETWEEN
         self.buffer.forbids = True
         self.asked = MatchBuffer(rule, tuple(pair_position for _, pair_position in self.shared))
-        self.borders: Dict[Hashable, _Frontier] = {}
-        self.buffer.on_mend = self._forget_borders
+        self.frontiers: Dict[Hashable, _Frontier] = {}
+        self.buffer.on_mend = self._drop_frontiers
 
-    def _forget_borders(self) -> None:
+    def _drop_frontiers(self) -> None:
         """Drop the frontiers; each is built again at its next use."""
-        self.borders = {}
+        self.frontiers = {}
 
     def bind(self, negated: "NetworkNode", mode: NetworkOptions) -> None:
         """Receive the matches of a node, and connect the buffers that the conditions contain."""
@@ -149,12 +149,12 @@ class NegationBuffer:
     def arrive(self, match: PartialMatch, after: Frame) -> Frame:
         """Store a negated match, unless stored matches dominate it."""
         key = self.buffer.key_of(match)
-        if key is not None and self.has_borders() and not self._needed(key, match):
+        if key is not None and self.uses_frontiers() and not self._needed(key, match):
             return after
         self.buffer.add(match, key)
         return after
 
-    def has_borders(self) -> bool:
+    def uses_frontiers(self) -> bool:
         """Return whether only times matter: matches have no conditions, and events are not retracted."""
         return self.condition is None and not self.rule.network.mode.tracked
 
@@ -170,20 +170,20 @@ class NegationBuffer:
                 return False
             older.leave()
             return True
-        border = self._border(key)
+        frontier = self._frontier(key)
         # Must precede `takes`: the new match is in no buffer yet and would be removed.
-        border.compact()
-        return border.takes(match)
+        frontier.compact()
+        return frontier.takes(match)
 
-    def _border(self, key: Hashable) -> _Frontier:
-        border = self.borders.get(key)
-        if border is None or key not in self.buffer.newest:
-            border = self.borders[key] = _Frontier()
+    def _frontier(self, key: Hashable) -> _Frontier:
+        frontier = self.frontiers.get(key)
+        if frontier is None or key not in self.buffer.newest:
+            frontier = self.frontiers[key] = _Frontier()
             for match in self.buffer.with_key(key):
-                border.takes(match)
+                frontier.takes(match)
             # Building a frontier removes dominated matches from the buffer, which may leave keys without matches.
-            self._drop_empty_borders()
-        return border
+            self._drop_empty_frontiers()
+        return frontier
 
     def rules_out(self, key: Hashable, end: int) -> bool:
         """Return whether a negated match of a key starts after an instant.
@@ -195,54 +195,54 @@ class NegationBuffer:
             return False
         if last.older is last:
             return last.start > end
-        return self._border(key).between(end, MAX_VALUE) is not None
+        return self._frontier(key).between(end, MAX_VALUE) is not None
 
     def least_end(self, before: int) -> int:
         """Return the smallest end that a first operand can have if the second operand starts at ``before``.
 
         This bound lets the join skip all first operands that are ruled out. It holds only if the negated pattern
-        shares no variables and `has_borders` is true.
+        shares no variables and `uses_frontiers` is true.
         """
         last = self.buffer.newest.get(())
         if last is None:
             return MIN_VALUE
         if last.older is last:
             return last.start if last.end < before else MIN_VALUE
-        border = self._border(())
+        frontier = self._frontier(())
         # The last match that ends before the second operand also has the largest start of those; a first operand
         # that ends before that start is ruled out.
-        position = bisect_left(border.ends, before) - 1
-        while position >= 0 and border.matches[position].buffer is None:
+        position = bisect_left(frontier.ends, before) - 1
+        while position >= 0 and frontier.matches[position].buffer is None:
             position -= 1
-        return border.starts[position] if position >= 0 else MIN_VALUE
+        return frontier.starts[position] if position >= 0 else MIN_VALUE
 
-    def _drop_empty_borders(self) -> None:
+    def _drop_empty_frontiers(self) -> None:
         """Remove the frontiers of keys without stored matches, if there are many."""
         newest = self.buffer.newest
-        if len(self.borders) > 2 * len(newest) + _STALE_TOLERANCE:
-            self.borders = {key: border for key, border in self.borders.items() if key in newest}
+        if len(self.frontiers) > 2 * len(newest) + _STALE_TOLERANCE:
+            self.frontiers = {key: frontier for key, frontier in self.frontiers.items() if key in newest}
 
     def blocks(self, values: Values, after: int, before: int) -> bool:
         """Return whether a negated match lies between two instants."""
         buffer = self.buffer
         if not buffer.newest:
-            self.borders.clear()
+            self.frontiers.clear()
             return False
         try:
             key = self.asked.key(values)
         except ValueError:
             key = None
-        if key is not None and not self.ever and None not in buffer.newest and self.has_borders():
+        if key is not None and not self.ever and None not in buffer.newest and self.uses_frontiers():
             last = buffer.newest.get(key)
             if last is None:
-                self.borders.pop(key, None)
+                self.frontiers.pop(key, None)
                 return False
             # A key with one match is the usual case and needs no frontier.
             if last.older is last:
                 return after < last.start and last.end < before
-            border = self.borders.get(key)
-            if border is not None:
-                return border.between(after, before) is not None
+            frontier = self.frontiers.get(key)
+            if frontier is not None:
+                return frontier.between(after, before) is not None
         return self._search(key, values, after, before)
 
     def _search(self, key: Hashable, values: Values, after: int, before: int) -> bool:

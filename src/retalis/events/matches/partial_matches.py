@@ -449,17 +449,17 @@ class ConsumptionPolicy(Enum):
 
     @property
     def newest(self) -> bool:
-        """Whether the newest partner is chosen first."""
+        """True if the newest partner is chosen first."""
         return self in (ConsumptionPolicy.RECENT, ConsumptionPolicy.RECENT_2)
 
     @property
     def consuming(self) -> bool:
-        """Whether a partner is consumed."""
+        """True if a partner is consumed."""
         return self is not ConsumptionPolicy.UNRESTRICTED
 
     @property
     def replacing(self) -> bool:
-        """Whether a newer occurrence of the same event replaces the stored one."""
+        """True if a newer occurrence of the same event replaces the stored one."""
         return self is ConsumptionPolicy.RECENT
 
 

@@ -202,7 +202,7 @@ class RunGroup:
 
     @property
     def forbids(self) -> bool:
-        """Whether the sequences belong to a negated pattern."""
+        """True if the sequences belong to a negated pattern."""
         return self.node.forbids
 
     def at(self, number: int) -> Optional[RunCursor]:

@@ -208,10 +208,10 @@ class EventRule:
         ]
         self._sweeps = [] if skipping is not None else sweeps
         self._end_sweep()
-        self._resettle()
+        self._refile_matches()
         # Each node listens again in `bind`, in the order that its new options require.
         self.unlisten()
-        self.completion = completion = self._completing()
+        self.completion = completion = self._continuation_of_head()
         complete = completion.action
 
         def take(match: PartialMatch, after: Frame) -> Frame:
@@ -267,23 +267,26 @@ class EventRule:
         class_names = [type(node).__name__ for node, _, _ in self.nodes]
         # A newer version of the package may compile the same rule to other nodes.
         if class_names != [class_name for class_name, _ in state.nodes]:
-            raise UsageError(f"{self.name} is made of other parts than it was")
+            raise UsageError(
+                f"{self.name}: the saved state does not fit: it belongs to other nodes than the rule has now"
+            )
         for (node, _, _), (_, kept) in zip(self.nodes, state.nodes):
             if kept is not None:
                 node.restore(kept)
         buffers = self._buffers()
         waiting: Dict[int, Dict[PartialMatch, None]] = {}
         for match, place, order in state.arrivals:
+            # Orders are set before the matches are put back: buffers link them in this order.
             match.order = order
             waiting.setdefault(place, {})[match] = None
         for place, matches in waiting.items():
             if place >= 0:
                 buffers[place].put_back(list(matches))
-        self._arrive_anew([match for match, _, _ in state.arrivals])
+        self._reset_arrivals([match for match, _, _ in state.arrivals])
         self.waiting = len(set(self.arrivals))
         self.later = [(buffers[place], match, buffers[place].key_of(match)) for place, match in state.later]
         self._later_event = state.later_event
-        self._resettle()
+        self._refile_matches()
 
     def mend(self) -> None:
         """Repair the stored matches after an interrupt."""
@@ -293,26 +296,26 @@ class EventRule:
         for match in waiting:
             match.mend()
         self.waiting = len(waiting)
-        self._arrive_anew(waiting)
-        self._resettle()
+        self._reset_arrivals(waiting)
+        self._refile_matches()
         for node, _, _ in self.nodes:
             node.mend()
 
-    def _arrive_anew(self, waiting: List[PartialMatch]) -> None:
+    def _reset_arrivals(self, waiting: List[PartialMatch]) -> None:
         self.arrivals.clear()
         self.arrivals.extend(waiting)
         self._end_sweep()
 
-    def _resettle(self) -> None:
+    def _refile_matches(self) -> None:
         """Enter all stored matches into the expiration queues by their current retention times."""
-        self._expire_nothing()
+        self._clear_expirations()
         for match in self.arrivals:
             if match.buffer is not None:
                 self._file(match, match.buffer.span)
         if self.skipping is not None:
             self.skipping.refile(self.arrivals)
 
-    def _expire_nothing(self) -> None:
+    def _clear_expirations(self) -> None:
         self.expiries.reset(self._span)
         self._by_end = ExpirationQueue()
 
@@ -326,12 +329,12 @@ class EventRule:
 
     @property
     def sweeps_ruled_out(self) -> bool:
-        """Whether matches that are ruled out are removed; see `RuledOutSweep`."""
+        """True if matches that are ruled out are removed; see `RuledOutSweep`."""
         return bool(self._sweeps)
 
     @property
     def collects(self) -> bool:
-        """Whether garbage control removes stored matches."""
+        """True if garbage control removes stored matches."""
         return self._garbage is not None
 
     @property
@@ -370,7 +373,7 @@ class EventRule:
 
     @property
     def active(self) -> bool:
-        """Whether it receives events."""
+        """True if it receives events."""
         return bool(self.listeners)
 
     def unlisten(self) -> None:
@@ -395,7 +398,7 @@ class EventRule:
         for match in list(self.arrivals):
             match.leave()
         self.arrivals.clear()
-        self._expire_nothing()
+        self._clear_expirations()
         self._end_sweep()
 
     def add_later(self, buffer: MatchBuffer, match: PartialMatch, key: Hashable) -> None:
@@ -456,6 +459,7 @@ class EventRule:
         self.waiting += 1
         arrivals = self.arrivals
         arrivals.append(match)
+        # Most rules need none of this: no expiration, no tracking, no skip strategy.
         if self._watched:
             self._watch(match, span)
         number = self.waiting
@@ -488,6 +492,7 @@ class EventRule:
             self._visited = 0
             for sweep in self._sweeps:
                 sweep.begin(self.order)
+        # First operands are visited completely before any negated match is removed; see `RuledOutSweep.begin`.
         if self._to_visit:
             following = remove_stale_entries(self.arrivals, self._visited, self._visit)
             self._to_visit = following is not None
@@ -565,7 +570,7 @@ class EventRule:
         self.firings.last = end
         return after
 
-    def _completing(self) -> Continuation:
+    def _continuation_of_head(self) -> Continuation:
         """Return the continuation for the values of a complete match."""
         head = self.definition.head
         if head is None:
@@ -602,6 +607,7 @@ class EventRule:
 
     def fire(self, head: Term, start: int, end: int, after: Frame, token: Any = None) -> Frame:
         """Return the frame that dispatches the head, or sets its alarm, and continues with ``after``."""
+        # Each firing counts as work, so a rule that triggers itself is stopped.
         if self.meter is not None and self.meter(1):
             return after
         network = self.network

@@ -63,7 +63,7 @@ class TimedOwner(Protocol):
 
     @property
     def active(self) -> bool:
-        """Whether it receives events."""
+        """True if it receives events."""
 
 
 class TimedNode(Protocol):
@@ -187,6 +187,8 @@ class RuleGoal:
             after: the frame to continue with.
         """
         given = values if self._takes_all else tuple([values[position] for position in self.positions])
+        # With ground inputs, the goal returns only its other variables; the values of the match are passed beside
+        # it.
         if ground or are_ground(given):
             goal, kept = self._plain, values
         else:
@@ -305,6 +307,7 @@ def goal_test(call: RuleGoal, timed: bool, captured: Optional[Tuple[int, int]]) 
                 return values + tuple([make() for make in missing])
         if not timed:
             return goal(values)
+        # Conditions nest: the event that a condition makes may cause another timed condition.
         before = under_way.checked
         under_way.checked = (start, end)
         try:
@@ -402,6 +405,7 @@ class Evaluators:
             try:
                 current = begin.test(())
                 for element in values:
+                    # A failing step makes the whole aggregate fail.
                     current = None if current is None else step.test((element, current[0]))
                 result = None if current is None else show.test((current[0],))
             except PrologError as error:

@@ -137,7 +137,7 @@ class JoinNode(NetworkNode):
             sources = [self.taken[position] for _, position in absence.shared]
             # If the negated pattern shares a variable with the second operand, different second operands have
             # different negated matches, and no first operand is ruled out for all of them.
-            if absence.has_borders() and all(source.startswith("lv[") for source in sources):
+            if absence.uses_frontiers() and all(source.startswith("lv[") for source in sources):
                 positions = [int(source[3:-1]) for source in sources]
                 sweeps.append(RuledOutSweep(self.left_buffer, absence, positions))
         return sweeps
@@ -180,7 +180,7 @@ class JoinNode(NetworkNode):
         self.left_buffer.least_end = None
         for absence in self.absences:
             # Without shared variables the bound is the same for all first operands, so the search can use it.
-            if absence.has_borders() and not absence.shared:
+            if absence.uses_frontiers() and not absence.shared:
                 self.left_buffer.least_end = absence.least_end
         left_name, right_name = self._names if mode.policy.replacing else (None, None)
         self.left_buffer.identify(None if operator.everything else left_name)
@@ -206,6 +206,7 @@ class JoinNode(NetworkNode):
         return self._is_revised(mode) and self.revived[0]
 
     def _left_side(self) -> MatchSide:
+        # A left operand is always stored, even after it has joined with a partner: later right operands may use it.
         return MatchSide(self.left_buffer, self.right_buffer, self.joined, self.pairs, True, True, False)
 
     def _right_side(self, mode: NetworkOptions) -> MatchSide:
@@ -273,6 +274,7 @@ class JoinNode(NetworkNode):
         rule = self.rule
         if not self._may_fuse(mode):
             return None
+        # At the root, the pair is not created as a match: its values go directly to the head.
         whole = rule.completion if rule.root is self else None
         pair = FusedPair(
             (_is_whole(self.left), _is_whole(self.right)),
@@ -367,10 +369,10 @@ class JoinNode(NetworkNode):
             "\n".join(lines) + "\n", names, f"join by {operator.name}"
         )
         if self.rule.network.mode.tracked and (self.absences or self.carried):
-            return self._noting_what_is_suppressed(join, left_arrives)
+            return self._recording_suppressed(join, left_arrives)
         return join
 
-    def _noting_what_is_suppressed(
+    def _recording_suppressed(
         self, join: Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]], left_arrives: bool
     ) -> Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]]:
         tracker = self.rule.network.tracker

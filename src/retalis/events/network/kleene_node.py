@@ -296,7 +296,7 @@ class KleeneNode(KleeneValues):
         policy = mode.policy
         self.tracked = mode.tracked
         self.extending: Callable[[Any, PartialMatch, bool], Tuple[bool, Optional[PartialMatch]]]
-        self.extending = self._extend_noting if mode.tracked and self.carried else self.extend
+        self.extending = self._extend_and_record if mode.tracked and self.carried else self.extend
         self.consuming = policy.consuming
         self.late = mode.out_of_order
         self.waits_later = self.late and self.double and policy.replacing
@@ -453,7 +453,7 @@ class KleeneNode(KleeneValues):
             self.rule.network.tracker.hold_repetition(run, match, self)
         return extended, result
 
-    def _extend_noting(
+    def _extend_and_record(
         self, run: Run, match: PartialMatch, keyed: bool
     ) -> Tuple[bool, Optional[PartialMatch]]:
         """Extend a run as `extend` does.
@@ -514,6 +514,7 @@ class KleeneNode(KleeneValues):
             return []
         # Results before the first retracted repetition remain valid and are not emitted again.
         sound = next(index for index, match in enumerate(run.taken) if not is_valid(match))
+        # Accumulators cannot remove a value, so the run is computed from the start.
         run.restart(self.empty)
         results = []
         for number, (match, (values, step)) in enumerate(metered(repetitions, self.rule.meter)):
@@ -540,5 +541,6 @@ class KleeneNode(KleeneValues):
                 match.used = run
         if result is None or is_retracted(result):
             return after
+        # The result arrives after its events; a match that has fired meanwhile may have skipped it.
         skipping = None if self.forbids else self.rule.skipping
         return self.out(result, after) if skipping is None or skipping.takes(result.start) else after

@@ -138,6 +138,7 @@ class NegatedPattern:
     def _forbidden(self) -> BuiltPattern:
         before = len(self._nodes)
         built = self._build()
+        # All nodes that the call has added belong to the negated pattern.
         for node, _, _ in self._nodes[before:]:
             node.forbids = True
             for buffer in node.buffers():

@@ -132,11 +132,11 @@ class NetworkNode:
     vars: List[Var]
     place = 0
     windowed = True
-    """Whether the window of a label is tested here."""
+    """True if the window of a label is tested here."""
     alone = False
-    """Whether the pattern is one event with conditions and goals, so that values are passed instead of matches."""
+    """True if the pattern is one event with conditions and goals, so that values are passed instead of matches."""
     forbids = False
-    """Whether it belongs to a negated pattern; its matches are not skipped after a match."""
+    """True if it belongs to a negated pattern; its matches are not skipped after a match."""
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
         """Send matches to ``out`` from now on, according to ``mode``; stored matches remain."""
@@ -399,6 +399,7 @@ class ActionNode(NetworkNode):
                     PartialMatch(values, start, end, match.event, None, (match, Found(own(values)))), then
                 )
 
+            # Events that the goal makes are derived from this match, so that they are retracted together with it.
             done = call.noting_cause(match, solved, after) if tracked else (solved, after)
             return act(match.term, match.values, match.start, match.end, is_of_ground(match), *done)
 

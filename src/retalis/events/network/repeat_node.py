@@ -9,8 +9,8 @@ repetition as the others: a repetition that overlaps the one before, a ``within`
 identical events under the policy ``recent``. They join the group again when the policy allows it.
 
 The group requires that partners are consumed, that events arrive in order, and that the shared values have no
-variables. Otherwise the node builds the join nodes after all (`RepeatNode._part`) and sends its matches to them.
-Both forms have the same results; `test_ntimes` compares them.
+variables. Otherwise the node builds the join nodes after all (`RepeatNode._switch_to_joins`) and sends its matches
+to them. Both forms have the same results; `test_ntimes` compares them.
 """
 
 from typing import (
@@ -107,21 +107,21 @@ class RepeatNode(NetworkNode):
         self._kept = tuple([place_of[var] for var in self.vars])
         self._key = key_function(self._kept)
         self._buffers: Dict[int, MatchBuffer] = {}
-        self._apart: Dict[Hashable, Dict[int, None]] = {}
-        self._joinings: List[JoinNode] = []
+        self._separate: Dict[Hashable, Dict[int, None]] = {}
+        self._join_nodes: List[JoinNode] = []
         self._relays: List[_Relay] = []
         self.trains: Dict[Hashable, RunGroup] = {}
-        self._moving = RunGroupBuffer(self)
+        self._group_buffer = RunGroupBuffer(self)
         self.span: Optional[int] = None
         self.limit: Optional[int] = None
         self._mode = NetworkOptions()
-        self._together = False
+        self._is_grouped = False
         self.visits = 0
 
     def buffers(self) -> Sequence[Buffer]:
         """Return the buffers of the node."""
-        right = [joining.right_buffer for joining in self._joinings]
-        return (self._moving, *self._buffers.values(), *right)
+        right = [joining.right_buffer for joining in self._join_nodes]
+        return (self._group_buffer, *self._buffers.values(), *right)
 
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
         """Set the interval bound and the retention time; see `NetworkNode.set_span`."""
@@ -129,7 +129,7 @@ class RepeatNode(NetworkNode):
         self.limit = limit
         for buffer in self._buffers.values():
             buffer.span = limit
-        for joining in self._joinings:
+        for joining in self._join_nodes:
             joining.set_span(span, limit)
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
@@ -138,37 +138,37 @@ class RepeatNode(NetworkNode):
         self._mode = mode
         open_ones = any(None in buffer.newest for buffer in self._buffers.values())
         if not mode.policy.consuming or mode.out_of_order or open_ones:
-            self._part()
+            self._switch_to_joins()
         else:
-            self._together = True
+            self._is_grouped = True
             for number, buffer in self._buffers.items():
                 for match in buffer.all() if number > 1 else ():
                     set_slice_parts(match, number)
                 self._set_up(buffer, number)
                 for key in buffer.newest:
-                    self._apart.setdefault(key, {})[number] = None
+                    self._separate.setdefault(key, {})[number] = None
         self.child.bind(self._arrive, mode)
 
     def kept(self) -> Any:
         """Return the state of the node; see `NetworkNode.kept`."""
-        apart = [(key, list(numbers)) for key, numbers in self._apart.items()]
-        return self._together, list(self._buffers), list(self.trains.values()), apart
+        apart = [(key, list(numbers)) for key, numbers in self._separate.items()]
+        return self._is_grouped, list(self._buffers), list(self.trains.values()), apart
 
     def restore(self, kept: Any) -> None:
         """Set the state of the node; see `NetworkNode.restore`."""
         together, numbers, trains, apart = kept
-        if self._together and not together:
-            self._part()
+        if self._is_grouped and not together:
+            self._switch_to_joins()
         for number in numbers:
             self._buffer(number)
         self.trains = {train.key: train for train in trains}
-        self._apart = {key: dict.fromkeys(lengths) for key, lengths in apart}
+        self._separate = {key: dict.fromkeys(lengths) for key, lengths in apart}
 
     def number_of_buffers(self, kept: Any) -> int:
         """Return the number of buffers that the node has after it has restored a state."""
         together, numbers, _, _ = kept
         known = {*self._buffers, *numbers}
-        if self._together and together:
+        if self._is_grouped and together:
             return 1 + len(known)
         return 1 + len(known.union(range(1, self.times))) + self.times - 1
 
@@ -177,11 +177,11 @@ class RepeatNode(NetworkNode):
         return token.values if token.apart > 1 else tuple([token.values[position] for position in self._kept])
 
     def _arrive(self, match: PartialMatch, after: Frame) -> Frame:
-        if self._together:
+        if self._is_grouped:
             try:
                 key = self._key(match.values)
             except ValueError:
-                self._part()
+                self._switch_to_joins()
             else:
                 result = self._take(match, key)
                 return after if result is None else self._out(result, after)
@@ -194,20 +194,20 @@ class RepeatNode(NetworkNode):
     def _take(self, match: PartialMatch, key: Hashable) -> Optional[PartialMatch]:
         """Extend the open sequences with a repetition; return the match that it completes, or None."""
         train = self.trains.get(key)
-        apart = self._apart.get(key)
+        apart = self._separate.get(key)
         if train is None:
             train = RunGroup(self, key)
         # A repetition must follow the last one of the group. If it does not, only sequences stored separately can
         # take it.
         if match.start <= train.end:
-            return self._take_apart(train, match, apart)
+            return self._extend_separate(train, match, apart)
         train.renew(self.times)
         if apart:
-            self._join_train(train, match, apart)
+            self._regroup(train, match, apart)
         # Sequences that are too old expire by the rule's clock. A time stamp in the far future does not move the
         # clock, so sequences that cannot take it must stay available for later repetitions.
         if self.span is not None and match.end > self.rule.clock:
-            self._leave_behind(train, match)
+            self._ungroup_too_long(train, match)
         longest = train.advance(match, self.times)
         self.trains[key] = train
         self.visits += 1
@@ -224,7 +224,7 @@ class RepeatNode(NetworkNode):
             self._replace(train, apart)
         return result
 
-    def _join_train(self, train: RunGroup, match: PartialMatch, apart: Dict[int, None]) -> None:
+    def _regroup(self, train: RunGroup, match: PartialMatch, apart: Dict[int, None]) -> None:
         """Add separately stored sequences to a group, in place of those with the same length.
 
         The policy decides which of two sequences with the same length stays in the group.
@@ -234,24 +234,24 @@ class RepeatNode(NetworkNode):
             self.visits += 1
             token = train.at(number)
             if token is not None and newest and self._fits(token, match):
-                # It is newer than those that wait apart.
+                # It is newer than the separately stored sequences.
                 continue
             sequence = self._first_fit(number, train.key, match, apart)
             if sequence is None:
                 continue
             if token is not None:
-                self._stop(train, token, number)
+                self._ungroup(train, token, number)
             sequence.leave()
             sequence = RunCursor(sequence, number, train)
             train.put(number, sequence)
             self.rule.keep(sequence, self.limit)
 
-    def _leave_behind(self, train: RunGroup, match: PartialMatch) -> None:
+    def _ungroup_too_long(self, train: RunGroup, match: PartialMatch) -> None:
         """Store the sequences separately that would be too long with a match that does not move the rule's clock."""
         for number, token in list(train.present()):
             self.visits += 1
             if not self._fits(token, match):
-                self._stop(train, token, number)
+                self._ungroup(train, token, number)
 
     def _replace(self, train: RunGroup, apart: Dict[int, None]) -> None:
         """Remove the separately stored sequences that consist of the same events as the ones in the group."""
@@ -262,7 +262,7 @@ class RepeatNode(NetworkNode):
                 if older is not None:
                     older.leave()
 
-    def _take_apart(
+    def _extend_separate(
         self, train: RunGroup, match: PartialMatch, apart: Optional[Dict[int, None]]
     ) -> Optional[PartialMatch]:
         """Extend the separately stored sequences with a repetition that overlaps the last one of the group."""
@@ -286,8 +286,8 @@ class RepeatNode(NetworkNode):
             if number + 1 == self.times:
                 result = longer
             else:
-                self._set_apart(train, longer, number + 1)
-        self._set_apart(train, match, 1)
+                self._store_new_sequence(train, longer, number + 1)
+        self._store_new_sequence(train, match, 1)
         return result
 
     def _first_fit(
@@ -307,17 +307,17 @@ class RepeatNode(NetworkNode):
     def _fits(self, sequence: PartialMatch, match: PartialMatch) -> bool:
         return self.span is None or match.end - sequence.start <= self.span
 
-    def _set_apart(self, train: RunGroup, match: PartialMatch, number: int) -> None:
+    def _store_new_sequence(self, train: RunGroup, match: PartialMatch, number: int) -> None:
         """Store a new sequence separately; it is newer than the one with the same length in the group."""
         token = train.at(number)
         if token is not None:
             if self._mode.policy.replacing and identity(train.match_of(token, number)) == identity(match):
                 token.leave()
             else:
-                self._stop(train, token, number)
-        self._wait_apart(match, number, train.key)
+                self._ungroup(train, token, number)
+        self._store_separately(match, number, train.key)
 
-    def _stop(self, train: RunGroup, token: RunCursor, number: int) -> None:
+    def _ungroup(self, train: RunGroup, token: RunCursor, number: int) -> None:
         """Remove a sequence from a group and store it separately, with the age that it had in the group."""
         match = train.match_of(token, number)
         token.leave()
@@ -326,20 +326,20 @@ class RepeatNode(NetworkNode):
         # set back for this call.
         before, rule.order = rule.order, train.order - number
         try:
-            self._wait_apart(match, number, train.key)
+            self._store_separately(match, number, train.key)
         finally:
             rule.order = before
 
-    def _wait_apart(self, match: PartialMatch, number: int, key: Hashable) -> None:
+    def _store_separately(self, match: PartialMatch, number: int, key: Hashable) -> None:
         buffer = self._buffer(number)
         buffer.add(match, key)
         # The lengths are cleared lazily, when a key is used. Keys that are never used again would accumulate.
-        if key not in self._apart and len(self._apart) > 2 * self.rule.waiting + 1000:
-            self._apart = {}
+        if key not in self._separate and len(self._separate) > 2 * self.rule.waiting + 1000:
+            self._separate = {}
             for length, other_buffer in self._buffers.items():
                 for other_key in other_buffer.newest:
-                    self._apart.setdefault(other_key, {})[length] = None
-        self._apart.setdefault(key, {})[number] = None
+                    self._separate.setdefault(other_key, {})[length] = None
+        self._separate.setdefault(key, {})[number] = None
 
     def _buffer(self, number: int) -> MatchBuffer:
         buffer = self._buffers.get(number)
@@ -377,18 +377,18 @@ class RepeatNode(NetworkNode):
 
     # ---- join nodes ----------------------------------------------------------------------------------
 
-    def _part(self) -> None:
+    def _switch_to_joins(self) -> None:
         """Switch to join nodes, and move all sequences to their buffers."""
         for train in sorted(self.trains.values(), key=lambda stored: stored.order):
             # Oldest group first, longest sequence first: the order in which they were stored.
             for number, token in list(train.present()):
-                self._stop(train, token, number)
-        self._apart = {}
-        self._together = False
+                self._ungroup(train, token, number)
+        self._separate = {}
+        self._is_grouped = False
         for number, buffer in self._buffers.items():
             for stored in buffer.all() if number > 1 else ():
                 set_chain_parts(stored, number)
-        if not self._joinings:
+        if not self._join_nodes:
             shared = frozenset(self.vars)
             self._relays = [_Relay(self.child, shared) for _ in range(self.times)]
             left: Any = self._relays[0]
@@ -397,8 +397,8 @@ class RepeatNode(NetworkNode):
                 left.left_buffer = self._buffer(number)
                 left.right_buffer.forbids = self.forbids
                 left.set_span(self.span, self.limit)
-                self._joinings.append(left)
-        self._joinings[-1].bind(self._give if self._mode.policy.replacing else self._out, self._mode)
+                self._join_nodes.append(left)
+        self._join_nodes[-1].bind(self._give if self._mode.policy.replacing else self._out, self._mode)
 
     def _names_at(self, number: int) -> Tuple[IdentityFunction, IdentityFunction]:
         single_name, longer_name = self._names

@@ -108,7 +108,7 @@ class RuleCompiler(StreamCompiler):
         self.pattern = pattern
         self.keep = shared_variables(head, pattern)
         self._counts = occurrences(head, pattern)
-        self._telling = MatchKeys(self.keep)
+        self._match_keys = MatchKeys(self.keep)
         self.nodes: List[Tuple[NetworkNode, Optional[int], Retention]] = []
         self.ringing: List[StreamNode] = []
         self.twins: List[Tuple[BuiltPattern, BuiltPattern]] = []
@@ -156,7 +156,7 @@ class RuleCompiler(StreamCompiler):
         # Innermost pair first.
         while pairs:
             pair, wrapping, inner = pairs.pop()
-            built = self._joining(pair, wrapping, context, inner, built, first_left_stream)
+            built = self._build_join(pair, wrapping, context, inner, built, first_left_stream)
         return built
 
     def _build_core(
@@ -164,9 +164,9 @@ class RuleCompiler(StreamCompiler):
     ) -> BuiltPattern:
         """Build a pattern that is not a pair."""
         if isinstance(core, (Star, Aggregate)):
-            return self._running(core, wrapping, context, inner)
+            return self._build_kleene(core, wrapping, context, inner)
         if isinstance(core, Repeated):
-            return self._repeated(core, context, inner)
+            return self._build_repeat(core, context, inner)
         if isinstance(core, Occurs):
             leaf = self._add(EventNode(self.rule, core.term), None, UNLIMITED)
             built = BuiltPattern(leaf, [], [], [leaf])
@@ -179,9 +179,9 @@ class RuleCompiler(StreamCompiler):
             in_order = [leaf for branch in branches for leaf in branch.leaves]
             built = BuiltPattern(self._add(node, None, inner), deferred, joined, single, in_order)
         elif isinstance(core, Absent):
-            built = self._never(core, context, inner)
+            built = self._build_not(core, context, inner)
         elif isinstance(core, (Windowed, Shaped, Awaited)):
-            built = self._streamed(core, context, inner.part)
+            built = self._build_stream(core, context, inner.part)
         else:
             assert isinstance(core, Action)
             below = self._build(core.pattern, context, inner)
@@ -189,15 +189,17 @@ class RuleCompiler(StreamCompiler):
                 below.node, RuleGoal(self.rule, core.goal, below.node.vars), core.every, self.keep
             )
             built = below._replace(node=self._add(node, None, inner))
-        return self._filtered(built, wrapping, context)
+        return self._add_filter(built, wrapping, context)
 
-    def _repeated(self, core: Repeated, context: VarSet, limit: Retention) -> BuiltPattern:
+    def _build_repeat(self, core: Repeated, context: VarSet, limit: Retention) -> BuiltPattern:
         """Build a repeated pattern, by a `RepeatNode` if possible, else written out as a sequence."""
         if core.is_of_single_events():
+            # If the pattern has deferred conditions, the nodes built so far are discarded, and the sequence is
+            # built instead.
             before = len(self.nodes)
             built = self._build(core.pattern, context | self._bound(core.pattern), limit)
             if not built.deferred:
-                naming = partial(self._telling.name, pattern=core.pattern)
+                naming = partial(self._match_keys.name, pattern=core.pattern)
                 repeating = RepeatNode(self.rule, built.node, core.times, self.keep, naming)
                 node = self._add(repeating, None, limit)
                 return BuiltPattern(node, [], built.leaves, [])
@@ -216,7 +218,7 @@ class RuleCompiler(StreamCompiler):
         return bound
 
     def _named(self, built: BuiltPattern, pattern: Pattern) -> IdentityFunction:
-        return self._telling.name(built.node.vars, pattern)
+        return self._match_keys.name(built.node.vars, pattern)
 
     def _add(self, node: N, span: Optional[int], limit: Retention) -> N:
         if isinstance(node, StreamNode):
@@ -224,12 +226,12 @@ class RuleCompiler(StreamCompiler):
         self.nodes.append((node, span, limit))
         return node
 
-    def _filtered(self, built: BuiltPattern, wrapping: Wrapping, context: VarSet) -> BuiltPattern:
+    def _add_filter(self, built: BuiltPattern, wrapping: Wrapping, context: VarSet) -> BuiltPattern:
         """Add a node with the conditions of an event, ``or`` or action above its node."""
         conditions, put_off = self._split(wrapping.conditions, wrapping.core, context)
         node = built.node
         for deferred in put_off:
-            node = self._captured(node, deferred)
+            node = self._add_capture(node, deferred)
         names: List[Var] = node.vars
         tests: List[Test] = []
         for condition in conditions:
@@ -290,14 +292,14 @@ class RuleCompiler(StreamCompiler):
         if goal is not None:
             mentioned = variables(goal)
             self.keep.update(mentioned)
-            self._telling.carried.update(mentioned)
+            self._match_keys.carried.update(mentioned)
         return DeferredConditions(needs, goal, timed, absent, start, end)
 
-    def _captured(self, node: NetworkNode, deferred: DeferredConditions) -> NetworkNode:
+    def _add_capture(self, node: NetworkNode, deferred: DeferredConditions) -> NetworkNode:
         """Add a node that passes on the interval of a match, for a condition."""
         return self._add(BindNode(node, deferred.start, deferred.end), None, UNLIMITED)
 
-    def _to_the_right(
+    def _build_right(
         self, pattern: Pattern, context: VarSet, limit: Retention, first_left_stream: int
     ) -> BuiltPattern:
         """Build the right operand of a pair; the streams of the left one begin at ``first_left_stream``."""
@@ -308,7 +310,7 @@ class RuleCompiler(StreamCompiler):
         self.ringing += left
         return built
 
-    def _joining(
+    def _build_join(
         self,
         core: Pair,
         wrapping: Wrapping,
@@ -318,7 +320,7 @@ class RuleCompiler(StreamCompiler):
         first_left_stream: int,
     ) -> BuiltPattern:
         here = context | self._bound(core.left)
-        right = self._to_the_right(core.right, here, limit, first_left_stream)
+        right = self._build_right(core.right, here, limit, first_left_stream)
         below = [*left.deferred, *right.deferred]
         sure: Set[Var] = set()
         # Only then: the analysis visits the whole left operand.
@@ -397,12 +399,13 @@ class RuleCompiler(StreamCompiler):
             node.test(*early_test(self.rule, node, gap_condition, node.vars))
         return [gap_condition]
 
-    def _never(self, core: Absent, context: VarSet, limit: Retention) -> BuiltPattern:
+    def _build_not(self, core: Absent, context: VarSet, limit: Retention) -> BuiltPattern:
         below = self._build(core.pattern, context, limit)
         here = context | frozenset(bound_by(core.pattern))
         negated = self._negated(core, here, UNLIMITED)
         sure = surely_bound_by(core.pattern, False, True)
         needs = negated.needs(here, set(below.node.vars)) | negated.needs(context, sure)
+        # The negated pattern needs no variables from further left, so it is tested directly above its pattern.
         if not needs:
             built = negated.make()
             absence = negation_buffer_for(self.rule, built, below.node.vars, True)
@@ -411,20 +414,20 @@ class RuleCompiler(StreamCompiler):
             )
             return below.with_negated(node, below.deferred, negated.first)
         gap_condition = self._deferred(None, False, (negated, True), needs)
-        node = self._captured(below.node, gap_condition)
+        node = self._add_capture(below.node, gap_condition)
         if gap_condition.may_be_tried(node.vars):
             node = self._add(EarlyTestNode(self.rule, node), None, UNLIMITED)
             node.test, _ = early_test(self.rule, node, gap_condition, node.vars)
         return below.with_negated(node, [*below.deferred, gap_condition], negated.first)
 
-    def _running(
+    def _build_kleene(
         self, core: Union[Star, Aggregate], wrapping: Wrapping, context: VarSet, limit: Retention
     ) -> BuiltPattern:
         here = context | frozenset(bound_by(core.first))
         pattern = core.repeated if isinstance(core, Star) else core.collected
         first_left_stream = len(self.ringing)
         first = self._build(core.first, context, limit)
-        repeated = self._to_the_right(pattern, here, limit, first_left_stream)
+        repeated = self._build_right(pattern, here, limit, first_left_stream)
         naming = self._named(first, core.first), self._named(repeated, pattern)
         node = KleeneNode(
             self.rule, first.node, repeated.node, may_share_event(first, repeated), naming, self.keep
@@ -437,6 +440,8 @@ class RuleCompiler(StreamCompiler):
             node.open([var for var in variables(value) if var in outside])
         items = RepetitionItems(outside)
         sure = surely_bound_by(core.first, False, True) | surely_bound_by(pattern, False, True)
+        # Conditions on a repetition that use variables of the context are tested above, on the list of all
+        # repetitions.
         ready, further = split_ready(repeated.deferred, sure, context)
         for pending in ready:
             test, node.step_vars = deferred_test(self.rule, node, pending, node.step_vars)

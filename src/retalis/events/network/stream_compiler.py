@@ -142,9 +142,9 @@ _SHAPES: Dict[str, Callable[[int], StreamOperator]] = {
     "change": lambda span: DistinctUntilChanged(),
 }
 # Reports of events that arrive too late, by operator.
-_LATE = "an event came when the window that it belongs to was over, and is not measured"
-_LATE_DEBOUNCED = "an event came when the time was over in which a newer one could have come"
-_LATE_AWAITED = "an event came when the time was over in which something was not to happen after it"
+_LATE = "an event is too late and is not measured: its window has ended"
+_LATE_DEBOUNCED = "an event is too late and is ignored: the time in which a newer one could follow has passed"
+_LATE_AWAITED = "an event is too late and is ignored: the time in which nothing may follow it has passed"
 
 
 def rate_operator(part: Shaped) -> StreamOperator:
@@ -239,6 +239,7 @@ def _fused_form(part: Windowed, places: Dict[Var, int], groups: Sequence[Var]) -
         return None
     values: List[Optional[int]] = []
     for value in part.values:
+        # Expressions need Prolog evaluation, which the fused code does not contain.
         if value is not None and (value.__class__ is not Var or value not in places):
             return None
         values.append(None if value is None else places[value])
@@ -380,7 +381,7 @@ class StreamCompiler:
         rule: the rule.
     """
 
-    _telling: MatchKeys
+    _match_keys: MatchKeys
 
     def __init__(self, rule: "EventRule"):
         self.rule = rule
@@ -397,7 +398,7 @@ class StreamCompiler:
     def _negated(self, absent: Awaited, context: VarSet, limit: Retention) -> NegatedPattern:
         raise NotImplementedError
 
-    def _streamed(
+    def _build_stream(
         self, core: Union[Windowed, Shaped, Awaited], context: VarSet, part: Optional[int]
     ) -> BuiltPattern:
         """Build an operator on streams.
@@ -408,9 +409,11 @@ class StreamCompiler:
             part: longest interval of a useful match, in ns; None for no bound.
         """
         if isinstance(core, Awaited):
-            return self._awaited(core, context)
+            return self._build_absence(core, context)
         pattern = core.collected if isinstance(core, Windowed) else core.pattern
         below = self._build(pattern, context, UNLIMITED)
+        # A window has no partner further left at the time when its elements are measured, so such conditions cannot
+        # be deferred.
         if below.deferred:
             what = "what is measured" if isinstance(core, Windowed) else f"the pattern of {core.shape}"
             raise RuleError(f"a condition in {what} looks at a pattern to the left of it", self.rule.place)
@@ -432,13 +435,14 @@ class StreamCompiler:
         node = self._add(StreamNode(self.rule, [below.node], own, making, core), None, Retention(part, part))
         return BuiltPattern(node, [], below.leaves, [])
 
-    def _awaited(self, core: Awaited, context: VarSet) -> BuiltPattern:
+    def _build_absence(self, core: Awaited, context: VarSet) -> BuiltPattern:
         """Build a pattern after which another one must not happen for some time."""
         below = self._build(core.pattern, context, UNLIMITED)
         here = context | frozenset(bound_by(core.pattern))
         negated = self._negated(core, here, UNLIMITED)
         sure = surely_bound_by(core.pattern, False, True)
         names = below.node.vars
+        # The timeout has no left operand whose variables could become known later.
         if negated.needs(here, set(names)) | negated.needs(context, sure):
             message = (
                 "what must be absent looks at a variable that the pattern before it does not give a value"
@@ -446,7 +450,7 @@ class StreamCompiler:
             raise RuleError(message, self.rule.place)
         built = negated.make()
         absence = negation_buffer_for(self.rule, built, names, False)
-        name = self._telling.name(names, core.pattern)
+        name = self._match_keys.name(names, core.pattern)
         making = absence_node_spec(core.span, names, built.node.vars, absence.condition, name)
         node = StreamNode(self.rule, [below.node, built.node], names, making, core)
         node.carried = absence.carried

@@ -74,30 +74,30 @@ class ReentrancyQueue:
     events applies to it.
 
     Attributes:
-        at_work: whether the operator is running.
+        is_running: whether the operator is running.
     """
 
     def __init__(self, dispatcher: Dispatcher):
         self._dispatcher = dispatcher
         self._steps: Deque[Tuple[Any, DeferredWork]] = deque()
-        self.at_work = False
+        self.is_running = False
 
     def clear(self) -> None:
         """Drop all deferred work, after an interrupt."""
-        self.at_work = False
+        self.is_running = False
         self._steps.clear()
 
-    def put_off(self, step: DeferredWork) -> None:
+    def defer(self, step: DeferredWork) -> None:
         """Defer work."""
         self._steps.append((self._dispatcher.current, step))
 
-    def while_at_work(self, work: Callable[[], Any]) -> Any:
+    def run_operator(self, work: Callable[[], Any]) -> Any:
         """Run the operator and return its result."""
-        self.at_work = True
+        self.is_running = True
         try:
             return work()
         finally:
-            self.at_work = False
+            self.is_running = False
 
     def before(self, after: Frame) -> Frame:
         """Return the frame that executes the deferred work, and continues with ``after``."""
@@ -336,7 +336,7 @@ class StreamNode(NetworkNode):
         self.making = making
         self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
         self.alone = len(self.children) == 1 and self.children[0].alone and not making.calls
-        self._postponing = ReentrancyQueue(rule.network.dispatcher) if making.calls else None
+        self._reentrancy = ReentrancyQueue(rule.network.dispatcher) if making.calls else None
         self._arrivals: Dict[int, Emit] = {}
         self.place = 0
         self.span: Optional[int] = None
@@ -367,7 +367,7 @@ class StreamNode(NetworkNode):
         """Connect the node; see `NetworkNode.bind`."""
         self._connect(out, mode)
         for channel, child in enumerate(self.children):
-            child.bind(self._arriving(channel, mode), mode)
+            child.bind(self._arrival_action(channel, mode), mode)
         for absence, node in self.carried:
             absence.bind(node, mode)
 
@@ -378,7 +378,7 @@ class StreamNode(NetworkNode):
             lambda match, after: complete(match.term, match.values, match.start, match.end, after),
             self.rule.mode,
         )
-        result, take = self.making.result, self._taking(0, self.rule.mode)
+        result, take = self.making.result, self._operator_input(0, self.rule.mode)
 
         def arrive(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             match = PartialMatch(values, start, end, None, term, None) if result is None else None
@@ -414,7 +414,7 @@ class StreamNode(NetworkNode):
 
     def _change(self, mode: NetworkOptions) -> None:
         """Run the operator with other options."""
-        if not self._is_put_off(lambda: self._change(mode)):
+        if not self._is_deferred(lambda: self._change(mode)):
             self._began = mode
             self._rebuild()
             self.replay = (
@@ -423,17 +423,17 @@ class StreamNode(NetworkNode):
                 else None
             )
 
-    def _is_put_off(self, work: Callable[[], None]) -> bool:
+    def _is_deferred(self, work: Callable[[], None]) -> bool:
         """Defer work if the operator is running; return whether it was deferred."""
-        postponing = self._postponing
-        if postponing is None or not postponing.at_work:
+        postponing = self._reentrancy
+        if postponing is None or not postponing.is_running:
             return False
 
         def step(after: Frame) -> Frame:
             work()
             return after
 
-        postponing.put_off(step)
+        postponing.defer(step)
         return True
 
     def _rebuild(self) -> None:
@@ -445,8 +445,8 @@ class StreamNode(NetworkNode):
 
     def mend(self) -> None:
         """Repair the operator after an interrupt: its state is counted and indexed again."""
-        if self._postponing is not None:
-            self._postponing.clear()
+        if self._reentrancy is not None:
+            self._reentrancy.clear()
             if self._began not in (None, self.rule.mode):
                 self._change(self.rule.mode)
         self._rebuild()
@@ -457,21 +457,21 @@ class StreamNode(NetworkNode):
         """Return the buffers of the node."""
         return [buffer for absence, _ in self.carried for buffer in absence.buffers()]
 
-    def _arriving(self, channel: int, mode: NetworkOptions) -> Emit:
+    def _arrival_action(self, channel: int, mode: NetworkOptions) -> Emit:
         """Return the action for the matches of one pattern."""
-        take = self._taking(channel, mode)
+        take = self._operator_input(channel, mode)
         with_match = mode.tracked or self.making.result is None
-        postponing = self._postponing
+        postponing = self._reentrancy
 
         def arrive(match: PartialMatch, after: Frame) -> Frame:
             taken = match if with_match else None
             if postponing is None:
                 outputs = take(taken, match.values, match.start, match.end)
-            elif postponing.at_work:
-                postponing.put_off(lambda frame: self._arrivals[channel](match, frame))
+            elif postponing.is_running:
+                postponing.defer(lambda frame: self._arrivals[channel](match, frame))
                 return after
             else:
-                outputs = postponing.while_at_work(lambda: take(taken, match.values, match.start, match.end))
+                outputs = postponing.run_operator(lambda: take(taken, match.values, match.start, match.end))
                 after = postponing.before(after)
             if not outputs:
                 return after
@@ -480,7 +480,7 @@ class StreamNode(NetworkNode):
         self._arrivals[channel] = arrive
         return arrive
 
-    def _taking(self, channel: int, mode: NetworkOptions) -> "Take":
+    def _operator_input(self, channel: int, mode: NetworkOptions) -> "Take":
         """Return a function that passes a match to the operator and returns its outputs.
 
         The match itself is optional; its values and interval are required.
@@ -492,6 +492,7 @@ class StreamNode(NetworkNode):
         def take(match: Optional[PartialMatch], values: Values, start: int, end: int) -> List[StreamOutput]:
             if meter is not None and meter(1):
                 return []
+            # Reading the clock is avoided for operators that depend on time stamps only.
             now = network.time() if clocked else 0
             stream = self.stream
             crowded = stream.crowded
@@ -540,6 +541,7 @@ class StreamNode(NetworkNode):
 
     def _wake(self) -> None:
         instant = self.stream.next
+        # A wake-up that is set already for an earlier instant sets the next one.
         if instant is not None and (self.woken is None or instant < self.woken):
             self.woken = instant
             self.rule.network.wake(self, instant)
@@ -547,15 +549,16 @@ class StreamNode(NetworkNode):
     def ring(self, instant: int, after: Frame) -> Frame:
         """Return the frame that emits the outputs that are due, and continues with ``after``."""
         self.woken = None
+        # Results that are due belong to no event; skipped matches are discarded before they are emitted.
         if self.rule.skipping is not None:
             self.rule.skipping.wakes()
         if self.replay is not None:
             self.replay.begin_step(self.stream)
-        postponing = self._postponing
+        postponing = self._reentrancy
         if postponing is None:
             outputs = self.stream.ring(instant)
         else:
-            outputs = postponing.while_at_work(lambda: self.stream.ring(instant))
+            outputs = postponing.run_operator(lambda: self.stream.ring(instant))
             after = postponing.before(after)
         if self.stream.evicted != self.evicted:
             self._report_dropped()
@@ -659,7 +662,7 @@ class StreamNode(NetworkNode):
 
     def clear(self) -> None:
         """Reset the operator."""
-        if not self._is_put_off(self.clear):
+        if not self._is_deferred(self.clear):
             self._begin_anew()
 
     def _begin_anew(self) -> None:
