@@ -9,7 +9,7 @@ from retalis.foundation.cancellation import watched_by
 from retalis.prolog.builtins import list_predicates
 from retalis.prolog.builtins.atoms_and_strings import _split, _words
 from retalis.prolog.builtins.list_predicates import order_of
-from retalis.prolog.builtins.text_arguments import each
+from retalis.prolog.builtins.text_arguments import convert_each
 from retalis.prolog.compiler.clause_nodes import CALL
 from retalis.prolog.machine.errors import PrologError, type_error
 from retalis.prolog.machine.resource_limits import NO_LIMITS, Limits
@@ -210,7 +210,7 @@ def test_loops_are_stopped_between_their_turns(logic):
 @pytest.mark.parametrize(
     "work",
     [
-        lambda made: each(made.append, "a" * 100_000),
+        lambda made: convert_each(made.append, "a" * 100_000),
         lambda made: list(map(made.append, _split("a," * 50_000, ",", ""))),
         lambda made: integer_text(7**200_000),
         lambda made: integer("7" * 200_000),

@@ -25,22 +25,22 @@ from .text_arguments import (
     MAX_CODE,
     atomic_text,
     chars,
-    check_parts,
+    check_text_length,
+    check_text_list,
     codes,
     constant_text,
-    each,
+    convert_each,
     fill_sink,
     is_sink,
     is_text_list,
-    joined,
-    long_text,
-    no_compound,
+    join_texts,
     number_or_error,
     number_text,
     parse,
     parse_number,
-    parts_text,
+    require_no_compound,
     text_of,
+    text_of_list,
     whole_text,
 )
 
@@ -77,14 +77,14 @@ def _text_converter(
     def run(machine: Machine, constant: Term, parts: Term) -> bool:
         text = constant_text(deref(constant))
         if text is not None:
-            check_parts(parts)
+            check_text_list(parts)
             given = deref(parts)
             if given.__class__ is String:
                 return given.text == text
             return unify(parts, to_list(text), machine.trail)
         if deref(constant).__class__ is not Var:
             raise type_error(kind, deref(constant))
-        text = parts_text(machine, parts, to_list is codes)
+        text = text_of_list(machine, parts, to_list is codes)
         return unify(constant, from_text(machine, text), machine.trail)
 
     return run
@@ -115,10 +115,10 @@ def _number_converter(to_list: Make) -> Callable[[Machine, Term, Term], bool]:
             raise type_error("number", number)
         # If the text is known it is parsed, even if the number is known too: "0x10" is equal to 16.
         if not is_iso(machine):
-            check_parts(parts)
+            check_text_list(parts)
         if isinstance(number, (int, float)) and not is_ground(parts):
             return unify(parts, to_list(number_text(number)), machine.trail)
-        text = parts_text(machine, parts, to_list is codes)
+        text = text_of_list(machine, parts, to_list is codes)
         return unify(number, number_or_error(text, machine.logic.operators), machine.trail)
 
     return run
@@ -213,12 +213,12 @@ def _concat(machine: Machine, left: Term, right: Term, whole: Term, make: Make) 
         text = constant_text(result)
         if text is None and result.__class__ is not Var:
             raise type_error("atomic", result)
-        long_text(len(start) + len(end), start, end)
+        check_text_length(len(start) + len(end), start, end)
         return text == start + end if text is not None else unify(whole, make(start + end), machine.trail)
     if deref(whole).__class__ is Var:
         raise instantiation_error()
     text = atomic_text(whole)
-    long_text(len(text))
+    check_text_length(len(text))
     if start is not None:
         return text.startswith(start) and unify(right, make(text[len(start) :]), machine.trail)
     if end is not None:
@@ -231,7 +231,7 @@ def halves(machine: Machine, left: Term, right: Term, text: str, make: Make) -> 
     """Enumerate the divisions of a text into two parts."""
     for position in range(len(text) + 1):
         # Each solution copies the whole text, so each is charged to the limits.
-        long_text(len(text))
+        check_text_length(len(text))
         if machine.unify_all((left, make(text[:position])), (right, make(text[position:]))):
             yield LAST if position == len(text) else None
 
@@ -302,7 +302,7 @@ def _enumerate_substrings(
         # Substrings that do not unify are skipped within one step of the machine.
         if not index & 255:
             look()
-        long_text(end - start)
+        check_text_length(end - start)
         if machine.unify_all(
             (before, start), (length, end - start), (after, size - end), (part, make(whole[start:end]))
         ):
@@ -365,7 +365,7 @@ def _all_occurrences(
 def atomic_list_concat(machine: Machine, parts: Term, whole: Term) -> bool:
     """Concatenate texts to an atom."""
     return unify(
-        whole, atom(joined([atomic_text(item, "text") for item in watched(items(parts))])), machine.trail
+        whole, atom(join_texts([atomic_text(item, "text") for item in watched(items(parts))])), machine.trail
     )
 
 
@@ -385,7 +385,7 @@ def atomic_list_concat_separated(machine: Machine, parts: Term, separator: Term,
     text = atomic_text(whole)
     # Charges the memory of all parts before they are created.
     look(size=_ATOM_BYTES * text.count(between))
-    return unify(parts, make_list(each(atom, text.split(between))), machine.trail)
+    return unify(parts, make_list(convert_each(atom, text.split(between))), machine.trail)
 
 
 def _join(parts: Term, between: str) -> Optional[str]:
@@ -402,20 +402,20 @@ def _join(parts: Term, between: str) -> Optional[str]:
                 return None
             raise type_error("text", item)
         texts.append(text)
-    return joined(texts, between)
+    return join_texts(texts, between)
 
 
 def _case(change: Callable[[str], str], make: Make, kind: str) -> Callable[[Machine, Term, Term], bool]:
     def run(machine: Machine, text: Term, result: Term) -> bool:
         given = atomic_text(text)
-        long_text(len(given), given)
+        check_text_length(len(given), given)
         # A long text is converted in pieces, with a check of the limits after each. The lower case of a capital sigma
         # depends on the letters around it, which may be in another piece.
         if len(given) > _MAX_CASE_CHARACTERS and "Σ" not in given:
             changed = "".join([change(piece) for piece in in_bulks(given)])
         else:
             changed = change(given)
-        no_compound(result, kind)
+        require_no_compound(result, kind)
         return unify(result, make(changed), machine.trail)
 
     return run
@@ -445,7 +445,7 @@ def _string_converter(to_parts: Callable[[str], Term]) -> Callable[[Machine, Ter
             if given is not NIL and given.__class__ not in (Var, tuple):
                 return whole == constant_text(given)
             return unify(parts, to_parts(whole), machine.trail)
-        return unify(text, String(parts_text(machine, parts, True)), machine.trail)
+        return unify(text, String(text_of_list(machine, parts, True)), machine.trail)
 
     return run
 
@@ -484,9 +484,9 @@ def number_string(machine: Machine, number: Term, text: Term) -> bool:
     number = deref(number)
     if number.__class__ not in (Var, int, float):
         raise type_error("number", number)
-    check_parts(text)
+    check_text_list(text)
     if is_ground(text):
-        value = parse_number(parts_text(machine, text, True).strip(), machine.logic.operators)
+        value = parse_number(text_of_list(machine, text, True).strip(), machine.logic.operators)
         return value is not None and unify(number, value, machine.trail)
     if not isinstance(number, (int, float)):
         raise instantiation_error()
@@ -540,11 +540,11 @@ def text_concat(machine: Machine, left: Term, right: Term, whole: Term) -> Outco
     make: Callable[[str], Term] = String if any(term.__class__ is String for term in given) else atom
     start, end, text = (None if term.__class__ is Var else text_of(term) for term in given)
     if start is not None and end is not None:
-        long_text(len(start) + len(end), start, end)
+        check_text_length(len(start) + len(end), start, end)
         return unify(whole, make(start + end), machine.trail) if text is None else text == start + end
     if text is None:
         raise instantiation_error()
-    long_text(len(text))
+    check_text_length(len(text))
     if start is not None:
         return text.startswith(start) and unify(right, make(text[len(start) :]), machine.trail)
     if end is not None:
@@ -557,9 +557,9 @@ def split_string(machine: Machine, text: Term, separators: Term, pad: Term, part
     """Split a text at any of the separators and strip the pad characters from each part."""
     whole, between, strip = (text_of(given, numbers=False) for given in (text, separators, pad))
     between, strip = _distinct_characters(between), _distinct_characters(strip)
-    long_text(len(whole), whole)
+    check_text_length(len(whole), whole)
     partial_items(parts)
-    return unify(parts, make_list(each(String, list(_split(whole, between, strip)))), machine.trail)
+    return unify(parts, make_list(convert_each(String, list(_split(whole, between, strip)))), machine.trail)
 
 
 def _distinct_characters(text: str) -> str:
@@ -598,7 +598,7 @@ def normalize_space(machine: Machine, sink: Term, text: Term) -> bool:
         raise instantiation_error()
     if not is_sink(sink):
         raise existence_error("stream", sink) if sink.__class__ is Atom else type_error("output", sink)
-    return fill_sink(machine, sink, joined(_words(atomic_text(text)), " "))
+    return fill_sink(machine, sink, join_texts(_words(atomic_text(text)), " "))
 
 
 def _words(text: str) -> List[str]:

@@ -15,13 +15,21 @@ from ..machine.errors import domain_error, error, existence_error, resource_erro
 from ..machine.machine import Machine
 from ..syntax.term_writer import write_term
 from ..terms.types import Atom, String, Term, atom, deref, functor
-from .text_arguments import MAX_CODE, constant_text, is_text_list, joined, long_text, number_text, text_of
+from .text_arguments import (
+    MAX_CODE,
+    check_text_length,
+    constant_text,
+    is_text_list,
+    join_texts,
+    number_text,
+    text_of,
+)
 from .text_streams import OutputCapture
 
 _PORTRAY = functor("portray", 1)
 
 
-def caught(machine: Machine, goal: Term) -> Tuple[bool, str]:
+def run_captured(machine: Machine, goal: Term) -> Tuple[bool, str]:
     """Run a goal once; return whether it succeeds, and its output."""
     logic = machine.logic
     # The capture ends in any case, or the program's output would go to it for ever after an error.
@@ -30,7 +38,7 @@ def caught(machine: Machine, goal: Term) -> Tuple[bool, str]:
         succeeded = logic.once(goal)
     finally:
         capture.end()
-    return succeeded, joined(capture.texts)
+    return succeeded, join_texts(capture.texts)
 
 
 def portray_of(machine: Machine) -> Optional[Callable[[Term], Optional[str]]]:
@@ -40,13 +48,13 @@ def portray_of(machine: Machine) -> Optional[Callable[[Term], Optional[str]]]:
 
     def portray(term: Term) -> Optional[str]:
         # The double negation discards the bindings of the goal, so that printing does not change the term.
-        succeeded, text = caught(machine, (NOT, (NOT, (_PORTRAY, term))))
+        succeeded, text = run_captured(machine, (NOT, (NOT, (_PORTRAY, term))))
         return text if succeeded else None
 
     return portray
 
 
-def printed(machine: Machine, term: Term) -> str:
+def printed_text(machine: Machine, term: Term) -> str:
     """Return the text of a term as ``print/1`` writes it."""
     return write_term(term, machine.logic.operators, numbervars=True, portray=portray_of(machine))
 
@@ -89,7 +97,7 @@ class ColumnLine:
         if not text:
             return
         self.size += len(text)
-        long_text(self.size, text)
+        check_text_length(self.size, text)
         self.segment.append(text)
         self.width += len(text)
         newline = text.rfind("\n")
@@ -111,7 +119,7 @@ class ColumnLine:
         missing = target - self.column
         if missing > 0:
             self.size += missing
-            long_text(self.size)
+            check_text_length(self.size)
             text = _insert_fill(text, self.fills or [(len(text), " ")], missing)
             self.column = target
         self.done.append(text)
@@ -126,7 +134,7 @@ class ColumnLine:
 
     def text(self) -> str:
         """Return the whole text, with the incomplete segment."""
-        return joined(self.done + self.segment)
+        return join_texts(self.done + self.segment)
 
 
 def _insert_fill(text: str, fills: List[Tuple[int, str]], missing: int) -> str:
@@ -246,7 +254,7 @@ class Formatter:
         return convert(self.machine, self._next(), number)
 
     def _repeated(self, character: str, times: int) -> str:
-        long_text(self.line.size + times, character)
+        check_text_length(self.line.size + times, character)
         return character * times
 
 
@@ -266,7 +274,7 @@ def _atomic_text(machine: Machine, term: Term, number: Optional[int]) -> str:
 
 def _goal_output(machine: Machine, goal: Term, number: Optional[int]) -> str:
     """Return the output of a goal, whether it succeeds or fails."""
-    return caught(machine, goal)[1]
+    return run_captured(machine, goal)[1]
 
 
 def _write(machine: Machine, term: Term, number: Optional[int]) -> str:
@@ -278,7 +286,7 @@ def _quoted(machine: Machine, term: Term, number: Optional[int]) -> str:
 
 
 def _printed(machine: Machine, term: Term, number: Optional[int]) -> str:
-    return printed(machine, term)
+    return printed_text(machine, term)
 
 
 def _text(machine: Machine, term: Term, number: Optional[int]) -> str:

@@ -22,7 +22,7 @@ from ..terms.unification import unify
 from .argument_checks import atom_of, natural, option_values
 from .builtin_registry import deterministic
 from .output_predicates import character_of
-from .text_arguments import MAX_CODE, flags_of, nothing, unify_options
+from .text_arguments import MAX_CODE, end_of_file, flags_of, unify_options
 from .text_streams import InputStream, OutputStream, streams_of, syntax_error_in
 
 _END = atom("end_of_file")
@@ -234,7 +234,7 @@ def _read(machine: Machine, stream: Optional[Term], options: List[CompoundTerm],
     if isinstance(result, SyntaxFault):
         raise syntax_error_in(source, streams_of(machine).term_of(source), result)
     if result is None:
-        result = nothing(machine)
+        result = end_of_file(machine)
     return unify(term, result.term, machine.trail) and unify_options(machine, result, options)
 
 

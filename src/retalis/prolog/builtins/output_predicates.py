@@ -25,8 +25,8 @@ from ..terms.types import CONS, NIL, Atom, CompoundTerm, Frame, Term, Values, Va
 from ..terms.unification import unify
 from .argument_checks import integer, is_iso, option_values
 from .builtin_registry import control, deterministic
-from .format_strings import Formatter, portray_of, printed
-from .text_arguments import MAX_CODE, fill_sink, is_sink, joined, long_text, make_text, whole_text
+from .format_strings import Formatter, portray_of, printed_text
+from .text_arguments import MAX_CODE, check_text_length, fill_sink, is_sink, join_texts, make_text, whole_text
 from .text_streams import OutputCapture, OutputStream, is_stream_term, streams_of
 
 _ELLIPSIS = atom("...")
@@ -114,7 +114,7 @@ def _canonical(machine: Machine, term: Term) -> str:
 
 _WRITERS: Dict[str, Callable[[Machine, Term], str]] = {
     "write": _writer(quoted=False, numbervars=True),
-    "print": printed,
+    "print": printed_text,
     "writeln": _writer(quoted=False, numbervars=True),
     "writeq": _writer(quoted=True, numbervars=True),
     "write_canonical": _canonical,
@@ -161,7 +161,7 @@ def _blanks(count: Term) -> str:
         raise type_error("integer_expression", deref(count))
     if number > _MAX_BLANKS:
         raise resource_error("memory")
-    long_text(number)
+    check_text_length(number)
     return " " * number
 
 
@@ -404,7 +404,7 @@ def _unify_captured(frame: Frame) -> Optional[Frame]:
     _, machine, height, sink, captured, after = frame
     _end_capture(machine.choices[height])
     del machine.choices[height:]
-    return after if fill_sink(machine, sink, joined(captured)) else None
+    return after if fill_sink(machine, sink, join_texts(captured)) else None
 
 
 _CAPTURE_GUARD = Guard("with_output_to", _end_capture)

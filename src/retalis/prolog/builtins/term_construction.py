@@ -18,7 +18,7 @@ from ..terms.types import NIL, Atom, CompoundTerm, Term, Var, atom, deref, funct
 from ..terms.unification import unify
 from .argument_checks import atom_of, check_tail, integer, is_iso, items, natural, partial_items
 from .builtin_registry import Outcome, Solutions, deterministic, function, nondeterministic
-from .text_arguments import atomic_text, no_compound
+from .text_arguments import atomic_text, require_no_compound
 from .type_checks import is_acyclic
 
 _MAX_ARGUMENTS = 1_000_000
@@ -255,7 +255,7 @@ def _counters(machine: Machine) -> Dict[str, int]:
 def gensym(machine: Machine, base: Term, result: Term) -> bool:
     """Unify with a new atom that consists of a base and a number."""
     name = atomic_text(base)
-    no_compound(result, "atomic")
+    require_no_compound(result, "atomic")
     counters = _counters(machine)
     # The counter belongs to the program and is not reset on backtracking, so names are never reused.
     counters[name] = counters.get(name, 0) + 1

@@ -48,7 +48,7 @@ MAX_NUMBER_CHARACTERS = 1 << 20
 """Limit for the length of a text that is parsed as a number; every valid number is shorter, also in base 2."""
 
 
-def long_text(size: int, *parts: str) -> None:
+def check_text_length(size: int, *parts: str) -> None:
     """Check the length of a text before it is created; the creation of a long text is charged to the goal's limits.
 
     Args:
@@ -64,7 +64,7 @@ def long_text(size: int, *parts: str) -> None:
         look(size=size if all(map(str.isascii, parts)) else 4 * size)
 
 
-def each(make: Callable[[str], Term], parts: Sequence[str]) -> List[Term]:
+def convert_each(make: Callable[[str], Term], parts: Sequence[str]) -> List[Term]:
     """Return a term for each part, such as a character of a text, and check the goal's limits meanwhile."""
     terms: List[Term] = []
     # The limits are checked after each bulk, since one step may convert a text of any length.
@@ -73,13 +73,13 @@ def each(make: Callable[[str], Term], parts: Sequence[str]) -> List[Term]:
     return terms
 
 
-def joined(parts: Sequence[str], between: str = "") -> str:
+def join_texts(parts: Sequence[str], between: str = "") -> str:
     """Return the concatenation of texts.
 
     Raises:
         PrologError: a resource error if the result would be too long.
     """
-    long_text(sum(map(len, parts)) + len(between) * len(parts), between, *parts[:1])
+    check_text_length(sum(map(len, parts)) + len(between) * len(parts), between, *parts[:1])
     return between.join(parts)
 
 
@@ -153,9 +153,9 @@ def _checked_list(term: Term, kind: str) -> str:
     codes_or_chars, tail = list_parts(term)
     if tail is not NIL and tail.__class__ is not Var:
         raise type_error(kind, term)
-    long_text(len(codes_or_chars))
+    check_text_length(len(codes_or_chars))
     # A wrong item takes precedence over an unbound one or an unbound tail, as in SWI-Prolog.
-    culprit = wrong_item(codes_or_chars)
+    culprit = first_item_error(codes_or_chars)
     if culprit is not None:
         raise culprit
     if tail is not NIL:
@@ -169,7 +169,7 @@ def _checked_list(term: Term, kind: str) -> str:
     return "".join(text)
 
 
-def wrong_item(items: List[Term]) -> Optional[PrologError]:
+def first_item_error(items: List[Term]) -> Optional[PrologError]:
     """Return the error for the first invalid item; the first bound item decides between codes and characters."""
     of_characters = None
     for bulk in in_bulks(items):
@@ -186,7 +186,7 @@ def wrong_item(items: List[Term]) -> Optional[PrologError]:
     return None
 
 
-def parts_text(machine: Machine, term: Term, as_codes: bool) -> str:
+def text_of_list(machine: Machine, term: Term, as_codes: bool) -> str:
     """Return the text of a list of character codes or characters, or of a string.
 
     Raises:
@@ -215,7 +215,7 @@ def _check_standard(items: List[Term], as_codes: bool) -> None:
             raise type_error("character_code" if as_codes else "character", item)
 
 
-def check_parts(term: Term) -> None:
+def check_text_list(term: Term) -> None:
     """Raise a type error for a term that cannot be unified with a list of character codes or characters."""
     term = deref(term)
     if term.__class__ in (Var, String):
@@ -223,7 +223,7 @@ def check_parts(term: Term) -> None:
     parts, tail = list_parts(term)
     if tail is not NIL and tail.__class__ is not Var:
         raise type_error("list", term)
-    error = wrong_item(parts)
+    error = first_item_error(parts)
     if error is not None:
         raise error
 
@@ -239,7 +239,7 @@ def atomic_text(term: Term, kind: str = "atomic") -> str:
     return text
 
 
-def no_compound(term: Term, kind: str) -> None:
+def require_no_compound(term: Term, kind: str) -> None:
     """Raise a type error for an output argument that is a compound term."""
     term = deref(term)
     if term.__class__ is tuple:
@@ -248,12 +248,12 @@ def no_compound(term: Term, kind: str) -> None:
 
 def codes(text: str) -> Term:
     """Return a text as a list of character codes."""
-    return make_list(each(ord, text))
+    return make_list(convert_each(ord, text))
 
 
 def chars(text: str) -> Term:
     """Return a text as a list of characters."""
-    return make_list(each(atom, text))
+    return make_list(convert_each(atom, text))
 
 
 def parse_number(text: str, operators: Operators) -> Optional[Term]:
@@ -368,7 +368,7 @@ def read(machine: Machine, text: str, flags: Optional[ReadFlags] = None) -> Read
         ) from fault
 
 
-def nothing(machine: Machine) -> ReadTerm:
+def end_of_file(machine: Machine) -> ReadTerm:
     """Return the `ReadTerm` of the end of a text, ``end_of_file``."""
     return read(machine, "")
 

@@ -27,7 +27,7 @@ from ..syntax.tokenizer import ReadFlags
 from ..terms.types import Atom, CompoundTerm, Term, Var, atom, deref, functor
 from ..terms.unification import unify
 from .builtin_registry import Solutions, deterministic, nondeterministic
-from .text_arguments import long_text
+from .text_arguments import check_text_length
 
 if TYPE_CHECKING:
     from ...events.program.source_files import SourceFiles
@@ -267,7 +267,7 @@ class OutputCapture:
     def __call__(self, text: str) -> None:
         """Append a text."""
         self._size += len(text)
-        long_text(self._size)
+        check_text_length(self._size)
         self.texts.append(text)
 
     def end(self) -> None:
