@@ -226,7 +226,7 @@ class Table:
 
     @property
     def is_outdated(self) -> bool:
-        """Whether data that an incremental table has read has changed since."""
+        """True if data that an incremental table has read has changed since."""
         reads = self.reads or {}
         return any(source.version(part) != version for (source, part), version in reads.items())
 

@@ -41,7 +41,7 @@ class SwiFile(NamedTuple):
 
     @property
     def is_path(self) -> bool:
-        """Whether it is a file of the program, not a library."""
+        """True for a file of the program, False for a library of SWI-Prolog."""
         return isinstance(self.source, Atom)
 
 
