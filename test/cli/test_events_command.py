@@ -220,7 +220,7 @@ def test_an_event_that_is_not_as_it_is_declared_is_an_error_with_its_place(run):
         in said
     )
     assert (
-        "stream.txt:3:1: event refused: smoke/0 is not as it is declared: smoke(room:atom) has 1 argument"
+        "stream.txt:3:1: event refused: smoke/0 does not match its declaration: smoke(room:atom) has 1 argument"
         in said
     )
 

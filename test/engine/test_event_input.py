@@ -52,7 +52,7 @@ def test_a_goal_subscribes_a_topic_once(asked):
         ("subscribe_to(a, std_msgs/Int32)", "names with a slash stand in quotes"),
         ("subscribe_to(_, 'std_msgs/Int32')", "not sufficiently instantiated"),
         ("subscribe_to(a, 'std_msgs/Int32', 'A')", "begins with a small letter"),
-        ("subscribe_to(a, 'std_msgs/Int32', seq)", "seq means something else in rules"),
+        ("subscribe_to(a, 'std_msgs/Int32', seq)", "seq has a fixed meaning in rules"),
         ("subscribe_to(a, 'std_msgs/Int32', '')", "event_name"),
         ("subscribe_to(a, 'std_msgs/Int32', 3)", "names with a slash stand in quotes"),
     ],

@@ -74,7 +74,7 @@ def test_a_rule_that_was_added_before_is_warned_of(tmp_path, definitions):
     add_rule(engine, "alarm <- near(_)", "mine")
     engine.call("declare_event(near(thing:atom, distance:number))")
     said = [warning.message for warning in engine.warnings(tmp_path, definitions)]
-    assert "near/1 is not as it is declared: near(thing:atom,distance:number) has 2 arguments" in said
+    assert "near/1 does not match its declaration: near(thing:atom,distance:number) has 2 arguments" in said
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_a_rule_that_was_added_before_is_warned_of(tmp_path, definitions):
     [
         (
             "temperature:number, variance:number",
-            "near/3 is not as it is declared: near(temperature:number,variance:number) has",
+            "near/3 does not match its declaration: near(temperature:number,variance:number) has",
         ),
         (
             "header:any, temperature:atom, variance:number",

@@ -104,7 +104,7 @@ def test_rules_that_keep_to_their_declarations_have_no_errors(data, found):
             "t, 3",
             "a declaration names an event and its arguments, as in temperature(motor:atom, value:number)",
         ),
-        ("rev(a:event)", "rev means something else in rules: choose another name for the event"),
+        ("rev(a:event)", "rev has a fixed meaning in rules: choose another name for the event"),
         (
             "std_msgs__0__Bool(data:atom)",
             "std_msgs__0__Bool declares itself: the slots of its messages and their types are known",
@@ -143,7 +143,7 @@ def test_an_event_that_has_come():
     declared = Declarations(lambda term: writeq(term, OPERATORS), read("t(a:atom, b:list(event))"))
     events = {"t(x, [])": "", "u(1)": "", "t(X, [u(1), t(x, [])])": ""}
     form = "t(a:atom,b:list(event))"
-    events["t(x)"] = f"t/1 is not as it is declared: {form} has 2 arguments"
+    events["t(x)"] = f"t/1 does not match its declaration: {form} has 2 arguments"
     events["t(1, [])"] = f"a of t/2 is an atom, found 1; declared as {form}"
     events["t(x, [2])"] = f"an item of b of t/2 is an event, found 2; declared as {form}"
     events["t(x, [t(1, [])])"] = f"a of t/2 is an atom, found 1; declared as {form}"

@@ -7,9 +7,9 @@ from retalis.engine.engine import Engine
 
 DECLARED = ":- event temperature(motor:atom, value:number).\n"
 FORM = "temperature(motor:atom,value:number)"
-ARITY = f"temperature/1 is not as it is declared: {FORM} has 2 arguments"
+ARITY = f"temperature/1 does not match its declaration: {FORM} has 2 arguments"
 VALUE = f"value of temperature/2 is a number, found hot; declared as {FORM}"
-BOTH = "V is a number (value of temperature/2) and, here, an atom (motor of temperature/2): these are never the same"
+BOTH = "V is a number (value of temperature/2) and, here, an atom (motor of temperature/2): these are never equal"
 
 
 @pytest.mark.parametrize(

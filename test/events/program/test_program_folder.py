@@ -85,8 +85,8 @@ def test_events_of_a_topic_have_the_name_that_is_said(tmp_path):
         ("Bumper", "the name of an event begins with a small letter, found Bumper"),
         ("bumper left", "expected a name of ASCII letters"),
         ("std_msgs__0__Bool", "choose a name without __0__"),
-        ("seq", "seq means something else in rules"),
-        ("rev", "rev means something else in rules"),
+        ("seq", "seq has a fixed meaning in rules"),
+        ("rev", "rev has a fixed meaning in rules"),
     ],
 )
 def test_what_events_of_a_topic_cannot_be_called(tmp_path, event, message):

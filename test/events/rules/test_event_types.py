@@ -10,7 +10,7 @@ from retalis.prolog.machine.errors import PrologError
 
 DECLARED = ":- event temperature(motor:atom, value:number).\n"
 FORM = "temperature(motor:atom,value:number)"
-ARITY = f"temperature/1 is not as it is declared: {FORM} has 2 arguments"
+ARITY = f"temperature/1 does not match its declaration: {FORM} has 2 arguments"
 VALUE = f"value of temperature/2 is a number, found hot; declared as {FORM}"
 
 

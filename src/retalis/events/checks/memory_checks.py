@@ -46,7 +46,8 @@ def unknown_memories(program: ProgramModel) -> Iterator[RuleError]:
     """Yield memories that are read but not created by any goal."""
     names = [deref(memory.term[4]) for memory in program.memories]
     known_names: Set[str] = {name.name for name in names if isinstance(name, Atom)}
-    if any(not isinstance(name, Atom) for name in names):  # the names are known at run time only
+    # Names that are known at run time only may be any of those that are read.
+    if any(not isinstance(name, Atom) for name in names):
         return
     reported = set(known_names)
     for subterm in program.calls():
@@ -75,6 +76,7 @@ def wrong_records(program: ProgramModel) -> Iterator[RuleError]:
             name, record = deref(term[1]), deref(term[2])
             if isinstance(name, Atom):
                 candidates = records.get(name.name, [record])
+                # Variables of the query and of the records may take any value.
                 if not any(may_unify(candidate, record) for candidate in candidates):
                     expected = _brief_text(program, candidates[0])
                     text = f"no record of memory {name.name} is {_brief_text(program, record)}: they are {expected}"
@@ -147,7 +149,8 @@ def stale_tables(program: ProgramModel) -> Iterator[RuleError]:
         return
     running = list(_run_time_subterms(program))
     if any(subterm.key is _ABOLISH for subterm in running):
-        return  # the program controls the evaluation of its tables itself
+        # The program controls the evaluation of its tables itself.
+        return
     changed = {key for subterm in running for key in _changed_by(subterm)}
     reads = _reads(program, changed)
     callers = _callers(program)
@@ -230,7 +233,8 @@ def _items(term: Term) -> Iterator[Tuple[Functor, FrozenSet[str]]]:
             name, arity = deref(item[1]), deref(item[2])
             if isinstance(name, Atom) and isinstance(arity, int):
                 yield functor(name.name, arity), options
-        else:  # a head with modes
+        else:
+            # A head whose arguments are modes, as in ``path(_, _, min)``.
             yield item[0], options
 
 
@@ -261,6 +265,7 @@ def _called_later(program: ProgramModel) -> Set[Functor]:
     }
     # A predicate that calls only itself still needs a first caller.
     elsewhere.update(key for own, keys in named.items() for key in keys if key is not own)
+    # A predicate without a caller in the program exists for queries from outside.
     waiting = [key for key in named if key not in elsewhere]
     for rule in program.rules:
         waiting += _functors_of(subterms(wrapped(rule.definition.term), 1, rule.spot))
@@ -305,6 +310,7 @@ def _read_by(program: ProgramModel, term: Any, changed: Set[Functor]) -> Optiona
     """Return the changing data that a goal reads, or None."""
     goal: Any = deref(term)
     key = key_of(goal)
+    # ``clause(Head, Body)`` reads the clauses of the predicate of its head.
     if key is _CLAUSE:
         key = key_of(goal[1])
     if key is None:

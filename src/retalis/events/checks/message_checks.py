@@ -59,6 +59,7 @@ def wrong_messages(program: ProgramModel) -> Iterator[RuleError]:
         kind = None if key is None or key in seen else program.type_of(key.name)
         if key is None or kind is None:
             continue
+        # One error per functor: all events of that name have the same fault.
         seen.add(key)
         fault = _type_fault(program, key, kind, names, later)
         if fault:
@@ -164,6 +165,7 @@ def _value_fault(slot: Field, value: Any) -> str:
         return ""
     if slot.length is not None and not slot.is_bytes:
         is_list = value is NIL or list_items(value) is not None or _is_open_list(value)
+        # An open list may have any length.
         return "" if is_list else "is a list in events: write [...]"
     if slot.type == "string" or slot.is_bytes:
         return _not_text(value)
@@ -180,6 +182,7 @@ def _value_fault(slot: Field, value: Any) -> str:
 def _not_text(value: Any) -> str:
     if isinstance(value, (Atom, String)):
         text = value.name if isinstance(value, Atom) else value.text
+        # Strings of messages are atoms that include the quotes, which distinguishes them from other atoms.
         if not text.startswith('"'):
             return f"is a string, which keeps its quotes in events: write '\"{text}\"'"
         return ""
@@ -280,6 +283,7 @@ def output_fault(definition: Definition, subscription: CompoundTerm, topic: str)
         topic: the topic, for the message.
     """
     sent = deref(EventConsumer(subscription, "", nowhere).made)
+    # The event itself is sent if the form is a variable, and events may be anything.
     return None if is_open(sent) else fault_of(definition, sent, topic)
 
 
@@ -311,10 +315,12 @@ def elements(path: Path) -> List[Element]:
             Element(tag, attributes, place_in(str(path), line_number, parser.CurrentColumnNumber + 1, line))
         )
 
+    # expat reports positions, which the standard tree parsers do not.
     parser.StartElementHandler = element
     try:
         parser.Parse(text, True)
-    except expat.ExpatError:  # reported when the file was loaded
+    except expat.ExpatError:
+        # Reported when the file was loaded.
         return []
     return result
 
@@ -331,7 +337,7 @@ def topics(program: ProgramModel) -> Iterator[RuleError]:
             if element.attributes and element.tag != _ROOT:
                 tag = printable(beginning(element.tag))
                 yield RuleError(
-                    f"<{tag}> is not known: what it says is not read{did_you_mean(element.tag, ATTRIBUTES, 0.5)}",
+                    f"<{tag}> is not known: it is ignored{did_you_mean(element.tag, ATTRIBUTES, 0.5)}",
                     element.place,
                 )
             continue
@@ -364,4 +370,4 @@ def _duplicate_topic(element: Element, first: Element, topic: str, kind: str) ->
     action = "subscribed" if element.tag == "subscribe_to" else "published"
     other_type = first.attributes.get("msg_type", "").strip()
     types = "" if other_type == kind else f", as {other_type}"
-    return f"topic {topic} is {action} already in line {first.place.line}{types}: take one of them out"
+    return f"topic {topic} is {action} already in line {first.place.line}{types}: remove one of the two"

@@ -106,7 +106,7 @@ def slipped_arrows(program: ProgramModel) -> Iterator[RuleError]:
             name = SPELLINGS.get(subterm.term[0]) if subterm.term.__class__ is tuple else None
             if name is not None and subterm.term[0].name.isidentifier():
                 yield RuleError(
-                    f"{name} stands in the body of a clause; the arrow of an event rule is <-", subterm.place
+                    f"{name} occurs in the body of a clause; the arrow of an event rule is <-", subterm.place
                 )
                 break
 
@@ -125,7 +125,7 @@ def redefined(program: ProgramModel) -> Iterator[RuleError]:
         if key is None or key in reported or key not in kept or not kept[key].system:
             continue
         reported.add(key)
-        yield RuleError(f"{key} is built in: for this program its own takes the place of that", clause.place)
+        yield RuleError(f"{key} is built in: the definition of this program replaces it", clause.place)
 
 
 def undefined(program: ProgramModel) -> Iterator[RuleError]:
@@ -167,12 +167,13 @@ def retracted(program: ProgramModel) -> Iterator[RuleError]:
         key = key_of_clause(term[1]) if term.__class__ is tuple and term[0] in RETRACTS else None
         if key is None or key in reported or key in defined.keys or defined.anything:
             continue
+        # A predicate with clauses from another source, for example a loaded state, has something to retract.
         if program.logic.defines(key) and not _is_empty(program, key):
             continue
         reported.add(key)
         nearest = nearby.of(key, defined.keys)
         hint = f"; did you mean {nearest}?" if nearest else ""
-        yield RuleError(f"nothing asserts {key}, so there is never one to retract{hint}", subterm.place)
+        yield RuleError(f"nothing asserts {key}, so there is never a clause to retract{hint}", subterm.place)
 
 
 def _is_empty(program: ProgramModel, key: Functor) -> bool:
@@ -194,13 +195,13 @@ def unread_rules(program: ProgramModel) -> Iterator[RuleError]:
     if program.folder is None:
         return
     path = program.folder / RULES
-    if not os.path.isfile(path) or program.loaded.files.has_loaded(
-        path
-    ):  # an unreadable file counts as absent
+    if not os.path.isfile(path) or program.loaded.files.has_loaded(path):
+        # An unreadable file counts as absent.
         return
     try:
         goals = read_text(program.folder / GOALS)
-    except UsageError:  # reported when the file was loaded
+    except UsageError:
+        # Reported when the file was loaded.
         goals = ""
     if RULES not in goals:
         yield RuleError(f"{path} is not read: no goal in {GOALS} calls compile_event_file('{RULES}')")
@@ -249,8 +250,9 @@ def singletons(program: ProgramModel) -> Iterator[RuleError]:
         for subterm in subterms(wrapped(read.term), 1, read.place_of):
             term: Any = deref(subterm.term)
             if term.__class__ is Var and term in wanted:
+                # A variable that the reader counted once has one place.
                 wanted.discard(term)
                 name = names[term]
                 yield RuleError(
-                    f"{name} stands here only: a misspelt name? Otherwise write _{name} or _", subterm.place
+                    f"{name} occurs only here: a misspelt name? Otherwise write _{name} or _", subterm.place
                 )

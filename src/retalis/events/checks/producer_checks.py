@@ -82,6 +82,7 @@ class EventProducers:
         for topic, kind in (*program.topics.subscribed, *program.direct):
             name = program.event_of(topic) or functor_name(kind)
             definition = program.definition(kind)
+            # The number of slots is unknown, so every arity of the name is accepted.
             if definition is None:
                 self.names.add(name)
             else:
@@ -100,7 +101,8 @@ class EventProducers:
                 self._add(event, subterm.place)
             elif term.__class__ is tuple and term[0] in SUBSCRIBE_TO:
                 self._add_topic(program, [deref(argument) for argument in term[1:]])
-        if hidden:  # the event is an argument at run time: it may be any one that the program names
+        # The event is an argument at run time: it may be any one that the program names.
+        if hidden:
             self.keys.update({key: None for key in named_keys if key not in self.keys})
 
     def _add_topic(self, program: ProgramModel, arguments: Sequence[Term]) -> None:
@@ -148,11 +150,13 @@ def never_made(program: ProgramModel) -> Iterator[RuleError]:
         key = subterm.key
         if key is None or key in producers or key in seen or key is _NO_EVENT:
             continue
+        # ``rev(E)`` occurs whenever events E are retracted, so it needs a producer of E only.
         if key is _REV and key_of(subterm.term[1]) in producers:
             continue
         kind = program.type_of(key.name)
         if kind is not None and (program.definition(kind) is None or _wrong_slots(program, kind, key)):
-            continue  # reported by `wrong_messages`
+            # Errors in messages are reported by `wrong_messages`.
+            continue
         seen.add(key)
         nearest = nearby.of(key, producers.keys)
         if kind is not None:
@@ -213,7 +217,8 @@ def never_taken(program: ProgramModel) -> Iterator[RuleError]:
             or key is _REV
         ):
             continue
-        if isinstance(rule.definition.pattern, Action):  # the rule exists for its goal
+        # A rule with ``do`` exists for its goal; its event may be unused.
+        if isinstance(rule.definition.pattern, Action):
             continue
         seen.add(key)
         place = rule.spot(head) if deref(head).__class__ is tuple else rule.definition.place
@@ -303,6 +308,7 @@ def events_of_rule(rule: WrittenRule) -> List[EventTerm]:
     """Return the events that a rule raises, awaits and creates by goals."""
     term = rule.definition.term
     assert term.__class__ is tuple
+    # Parsed again with a reader that keeps places; its warnings were reported on loading.
     reader = PatternReader(rule.spot, lambda warning: None)
     if term[0] not in ARROWS:  # P do G
         reader.read(wrapped(term), 1)

@@ -215,13 +215,15 @@ def _loaded_files(goals: Iterable[WrittenTerm], folder: Path) -> Iterator[Path]:
 def _file_name(name: Any) -> str:
     """Return the text of an atom or string as a file name, or ""."""
     text = name.name if name.__class__ is Atom else name.text if name.__class__ is String else ""
+    # A null character would raise an error in the functions of `os.path`.
     return "" if "\0" in text else text
 
 
 def _text(path: Path) -> str:
     try:
         text = read_text(path)
-    except UsageError:  # reported when the file was loaded
+    except UsageError:
+        # Reported when the file was loaded.
         return ""
     return text if len(text) <= MAX_SOURCE_CHARACTERS else ""
 
@@ -274,6 +276,7 @@ def clause_of(term: Any, spot: Spot, place: Optional[Place]) -> WrittenTerm:
     if term.__class__ is tuple and term[0] is _GRAMMAR:
         key = key_of(term[1])
         if key is not None:
+            # The translation of a grammar rule adds two arguments, for the list and its rest.
             head: Tuple[Any, ...] = (functor(key.name, key.arity + 2), *[Var() for _ in range(key.arity + 2)])
             return WrittenTerm(head, wrapped(TRUE), 1, spot, place)
     return WrittenTerm(term, wrapped(TRUE), 1, spot, place)
@@ -332,7 +335,7 @@ class EventConsumer(NamedTuple):
 
     @property
     def stands_for_event(self) -> bool:
-        """Whether the form is a free variable such as ``_``: then the event itself is stored or sent."""
+        """True if the form is a free variable such as ``_``: then the event itself is stored or sent."""
         return is_event_variable(self.pattern, deref(self.term[2]), self.form)
 
     @property
@@ -404,6 +407,7 @@ class ProgramModel:
             return None
         if kind not in self._types:
             try:
+                # Unknown types are stored as None, so that their files are searched once.
                 self._types[kind] = self.definitions.find(kind)
             except MessageError:
                 self._types[kind] = None
@@ -494,7 +498,8 @@ class ProgramModel:
             if declares_state(subterm.term):
                 try:
                     form = state_form(subterm.term)
-                except UsageError:  # reported when it was declared
+                except UsageError:
+                    # Reported when it was declared.
                     continue
                 self.states.append(StateDeclaration(form, subterm.spot, ""))
                 seen.add(form.key)
@@ -541,6 +546,7 @@ def _other_clauses(logic: PrologSystem, sources: Set[str]) -> List[WrittenTerm]:
     """Return the clauses that are not in a parsed file."""
     clauses = []
     for predicate in list(logic.database.predicates.values()):
+        # Predicates of libraries are not part of the program.
         if predicate.kind == "user" and not predicate.library:
             for clause in predicate.live():
                 if clause.place is None or clause.place.source not in sources:

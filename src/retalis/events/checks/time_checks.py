@@ -54,6 +54,7 @@ class _Trigger(NamedTuple):
 
 def cycles(program: ProgramModel) -> Iterator[RuleError]:
     """Yield rules by which an event raises itself immediately and without end."""
+    # Removing triggers outside of cycles first keeps the search fast for programs with thousands of rules.
     steps = _cyclic([step for rule in program.rules for step in _triggers(rule)])
     of_event = _by_event(steps)
     reported: Set[int] = set()
@@ -76,6 +77,7 @@ def cycles(program: ProgramModel) -> Iterator[RuleError]:
 
 def _triggers(rule: WrittenRule) -> Iterator[_Trigger]:
     head = rule.definition.head
+    # Alarms and queries raise their event later, so they end a cycle without time.
     if head is None or key_of(head) in ALARMS or made_by(head) is not deref(head):
         return
     for event in _sole_triggers(rule.definition.pattern):
@@ -219,6 +221,7 @@ class _Instants:
                 and len(term) > 1
             ):
                 key = key_of(term[1])
+                # ``new_event/3`` sets an interval; a goal with a variable may raise any event.
                 if key is not None and term[0] is not _NEW:
                     self._goals.add(key)
                 elif key is None:
@@ -245,6 +248,7 @@ class _Instants:
                 for needed_key in missing[key]:
                     waiting.setdefault(needed_key, []).append(key)
         known: Set[Functor] = set()
+        # A worklist instead of recursion: rules can form chains of any length.
         ready = [key for key, needed in missing.items() if not needed]
         while ready:
             instant = ready.pop()
@@ -345,8 +349,8 @@ def waits_for_ever(program: ProgramModel) -> Iterator[RuleError]:
         if node is not None:
             operator = node.operator if isinstance(node, Pair) else "seq"
             yield RuleError(
-                "what waits here is kept for ever: the policy is unrestricted, and no window ends it; "
-                "write (...) within SECONDS, or turn on garbage_control",
+                "partial matches of this pattern are kept forever: the policy is unrestricted, and no window ends "
+                "it; write (...) within SECONDS, or turn on garbage_control",
                 _operator_place(rule, operator),
             )
 
@@ -364,6 +368,7 @@ def unbounded_keys(program: ProgramModel) -> Iterator[RuleError]:
     for rule in program.rules:
         label = rule.definition.label
         label_properties = () if label is None else properties.get(term_key(label), ())
+        # A window of the rule bounds its partial matches, and a time to live the states of keys.
         if any(prop.name in ("window", "event_rule_window", "ttl") for prop in label_properties):
             continue
         for part in _without_bound(rule.definition.pattern):
@@ -384,7 +389,8 @@ def _without_bound(pattern: Pattern) -> Iterator[Pattern]:
         if isinstance(part, (Windowed, Shaped, Awaited)):
             if not is_bounded:
                 yield part
-            is_bounded = False  # a bound applies to the outputs of the operator, not to its inputs
+            # A bound applies to the outputs of the operator, not to its inputs.
+            is_bounded = False
         elif isinstance(part, Within):
             is_bounded = True
         # A bound above an operator limits its inputs as well, except for stream operators (see above).
@@ -458,6 +464,7 @@ def _unbounded_join(pattern: Pattern) -> Optional[Pattern]:
         part = stack.pop()
         if isinstance(part, Within):
             continue
+        # These store partial matches; alternatives and conditions store nothing.
         if isinstance(part, (Pair, Star, Aggregate, Repeated)):
             join: Pattern = part
             return join

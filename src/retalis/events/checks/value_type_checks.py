@@ -145,11 +145,12 @@ def _created_terms(parts: List[Subterm], out: Optional[Term]) -> Set[int]:
 
 def _clash_text(name: str, first: SlotKind, second: SlotKind) -> str:
     """Return the message for a variable with two types."""
+    # The message names the source of the value first.
     if first.is_made and not second.is_made:
         first, second = second, first
     if second.is_made and not first.is_made and second.what == "a text":
         return f"{name} is {first.what} ({first.slot}) and goes into a text ({second.slot}): {_to_text(name)}"
-    return f"{name} is {first.what} ({first.slot}) and, here, {second.what} ({second.slot}): these are never the same"
+    return f"{name} is {first.what} ({first.slot}) and, here, {second.what} ({second.slot}): these are never equal"
 
 
 def _in_goals(parts: List[Subterm], known: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
@@ -170,6 +171,7 @@ def _in_goals(parts: List[Subterm], known: Dict[Var, SlotKind], names: Any) -> I
             parent, position = operands.pop(0)
             term: Any = deref(parent[position])
             if term.__class__ is tuple and (term[0] in _ARITHMETIC or term[0] in _SIGNS):
+                # The arguments of arithmetic functions are numbers as well.
                 operands += [(term, number) for number in range(1, len(term))]
             kind = known.get(term) if term.__class__ is Var else None
             if kind is not None and kind.what in _ADVICE and term not in reported:
@@ -323,6 +325,7 @@ def _messages(
     program: ProgramModel, event: Subterm, own: Set[Optional[Functor]]
 ) -> Iterator[Tuple[Subterm, Definition]]:
     """Yield the messages in an input event; events of the program itself may contain other numbers."""
+    # The program may raise such events with values that no message has.
     if event.key in own or None in own or program.message_of(event.term) is None:
         return
     for subterm in subterms(event.parent, event.number, event.spot):
@@ -340,7 +343,8 @@ def _compared_numbers(
 ) -> Iterator[RuleError]:
     """Yield comparisons that never hold, given the events that contain their variables."""
     parts = list(subterms(whole.parent, whole.number, whole.spot))
-    if any(subterm.key in _BRANCHES for subterm in parts):  # the variable may be bound in another branch
+    # With alternatives, the variable may be bound in another branch.
+    if any(subterm.key in _BRANCHES for subterm in parts):
         return
     known = _numeric_variables(program, events, own)
     for subterm in parts:

@@ -51,6 +51,7 @@ class Dispatcher(ListenerIndex):
         super().__init__()
         self.max_depth = max_depth
         self._deepest = max_depth + 1
+        # The limit for chains of events may be lower than the depth for recursion.
         self.at_once = min(AT_ONCE, self._deepest)
         self._machine: Any = None if logic is None else logic.machine
         self._done: Any = None if logic is None else logic.machine.done
@@ -128,7 +129,8 @@ class Dispatcher(ListenerIndex):
         if depth > self.at_once:
             return self._deferred(frame, depth)
         self.current = context
-        for matcher, action in steps:  # inlined from `_Serve.run`, because a call costs 5 % of a short event
+        # Inlined from `_Serve.run`, because a call costs 5 % of a short event.
+        for matcher, action in steps:
             values = matcher(term)
             if values is not None:
                 next_frame = action(term, values, start, end, frame)
@@ -166,6 +168,7 @@ class Dispatcher(ListenerIndex):
         """Return the frame of a derived event for the loop of the machine, if the limits allow it."""
         if depth > self._deepest:
             raise UsageError(f"more than {self.max_depth} events were derived one from another")
+        # Deep chains check the limits of the input event; shallow ones are bounded by their depth.
         if self._budget.closed:
             self._refuse_past_limits()
         return frame

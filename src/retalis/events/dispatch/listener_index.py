@@ -79,6 +79,7 @@ class ListenerIndex:
         pattern = copy(pattern)
         functor = _functor_of(pattern)
         key = term_key(pattern)
+        # Rules often share patterns; equal patterns share one compiled function.
         matcher = self._matchers.get(key)
         if matcher is None:
             matcher = self._matchers[key] = compile_matcher(pattern)
@@ -115,7 +116,8 @@ class ListenerIndex:
         """
         gates = self._filters.get(functor)
         if gates is None:
-            if len(self._filters) >= self._sweep_threshold:  # filters of removed rules and clauses
+            # Rules and clauses come and go, and the entries of their functors stay behind empty.
+            if len(self._filters) >= self._sweep_threshold:
                 self._filters = {key: filters for key, filters in self._filters.items() if len(filters)}
                 self._sweep_threshold = 2 * len(self._filters) + _MIN_FILTERS_TO_SWEEP
             gates = self._filters[functor] = WeakValueDictionary()

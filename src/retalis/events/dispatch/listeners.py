@@ -92,7 +92,7 @@ PARENT = 3
 DEPTH = 4
 """Length of its chain of derivation, including itself."""
 GROUND = 5
-"""Whether the event has no variables; None if that is not known yet."""
+"""True if the event has no variables; None if that is not known yet."""
 CAUSE = 6
 """Value of `Dispatcher.cause` when the event was dispatched."""
 TOKEN = 7
@@ -206,7 +206,8 @@ class ArgumentProjection:
         if any(
             functor is None and not listener.partial for functor, group in groups for listener in list(group)
         ):
-            return {}  # a listener reads all arguments of all events
+            # Some listener reads all arguments of all events.
+            return {}
         return {
             functor: frozenset.intersection(*(listener.unread for listener in group))
             for functor, group in ((functor, list(group)) for functor, group in groups)

@@ -144,6 +144,7 @@ def _general(pattern: Term, order: List[Var]) -> Callable[[Term, Optional[Term]]
 
 def unify_pattern(pattern: Term, order: List[Var], term: Term) -> Optional[Values]:
     """Unify a copy of the pattern with the event, and undo all bindings."""
+    # A copy, because the pattern is shared by all events and must stay unbound.
     fresh: Dict[Var, Term] = {var: Var() for var in order}
     trail: Trail = []
     values: Optional[Values] = None

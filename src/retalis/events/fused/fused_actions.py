@@ -75,7 +75,8 @@ def firing_action(
         NOBODY=NOBODY,
         UsageError=UsageError,
     )
-    if rule.meter is not None:  # inlined from the function that `Budget.meter` returns
+    # Inlined from the function that `Budget.meter` returns.
+    if rule.meter is not None:
         budget = rule.network.logic.machine.budget
         body[:0] = [
             "pattern_steps[0] = steps_left = pattern_steps[0] - 1",
@@ -138,9 +139,11 @@ def _goal_source(inputs: int) -> str:
         Block("if values is None:", [f"_, {values} = term"]),
         Block("else:", [f"{values}, = values"]),
         f"frame = (code, {values}, done)",
+        # The trail is as long as before if the goal bound nothing outside of itself.
         "mark = len(trail)",
         "outer_goal = budget.goal",
-        Block(  # inlined from `Machine.check`, within an entry of the machine
+        # Inlined from `Machine.check`, within an entry of the machine.
+        Block(
             "try:",
             [
                 Block("if budget.closed:", ["budget.admit()"]),

@@ -187,6 +187,7 @@ class _ActionGenerator:
         span, queue = self.own.span, self.queue
         late: List[Statement] = []
         if waits and span is not None:
+            # An event longer than the retention time expires at once, which the general path handles.
             late = [Block(f"if s is not e and s + {span} < e:", [self.plain])]
         statements: List[Statement] = []
         if self.rule.timed:
@@ -231,13 +232,15 @@ class _ActionGenerator:
         """
         own = self.own
         keep = [] if self.whole else ["match.values = values"]
-        if own.name is not None and not keyed:  # without a key, other matches compare their identity with it
+        # Without a key, waiting matches are compared by identity, so its fields must be set.
+        if own.name is not None and not keyed:
             keep.append("match.identity = match.parts = None")
         file = []
         if own.span is not None:
             file = [f"expiries.add({own.span}, match, number)" if anew else f"{self.queue}.append(match)"]
         sweep = "number > rule.sweep_at or " if self.rule.sweeps_ruled_out else ""
         return [
+            # Most keys have one waiting match, and the short class saves memory and time for it.
             "alone = key not in waiting",
             "match = new(Match)" if keep else "match = new(EventMatch if alone else Match)",
             *keep,
@@ -305,6 +308,7 @@ class _OperandGenerator(_ActionGenerator):
         emission = (
             [Block("if met is not None and partner.buffer is not None:", give)] if self.tested else give
         )
+        # The conditions reject the only partner that was tried; `among` tries the other ones.
         others = [
             Block(
                 f"if {last}.older is not {last}:",

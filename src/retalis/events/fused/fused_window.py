@@ -176,7 +176,8 @@ def _source(window: FusedWindow, limited: bool, metered: bool) -> str:
     taken = [f"x{at}" for at, place in enumerate(window.values) if place is not None]
     measures = []
     for at, kind in enumerate(window.kinds):
-        place = sum(one is not None for one in window.values[:at])  # index in `StreamElement.values`
+        # `StreamElement.values` contains the values of those measures that have one.
+        place = sum(one is not None for one in window.values[:at])
         measures.append(_MEASURES[kind](at, place))
     results = [*(f"k{at}" for at in range(len(window.groups))), *(one.result for one in measures)]
     body: List[Statement] = [
@@ -226,6 +227,7 @@ def _source(window: FusedWindow, limited: bool, metered: bool) -> str:
         "members = group.members",
         "members.append(item)",
         *(statement for one in measures for statement in one.add),
+        # The element is complete before results are computed, which may raise an error.
         "queue.append(item)",
         Block("try:", [f"found = {tuple_source(results)}"]),
         Block("except OverflowError:", ["return too_large(group, after)"]),

@@ -42,7 +42,7 @@ class AggregateKind(NamedTuple):
 
     @property
     def numeric(self) -> bool:
-        """Whether values must be numbers."""
+        """True if values must be numbers."""
         return self.check is not None
 
 
@@ -65,6 +65,7 @@ def _sum(state: Any, value: Any) -> Any:
         OverflowError: if it is too large for a float.
     """
     total = state + value
+    # An infinite sum would stay infinite, whatever is added later, so it is reported instead.
     if total.__class__ is float and not isfinite(total):
         raise OverflowError
     return total
@@ -134,9 +135,11 @@ class Collector:
             if self.kind.check is None:
                 if self.name == "count":
                     return state.__class__ is int
+                # A list is stored as nested pairs, which end in the empty tuple.
                 while state.__class__ is tuple and len(state) == 2:
                     state = state[0]
                 return state == ()  # type: ignore[no-any-return]
+            # The state of ``avg`` is the sum and the count.
             if self.start == (0, 0):
                 if state.__class__ is not tuple or len(state) != 2:
                     return False

@@ -84,9 +84,9 @@ def event_fault(name: str) -> Optional[str]:
     if not name[0].islower():
         return f"the name of an event begins with a small letter, found {name}"
     if "__0__" in name:
-        return f"{name} is what the events of a message type are called: choose a name without __0__"
+        return f"{name} is reserved for the events of message types: choose a name without __0__"
     if name in _TAKEN:
-        return f"{name} means something else in rules: choose another name for the events"
+        return f"{name} has a fixed meaning in rules: choose another name for the events"
     return None
 
 
@@ -117,6 +117,7 @@ class ValueType(NamedTuple):
 
     def excludes(self, other: "ValueType") -> bool:
         """Return whether no value has both types."""
+        # Two messages of different types never unify, although both are compound terms.
         if self.of_message and other.of_message:
             return self.of_message != other.of_message
         # ``nan`` and ``inf`` are atoms and numbers, so a shared form ``word`` alone does not make two types
@@ -180,7 +181,8 @@ def form_of(value: Term) -> str:
     if isinstance(value, Atom):
         if value is NIL:
             return "nil"
-        if value.name.startswith('"'):  # a text as messages have it
+        # A string of a message, which is an atom that includes the quotes.
+        if value.name.startswith('"'):
             return "quoted"
         return "word" if value.name in _WORDS_OF_FLOATS else "atom"
     if isinstance(value, tuple):
@@ -198,6 +200,7 @@ def read_kind(named: Term) -> ValueType:
         UsageError: if no such type exists.
     """
     term, depth = deref(named), 0
+    # The depth is limited, so that a cyclic or generated term cannot loop here.
     while isinstance(term, tuple) and term[0] is _LIST and depth < _MAX_LIST_DEPTH:
         term, depth = deref(term[1]), depth + 1
     value_type = _plain_kind(term)
@@ -329,7 +332,7 @@ def _declaration(term: Term, place: Optional[Place], spot: Spot) -> Declaration:
     if type_name(name) is not None:
         raise RuleError(f"{name} declares itself: the slots of its messages and their types are known", place)
     if means_other(name):
-        raise RuleError(f"{name} means something else in rules: choose another name for the event", place)
+        raise RuleError(f"{name} has a fixed meaning in rules: choose another name for the event", place)
     arguments: Dict[str, Argument] = {}
     for number, part in enumerate(term[1:] if isinstance(term, tuple) else (), 1):
         argument_place = spot(term, number)
@@ -394,9 +397,10 @@ class Declarations:
             if len(declaration.arguments) == key.arity:
                 return ""
             number = counted(len(declaration.arguments), "argument")
-            return f"{key} is not as it is declared: {self._show(declaration.term)} has {number}"
+            return f"{key} does not match its declaration: {self._show(declaration.term)} has {number}"
         if not self.strict or self._is_exempt(key):
             return ""
+        # In strict mode, a misspelt name is more likely than a forgotten declaration.
         near = get_close_matches(key.name, self._declared, 1)
         advice = (
             f"did you mean {self._show(self._declared[near[0]].term)}?"
@@ -491,7 +495,7 @@ class VariableKinds:
         if not self._reports_clashes or not known.excludes(kind):
             return ""
         name = self._names[var] if isinstance(var, Var) and var in self._names else "this variable"
-        return f"{name} is {known.what} ({other}) and, here, {kind.what} ({where}): these are never the same"
+        return f"{name} is {known.what} ({other}) and, here, {kind.what} ({where}): these are never equal"
 
 
 def head_event(parent: CompoundTerm, number: int) -> EventTerm:
@@ -533,6 +537,7 @@ def made_by_goals(goals: Iterable[Subgoal]) -> Iterator[EventTerm]:
                     yield EventTerm(deref(part[1]), part, 1)
         if term.__class__ is tuple and makes_event(term):
             event = deref(term[1])
+            # ``new_event(event(E, Interval))`` wraps the event once more.
             if event.__class__ is tuple and event[0] is _EVENT2 and len(term) == 2:
                 term, event = event, deref(event[1])
             yield EventTerm(event, term, 1)

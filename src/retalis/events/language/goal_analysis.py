@@ -133,6 +133,7 @@ def unknown_calls(
         if key not in added and _ANY not in added:
             # Each predicate is reported once, at its first call.
             added.add(key)
+            # The search for similar names compares with all predicates, so only the first ones get a hint.
             hints -= 1
             similar = logic.similar(key) if hints >= 0 and not advice else []
             hint = f"; did you mean {' or '.join(similar)}?" if similar else ""

@@ -217,7 +217,8 @@ def gap_doubt(term: CompoundTerm, spot: Callable[..., Any], names: Mapping[Var, 
     # Parentheses leave no trace in the term, only in the places of its parts; a rule that was built by a goal has
     # none, so it gets no warning.
     if core.__class__ is not tuple or spot(core) is None:
-        return None  # a rule without a text has no parentheses either
+        # A rule that was built as a term has no places at all.
+        return None
     parts = _repetitions(core) or _parts_without_parentheses(core, spot)
     if len(parts) < 3:
         return None

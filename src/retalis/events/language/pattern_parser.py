@@ -152,7 +152,7 @@ class PatternReader:
         """Return the pattern of an operand; see `read`."""
         term = deref(parent[number])
         if term.__class__ is tuple and term[0] in _GOALS_AS_PATTERN:
-            raise self.error(f"{term[0].name}(Goal) can only stand beside {SEQ}, not beside {operator}", term)
+            raise self.error(f"{term[0].name}(Goal) can only be an operand of {SEQ}, not of {operator}", term)
         return self.read(parent, number)
 
     def _event(self, parent: CompoundTerm, number: int) -> Occurs:
@@ -410,7 +410,8 @@ def check_window(
         if everywhere.get(var, 0) > inside[var]:
             name = names.get(var, "a variable")
             message = (
-                f"{name} is measured and stands elsewhere too, so that there is a window for each value of it"
+                f"{name} is measured and also occurs outside of the aggregate, so that there is a window for each of "
+                "its values"
             )
             warn(RuleError(message, spot(deref(term[1])) or spot(term)))
 

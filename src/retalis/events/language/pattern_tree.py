@@ -54,6 +54,7 @@ class Repeated(NamedTuple):
         """Return the equivalent sequence of patterns."""
         result: Pattern = self.pattern
         for _ in range(self.times - 1):
+            # Variables ``_`` are independent in each repetition; all others are shared and join the repetitions.
             fresh = {var: Var() for var in self.own}
             result = Pair(SEQ, result, with_others(self.pattern, fresh) if fresh else self.pattern)
         return result
@@ -259,7 +260,8 @@ def with_others(part: Pattern, fresh: Mapping[Var, Var]) -> Any:
             return value.__class__(*map(renamed, value))
         # Terms are tuples that begin with a functor; any other tuple is a field with several patterns or variables.
         if value.__class__ is tuple and (not value or value[0].__class__ is not Functor):
-            return tuple(map(renamed, value))  # the branches of an ``or``, the variables of repetitions
+            # Fields with several values: branches of ``or``, variables of repetitions.
+            return tuple(map(renamed, value))
         return rebuild(value, lambda var: fresh.get(var, var)) if value.__class__ in (tuple, Var) else value
 
     return renamed(part)
@@ -290,6 +292,7 @@ def surely_bound_by(pattern: Pattern, conditions: bool = True, empty: bool = Fal
     if isinstance(pattern, Star) or (empty and isinstance(pattern, Aggregate)):
         # Zero repetitions are a match as well, and bind nothing.
         return surely_bound_by(pattern.first, conditions, empty)
+    # A condition binds variables when it is solved, which may be after the match was stored under its key.
     counts = conditions or not isinstance(pattern, Condition)
     bound = {var for term in own_terms(pattern) for var in variables(term)} if counts else set()
     for child in children(pattern, False):
@@ -359,6 +362,7 @@ def _as_term(pattern: Pattern) -> Term:
 
 def _conditions_of_steps(part: Pattern) -> List[Term]:
     steps = part.window.steps if isinstance(part, Windowed) else ()
+    # A placeholder keeps the positions of the conditions distinct: a ``where`` is no ``until``.
     none = functor("none", 1)(0)
     return [none if goal is None else goal for step in steps for goal in (step.goal, step.until)]
 
@@ -374,6 +378,7 @@ def _discriminator(part: Pattern) -> Tuple[str, Tuple[int, ...]]:
     if isinstance(part, Windowed):
         settings = " ".join(map(repr, part.settings))
         kind = f"{part.window.kind} {' '.join(part.kinds)} {settings}"
+        # Only the plain fields of steps: their conditions are terms, and compared as such.
         kind += "".join(map(repr, (*(step[:5] for step in part.window.steps), *part.scopes)))
         return kind, (*part.window[1:4], int(part.window.running), int(part.listed))
     return type(part).__name__, _numbers(part)
@@ -402,6 +407,7 @@ def _variable_occurrences(term: Term) -> List[Var]:
         if item.__class__ is tuple:
             stack.extend(item[1:])
         elif item.__class__ is Var:
+            # Bound variables are followed, so that two variables that were unified count as one.
             if item.ref is None:
                 result.append(item)
             else:

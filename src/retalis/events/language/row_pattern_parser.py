@@ -78,10 +78,12 @@ def read_steps(
     steps = [_step(reader, deref(step), form) for step in items]
     names = [step.name for step in steps]
     for name in names:
+        # Navigations refer to steps by name.
         if names.count(name) > 1:
             raise reader.error(f"two steps are called {name}", form, 1)
+    # A match without any row would hold at every instant.
     if not any(step.least for step in steps):
-        raise reader.error("one step at least has to be there: all of these may be left out", form, 1)
+        raise reader.error("at least one step must have a minimum above 0", form, 1)
     _check_ends(reader, steps, form)
     looked_at: List[Var] = []
     for number, step in enumerate(steps):
@@ -157,7 +159,8 @@ def _check_ends(reader: "PatternReader", steps: Sequence[StepForm], form: Compou
         ):
             # With ``later``, an optional further row could still arrive at any time, so the match would never be
             # final.
-            missing = "a single number"  # else it would wait for more, which may never come
+            # Else it would wait for more, which may never come.
+            missing = "a single number"
         if missing:
             message = f"nothing ends the step {step.name}: give it {missing}, reluctant, or until(Goal)"
             raise reader.error(message, form, 1)
@@ -167,8 +170,8 @@ def _navigation_error(
     reader: "PatternReader", back: LookBack, names: Sequence[str], form: CompoundTerm
 ) -> RuleError:
     if back.step < 0:
-        return reader.error(f"there is no such step to look back at; there are {', '.join(names)}", form, 1)
-    return reader.error(f"{back.kind} needs a variable that the pattern gives a value", form, 1)
+        return reader.error(f"unknown step; the steps are {', '.join(names)}", form, 1)
+    return reader.error(f"{back.kind} needs a variable that the pattern binds", form, 1)
 
 
 def conditions(goal: Term, names: Sequence[str], at: int, given: Container[Var]) -> List[StepCondition]:

@@ -44,7 +44,7 @@ class Property(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Whether a property with this name exists."""
+        """True if a property with this name exists."""
         return self.name in KNOWN_PROPERTIES
 
     @property
@@ -112,6 +112,7 @@ def label_error(term: CompoundTerm, spot: Spot) -> Optional[RuleError]:
     if not is_plain_rule(deref(term[2])) or labelled(term)[0] is not None:
         return None
     label = deref(term[1])
+    # A variable is a plausible mistake: a label in upper case.
     if label.__class__ is Var:
         return RuleError(f"{_LABEL_FORM}, not a variable", spot(term, 1))
     if label.__class__ is tuple and len(label) == 2:
@@ -129,6 +130,7 @@ def _property_meant(part: Term) -> str:
     value: Any = None
     if part.__class__ is tuple and len(part) == 2:
         name, value = part[0].name, deref(part[1])
+    # The infix forms that other configuration languages use.
     elif part.__class__ is tuple and len(part) == 3:  # window = 3, window-3
         name, value = getattr(deref(part[1]), "name", None), deref(part[2])
     if name in WORDS and value.__class__ is Atom:
@@ -265,6 +267,7 @@ def check_head(head: Term, spot: Spot, place: Optional[Place], warn: Callable[[R
         except UsageError as error:
             raise RuleError(error.message, spot(head, 2)) from None
     if head[0] in ALARMS or head[0] in SYNCHRONIZED:
+        # The event inside a wrapper is a head as well, with the same rules.
         event = deref(head[1])
         check_head(event, spot, spot(event) if event.__class__ is tuple else spot(head, 1), warn)
     if head[0] in SYNCHRONIZED:
@@ -285,6 +288,7 @@ def _check_query(head: Any, spot: Spot) -> None:
 
 def _may_be_pair(term: Term) -> bool:
     items, rest = list_parts(term)
+    # An open list may still become a pair when the rule is run.
     return len(items) <= 2 if rest.__class__ is Var else rest is NIL and len(items) == 2
 
 
@@ -340,7 +344,7 @@ class Schedule(NamedTuple):
 
     @property
     def is_relative(self) -> bool:
-        """Whether the schedule is a single delay from the time when the timer is set."""
+        """True if the schedule is a single delay from the time when the timer is set."""
         return self.instant is None and not self.repeats
 
     def next(self, now: int) -> Optional[int]:
@@ -363,6 +367,7 @@ def schedule_of(term: Term) -> Schedule:
     kind = when[0] if when.__class__ is tuple else None
     if kind is _EVERY:
         return Schedule(when, _seconds(when, SHORTEST), True, phase=0)
+    # Without ``from_now``, periods are aligned to multiples since 1970, so all nodes fire at the same instants.
     if kind is _EVERY_FROM and deref(when[2]) is _FROM_NOW:
         return Schedule(when, _seconds(when, SHORTEST), True)
     if kind is _TIMER_AFTER:

@@ -74,6 +74,7 @@ def declares_state(term: Term) -> bool:
     if goal.__class__ is not tuple or goal[0] not in STATE:
         return False
     begins = deref(goal[2])
+    # ``state/3`` is a likely name in programs, so the form of its second argument decides.
     return begins.__class__ is tuple and begins[0] is _FROM
 
 
@@ -91,7 +92,7 @@ def state_form(term: Term) -> StateForm:
         raise UsageError("a state cannot begin or end with events of its own name")
     # Instances of a state are told apart by their bound arguments from the start on.
     if not set(variables(state)) <= set(variables(begins)):
-        raise UsageError("each variable of the state has to stand in from(...), which gives it its value")
+        raise UsageError("each variable of the state must occur in from(...), which binds it")
     return StateForm(goal, state, begins, ends, **(_options(goal[4]) if len(goal) == 5 else {}))
 
 
@@ -99,7 +100,7 @@ def _event_in(term: Term, wrapper: Functor) -> Term:
     part: Any = deref(term)
     if part.__class__ is not tuple or part[0] is not wrapper:
         raise UsageError(f"expected {FORM}")
-    return _event(part[1], f"what stands in {wrapper.name}(...)")
+    return _event(part[1], f"the argument of {wrapper.name}(...)")
 
 
 def _event(term: Term, what: str) -> Term:
@@ -107,8 +108,11 @@ def _event(term: Term, what: str) -> Term:
     if event.__class__ is not tuple and not isinstance(event, Atom):
         raise UsageError(f"{what} is an event: an atom or a compound term")
     key = _key(event)
+    # Patterns are compiled for rules only; a declared state listens to single events.
     if key in SPELLINGS or key is COMMA:
-        raise UsageError(f"{what} is a single event, no pattern: a rule may make one of that pattern")
+        raise UsageError(
+            f"{what} is a single event, not a pattern: write a rule that raises an event for the pattern"
+        )
     return event
 
 

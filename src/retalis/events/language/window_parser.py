@@ -134,13 +134,12 @@ def read_shape(reader: FormReader, term: CompoundTerm) -> Shaped:
     by: Tuple[Term, ...] = ()
     if len(shape) == 3:
         items = list_items(shape[2])
+        # A key is one term or a list of terms.
         by = tuple(items if items is not None else [deref(shape[2])])
     given = set(bound_by(pattern))
     for number, used_term in ((1, value), *((2, key) for key in by)):
         if used_term is not None and any(var not in given for var in variables(used_term)):
-            raise reader.error(
-                f"{name} looks at a variable that no event of its pattern gives a value", shape, number
-            )
+            raise reader.error(f"{name} uses a variable that no event of its pattern binds", shape, number)
     return Shaped(pattern, name, span, value, by)
 
 
@@ -151,9 +150,10 @@ def read_window(reader: "PatternReader", term: CompoundTerm) -> Windowed:
         RuleError: if a measure or the window is malformed, or a measured variable is not bound by Q.
     """
     kind = deref(term[1])
+    # One measure, or a list of measures over the same window.
     several = list_items(kind)
     if several is not None and not several:
-        raise reader.error("an aggregate needs one kind at least", term, 1)
+        raise reader.error("an aggregate needs at least one kind", term, 1)
     kinds = [kind] if several is None else [deref(measure) for measure in several]
     restricted = [_restricted_measure(measure) for measure in kinds]
     measures = [_measure(reader, measure, term) for _, measure in restricted]
@@ -161,9 +161,8 @@ def read_window(reader: "PatternReader", term: CompoundTerm) -> Windowed:
     given = set(bound_by(collected))
     for (_, measure), (_, _, value) in zip(restricted, measures):
         if value is not None and any(var not in given for var in variables(value)):
-            raise reader.error(
-                "what is measured has a variable that no event in the window gives a value", measure
-            )
+            raise reader.error("a measured value has a variable that no event in the window binds", measure)
+    # For a list of measures, the result is a list of the same length, or a variable for the whole list.
     items = list_items(term[3]) if several is not None else None
     if items is not None and len(items) != len(kinds):
         raise reader.error(f"{len(kinds)} aggregates have {len(kinds)} results, not {len(items)}", term, 3)
@@ -172,7 +171,7 @@ def read_window(reader: "PatternReader", term: CompoundTerm) -> Windowed:
     scopes = _scopes(reader, [step for step, _ in restricted], window, term)
     # The rate is computed between the first and the last event of a window.
     if "rate" in [name for name, _, _ in measures] and window.kind == "batch" and window.most == 1:
-        raise reader.error("one event has no rate", term, 4)
+        raise reader.error("rate needs a window of at least two events", term, 4)
     names, settings, values = zip(*measures)
     listed = several is not None and items is None
     return Windowed(collected, names, settings, values, results, listed, window, scopes)
@@ -232,6 +231,7 @@ def _window(reader: "PatternReader", form: Any, term: CompoundTerm, given: Set[V
         return WindowForm("steps", steps=steps, looked_at=looked_at)
     if name == "running" and len(form) == 2:
         inner = _window(reader, deref(form[1]), term, given)
+        # Sliding windows and row patterns emit at each match in any case, and hopping windows overlap.
         if inner.kind not in ("every", "first", "batch") or inner.span != inner.step:
             raise reader.error(
                 "running needs every(Seconds), every(Seconds, first) or every(N, events)", form
@@ -303,8 +303,8 @@ def window_term(form: WindowForm) -> Term:
     return functor("running", 1)(term) if form.running else term
 
 
-_NOT_SINGLE_ERROR = "a subscription takes single events: a rule may make one of a pattern"
-_TRAILING_OPERATOR_ERROR = "a subscription takes P with S, and nothing after it"
+_NOT_SINGLE_ERROR = "a subscription takes single events: write a rule that raises an event for the pattern"
+_TRAILING_OPERATOR_ERROR = "a subscription takes P with S without further operators"
 
 
 def subscribed_event(term: Term) -> Term:
@@ -350,7 +350,8 @@ class _SingleEvent:
         return Occurs(event)
 
     def span(self, name: str, term: CompoundTerm) -> int:
-        raise self.error(_NOT_SINGLE_ERROR, term)  # only patterns of several events have a duration
+        # Only patterns of several events have a duration.
+        raise self.error(_NOT_SINGLE_ERROR, term)
 
     def error(self, message: str, term: Term, number: int = 0) -> RuleError:
         return RuleError(message)

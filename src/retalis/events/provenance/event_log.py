@@ -296,6 +296,7 @@ class EventLog:
         # A program may redefine or abolish the predicate.
         if predicate is None or predicate.kind != "user":
             return False
+        # Facts may be added and removed at any time, so they are read for each event.
         heads = (clause.head for clause in predicate.live())
         return any(_selects(deref(head[1]), term) for head in heads if head.__class__ is tuple)
 
@@ -308,6 +309,7 @@ def _selects(pattern: Term, event: Term) -> bool:
         return (name.__class__ is Var or (name.__class__ is Atom and name.name == key.name)) and (
             arity.__class__ is Var or arity == key.arity
         )
+    # A copy of the pattern is unified, because facts are shared.
     trail: Trail = []
     result = unify(copy(pattern), event, trail)
     undo(trail, 0)

@@ -115,6 +115,7 @@ class Justifier:
                 stack += pending
                 continue
             stack.pop()
+            # An input event has no rule: it is a leaf of the tree.
             label: Term = _UNLABELED
             body: Term = _DEFAULT
             if occurrence.rule is not None and occurrence.match is not None:
@@ -242,6 +243,7 @@ def _describe_run(pattern: Any, parts: Sequence[Any], show: Show) -> Term:
     if isinstance(pattern, (Windowed, Shaped, Awaited)):
         return _describe_stream(pattern, parts, show)
     first = describe(pattern.first, parts[0], show)
+    # Repetitions are recorded only while lineage is tracked; otherwise the match shows its first event only.
     held = [part for part in parts if part.__class__ is TrackedMatch]
     taken = list(held[0].matches) if held else []
     if isinstance(pattern, Star):

@@ -145,7 +145,8 @@ class LineageTracker:
     def _mark(self, context: Context) -> Occurrence:
         """Return the token of an event without one: an input event, or one that a goal created."""
         term, start, end, cause = context[TERM], context[START], context[END], context[CAUSE]
-        if cause.__class__ is Occurrence:  # the event of a synchronized query that was answered later
+        # The event of a synchronized query that was answered later.
+        if cause.__class__ is Occurrence:
             released = Occurrence(term, start, end, None, None)
             released.follows([cause])
             return released
@@ -153,6 +154,7 @@ class LineageTracker:
         occurrence = Occurrence(term, start, end, rule, match)
         known = [] if match is None else known_in(match)
         parent = context[PARENT]
+        # The events that a query raises follow from the event ``synchronized(...)`` that holds the query.
         if not known and parent is not None and _is_synchronized(parent[TERM]) and parent[TOKEN] is not None:
             known = [parent[TOKEN]]
         occurrence.follows(known)
@@ -267,9 +269,11 @@ class LineageTracker:
                 for lost_result in node.unmade()
                 if not lost_result.gone
             ]
-            gone = _mark_gone(invalid, meter)  # over the limit, invalid outputs remain
+            # If the limit is exceeded here, the invalid outputs remain.
+            gone = _mark_gone(invalid, meter)
             unmade += invalid if gone else ()
-        kept.sort(key=_number)  # in the order in which they were tried, as the policy requires
+        # The consumption policy requires the order in which they were tried first.
+        kept.sort(key=_number)
         again: List[Tuple[TriesAgain, Tried]] = [
             (node, result) for run, node in runs.items() for result in node.results_again(run)
         ]
@@ -291,6 +295,7 @@ class LineageTracker:
                 if isinstance(match, PartialMatch):
                     match.leave()
                 elif match[0].forget(*match[1:]):
+                    # A run may have lost several repetitions; its results are computed once, after all are removed.
                     runs[match[1]] = match[0]
             kept += node.suppressed
             node.suppressed = []

@@ -42,13 +42,15 @@ class _ForbiddenElements:
     __slots__ = ("items", "number", "newest")
 
     def __init__(self) -> None:
-        self.items: List[StreamElement] = []  # may contain dropped elements, see `count_removal`
+        # The list may contain dropped elements, see `count_removal`.
+        self.items: List[StreamElement] = []
         self.number = 0
         self.newest = NEVER
 
     def add(self, item: StreamElement, span: int, may_thin: bool) -> List[StreamElement]:
         """Add an element, and return the elements that it makes redundant."""
         items = self.items
+        # A bound for quick rejection; it need not shrink when elements are dropped.
         self.newest = max(self.newest, item.start)
         if may_thin and len(items) > 1:
             first, middle = items[-2], items[-1]
@@ -117,9 +119,8 @@ class AbsenceTimeout(KeyedOperator):
     def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
         if now > self._reached:
-            self._reached = (
-                now  # an alarm may raise an event in the past, after elements of that time were dropped
-            )
+            # The maximum, because an alarm may raise an event in the past, after elements of that time were dropped.
+            self._reached = now
         # A pending element ends after ``reached - span``, or its deadline has passed. A forbidden element must start
         # after that end, so older ones are useless.
         self._drop_forbidden_before(self._reached - self.span)
@@ -160,6 +161,7 @@ class AbsenceTimeout(KeyedOperator):
         self._order, self._reached, waiting, absent = kept
         self._pending, self._forbidden, self._due, self._by_start, self._number = {}, {}, [], [], 0
         for item in [*waiting, *absent]:
+            # Keys are not part of the saved state: they follow from the values.
             item.file()
         for item in waiting:
             self._replace(item, self.agreement.key(item.match, 0))
@@ -201,9 +203,8 @@ class AbsenceTimeout(KeyedOperator):
     def _cancel_pending(self, absent: StreamElement, key: Hashable) -> None:
         """Drop all pending elements that a forbidden one cancels."""
         waiting = list(self._candidates(key))
-        if (
-            self.meter is not None
-        ):  # before the loop: an interrupt within it would leave cancelled elements pending
+        if self.meter is not None:
+            # The work is counted before the loop: an interrupt within it would leave cancelled elements pending.
             self.meter(len(waiting))
         for item in waiting:
             if self._lies_after(absent, item):

@@ -78,6 +78,7 @@ class ExactSum:
     def change_fraction(self, over: int, bits: int, by: int) -> None:
         """Add ``over / 2 ** bits``, ``by`` times."""
         if bits > self.scale:
+            # The scale only grows: numbers of other magnitudes come again, and rescaling is linear in the digits.
             self.total <<= bits - self.scale
             self.scale = bits
             self.factor = 2.0**bits if bits < _MAX_BITS else nan
@@ -89,6 +90,7 @@ class ExactSum:
         if not self.floats:
             quotient, rest = divmod(self.total, whole)
             if not rest:
+                # Integers stay exact, of any size.
                 return quotient
         return self.total / whole
 
@@ -114,6 +116,7 @@ def deviation(total: ExactSum, squares: ExactSum, number: int) -> float:
 
 def _root(over: int, under: int) -> float:
     """Return the square root of a fraction that is outside of the range of floats."""
+    # 64 bits more than the quotient has: the integer root is exact to more digits than a float has.
     bits = (under.bit_length() - over.bit_length()) // 2 + 64
     if bits >= 0:
         return isqrt((over << 2 * bits) // under) / (1 << bits)
@@ -157,7 +160,8 @@ def is_number(value: Term) -> bool:
     if term.__class__ in (int, float):
         return True
     if term.__class__ is not tuple:
-        return False  # atoms such as `e` and strings of one character are expressions, but not numbers
+        # Atoms such as `e` and strings of one character are expressions, but not numbers.
+        return False
     try:
         timestamps.from_any(term)
     except UsageError:
@@ -175,7 +179,8 @@ def is_number_expression(value: Term) -> bool:
             continue
         if term.__class__ is not tuple or term[0] not in EVALUABLE:
             return False
-        seen.add(id(term))  # shared subterms are visited once
+        # Shared subterms are visited once.
+        seen.add(id(term))
         stack.extend(term[1:])
     return True
 
@@ -233,13 +238,15 @@ class Ranked:
 
     def __init__(self, part: float):
         self.part = part
-        self.below = Lowest()  # numbers are negated, so the highest is on top
+        # Numbers are negated, so the highest is on top.
+        self.below = Lowest()
         self.above = Lowest()
         self._is_below: Any = {}
 
     def add(self, value: Number, item: Any) -> None:
         """Add the number of an element."""
         top = self.below.top()
+        # Equal numbers go to the lower heap; which of them is irrelevant to the value of the quantile.
         low = top is None or value <= -top[0]
         self._put(value, item, low)
         self._balance()
@@ -279,7 +286,8 @@ class Ranked:
         if not fraction:
             return low
         entry = self.above.top()
-        assert entry is not None  # a rank between two numbers has one above it
+        # A rank between two numbers has one above it.
+        assert entry is not None
         interpolated = low + (entry[0] - low) * fraction
         # The difference is infinite for two huge numbers of opposite sign; ``inf - inf`` is nan, which differs from
         # 0.
@@ -492,6 +500,7 @@ class _CountDistinct(_StatelessMeasure):
 
     def add(self, item: StreamElement) -> None:
         key = term_key(item.values[self.at])
+        # A count per value: a value leaves when its last element does.
         self.numbers[key] = self.numbers.get(key, 0) + 1
 
     def remove(self, item: StreamElement) -> None:
@@ -522,6 +531,7 @@ class _EqualValues:
         """Count an element that is gone."""
         self.live -= 1
         items = self.items
+        # Elements leave mostly in order, so the index advances; compaction is for those that leave in between.
         if len(items) > 2 * self.live + 16:
             self.items = items = [entry for entry in items if not entry[1].gone]
             self.at = 0
@@ -556,6 +566,7 @@ class _Distinct(_StatelessMeasure):
             del self.alike[key]
 
     def result(self, members: Members, number: int) -> Optional[Term]:
+        # In the order of first occurrence, as a list of distinct values is expected to be.
         firsts = sorted([same.first() for same in self.alike.values()], key=_place)
         return make_list([item.values[self.at] for _, item in firsts])
 
@@ -577,6 +588,7 @@ class _Rate(_StatelessMeasure):
 
     def add(self, item: StreamElement) -> None:
         if self.seconds is None:
+            # The first and last end are kept in heaps, because elements may arrive out of order.
             self.first.add(item.end, item)
             self.last.add(-item.end, item)
 
@@ -589,7 +601,8 @@ class _Rate(_StatelessMeasure):
         if self.seconds is not None:
             return number * self.seconds.denominator / self.seconds.numerator
         low, high = self.first.top(), self.last.top()
-        assert low is not None and high is not None  # the window is not empty
+        # The window is not empty.
+        assert low is not None and high is not None
         # n elements span n - 1 intervals.
         span = high[2].end - low[2].end
         return (number - 1) * SECOND / span if span else None

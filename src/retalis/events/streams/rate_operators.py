@@ -52,9 +52,8 @@ class Throttle(KeyedOperator):
         return [StreamOutput((item,), item.start, item.end)] if before is None else []
 
     def _store(self, item: StreamElement) -> None:
-        noted = StreamElement(
-            None, item.start, item.end, item.by, ()
-        )  # without the match, which would keep its events alive
+        # Without the match, which would keep its events alive.
+        noted = StreamElement(None, item.start, item.end, item.by, ())
         self._order += 1
         noted.order = self._order
         self.states[noted.key] = noted
@@ -119,6 +118,7 @@ class DistinctUntilChanged(KeyedOperator):
         if self._idle is not None:
             self._drop_idle_keys()
         state = states.get(key)
+        # The use of a key is recorded even if the value is unchanged, so that it does not become idle.
         if state is not None:
             states.move_to_end(key)
             state.since = self.clock

@@ -507,7 +507,8 @@ class RowPatternWindow(KeyedOperator):
         taken = _MatchedElements(item, step, way.taken)
         start, begun = (item.order, item.start) if way.taken is None else (way.start, way.begun)
         choices, whole, left, _ = plan.choices(step, count)
-        if choices:  # `left` is set if all steps skip elements: the state then equals the one after a skip
+        # `left` is set if all steps skip elements: the state then equals the one after a skip.
+        if choices:
             marks = plan.marked(way.marks, step, item)
             added = self._add(
                 ComputationState(step, count, left, marks, taken, start, begun, way.after), successors
@@ -522,6 +523,7 @@ class RowPatternWindow(KeyedOperator):
 
     def _add(self, way: ComputationState, successors: _Successors) -> bool:
         """Add a state unless a preferred one subsumes it; return whether either of them is present."""
+        # Two states with equal keys accept the same future elements with the same navigations.
         key = way.key(self.plan.meaning(way.step, way.count))
         # States are added in order of preference, so one with the same key and at least this count is preferred and
         # completes no later: the new one can never win.
@@ -530,6 +532,7 @@ class RowPatternWindow(KeyedOperator):
         if way.start != successors.start:
             successors.start, successors.alternatives = way.start, 0
         if successors.alternatives >= MAX_WAYS_PER_START:
+            # The least preferred states are lost; the count is reported.
             self.crowded += 1
             return False
         successors.alternatives += 1
@@ -558,6 +561,7 @@ class RowPatternWindow(KeyedOperator):
         """Return the results of the measures of a match, or None if one has no result."""
         results = []
         for measure, scope in zip(self.make(), self.scopes):
+            # Accumulators are created for each match, because matches are not known before they end.
             members = deque([item for item, step in pairs if scope is None or step == scope])
             for item in members:
                 measure.add(item)
@@ -611,7 +615,8 @@ class RowPatternWindow(KeyedOperator):
             is_consistent = len(group.whole) == group.waiting()
         except KeyError:
             is_consistent = False
-        if not is_consistent:  # elements are missing, or an interrupt came between two updates
+        # Elements are missing, or an interrupt came between two updates.
+        if not is_consistent:
             group.whole.clear()
             group.ways = [self._scanning()]
             for item in items:
@@ -645,7 +650,8 @@ def _matched_elements(
     taken: Optional[_MatchedElements] = None
     for order, step in pairs:
         taken = _MatchedElements(by_order[order], step, taken)
-    assert taken is not None  # a match has at least one element
+    # A match has at least one element.
+    assert taken is not None
     return taken
 
 

@@ -188,7 +188,8 @@ class KeyedOperator:
     def set_bounds(self, bounds: KeyBounds) -> None:
         """See `StreamOperator.set_bounds`."""
         self.bounds = bounds
-        self._max_span, self._idle, self._max_keys = bounds  # local copies, read for each element
+        # Local copies, read for each element.
+        self._max_span, self._idle, self._max_keys = bounds
 
     def __len__(self) -> int:
         return len(self.states)
@@ -215,6 +216,7 @@ class KeyedOperator:
         return end > self.newest_allowed
 
     def _advance(self, end: int) -> None:
+        # `newest_allowed` is tested first, which avoids a call in the usual case.
         if self.clock < end and (end <= self.newest_allowed or not self._is_too_far_ahead(end)):
             self.clock = end
 
@@ -225,6 +227,7 @@ class KeyedOperator:
         states, before = self.states, self.clock - self._idle
         while states:
             key = next(iter(states))
+            # Keys are ordered by last use, so the first key in use ends the search.
             if states[key].since >= before:
                 return
             self._drop_key(key)

@@ -36,7 +36,7 @@ def measured(results: Callable[[], Optional[Values]]) -> Tuple[Optional[Values],
     except RuleError as error:
         return (), error
     except OverflowError:
-        return (), RuleError("aggregate: what is measured is too large for a float")
+        return (), RuleError("aggregate: the result is too large for a float")
 
 
 class KeyedWindow:
@@ -83,6 +83,7 @@ class KeyedWindow:
         item.gone = True
         self.number -= 1
         members = self.members
+        # Both ends are kept clean, so that the interval and `first` and `last` can be read off in constant time.
         while members and members[0].gone:
             members.popleft()
         while members and members[-1].gone:
@@ -102,6 +103,7 @@ class KeyedWindow:
         results, error = measured(self._results)
         if results is None:
             return None
+        # Windows between instants state their own interval, also if their elements cover less.
         if start is None or end is None:
             start, end = self._interval()
         members = self.members
@@ -133,7 +135,8 @@ class KeyedWindow:
         if self.starts is None or self.ends is None:
             return self.members[0].start, self.members[-1].end
         low, high = self.starts.top(), self.ends.top()
-        assert low is not None and high is not None  # the window is not empty
+        # The window is not empty.
+        assert low is not None and high is not None
         return low[2].start, high[2].end
 
 
@@ -188,6 +191,7 @@ class Window(KeyedOperator):
 
     def restore(self, kept: KnownState) -> None:
         """See `StreamOperator.restore`."""
+        # Subclasses append their own fields.
         self.clock, self.next, self.late, self.last_order, groups = kept[:5]
         self.states.clear()
         self.number = 0
@@ -337,7 +341,8 @@ class SlidingCountWindow(Window):
         group = self._used_group(item)
         self._number_element(item)
         self._insert(item, group)
-        while group.number > self.most:  # more than one if an interrupt came before the removal
+        # More than one if an interrupt came before the removal.
+        while group.number > self.most:
             self.remove(group.members[0])
         return self._emit(group)
 
@@ -353,7 +358,8 @@ class TumblingCountWindow(Window):
     def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
         group = self._used_group(item)
-        if group.number >= self.most:  # an interrupt came when it was full
+        # An interrupt came when it was full.
+        if group.number >= self.most:
             self._clear_key(group, item.key)
             group = self._used_group(item)
         self._number_element(item)
@@ -391,7 +397,8 @@ class AnchoredTumblingWindow(Window):
         group: Optional[KeyedWindow] = self._keyed_window_of(item)
         if item.end > self.newest_allowed:
             self.newest_allowed = self.allowed()
-        if item.end > self.newest_allowed:  # too far in the future: no window may wait for it
+        # Too far in the future: no window may wait for it.
+        if item.end > self.newest_allowed:
             self.late += 1
             return []
         self._advance(item.end)
@@ -401,7 +408,8 @@ class AnchoredTumblingWindow(Window):
         outputs = self._close(self.clock)
         group = self.states.get(item.key)
         if group is None:
-            if item.end + self.span <= max(self.clock, self._reached):  # its window has ended already
+            # Its window has ended already.
+            if item.end + self.span <= max(self.clock, self._reached):
                 self.late += 1
                 return outputs
             group = KeyedWindow(self.make(), item.end)
@@ -467,6 +475,7 @@ class EagerTumblingWindow(Window):
             self.late += 1
             return []
         if index > present:
+            # All keys change to the next window together, because windows are aligned to the clock.
             for key, group in list(self.states.items()):
                 self._clear_key(group, key)
         self._advance(item.end)
@@ -518,7 +527,8 @@ class HoppingWindow(Window):
         self._keyed_window_of(item)
         every = self.every
         if now > self._reached:
-            self._reached = now  # alarms may raise events in the past
+            # Alarms may raise events in the past.
+            self._reached = now
         # The last window end that was emitted. An element that belongs only to windows up to it is late.
         last_emitted = self._reached // every * every
         if (item.end + self.span) // every * every <= last_emitted:
@@ -541,6 +551,7 @@ class HoppingWindow(Window):
     def _emit_at(self, instant: int) -> List[StreamOutput]:
         self._remove_before(instant - self.span)
         entering = []
+        # Elements wait until a window ends after them: an end may lie ahead of the clock.
         while self._ahead and self._ahead[0][0] < instant:
             entering.append(heapq.heappop(self._ahead)[2])
         # The heap is ordered by ends; members must be in order of arrival.
