@@ -38,7 +38,7 @@ def millions(number):
     return f"{number // MILLION} million"
 
 
-STATES = f"{event_states.MAX_STATES:,} declarations; of each {state_parser.OPEN:,} open and {state_parser.PAST:,} that are over"
+STATES = f"{event_states.MAX_STATES:,} declarations; of each {state_parser.DEFAULT_MAX_OPEN:,} open and {state_parser.DEFAULT_MAX_PAST:,} that are over"
 FIXED = {
     "names of packages, types, slots": f"a letter first; {ros_names.MAX_NAME_CHARACTERS} characters",
     "the text of an event": f"{millions(MAX_EVENT_TEXT_CHARACTERS)} characters",

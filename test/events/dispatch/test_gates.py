@@ -47,7 +47,7 @@ def plan(dispatcher, term):
 
 
 def test_a_gate_lets_all_pass_while_nothing_is_known():
-    gate = Dispatcher().gate(TF, (1,))
+    gate = Dispatcher().event_filter(TF, (1,))
     assert gate.passes(1, 1, X)
 
 
@@ -55,7 +55,7 @@ def test_a_gate_lets_all_pass_while_nothing_is_known():
 def test_a_gate_tells_by_constants_who_is_not_wanted():
     dispatcher = Dispatcher()
     listen(dispatcher, TF(X, Var()))
-    gate, blind = dispatcher.gate(TF, (1, 2)), dispatcher.gate(TF)
+    gate, blind = dispatcher.event_filter(TF, (1, 2)), dispatcher.event_filter(TF)
     plan(dispatcher, TF(X, Y))
     plan(dispatcher, TF(Y, Y))
     assert gate.passes(1, 1, X, Y)
@@ -69,7 +69,7 @@ def test_a_gate_tells_by_constants_who_is_not_wanted():
 def test_a_gate_looks_at_the_second_constant_too():
     dispatcher = Dispatcher()
     listen(dispatcher, TF(X, Y))
-    gate = dispatcher.gate(TF, (1, 2))
+    gate = dispatcher.event_filter(TF, (1, 2))
     for parent in (X, Y):
         for child in (X, Y):
             plan(dispatcher, TF(parent, child))
@@ -80,7 +80,7 @@ def test_a_gate_looks_at_the_second_constant_too():
 @pytest.mark.parametrize("time", [(1.5, 0), (-1, 0), (1, 10**9), (1, -1), (10**12, 0), (Var(), 0), (1, X)])
 def test_what_is_wrong_or_unusual_about_a_time_passes(time):
     dispatcher = Dispatcher()
-    gate = dispatcher.gate(TF, (1, 2))
+    gate = dispatcher.event_filter(TF, (1, 2))
     plan(dispatcher, TF(X, Y))
     assert not gate.passes(1, 0, X, Y)
     assert gate.passes(*time, X, Y)
@@ -89,7 +89,7 @@ def test_what_is_wrong_or_unusual_about_a_time_passes(time):
 @pytest.mark.fused
 def test_gates_follow_those_who_come_and_go():
     dispatcher = Dispatcher()
-    gate = dispatcher.gate(A, (1,))
+    gate = dispatcher.event_filter(A, (1,))
     plan(dispatcher, A(X))
     assert not gate.passes(1, 1, X)
     one = listen(dispatcher, A(X))

@@ -30,7 +30,7 @@ def listening_unfused(listen):
 
 PATHS = {
     "incoming": (Dispatcher, "listen", listening_unfused(Dispatcher.listen)),
-    "gates": (listener_index, "Gate", OpenGate),
+    "gates": (listener_index, "PushdownFilter", OpenGate),
     "goals": (
         goal_evaluation,
         "goal_action",

@@ -29,7 +29,7 @@ def test_a_declaration_says_what_begins_and_ends_a_state():
         ("state(s, from(X), until(c))", "the argument of from(...) is an event"),
         ("state(s, from(b), until((c, d)))", "the argument of until(...) is a single event"),
         ("state(s, from(seq(a, b)), until(c))", "the argument of from(...) is a single event"),
-        ("state(s(X), from(b(_)), until(c(X)))", "each variable of the state has to stand in from(...)"),
+        ("state(s(X), from(b(_)), until(c(X)))", "each variable of the state must occur in from(...)"),
         ("state(s(X), from(s(X)), until(c))", "cannot begin or end with events of its own name"),
         ("state(s, from(b), until(c), all)", "expected a list of options"),
         ("state(s, from(b), until(c), [wihin(3)])", "the options are within(Seconds), past(Number)"),

@@ -289,9 +289,7 @@ def test_rates_are_rounded_once():
 def test_a_sum_that_is_too_large_is_reported_once_and_does_not_stand_in_the_way():
     engine = Run("w(S) <- aggregate(sum(X), in(X), S, every(2, events)).")
     assert engine.feed("in(1.0e308)@1 in(1.0e308)@2 in(1)@3 in(2)@4") == "w(3)@3-4"
-    assert [one.rpartition(": ")[2] for one in engine.reports] == [
-        "what is measured is too large for a float"
-    ]
+    assert [one.rpartition(": ")[2] for one in engine.reports] == ["the result is too large for a float"]
 
 
 FLAGS = ("revision_flag", "out_of_order", "garbage_control")

@@ -42,8 +42,8 @@ BOTH = "V is a number (value of temperature/2) and, here, an atom (motor of temp
         (
             "temperature(V, 3) <- temperature(M, V).",
             37,
-            "V is an atom (motor of temperature/2) and, here, a number (value of temperature/2): these are never the "
-            "same",
+            "V is an atom (motor of temperature/2) and, here, a number (value of temperature/2): these are never "
+            "equal",
         ),
         ("go(V) :- event(temperature(a, V)), event(temperature(V, 1)).", 54, BOTH),
     ],
@@ -74,7 +74,7 @@ def test_what_is_before_or_not_certain_is_no_error(text, number):
     engine = Engine()
     engine.load_rules(text)
     assert len(engine.rules.rules) == number
-    with pytest.raises(Exception, match="is not as it is declared"):  # what comes later has to fit
+    with pytest.raises(Exception, match="does not match its declaration"):  # what comes later has to fit
         engine.load_rules("late <- temperature(X).")
     assert len(engine.rules.rules) == number
 
@@ -84,9 +84,9 @@ def test_a_declaration_may_hold_already_or_stand_in_an_included_file(tmp_path):
     engine = Engine()
     engine.load(goals="event temperature(motor:atom, value:number)")
     other = Engine()
-    with pytest.raises(Exception, match="is not as it is declared"):
+    with pytest.raises(Exception, match="does not match its declaration"):
         engine.load_rules("a <- temperature(X).")
-    with pytest.raises(Exception, match="is not as it is declared"):
+    with pytest.raises(Exception, match="does not match its declaration"):
         other.load_rules(":- include('events.txt').\na <- temperature(X).", folder=tmp_path)
     assert engine.rules.rules == other.rules.rules == []
 

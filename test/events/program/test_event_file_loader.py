@@ -23,7 +23,7 @@ from retalis.prolog.terms.types import atom, functor
         ("c <- a star_times.", 8, "right side of a seq"),
         ("c <- a and aggregate(count,b,_).", 12, "right side of a seq"),
         ("c <- a seq aggregate(median(X),b(X),_).", 22, "no such aggregate"),
-        ("c <- a and prolog(true).", 12, "beside seq"),
+        ("c <- a and prolog(true).", 12, "operand of seq"),
         ("c <- prolog(true) seq prolog(true).", 19, "does not wait for any event"),
         ("c <- 5 seq a.", 6, "not a number"),
         ('c <- a seq "b".', 12, "not a string"),

@@ -93,9 +93,9 @@ def _brief_text(program: ProgramModel, term: Term) -> str:
 def _records(program: ProgramModel) -> Dict[Optional[str], List[Term]]:
     """Return the records of each memory by its name; the key None exists if a name is known at run time only."""
     records: Dict[Optional[str], List[Term]] = {}
-    for kept in program.memories:
-        name = deref(kept.term[4])
-        records.setdefault(name.name if isinstance(name, Atom) else None, []).append(kept.made)
+    for memory in program.memories:
+        name = deref(memory.term[4])
+        records.setdefault(name.name if isinstance(name, Atom) else None, []).append(memory.made)
     return records
 
 
@@ -227,7 +227,7 @@ def _items(term: Term) -> Iterator[Tuple[Functor, FrozenSet[str]]]:
         if item[0] is CONS or item[0] is COMMA:
             stack += [(deref(item[2]), options), (deref(item[1]), options)]
         elif item[0] is _AS:
-            names = [one.name for one in conjuncts(item[2]) if isinstance(one, Atom)]
+            names = [option.name for option in conjuncts(item[2]) if isinstance(option, Atom)]
             stack.append((deref(item[1]), options.union(names)))
         elif item[0] is SLASH:
             name, arity = deref(item[1]), deref(item[2])

@@ -107,10 +107,10 @@ def _all_subterms(program: ProgramModel) -> Iterator[Tuple[Subterm, str]]:
     for rule in program.rules:
         for subterm in subterms(wrapped(rule.definition.term), 1, rule.spot):
             yield subterm, ""
-    for kept in (*program.memories, *program.subscriptions):
+    for consumer in (*program.memories, *program.subscriptions):
         for number in (1, 3):
-            for subterm in subterms(kept.term, number, kept.spot):
-                yield subterm, kept.prefix
+            for subterm in subterms(consumer.term, number, consumer.spot):
+                yield subterm, consumer.prefix
     for clause in program.clauses:
         for subterm in subterms(clause.parent, clause.number, clause.spot):
             yield subterm, ""
@@ -240,7 +240,7 @@ def unpublished(program: ProgramModel) -> Iterator[RuleError]:
     """Yield topics of subscriptions that have no message type."""
     published = [plain(topic) for topic, _ in program.topics.published]
     reported: Set[str] = set()
-    for kept, topic in _named(program):
+    for subscription, topic in _named(program):
         if topic in reported or any(
             _may_be_same_topic(plain(topic), published_topic) for published_topic in published
         ):
@@ -251,20 +251,20 @@ def unpublished(program: ProgramModel) -> Iterator[RuleError]:
         yield RuleError(
             f"topic {name} has no type: its events are published only as text on retalisOutputEvents"
             f"{did_you_mean(plain(topic), published) or advice}",
-            kept.spot(kept.term, 4),
+            subscription.spot(subscription.term, 4),
         )
 
 
 def _named(program: ProgramModel) -> Iterator[Tuple[EventConsumer, str]]:
     """Yield the subscriptions with a known topic, each with the topic."""
-    for kept in program.subscriptions:
-        if not is_open(kept.term[4]):
-            yield kept, program.topic(kept.term[4])
+    for subscription in program.subscriptions:
+        if not is_open(subscription.term[4]):
+            yield subscription, program.topic(subscription.term[4])
 
 
-def _may_be_same_topic(one: str, other: str) -> bool:
+def _may_be_same_topic(first: str, second: str) -> bool:
     """Return whether two topic names can denote the same topic in some namespace."""
-    return one == other or one.endswith(f"/{other}") or other.endswith(f"/{one}")
+    return first == second or first.endswith(f"/{second}") or second.endswith(f"/{first}")
 
 
 def plain(topic: str) -> str:

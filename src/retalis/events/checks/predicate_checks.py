@@ -118,11 +118,11 @@ def _calls_in(clause: WrittenTerm) -> Iterator[Subterm]:
 
 def redefined(program: ProgramModel) -> Iterator[RuleError]:
     """Yield predicates of the program that replace built-in ones."""
-    kept = program.logic.database.library.kept
+    built_in = program.logic.database.library.kept
     reported: Set[Functor] = set()
     for clause in program.clauses:
         key = None if clause.head is None else key_of(clause.head)
-        if key is None or key in reported or key not in kept or not kept[key].system:
+        if key is None or key in reported or key not in built_in or not built_in[key].system:
             continue
         reported.add(key)
         yield RuleError(f"{key} is built in: the definition of this program replaces it", clause.place)

@@ -326,7 +326,7 @@ def events_of_goals(goal: WrittenTerm) -> List[EventTerm]:
     return list(made_by_goals(calls(goal.parent, goal.number)))
 
 
-def event_of_kept(kept: EventConsumer) -> EventTerm:
+def event_of_kept(consumer: EventConsumer) -> EventTerm:
     """Return the events that a memory or subscription consumes."""
-    event = kept.event
+    event = consumer.event
     return EventTerm(event.term, event.parent, event.number)

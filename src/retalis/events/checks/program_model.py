@@ -35,7 +35,7 @@ from ..rules.rule_base import RuleBase
 _MAX_CANDIDATES = 2000
 """Maximum number of names among which a similar one is searched."""
 
-COMPARISONS = 40_000
+MAX_COMPARISONS = 40_000
 """Maximum number of comparisons of names per check; takes about a second."""
 
 
@@ -55,7 +55,7 @@ class NearFunctors:
     """Search for similar functors, with a limit for the total work."""
 
     def __init__(self) -> None:
-        self._comparisons_left = COMPARISONS
+        self._comparisons_left = MAX_COMPARISONS
 
     def of(self, key: Functor, keys: Iterable[Functor]) -> str:
         """Return a functor with the same or the most similar name and the nearest arity, or ""."""
@@ -148,7 +148,10 @@ def subterms(parent: CompoundTerm, number: int, spot: Spot) -> Iterator[Subterm]
         yield subterm
         term = subterm.term
         if term.__class__ is tuple:
-            stack += [Subterm(deref(term[at]), term, at, spot) for at in range(len(term) - 1, 0, -1)]
+            stack += [
+                Subterm(deref(term[position]), term, position, spot)
+                for position in range(len(term) - 1, 0, -1)
+            ]
 
 
 def wrapped(term: Term) -> CompoundTerm:
@@ -438,8 +441,8 @@ class ProgramModel:
             for node in walk(rule.definition.pattern, negated=True):
                 if isinstance(node, Occurs):
                     yield _locate(own, deref(node.term), rule.spot), ""
-        for kept in (*self.memories, *self.subscriptions):
-            yield kept.event, kept.prefix
+        for consumer in (*self.memories, *self.subscriptions):
+            yield consumer.event, consumer.prefix
         for form, spot, prefix in self.states:
             for part in map(deref, _compound(form.term)[2:4]):
                 parent = _compound(part)

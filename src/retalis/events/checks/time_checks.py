@@ -108,17 +108,17 @@ def _cyclic(steps: List[_Trigger]) -> List[_Trigger]:
     """Return the triggers that can be part of a cycle: all others are removed in topological order."""
     makers = Counter(key_of(step.head) for step in steps)
     of_event = _by_event(steps)
-    gone: Set[int] = set()
+    removed: Set[int] = set()
     # Kahn's algorithm: triggers whose event no trigger raises are not part of a cycle.
     sources = [key for key in of_event if not makers[key]]
     while sources:
         for index in of_event.get(sources.pop(), ()):
-            gone.add(index)
+            removed.add(index)
             key = key_of(steps[index].head)
             makers[key] -= 1
             if not makers[key]:
                 sources.append(key)
-    return [step for index, step in enumerate(steps) if index not in gone]
+    return [step for index, step in enumerate(steps) if index not in removed]
 
 
 def _cycle_through(
@@ -198,8 +198,10 @@ def _can_match(operator: str, left: bool, right: bool) -> bool:
 
 def _holds(comparison: str, values: Dict[str, int]) -> bool:
     left, sign, right = comparison.split()
-    one, other = values[left], values[right]
-    return {"<": one < other, "<=": one <= other, "==": one == other}[sign]
+    left_value, right_value = values[left], values[right]
+    return {"<": left_value < right_value, "<=": left_value <= right_value, "==": left_value == right_value}[
+        sign
+    ]
 
 
 class _Instants:

@@ -91,31 +91,31 @@ def _in_clause(
 ) -> Iterator[RuleError]:
     """Yield the problems of one rule or clause; ``out`` is the term that it creates."""
     parts = list(subterms(parent, 1, spot))
-    known: Dict[Var, SlotKind] = {}
+    slots: Dict[Var, SlotKind] = {}
     branches = any(subterm.key in _ALTERNATIVES for subterm in parts)
-    made = _created_terms(parts, out)
+    created = _created_terms(parts, out)
     declared = {id(deref(event.term)) for event in events}
     for subterm in parts:
-        is_made = id(subterm.term) in made
+        is_made = id(subterm.term) in created
         for position, kind, slot in _typed_arguments(program, subterm.term, is_made, declared):
             value = deref(subterm.term[position])
             if value.__class__ is not Var:
                 continue
             occurrence = SlotKind(kind, slot, is_made)
-            earlier = known.setdefault(value, occurrence)
+            earlier = slots.setdefault(value, occurrence)
             # In a term with alternatives, the two occurrences may belong to different branches.
             if earlier.kind.excludes(kind) and not branches:
                 yield RuleError(
                     _clash_text(_variable_name(value, names), earlier, occurrence),
                     spot(subterm.term, position),
                 )
-                known.pop(value)
+                slots.pop(value)
             # The source of a value says more about its type than the slot it goes into; of two sources, the narrower
             # type is kept.
             elif (earlier.is_made and not is_made) or kind.forms < earlier.kind.forms:
-                known[value] = occurrence
-    if known:
-        yield from _in_goals(parts, known, names)
+                slots[value] = occurrence
+    if slots:
+        yield from _in_goals(parts, slots, names)
 
 
 def _typed_arguments(
@@ -153,7 +153,7 @@ def _clash_text(name: str, first: SlotKind, second: SlotKind) -> str:
     return f"{name} is {first.what} ({first.slot}) and, here, {second.what} ({second.slot}): these are never equal"
 
 
-def _in_goals(parts: List[Subterm], known: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
+def _in_goals(parts: List[Subterm], slots: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
     reported: Set[Var] = set()
     for subterm in parts:
         key = subterm.key
@@ -163,9 +163,9 @@ def _in_goals(parts: List[Subterm], known: Dict[Var, SlotKind], names: Any) -> I
             operands = [(subterm.term, 2)]
         else:
             if key in _EQUALITIES:
-                yield from _compared_terms(subterm, known, names)
+                yield from _compared_terms(subterm, slots, names)
             elif key in _COLLECTED:
-                yield from _aggregated_terms(subterm, known, names)
+                yield from _aggregated_terms(subterm, slots, names)
             continue
         while operands:
             parent, position = operands.pop(0)
@@ -173,7 +173,7 @@ def _in_goals(parts: List[Subterm], known: Dict[Var, SlotKind], names: Any) -> I
             if term.__class__ is tuple and (term[0] in _ARITHMETIC or term[0] in _SIGNS):
                 # The arguments of arithmetic functions are numbers as well.
                 operands += [(term, number) for number in range(1, len(term))]
-            kind = known.get(term) if term.__class__ is Var else None
+            kind = slots.get(term) if term.__class__ is Var else None
             if kind is not None and kind.what in _ADVICE and term not in reported:
                 reported.add(term)
                 yield RuleError(
@@ -203,23 +203,23 @@ def _to_text(name: str) -> str:
     return f"make a text of it, as with format(atom(Text), '\"~w\"', [{name if name[:1].isupper() else 'X'}])"
 
 
-def _aggregated_terms(subterm: Subterm, known: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
+def _aggregated_terms(subterm: Subterm, slots: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
     """Yield values of a numeric aggregate that are not numbers."""
     if subterm.parent[0].name != _AGGREGATE or subterm.number != 1:
         return
     value: Any = deref(subterm.term[1])
-    kind = known.get(value) if value.__class__ is Var else None
+    kind = slots.get(value) if value.__class__ is Var else None
     if kind is not None and kind.what in _ADVICE and not kind.is_made:
         text = f"{_variable_name(value, names)} is {kind.what} ({kind.slot}): {subterm.term[0].name} collects numbers"
         yield RuleError(text, subterm.spot(subterm.term, 1))
 
 
-def _compared_terms(subterm: Subterm, known: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
+def _compared_terms(subterm: Subterm, slots: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
     """Yield comparisons of a variable with a constant that it never equals."""
     for position, other_position in ((1, 2), (2, 1)):
         value: Any = deref(subterm.term[position])
         constant = deref(subterm.term[other_position])
-        kind = known.get(value) if value.__class__ is Var else None
+        kind = slots.get(value) if value.__class__ is Var else None
         reason = None if kind is None or kind.is_made else _never_equal(kind.what, constant)
         if kind is not None and reason is not None:
             yield RuleError(
@@ -228,20 +228,20 @@ def _compared_terms(subterm: Subterm, known: Dict[Var, SlotKind], names: Any) ->
             )
 
 
-def _never_equal(what: str, constant: Term) -> Optional[str]:
+def _never_equal(type_text: str, constant: Term) -> Optional[str]:
     """Return the reason why a value of a type never equals a constant, or None."""
-    if what == "a text":
+    if type_text == "a text":
         if isinstance(constant, Atom) and constant.name[:1] != '"' and constant.name != "[]":
             return f"it keeps its quotes in events, write '\"{constant.name}\"'"
         if isinstance(constant, String):
             return f"it keeps its quotes in events, write '\"{constant.text}\"'"
         if isinstance(constant, (int, float)):
             return f"it is never the number {constant}"
-    elif what == "a number":
+    elif type_text == "a number":
         if isinstance(constant, String) or (isinstance(constant, Atom) and constant.name not in _NUMBERS):
             text = constant.text if isinstance(constant, String) else constant.name
             return f"it is never {text}"
-    elif what == "true or false" and not _may_be_true_or_false(constant):
+    elif type_text == "true or false" and not _may_be_true_or_false(constant):
         return "compare it with true or false"
     return None
 
@@ -346,7 +346,7 @@ def _compared_numbers(
     # With alternatives, the variable may be bound in another branch.
     if any(subterm.key in _BRANCHES for subterm in parts):
         return
-    known = _numeric_variables(program, events, own)
+    slots = _numeric_variables(program, events, own)
     for subterm in parts:
         numeric = _COMPARISONS.get(subterm.key) if subterm.key is not None else None
         if numeric is None:
@@ -354,7 +354,7 @@ def _compared_numbers(
         for position, other_position in ((1, 2), (2, 1)):
             variable: Any = deref(subterm.term[position])
             value = deref(subterm.term[other_position])
-            slot = known.get(variable) if variable.__class__ is Var else None
+            slot = slots.get(variable) if variable.__class__ is Var else None
             if slot is not None and _has_other_type(value, slot.kind):
                 text = (
                     f"{names.get(variable, 'this variable')} is {_numeric_type_name(slot.kind)} ({slot.slot})"
@@ -369,15 +369,15 @@ def _numeric_variables(
     program: ProgramModel, events: List[Subterm], own: Set[Optional[Functor]]
 ) -> Dict[Var, _NumberSlot]:
     """Return the variables of events that are numeric slots."""
-    known: Dict[Var, _NumberSlot] = {}
+    slots: Dict[Var, _NumberSlot] = {}
     for event in events:
         for subterm, definition in _messages(program, event, own):
             for position, slot in enumerate(definition.fields, 1):
                 value: Any = deref(subterm.term[position])
                 kind = _number_type(slot)
                 if value.__class__ is Var and kind is not None:
-                    known.setdefault(value, _NumberSlot(kind, f"{slot.name} of {definition.name}"))
-    return known
+                    slots.setdefault(value, _NumberSlot(kind, f"{slot.name} of {definition.name}"))
+    return slots
 
 
 def _number_type(slot: Field) -> Optional[type]:

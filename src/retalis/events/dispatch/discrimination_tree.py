@@ -198,7 +198,7 @@ Passes = Callable[..., bool]
 
 
 class PushdownFilter:
-    """Filter for the events of one functor; created by `ListenerIndex.gate`.
+    """Filter for the events of one functor; created by `ListenerIndex.event_filter`.
 
     Attributes:
         plan: the plan of the dispatcher for these events; None while it is not known.
@@ -240,12 +240,12 @@ def _filter_factory(positions: Tuple[int, ...]) -> Callable[[PushdownFilter], Pa
     body: List[Statement] = [
         # A plan of None is neither a node nor `NOBODY`, so the filter is open while the plan is not known. Only
         # atoms are looked up in the tables; other kinds of arguments pass.
-        "plan = gate.plan",
+        "plan = event_filter.plan",
         *([Block("while plan.__class__ is SwitchNode:", walk)] if positions else []),
         f"return plan is not NOBODY or not ({_VALID_TIME})",
     ]
     source = source_of(
-        [Block("def made(gate):", [Block(f"def passes({parameters}):", body), "return passes"])]
+        [Block("def made(event_filter):", [Block(f"def passes({parameters}):", body), "return passes"])]
     )
-    factory: Callable[[PushdownFilter], Passes] = shared_function(source, _NAMES, "gate")
+    factory: Callable[[PushdownFilter], Passes] = shared_function(source, _NAMES, "event_filter")
     return factory

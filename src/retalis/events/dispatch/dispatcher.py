@@ -251,7 +251,7 @@ class Dispatcher(ListenerIndex):
 
     @property
     def tokens(self) -> int:
-        """The number that the next event gets, where events are told apart by numbers."""
+        """The number of the next event, if events are identified by numbers."""
         # Reading the next value of a counter consumes it, so the counter is replaced.
         number = next(self._tokens)
         self._tokens = count(number)
@@ -259,7 +259,6 @@ class Dispatcher(ListenerIndex):
 
     @tokens.setter
     def tokens(self, number: int) -> None:
-        """The number of the next event, if events are identified by numbers."""
         self._tokens = count(number)
 
     def state(self) -> Tuple[Any, Any]:
@@ -284,19 +283,19 @@ class Dispatcher(ListenerIndex):
         Returns:
             Replacements for ``then`` and ``after``, which restore the previous cause.
         """
-        before = self.cause
+        previous = self.cause
 
         def restoring(*solution: Any) -> Frame:
-            self.cause = before
+            self.cause = previous
             return then(*solution)
 
         self.cause = cause
-        return restoring, (CAUSE_AGAIN, self, before, after)
+        return restoring, (CAUSE_AGAIN, self, previous, after)
 
     def following(self, token: object, after: Frame) -> Frame:
         """Set the cause of events to the event with a token; return the frame that ends this."""
-        before, self.cause = self.cause, token
-        return CAUSE_AGAIN, self, before, after
+        previous, self.cause = self.cause, token
+        return CAUSE_AGAIN, self, previous, after
 
     def undisturbed(self, work: Callable[[], Result]) -> Result:
         """Return the result of ``work``; if it raises an exception, restore the context first."""

@@ -107,24 +107,24 @@ class ListenerIndex:
                 if listener.order[0] == stage and listener not in chosen:
                     self.remove(listener)
 
-    def gate(self, functor: Functor, positions: Tuple[int, ...] = ()) -> PushdownFilter:
+    def event_filter(self, functor: Functor, positions: Tuple[int, ...] = ()) -> PushdownFilter:
         """Return a filter that decides whether an event can match a listener, see `PushdownFilter`.
 
         Args:
             functor: functor of the events.
             positions: the arguments that are known to the caller, counted from 1.
         """
-        gates = self._filters.get(functor)
-        if gates is None:
+        filters = self._filters.get(functor)
+        if filters is None:
             # Rules and clauses come and go, and the entries of their functors stay behind empty.
             if len(self._filters) >= self._sweep_threshold:
                 self._filters = {key: filters for key, filters in self._filters.items() if len(filters)}
                 self._sweep_threshold = 2 * len(self._filters) + _MIN_FILTERS_TO_SWEEP
-            gates = self._filters[functor] = WeakValueDictionary()
-        gate = gates.get(positions)
-        if gate is None:
-            gate = gates[positions] = PushdownFilter(positions, self._plans.get(functor))
-        return gate
+            filters = self._filters[functor] = WeakValueDictionary()
+        event_filter = filters.get(positions)
+        if event_filter is None:
+            event_filter = filters[positions] = PushdownFilter(positions, self._plans.get(functor))
+        return event_filter
 
     def takes_name(self, name: str) -> bool:
         """Return whether a pattern has this event name; patterns for all events are ignored."""
@@ -139,22 +139,22 @@ class ListenerIndex:
         else:
             self._plans.pop(functor, None)
             self.fused.pop(functor, None)
-        for gates in list(self._filters.values()) if functor is None else self._filters_of(functor):
-            for gate in list(gates.values()):
-                gate.plan = None
+        for filters in list(self._filters.values()) if functor is None else self._filters_of(functor):
+            for event_filter in list(filters.values()):
+                event_filter.plan = None
 
     def _filters_of(self, functor: Functor) -> "List[WeakValueDictionary[Tuple[int, ...], PushdownFilter]]":
-        gates = self._filters.get(functor)
-        return [] if gates is None else [gates]
+        filters = self._filters.get(functor)
+        return [] if filters is None else [filters]
 
     def plan(self, functor: Functor) -> Plan:
         """Build and return the plan for the events of a functor, and pass it to the filters."""
         listeners = [*self._listeners.get(functor, ()), *self._listeners.get(None, ())]
         listeners.sort(key=lambda listener: listener.order)
         plan = self._plans.keep(functor, make_plan(listeners), len(functor.name))
-        for gates in self._filters_of(functor):
-            for gate in list(gates.values()):
-                gate.plan = plan
+        for filters in self._filters_of(functor):
+            for event_filter in list(filters.values()):
+                event_filter.plan = plan
         # Without values, an action cannot tell a match from a mismatch, so the pattern must accept all events.
         if len(listeners) == 1 and listeners[0].fused and takes_all(listeners[0].pattern):
             self.fused[functor] = listeners[0].action

@@ -32,19 +32,19 @@ class Continuation(NamedTuple):
     Attributes:
         action: the action.
         fused: whether the action accepts None for the values of a pattern that matches all events of its functor.
-        gate: filter for the event that the action creates; if it has no listeners, the action has no effect.
+        event_filter: filter for the event that the action creates; if it has no listeners, the action has no effect.
     """
 
     action: EventAction
     fused: bool = False
-    gate: PushdownFilter = _OPEN_FILTER
+    event_filter: PushdownFilter = _OPEN_FILTER
 
 
 def firing_action(
     head: Term,
     order: Sequence[Var],
     rule: Any,
-    gate: PushdownFilter,
+    event_filter: PushdownFilter,
     failed: Callable[[UsageError, Frame], Frame],
 ) -> EventAction:
     """Return the action that emits the head of a rule for a match.
@@ -53,7 +53,7 @@ def firing_action(
         head: the head, not an alarm.
         order: the variables, in the order of the values of a match.
         rule: the rule.
-        gate: filter for the head event.
+        event_filter: filter for the head event.
         failed: called with the error if the head is not a valid event, and the next frame; returns a frame.
     """
     names = codegen.BoundNames({})
@@ -62,14 +62,14 @@ def firing_action(
         "firings.number += 1",
         "firings.last = end",
         # The firing is counted first: metrics must not depend on whether the event has listeners.
-        Block("if gate.plan is NOBODY:", ["return after"]),
+        Block("if event_filter.plan is NOBODY:", ["return after"]),
         *lines,
         Block("try:", [f"return dispatch({event}, start, end, after)"]),
         Block("except UsageError as error:", ["return failed(error, after)"]),
     ]
     names.values.update(
         firings=rule.firings,
-        gate=gate,
+        event_filter=event_filter,
         dispatch=rule.network.dispatcher.dispatch,
         failed=failed,
         NOBODY=NOBODY,
@@ -113,7 +113,7 @@ def goal_action(
         "failed": failed,
         "plain": plain,
         "solved": completion.action,
-        "gate": completion.gate,
+        "event_filter": completion.event_filter,
         "NOBODY": NOBODY,
         "firings": rule.firings,
         "dispatcher": rule.network.dispatcher,
@@ -165,7 +165,9 @@ def _goal_source(inputs: int) -> str:
         Block("except BaseException:", ["undo(trail, mark)", "raise"]),
         Block("finally:", ["budget.goal = outer_goal"]),
         Block("if not solved_goal:", ["return after"]),
-        Block("if gate.plan is NOBODY:", ["firings.number += 1", "firings.last = end", "return after"]),
+        Block(
+            "if event_filter.plan is NOBODY:", ["firings.number += 1", "firings.last = end", "return after"]
+        ),
         f"return solved(term, ({values},), start, end, after)",
     ]
     return source_of([Block("def made(term, values, start, end, after):", body)])
@@ -189,14 +191,14 @@ def question_action(
         plain: creates the event and dispatches it.
         meter: counts the pattern work of the rule; see `Budget.meter`.
     """
-    gate, ground, at_once = dispatcher.gate(key), dispatcher.ground, dispatcher.at_once
+    event_filter, ground, at_once = dispatcher.event_filter(key), dispatcher.ground, dispatcher.at_once
 
     def act(term: Term, values: Optional[Values], start: int, end: int, after: Frame) -> Frame:
         context = dispatcher.current
         if values is None:
             values = term[1:]  # type: ignore[index]
         # Exactly one listener, the query itself, may take the event; otherwise the event must exist for the others.
-        plan: Any = gate.plan
+        plan: Any = event_filter.plan
         if plan is None:
             plan = dispatcher.plan(key)
         if (

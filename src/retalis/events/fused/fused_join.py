@@ -114,7 +114,7 @@ def fused_absence(absence: NegationBuffer, rule: Any, whole: bool, plain: EventA
     names = {**_common_names(rule, absence.buffer, plain), "absence": absence}
     return writer.made(
         [
-            *writer.key([one for one, _ in absence.shared]),
+            *writer.key([index for index, _ in absence.shared]),
             # A waiting event without a key may be a duplicate of this one or may dominate it; the general path
             # compares them.
             Block("if key in waiting or None in waiting:", [writer.plain]),
@@ -173,7 +173,7 @@ class _ActionGenerator:
 
     def key(self, indices: Sequence[int]) -> List[Statement]:
         """Return statements that compute the key from the values at some indices."""
-        names = ["key"] if len(indices) == 1 else [f"x{at}" for at in range(len(indices))]
+        names = ["key"] if len(indices) == 1 else [f"x{number}" for number in range(len(indices))]
         statements: List[Statement] = []
         for name, index in zip(names, indices):
             statements += [
@@ -282,7 +282,7 @@ class _OperandGenerator(_ActionGenerator):
     def action(self, choice: Optional[PartnerChoice], names: Dict[str, Any]) -> EventAction:
         """Return the action."""
         side = self.side
-        begin = self.key([one for one, _ in side.shared])
+        begin = self.key([index for index, _ in side.shared])
         if choice is not None:
             # Partners under the key None have variables in their keys, and may unify with any key.
             begin.append(Block("if None in partners:", [self.plain]))
@@ -309,7 +309,7 @@ class _OperandGenerator(_ActionGenerator):
             [Block("if met is not None and partner.buffer is not None:", give)] if self.tested else give
         )
         # The conditions reject the only partner that was tried; `among` tries the other ones.
-        others = [
+        retry = [
             Block(
                 f"if {last}.older is not {last}:",
                 [f"return among(Match({self.values}, s, e, None, term, None), key, partner, after)"],
@@ -328,7 +328,7 @@ class _OperandGenerator(_ActionGenerator):
                             self._collected_values(),
                             *self._tests(),
                             *emission,
-                            *(others if self.tested else []),
+                            *(retry if self.tested else []),
                         ],
                     ),
                     Block(f"elif {last}.older is not {last}:", [self.plain]),
@@ -389,10 +389,12 @@ class _OperandGenerator(_ActionGenerator):
         """Return the source of a value of the pair; item 0 of an event is its functor."""
         if source[:3] not in ("lv[", "rv["):
             return self._instants(source)
-        left, index = source[0] == "l", int(source[3:-1])
-        prefix = "" if left == self.side.left else "partner."
+        is_left, index = source[0] == "l", int(source[3:-1])
+        prefix = "" if is_left == self.side.left else "partner."
         return (
-            f"{prefix}term[{index + 1}]" if self.pair.whole[0 if left else 1] else f"{prefix}values[{index}]"
+            f"{prefix}term[{index + 1}]"
+            if self.pair.whole[0 if is_left else 1]
+            else f"{prefix}values[{index}]"
         )
 
     def _tests(self) -> List[Statement]:

@@ -51,15 +51,15 @@ class _MeasureSource(NamedTuple):
     result: str
 
 
-def _count(at: int, place: int) -> _MeasureSource:
+def _count(number: int, place: int) -> _MeasureSource:
     return _MeasureSource([], [], [], "number")
 
 
-def _sum(at: int, place: int) -> _MeasureSource:
-    x, total, scaled = f"x{at}", f"s{at}", f"y{at}"
+def _sum(number: int, place: int) -> _MeasureSource:
+    x, total, scaled = f"x{number}", f"s{number}", f"y{number}"
     return _MeasureSource(
         [
-            f"{total} = group.measures[{at}].sum",
+            f"{total} = group.measures[{number}].sum",
             Block(
                 f"if {x}.__class__ is float:",
                 [
@@ -76,7 +76,7 @@ def _sum(at: int, place: int) -> _MeasureSource:
         [f"{total}.total += {scaled}", Block(f"if {x}.__class__ is float:", [f"{total}.floats += 1"])],
         [
             f"value = old.values[{place}]",
-            f"total = left.measures[{at}].sum",
+            f"total = left.measures[{number}].sum",
             Block(
                 "if value.__class__ is float and (scaled := value * total.factor).is_integer():",
                 ["total.total -= scaled.__trunc__()", "total.floats -= 1"],
@@ -87,15 +87,15 @@ def _sum(at: int, place: int) -> _MeasureSource:
     )
 
 
-def _mean(at: int, place: int) -> _MeasureSource:
-    total = f"s{at}"
+def _mean(number: int, place: int) -> _MeasureSource:
+    total = f"s{number}"
     # `ExactSum.over` without the call, for a sum with floats, whose average is a float in any case.
     exact = f"{total}.total / (number << {total}.scale)"
-    return _sum(at, place)._replace(result=f"{exact} if {total}.floats else {total}.over(number)")
+    return _sum(number, place)._replace(result=f"{exact} if {total}.floats else {total}.over(number)")
 
 
-def _lowest(at: int, place: int, sign: str = "") -> _MeasureSource:
-    x, heap = f"x{at}", f"lowest{at}"
+def _lowest(number: int, place: int, sign: str = "") -> _MeasureSource:
+    x, heap = f"x{number}", f"lowest{number}"
     return _MeasureSource(
         [
             Block(
@@ -103,17 +103,17 @@ def _lowest(at: int, place: int, sign: str = "") -> _MeasureSource:
             )
         ],
         [
-            f"{heap} = group.measures[{at}].lowest",
+            f"{heap} = group.measures[{number}].lowest",
             f"{heap}.live += 1",
             f"heappush({heap}.heap, ({sign}{x}, order, item))",
         ],
-        [f"left.measures[{at}].lowest.remove()"],
+        [f"left.measures[{number}].lowest.remove()"],
         f"{heap}.top()[2].values[{place}]",
     )
 
 
-def _highest(at: int, place: int) -> _MeasureSource:
-    return _lowest(at, place, "-")
+def _highest(number: int, place: int) -> _MeasureSource:
+    return _lowest(number, place, "-")
 
 
 _MEASURES: Dict[str, Callable[[int, int], _MeasureSource]] = {
@@ -172,14 +172,14 @@ def fused_window(
 
 def _source(window: FusedWindow, limited: bool, metered: bool) -> str:
     """Return the source; of the program, it contains only numbers and indices."""
-    read = [f"x{at} = values[{place}]" for at, place in enumerate(window.values) if place is not None]
-    taken = [f"x{at}" for at, place in enumerate(window.values) if place is not None]
+    read = [f"x{number} = values[{place}]" for number, place in enumerate(window.values) if place is not None]
+    taken = [f"x{number}" for number, place in enumerate(window.values) if place is not None]
     measures = []
-    for at, kind in enumerate(window.kinds):
+    for number, kind in enumerate(window.kinds):
         # `StreamElement.values` contains the values of those measures that have one.
-        place = sum(one is not None for one in window.values[:at])
-        measures.append(_MEASURES[kind](at, place))
-    results = [*(f"k{at}" for at in range(len(window.groups))), *(one.result for one in measures)]
+        place = sum(one is not None for one in window.values[:number])
+        measures.append(_MEASURES[kind](number, place))
+    results = [*(f"k{number}" for number in range(len(window.groups))), *(one.result for one in measures)]
     body: List[Statement] = [
         "stream = node.stream",
         "queue = stream.queue",
@@ -253,11 +253,11 @@ _NEEDS_GENERAL_PATH = " or ".join(
 
 def _key(groups: Sequence[int]) -> List[Statement]:
     """Return statements that compute the key from the values at some indices."""
-    keys = ["key"] if len(groups) == 1 else [f"key{at}" for at in range(len(groups))]
+    keys = ["key"] if len(groups) == 1 else [f"key{number}" for number in range(len(groups))]
     statements: List[Statement] = []
-    for at, (key, place) in enumerate(zip(keys, groups)):
+    for number, (key, place) in enumerate(zip(keys, groups)):
         statements += [
-            f"k{at} = {key} = values[{place}]",
-            Block(f"if k{at}.__class__ not in PLAIN:", [f"{key} = term_key(k{at})"]),
+            f"k{number} = {key} = values[{place}]",
+            Block(f"if k{number}.__class__ not in PLAIN:", [f"{key} = term_key(k{number})"]),
         ]
     return statements if len(keys) == 1 else [*statements, f"key = {tuple_source(keys)}"]

@@ -499,7 +499,7 @@ class Recorder:
         self._dispatcher = dispatcher
         self._take, self._closed = take
         self._follow = follow
-        self._updates = dispatcher.gate(UPDATED)
+        self._updates = dispatcher.event_filter(UPDATED)
         self._everything = pattern.__class__ is Var
         self.listener = dispatcher.listen(ListenerPhase.MEMORIES, pattern, self._arrive, unused=unused)
 

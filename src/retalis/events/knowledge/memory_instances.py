@@ -72,7 +72,7 @@ class MemoryInstances:
         self._evaluated = self._tables.active
         self._newest: Optional[Recorder] = None
         self._aside: Dict[Hashable, MemoryInstance] = {}
-        self._updates = dispatcher.gate(UPDATED)
+        self._updates = dispatcher.event_filter(UPDATED)
         self.on_update: Follow = lambda instance, end, after: after
         self.on_delete: Callable[[MemoryInstance], None] = lambda instance: None
         self.on_create: Callable[[MemoryInstance], None] = lambda instance: None

@@ -71,7 +71,7 @@ _TAKEN = frozenset(
 """Names with a fixed meaning in rules, which events of a topic or declared events cannot have."""
 
 
-def means_other(name: str) -> bool:
+def has_fixed_meaning(name: str) -> bool:
     """Return whether a name has a fixed meaning in rules."""
     return name in _TAKEN
 
@@ -135,7 +135,10 @@ class ValueType(NamedTuple):
 
 
 def _table(*rows: Tuple[str, str, str]) -> Dict[str, ValueType]:
-    return {name: ValueType(atom(name), what, frozenset(forms.split())) for name, what, forms in rows}
+    return {
+        name: ValueType(atom(name), description, frozenset(forms.split()))
+        for name, description, forms in rows
+    }
 
 
 KINDS = _table(
@@ -331,7 +334,7 @@ def _declaration(term: Term, place: Optional[Place], spot: Spot) -> Declaration:
     name = key.name
     if type_name(name) is not None:
         raise RuleError(f"{name} declares itself: the slots of its messages and their types are known", place)
-    if means_other(name):
+    if has_fixed_meaning(name):
         raise RuleError(f"{name} has a fixed meaning in rules: choose another name for the event", place)
     arguments: Dict[str, Argument] = {}
     for number, part in enumerate(term[1:] if isinstance(term, tuple) else (), 1):
@@ -487,7 +490,7 @@ class VariableKinds:
 
     def clash(self, var: Term, kind: ValueType, where: str) -> str:
         """Record a type of a variable, and return an error if another occurrence excludes it, else ""."""
-        known, other = self._known.setdefault(var, (kind, where))
+        known, other_place = self._known.setdefault(var, (kind, where))
         # The narrowest type is kept: a variable that is a number in one event and an integer in another one is an
         # integer, and must be compared as such with the next occurrence.
         if kind.forms < known.forms:
@@ -495,7 +498,9 @@ class VariableKinds:
         if not self._reports_clashes or not known.excludes(kind):
             return ""
         name = self._names[var] if isinstance(var, Var) and var in self._names else "this variable"
-        return f"{name} is {known.what} ({other}) and, here, {kind.what} ({where}): these are never equal"
+        return (
+            f"{name} is {known.what} ({other_place}) and, here, {kind.what} ({where}): these are never equal"
+        )
 
 
 def head_event(parent: CompoundTerm, number: int) -> EventTerm:

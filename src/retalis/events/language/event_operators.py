@@ -415,7 +415,7 @@ NO_EVENTS = {
 }
 """Names that events cannot have with this number of arguments; with another number, they are events."""
 
-WRITTEN = tuple(
+FUNCTIONAL_FORMS = tuple(
     (name, len(operator.patterns), operator.form)
     for operator in EVENT_OPERATORS
     if operator.form
@@ -426,7 +426,7 @@ WRITTEN = tuple(
 
 def _forms() -> Dict[str, str]:
     forms: Dict[str, str] = {}
-    for name, count, form in WRITTEN:
+    for name, count, form in FUNCTIONAL_FORMS:
         before = f"{forms[name]}, or {count}" if name in forms else f"takes {counted(count, 'argument')}"
         forms[name] = f"{before}: {form}"
     return forms

@@ -72,7 +72,7 @@ def calls(parent: CompoundTerm, number: int) -> Iterator[Subgoal]:
             stack += [Subgoal(deref(term[position]), term, position) for position in reversed(positions)]
 
 
-def asking_interval(parent: CompoundTerm, number: int) -> List[Subgoal]:
+def required_interval_calls(parent: CompoundTerm, number: int) -> List[Subgoal]:
     """Return the calls of ``t1/1`` and ``t2/1`` that a goal, an argument of a term, needs for a solution."""
     interval_calls: List[Subgoal] = []
     stack = [Subgoal(deref(parent[number]), parent, number)]

@@ -20,10 +20,10 @@ from .event_operators import (
     ARROWS,
     EVENT_OPERATOR,
     FORMS,
+    FUNCTIONAL_FORMS,
     NO_EVENTS,
     RUNS,
     SPELLINGS,
-    WRITTEN,
     OperatorKind,
     names_of_kind,
 )
@@ -103,15 +103,15 @@ _HEAD_ERRORS = {
 }
 
 
-def doubt(term: Term) -> Optional[str]:
+def event_warning(term: Term) -> Optional[str]:
     """Return the warning for an event pattern that was probably intended as something else, or None."""
     if term.__class__ is Atom:
         return _WARNINGS.get(term.functor)
     if term.__class__ is not tuple:
         return None
-    known = _WARNINGS.get(term[0])
-    if known is not None:
-        return known
+    warning = _WARNINGS.get(term[0])
+    if warning is not None:
+        return warning
     # ``[a(X), b(X)]`` is a list of events, not a disjunction or conjunction of them.
     if term[0] is CONS:
         items = list_items(term)
@@ -123,7 +123,7 @@ def doubt(term: Term) -> Optional[str]:
 def _misspelt(term: Any) -> Optional[str]:
     """Return a warning if the name of an event resembles an operator with the same number of arguments, or None."""
     event_name = term[0].name
-    for name, count, form in WRITTEN:
+    for name, count, form in FUNCTIONAL_FORMS:
         is_similar = (
             not event_name.startswith(name)
             and SequenceMatcher(None, event_name, name).ratio() >= _MIN_SIMILARITY
@@ -151,7 +151,7 @@ def near(word: str, words: Iterable[str]) -> str:
     return f"; did you mean {matches[0]}?" if matches else ""
 
 
-def bracketed(name: str, number: Any) -> str:
+def bracket_advice(name: str, number: Any) -> str:
     """Return advice on brackets if the number of an operator was parsed with the next operator, else ""."""
     if number.__class__ is not tuple or len(number) != 3 or number[0] not in SPELLINGS:
         return ""
@@ -171,7 +171,7 @@ def head_error(head: Any, operator: Optional[str]) -> Optional[str]:
     return _HEAD_ERRORS.get(head[0])
 
 
-def head_doubt(head: Any, operator: Optional[str]) -> Optional[str]:
+def head_warning(head: Any, operator: Optional[str]) -> Optional[str]:
     """Return the warning for a compound rule head that was probably intended as something else, or None."""
     if operator is not None:
         return f"no pattern can match this event: in patterns {head[0].name} is an operator"
@@ -271,11 +271,15 @@ def _parts_without_parentheses(core: CompoundTerm, spot: Callable[..., Any]) -> 
         parts.append(deref(node[2]))
         # The place of a term is that of its first token. An inner sequence in parentheses begins one character after
         # its outer one.
-        left: Any = deref(node[1])
-        if _operator_of(left) != "seq" or spot(left, 1) != spot(node, 1) or _is_goal_or_run(deref(left[2])):
-            parts.append(left)
+        operand: Any = deref(node[1])
+        if (
+            _operator_of(operand) != "seq"
+            or spot(operand, 1) != spot(node, 1)
+            or _is_goal_or_run(deref(operand[2]))
+        ):
+            parts.append(operand)
             break
-        node = left
+        node = operand
     return parts[::-1]
 
 

@@ -27,8 +27,8 @@ from .event_operators import (
     OperatorKind,
     names_of_kind,
 )
-from .goal_analysis import Subgoal, asking_interval, calls
-from .likely_mistakes import bracketed, doubt
+from .goal_analysis import Subgoal, calls, required_interval_calls
+from .likely_mistakes import bracket_advice, event_warning
 from .pattern_tree import (
     MAX_COMPOSED_REPETITIONS,
     MAX_REPETITIONS,
@@ -48,9 +48,9 @@ from .pattern_tree import (
     Within,
     bound_by,
     occurrences,
-    with_others,
+    substitute_variables,
 )
-from .window_parser import is_event, read_shape, read_window, what_follows
+from .window_parser import is_event, read_shape, read_window, regroup_rate_operator
 
 Spot = Callable[..., Optional[Place]]
 """Returns the place of a compound term: that of its functor, or that of the argument with a given number."""
@@ -121,8 +121,8 @@ class PatternReader:
             run = None if is_event(term) else RUNS.get(head)
             if run is None:
                 return self._event(parent, number)
-            what = run.name if run.kind is OperatorKind.RUN else f"an {run.name}"
-            message = f"{what} can only be the right side of a {SEQ}"
+            subject = run.name if run.kind is OperatorKind.RUN else f"an {run.name}"
+            message = f"{subject} can only be the right side of a {SEQ}"
             if run.kind is OperatorKind.AGGREGATE:
                 message += ", or has a window: aggregate(K, Q, R, last(60))"
             raise self.error(message, term)
@@ -161,7 +161,7 @@ class PatternReader:
             kind = "a string" if term.__class__ is String else "a number"
             message = f"an event is an atom or a compound term, not {kind}"
             raise self.error(message, parent, number)
-        doubted = doubt(term)
+        doubted = event_warning(term)
         if doubted is not None:
             self._warn(self.error(doubted, *((parent, number) if term.__class__ is Atom else (term, 0))))
         self.events.append(EventTerm(term, parent, number))
@@ -201,9 +201,9 @@ class PatternReader:
         name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else ""
         arity = len(kind) - 1 if kind.__class__ is tuple else 0
         if name not in AGGREGATES or AGGREGATES[name].arity != arity:
-            known = ", ".join(one.form for one in AGGREGATES.values())
+            forms = ", ".join(function.form for function in AGGREGATES.values())
             raise self.error(
-                f"there is no such aggregate; the aggregates are {known}", kind if arity else term
+                f"there is no such aggregate; the aggregates are {forms}", kind if arity else term
             )
         collected = self.operand(term, 2, operator.name)
         value = deref(kind[1]) if kind.__class__ is tuple else None
@@ -231,7 +231,7 @@ class PatternReader:
         return window
 
     def _stream_operator(self, name: str, term: CompoundTerm) -> Pattern:
-        regrouped = what_follows(term)
+        regrouped = regroup_rate_operator(term)
         return read_shape(self, term) if regrouped is None else self.read((term[0], regrouped), 1)
 
     def _absence(self, name: str, term: CompoundTerm) -> Absent:
@@ -265,14 +265,14 @@ class PatternReader:
         self._anonymous |= set(fresh.values())
         # The last repetition is kept apart: the node of the first ones then is an ordinary left operand, and a
         # ``cnot`` covers the gap before the last one.
-        last = with_others(pattern, fresh) if fresh else pattern
-        before = Repeated(pattern, times - 1, own)
-        if times > MAX_COMPOSED_REPETITIONS and not before.is_of_single_events():
+        last = substitute_variables(pattern, fresh) if fresh else pattern
+        first_ones = Repeated(pattern, times - 1, own)
+        if times > MAX_COMPOSED_REPETITIONS and not first_ones.is_of_single_events():
             message = (
                 f"{name} takes at most {MAX_COMPOSED_REPETITIONS} repetitions of a pattern of several events"
             )
             raise self.error(message, term, 2)
-        return Pair(SEQ, pattern if times == 2 else before, last)
+        return Pair(SEQ, pattern if times == 2 else first_ones, last)
 
     def span(self, name: str, term: CompoundTerm) -> int:
         """Return the second argument of a term, a number of seconds, in nanoseconds.
@@ -282,7 +282,9 @@ class PatternReader:
         """
         span = deref(term[2])
         if span.__class__ not in (int, float) or not span > 0 or span == float("inf"):
-            raise self.error(f"{name} needs a positive number of seconds{bracketed(name, span)}", term, 2)
+            raise self.error(
+                f"{name} needs a positive number of seconds{bracket_advice(name, span)}", term, 2
+            )
         return from_seconds(span)
 
     def goal(self, parent: CompoundTerm, number: int, operator: str) -> Term:
@@ -296,7 +298,7 @@ class PatternReader:
                 raise self.error(f"{operator} needs a goal", call.parent, call.number)
             self.goals.append(call)
         if operator not in EVENT_OPERATOR or not EVENT_OPERATOR[operator].timed:
-            self.untimed += asking_interval(parent, number)
+            self.untimed += required_interval_calls(parent, number)
         return deref(parent[number])
 
     def error(self, message: str, term: Term, number: int = 0) -> RuleError:
@@ -405,7 +407,7 @@ def check_window(
     measured = [value for value in part.values if value is not None]
     inside = occurrences([*measured, *part.window.goals], part.collected)
     everywhere = occurrences([rule], None)
-    for var in dict.fromkeys(one for value in measured for one in variables(value)):
+    for var in dict.fromkeys(variable for value in measured for variable in variables(value)):
         # A window has one partition for each binding of the variables that occur outside of it.
         if everywhere.get(var, 0) > inside[var]:
             name = names.get(var, "a variable")

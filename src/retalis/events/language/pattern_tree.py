@@ -56,7 +56,7 @@ class Repeated(NamedTuple):
         for _ in range(self.times - 1):
             # Variables ``_`` are independent in each repetition; all others are shared and join the repetitions.
             fresh = {var: Var() for var in self.own}
-            result = Pair(SEQ, result, with_others(self.pattern, fresh) if fresh else self.pattern)
+            result = Pair(SEQ, result, substitute_variables(self.pattern, fresh) if fresh else self.pattern)
         return result
 
     def is_of_single_events(self) -> bool:
@@ -252,7 +252,7 @@ MAX_COMPOSED_REPETITIONS = 1_000
 """Maximum for ``ntimes`` of a pattern of several events, which is expanded into a sequence."""
 
 
-def with_others(part: Pattern, fresh: Mapping[Var, Var]) -> Any:
+def substitute_variables(part: Pattern, fresh: Mapping[Var, Var]) -> Any:
     """Return a pattern in which some variables are replaced by others."""
 
     def renamed(value: Any) -> Any:

@@ -129,19 +129,19 @@ def _quantified_step(
         until = reader.goal(option, 1, "until")
     if reluctant or until is not None:
         args.pop()
-    least: Any = args[0] if args else None
-    most: Any = args[-1] if args else None
-    if len(args) == 2 and most.__class__ is Atom and most.name == _GREEDY:
-        most = None
-    if not 1 <= len(args) <= 2 or not _are_counts(least, most):
+    minimum: Any = args[0] if args else None
+    maximum: Any = args[-1] if args else None
+    if len(args) == 2 and maximum.__class__ is Atom and maximum.name == _GREEDY:
+        maximum = None
+    if not 1 <= len(args) <= 2 or not _are_counts(minimum, maximum):
         raise reader.error(f"a step is {_FORM}, where N is not larger than M, and M at least 1", term)
-    return StepForm(term[0].name, least, most, reluctant, later, goal, until)
+    return StepForm(term[0].name, minimum, maximum, reluctant, later, goal, until)
 
 
-def _are_counts(least: Any, most: Any) -> bool:
-    if least.__class__ is not int or least < 0:
+def _are_counts(minimum: Any, maximum: Any) -> bool:
+    if minimum.__class__ is not int or minimum < 0:
         return False
-    return most is None or (most.__class__ is int and 1 <= most >= least)
+    return maximum is None or (maximum.__class__ is int and 1 <= maximum >= minimum)
 
 
 def _check_ends(reader: "PatternReader", steps: Sequence[StepForm], form: CompoundTerm) -> None:
@@ -174,7 +174,7 @@ def _navigation_error(
     return reader.error(f"{back.kind} needs a variable that the pattern binds", form, 1)
 
 
-def conditions(goal: Term, names: Sequence[str], at: int, given: Container[Var]) -> List[StepCondition]:
+def conditions(goal: Term, names: Sequence[str], step: int, given: Container[Var]) -> List[StepCondition]:
     """Return the parts of a condition, each with its navigations.
 
     Conjuncts that share a variable local to the condition form one part, together with the conjuncts between them.
@@ -182,7 +182,7 @@ def conditions(goal: Term, names: Sequence[str], at: int, given: Container[Var])
     Args:
         goal: the condition.
         names: names of the steps.
-        at: number of the step that has the condition.
+        step: number of the step that has the condition.
         given: variables that the event pattern binds; all others are local to the condition.
     """
     conjuncts = list(_conjuncts(goal))
@@ -197,7 +197,7 @@ def conditions(goal: Term, names: Sequence[str], at: int, given: Container[Var])
         else:
             parts[-1] = (COMMA, parts[-1], conjunct)
         end = max([end, *(last[var] for var in own[position])])
-    return [_with_navigations(conjunct, names, at) for conjunct in parts]
+    return [_with_navigations(conjunct, names, step) for conjunct in parts]
 
 
 def _conjuncts(goal: Term) -> Iterator[Term]:
@@ -211,14 +211,14 @@ def _conjuncts(goal: Term) -> Iterator[Term]:
             yield goal_part
 
 
-def _with_navigations(goal: Term, names: Sequence[str], at: int) -> StepCondition:
+def _with_navigations(goal: Term, names: Sequence[str], step: int) -> StepCondition:
     navigations: List[LookBack] = []
 
     def replaced(term: Term) -> Term:
         term = deref(term)
         if term.__class__ is not tuple:
             return term
-        back = _navigation(term, names, at)
+        back = _navigation(term, names, step)
         if back is None:
             return (term[0], *[replaced(arg) for arg in term[1:]])
         navigations.append(back)
@@ -227,12 +227,12 @@ def _with_navigations(goal: Term, names: Sequence[str], at: int) -> StepConditio
     return StepCondition(replaced(goal), tuple(navigations))
 
 
-def _navigation(term: CompoundTerm, names: Sequence[str], at: int) -> Optional[LookBack]:
+def _navigation(term: CompoundTerm, names: Sequence[str], step: int) -> Optional[LookBack]:
     """Return the navigation that a term denotes, or None."""
     kind = _NAVIGATION.get(term[0])
     var: Any = deref(term[-1])
     if kind is not None and var.__class__ is Var:
-        return LookBack(kind, at, var, Var())
+        return LookBack(kind, step, var, Var())
     kind = _STEP_NAVIGATION.get(term[0])
     name: Any = deref(term[1])
     if kind is None or name.__class__ is not Atom or var.__class__ is not Var:

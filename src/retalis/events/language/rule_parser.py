@@ -20,7 +20,7 @@ from ...prolog.terms.timestamps import DATIME6, DATIME7, SECOND, WholeSeconds, f
 from ...prolog.terms.types import COLON, CONS, NIL, Atom, CompoundTerm, Term, Var, atom, deref, functor
 from .event_operators import ARROWS, SPELLINGS
 from .goal_analysis import calls
-from .likely_mistakes import head_doubt, head_error, near
+from .likely_mistakes import head_error, head_warning, near
 from .pattern_parser import Spot
 
 RULE = functor("rule:", 2)
@@ -63,8 +63,8 @@ class Property(NamedTuple):
     def problem(self) -> Optional[str]:
         """Error in the property, or None."""
         if not self.known:
-            known = ", ".join(KNOWN_PROPERTIES)
-            return f"there is no property {self.name}; the properties are {known}{near(self.name, KNOWN_PROPERTIES)}"
+            names = ", ".join(KNOWN_PROPERTIES)
+            return f"there is no property {self.name}; the properties are {names}{near(self.name, KNOWN_PROPERTIES)}"
         words = WORDS.get(self.name)
         if words is not None:
             value = self.value.name if isinstance(self.value, Atom) else ""
@@ -256,7 +256,7 @@ def check_head(head: Term, spot: Spot, place: Optional[Place], warn: Callable[[R
     error_text = head_error(head, operator)
     if error_text is not None:
         raise RuleError(error_text, place)
-    warning = head_doubt(head, operator)
+    warning = head_warning(head, operator)
     if warning is not None:
         warn(RuleError(warning, place))
     if head[0] is _COLON:
@@ -315,7 +315,7 @@ FORMS = (
     "at(Datime)",
     "after(Seconds)",
 )
-SHORTEST = 0.001
+MIN_PERIOD_SECONDS = 0.001
 """Minimum period in seconds: with a shorter one, the timer would leave no time for other events."""
 
 MAX_INTERVAL_SECONDS = 10**9
@@ -366,10 +366,10 @@ def schedule_of(term: Term) -> Schedule:
     when: Any = deref(term)
     kind = when[0] if when.__class__ is tuple else None
     if kind is _EVERY:
-        return Schedule(when, _seconds(when, SHORTEST), True, phase=0)
+        return Schedule(when, _seconds(when, MIN_PERIOD_SECONDS), True, phase=0)
     # Without ``from_now``, periods are aligned to multiples since 1970, so all nodes fire at the same instants.
     if kind is _EVERY_FROM and deref(when[2]) is _FROM_NOW:
-        return Schedule(when, _seconds(when, SHORTEST), True)
+        return Schedule(when, _seconds(when, MIN_PERIOD_SECONDS), True)
     if kind is _TIMER_AFTER:
         return Schedule(when, _seconds(when), False)
     if kind is _TIME_OF_DAY:

@@ -20,10 +20,10 @@ HOLDS = frozenset((functor("holds", 1), functor("holds", 2), functor("holds_at",
 """Goals that query whether the state in their first argument holds."""
 
 FORM = "state(S, from(Event), until(Event)) or state(S, from(Event), until(Event), Options)"
-PAST = 1000
+DEFAULT_MAX_PAST = 1000
 """Default maximum for ended intervals that can be queried."""
 
-OPEN = 10_000
+DEFAULT_MAX_OPEN = 10_000
 """Default maximum for states that hold at the same time."""
 
 _FROM, _UNTIL = functor("from", 1), functor("until", 1)
@@ -49,8 +49,8 @@ class StateForm(NamedTuple):
     begins: Term
     ends: Term
     within: Optional[int] = None
-    past: int = PAST
-    open: int = OPEN
+    past: int = DEFAULT_MAX_PAST
+    open: int = DEFAULT_MAX_OPEN
 
     @property
     def events(self) -> Tuple[Term, Term, Term]:
@@ -103,15 +103,15 @@ def _event_in(term: Term, wrapper: Functor) -> Term:
     return _event(part[1], f"the argument of {wrapper.name}(...)")
 
 
-def _event(term: Term, what: str) -> Term:
+def _event(term: Term, subject: str) -> Term:
     event: Term = deref(term)
     if event.__class__ is not tuple and not isinstance(event, Atom):
-        raise UsageError(f"{what} is an event: an atom or a compound term")
+        raise UsageError(f"{subject} is an event: an atom or a compound term")
     key = _key(event)
     # Patterns are compiled for rules only; a declared state listens to single events.
     if key in SPELLINGS or key is COMMA:
         raise UsageError(
-            f"{what} is a single event, not a pattern: write a rule that raises an event for the pattern"
+            f"{subject} is a single event, not a pattern: write a rule that raises an event for the pattern"
         )
     return event
 

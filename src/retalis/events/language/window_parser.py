@@ -18,7 +18,7 @@ from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import Atom, CompoundTerm, Term, Var, atom, deref, functor
 from ..streams.accumulators import MEASURES
 from .event_operators import SPELLINGS
-from .likely_mistakes import bracketed, near
+from .likely_mistakes import bracket_advice, near
 from .pattern_tree import Occurs, Pattern, Shaped, Windowed, WindowForm, bound_by
 from .row_pattern_parser import read_steps, steps_term
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from .pattern_parser import PatternReader
 
 _ABSENT_FUNCTOR, _AGGREGATE_FUNCTOR = functor("absent", 2), functor("aggregate", 4)
-SHORTEST = 1_000_000
+MIN_STEP_NANOSECONDS = 1_000_000
 """Minimum time between two results of a window, in ns."""
 MAX_WINDOWS = 10_000
 """Maximum number of windows of ``last(N, every(M))`` that contain one event."""
@@ -94,7 +94,7 @@ def is_event(term: CompoundTerm) -> bool:
     return not measured and not (window.__class__ is tuple and window[0].name in _WINDOW_NAMES)
 
 
-def what_follows(term: CompoundTerm) -> Optional[CompoundTerm]:
+def regroup_rate_operator(term: CompoundTerm) -> Optional[CompoundTerm]:
     """Return ``(P with S) op Q`` for ``P with (S op Q)``, the form that is parsed without brackets; otherwise None.
 
     A rate operator is not a pattern, so an operator to the right of it applies to all of ``P with S``.
@@ -124,8 +124,8 @@ def read_shape(reader: FormReader, term: CompoundTerm) -> Shaped:
     name = shape[0].name if shape.__class__ is tuple else ""
     if name not in SHAPES or len(shape) not in (2, 3):
         forms = "; ".join(key.form for key in SHAPES.values())
-        at = (shape,) if shape.__class__ is tuple else (term, 2)
-        raise reader.error(f"with needs one of {forms}{near(name, SHAPES)}", *at)
+        error_at = (shape,) if shape.__class__ is tuple else (term, 2)
+        raise reader.error(f"with needs one of {forms}{near(name, SHAPES)}", *error_at)
     span, value = 0, None
     if SHAPES[name].timed:
         span = _seconds(reader, name, shape, 1)
@@ -206,9 +206,9 @@ def _measure(reader: "PatternReader", kind: Any, term: CompoundTerm) -> Tuple[st
     error_at = (kind,) if kind.__class__ is tuple else (term, 1)
     measure = MEASURES.get(name)
     if measure is None or len(args) != measure.settings + measure.takes:
-        known = ", ".join(arg.form for arg in MEASURES.values())
+        forms = ", ".join(arg.form for arg in MEASURES.values())
         raise reader.error(
-            f"there is no such aggregate; the aggregates are {known}{near(name, MEASURES)}", *error_at
+            f"there is no such aggregate; the aggregates are {forms}{near(name, MEASURES)}", *error_at
         )
     settings = [deref(arg) for arg in args[: measure.settings]]
     setting: Any = None
@@ -260,7 +260,7 @@ def _window(reader: "PatternReader", form: Any, term: CompoundTerm, given: Set[V
 def _hopping(reader: "PatternReader", form: CompoundTerm, span: int, step: int) -> WindowForm:
     """Return windows that the clock closes, at regular times."""
     # One event that arrives late can close all windows that it is too new for, so their number must be bounded.
-    if step < SHORTEST or span > MAX_WINDOWS * step:
+    if step < MIN_STEP_NANOSECONDS or span > MAX_WINDOWS * step:
         message = f"every needs 0.001 seconds at least, and last no more than {MAX_WINDOWS} times those of its every"
         raise reader.error(message, form)
     return WindowForm("every", span, step)
@@ -269,7 +269,9 @@ def _hopping(reader: "PatternReader", form: CompoundTerm, span: int, step: int) 
 def _seconds(reader: FormReader, name: str, term: CompoundTerm, number: int) -> int:
     span = deref(term[number])
     if span.__class__ not in (int, float) or not span > 0 or span == float("inf") or not from_seconds(span):
-        raise reader.error(f"{name} needs a positive number of seconds{bracketed(name, span)}", term, number)
+        raise reader.error(
+            f"{name} needs a positive number of seconds{bracket_advice(name, span)}", term, number
+        )
     return from_seconds(span)
 
 
@@ -286,20 +288,20 @@ def window_term(form: WindowForm) -> Term:
     """Return the term of a window."""
     if form.kind == "steps":
         return steps_term(form.steps)
-    one, two = functor("every", 1), functor("every", 2)
+    every_one, every_two = functor("every", 1), functor("every", 2)
     span = timestamps.to_seconds(form.span)
     if form.kind == "last":
         return functor("last", 1)(span)
     if form.kind == "newest":
         return functor("last", 2)(form.most, atom("events"))
     if form.kind == "batch":
-        term = two(form.most, atom("events"))
+        term = every_two(form.most, atom("events"))
     elif form.kind == "first":
-        term = two(span, atom("first"))
+        term = every_two(span, atom("first"))
     elif form.span == form.step:
-        term = one(span)
+        term = every_one(span)
     else:
-        term = functor("last", 2)(span, one(timestamps.to_seconds(form.step)))
+        term = functor("last", 2)(span, every_one(timestamps.to_seconds(form.step)))
     return functor("running", 1)(term) if form.running else term
 
 
@@ -322,7 +324,7 @@ def subscribed_shape(term: Term) -> Optional[Shaped]:
     pattern: Any = deref(term)
     try:
         if _operator(pattern) == "with":
-            if what_follows(pattern) is not None:
+            if regroup_rate_operator(pattern) is not None:
                 raise UsageError(_TRAILING_OPERATOR_ERROR)
             return read_shape(_SingleEvent(), pattern)
     except RuleError as error:

@@ -584,7 +584,7 @@ class EventRule:
         if self.window is not None or key is None or is_larger(head, MAX_TERM_ARGUMENTS):
             return Continuation(self._complete_values)
         dispatcher = self.network.dispatcher
-        gate = dispatcher.gate(key)
+        gate = dispatcher.event_filter(key)
 
         def failed(error: UsageError, after: Frame) -> Frame:
             self.network.rule_failed(self, RuleError(error.message))

@@ -105,7 +105,7 @@ class Occurrence:
 
 
 Tracked = Union[Occurrence, TrackedMatch]
-Tried = Union[PartialMatch, Tuple[PartialMatch, PartialMatch]]
+MatchOrPair = Union[PartialMatch, Tuple[PartialMatch, PartialMatch]]
 """Match, or two matches that are to be joined."""
 
 
@@ -126,7 +126,7 @@ def following(source: Tracked) -> Iterator[Occurrence]:
                 yield derived
 
 
-class TriesAgain(Protocol):
+class RetryNode(Protocol):
     """Node that can try a suppressed match again."""
 
     @property
@@ -146,7 +146,7 @@ class Suppressed:
 
     __slots__ = ("node", "what", "number", "freed")
 
-    def __init__(self, node: TriesAgain, what: Tried, number: int):
+    def __init__(self, node: RetryNode, what: MatchOrPair, number: int):
         self.node = node
         self.what = what
         self.number = number

@@ -222,9 +222,9 @@ def describe(pattern: Pattern, match: PartialMatch, show: Show) -> Term:
 
 def _describe_repeated(pattern: Repeated, match: PartialMatch, show: Show) -> Term:
     """Return the term of repetitions, as that of the equivalent sequence."""
-    first, *others = repetitions(match, pattern.times)
+    first, *later = repetitions(match, pattern.times)
     shown = describe(pattern.pattern, first, show)
-    for repetition in others:
+    for repetition in later:
         shown = functor("seqf", 2)(shown, describe(pattern.pattern, repetition, show))
     return shown
 
@@ -247,21 +247,21 @@ def _describe_run(pattern: Any, parts: Sequence[Any], show: Show) -> Term:
     held = [part for part in parts if part.__class__ is TrackedMatch]
     taken = list(held[0].matches) if held else []
     if isinstance(pattern, Star):
-        repeated = [describe(pattern.repeated, one, show) for one in taken]
+        repeated = [describe(pattern.repeated, repetition, show) for repetition in taken]
         return functor("seqf", 2)(first, functor("star_timesf", 1)(make_list(repeated)))
     kind = atom(pattern.kind) if pattern.value is None else functor(pattern.kind, 1)(copy(pattern.value))
     if not taken:
         return functor("aggregate", 2)(kind, first)
     # The original system lists aggregated events from the newest to the oldest.
-    newest_first = [describe(pattern.collected, one, show) for one in reversed(taken)]
+    newest_first = [describe(pattern.collected, repetition, show) for repetition in reversed(taken)]
     return functor("aggregate", 2 + len(newest_first))(kind, *newest_first, first)
 
 
 def _describe_stream(pattern: _Streamed, parts: Sequence[Any], show: Show) -> Term:
     if isinstance(pattern, Windowed):
-        held: List[Any] = [one for one in parts if one.__class__ is TrackedMatch]
+        held: List[Any] = [part for part in parts if part.__class__ is TrackedMatch]
         taken = held[0].match.parts if held else ()
-        shown = [describe(pattern.collected, one, show) for one in taken]
+        shown = [describe(pattern.collected, part, show) for part in taken]
         return functor("windowf", 3)(_kinds(pattern), make_list(shown), window_term(pattern.window))
     first = describe(pattern.pattern, parts[0], show)
     if isinstance(pattern, Shaped):
@@ -342,7 +342,7 @@ def _as_term(part: "Union[Pattern, _Quoted]") -> Term:
     if isinstance(part, Repeated):
         part = _expanded(part)
     name, parts = _parts(part)
-    return functor(name, len(parts))(*[_as_term(one) for one in parts])
+    return functor(name, len(parts))(*[_as_term(operand) for operand in parts])
 
 
 def _as_event(occurrence: Occurrence) -> Term:

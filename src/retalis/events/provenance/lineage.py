@@ -35,7 +35,7 @@ from ..dispatch.listeners import CAUSE, END, PARENT, START, TERM, TOKEN, Context
 from ..matches.consumption_policy import metered
 from ..matches.partial_matches import PartialMatch, TrackedMatch, sources
 from ..matches.run_groups import Run
-from .event_log import Occurrence, Suppressed, Tracked, Tried, TriesAgain, following, known_in
+from .event_log import MatchOrPair, Occurrence, RetryNode, Suppressed, Tracked, following, known_in
 
 if TYPE_CHECKING:
     from ..network.event_rule import EventRule
@@ -51,7 +51,7 @@ _SYNCHRONIZED = frozenset(
 )
 
 
-class _RunNode(TriesAgain, Protocol):
+class _RunNode(RetryNode, Protocol):
     """Node whose runs are extended by repetitions."""
 
     def results_again(self, run: Run) -> List[PartialMatch]:
@@ -119,9 +119,9 @@ class LineageTracker:
         self._numbers, self._arrivals = count(numbers), count(arrivals)
         return list(self._recent), numbers, arrivals
 
-    def restore(self, kept: Tuple[List[Occurrence], int, int]) -> None:
+    def restore(self, saved: Tuple[List[Occurrence], int, int]) -> None:
         """Set the state that another tracker returned from `kept`."""
-        recent, numbers, arrivals = kept
+        recent, numbers, arrivals = saved
         self._recent = deque(recent if self._rules.mode.tracked else ())
         self._numbers, self._arrivals = count(numbers), count(arrivals)
         self.mend()
@@ -152,12 +152,17 @@ class LineageTracker:
             return released
         rule, match = cause or (None, None)
         occurrence = Occurrence(term, start, end, rule, match)
-        known = [] if match is None else known_in(match)
+        origins = [] if match is None else known_in(match)
         parent = context[PARENT]
         # The events that a query raises follow from the event ``synchronized(...)`` that holds the query.
-        if not known and parent is not None and _is_synchronized(parent[TERM]) and parent[TOKEN] is not None:
-            known = [parent[TOKEN]]
-        occurrence.follows(known)
+        if (
+            not origins
+            and parent is not None
+            and _is_synchronized(parent[TERM])
+            and parent[TOKEN] is not None
+        ):
+            origins = [parent[TOKEN]]
+        occurrence.follows(origins)
         return occurrence
 
     def _remember(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
@@ -200,23 +205,23 @@ class LineageTracker:
                     if not isinstance(match_or_run, PartialMatch) or match_or_run.buffer is not None
                 ]
 
-    def hold_repetition(self, run: Run, match: PartialMatch, node: TriesAgain) -> None:
+    def hold_repetition(self, run: Run, match: PartialMatch, node: RetryNode) -> None:
         """Record that a run was extended by a match."""
         for occurrence in known_in(match):
             occurrence.held.append((node, run, match))
 
-    def suppressed(self, node: TriesAgain, what: Tried) -> None:
+    def suppressed(self, node: RetryNode, what: MatchOrPair) -> None:
         """Record a match that the last negated match has suppressed."""
         if self.blocker is not None:
-            kept = Suppressed(node, what, next(self._numbers))
+            entry = Suppressed(node, what, next(self._numbers))
             for occurrence in known_in(self.blocker):
-                occurrence.suppressed.append(kept)
+                occurrence.suppressed.append(entry)
 
     def _take_back(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         """Retract the events of ``rev(E)``: all occurrences of E, or those that a derived ``rev`` is for."""
         token = self._rules.dispatcher.token()
         retracted = token.takes_back
-        again: List[Tuple[TriesAgain, Tried]] = []
+        again: List[Tuple[RetryNode, MatchOrPair]] = []
         unmade: List[Tracked] = []
         if retracted is None:
             retracted = [
@@ -240,7 +245,7 @@ class LineageTracker:
 
     def _remove_derived(
         self, retracted: List[Occurrence], meter: Optional[Meter]
-    ) -> Optional[Tuple[List[Tracked], List[Tuple[TriesAgain, Tried]]]]:
+    ) -> Optional[Tuple[List[Tracked], List[Tuple[RetryNode, MatchOrPair]]]]:
         """Remove events and everything derived from them from all buffers, before consequences are computed.
 
         Returns:
@@ -256,12 +261,12 @@ class LineageTracker:
         for occurrence in retracted:
             occurrence.reported = True
         runs: Dict[Any, _RunNode] = {}
-        kept: List[Suppressed] = []
+        released: List[Suppressed] = []
         unmade: List[Tracked] = []
         # Removing events can invalidate results of stream operators that do not contain them, and these can have
         # derived events of their own: repeat until nothing is added.
         while gone:
-            touched = self._detach(gone, kept)
+            touched = self._detach(gone, released)
             runs.update(touched)
             invalid = [
                 lost_result
@@ -273,16 +278,16 @@ class LineageTracker:
             gone = _mark_gone(invalid, meter)
             unmade += invalid if gone else ()
         # The consumption policy requires the order in which they were tried first.
-        kept.sort(key=_number)
-        again: List[Tuple[TriesAgain, Tried]] = [
+        released.sort(key=_number)
+        again: List[Tuple[RetryNode, MatchOrPair]] = [
             (node, result) for run, node in runs.items() for result in node.results_again(run)
         ]
         return unmade, again + [
-            (suppressed.node, suppressed.what) for suppressed in kept if suppressed.free()
+            (suppressed.node, suppressed.what) for suppressed in released if suppressed.free()
         ]
 
     @staticmethod
-    def _detach(gone: Sequence[Tracked], kept: List[Suppressed]) -> Dict[Any, _RunNode]:
+    def _detach(gone: Sequence[Tracked], released: List[Suppressed]) -> Dict[Any, _RunNode]:
         """Remove events that are marked as gone from the matches and runs that use them.
 
         Returns:
@@ -297,12 +302,12 @@ class LineageTracker:
                 elif match[0].forget(*match[1:]):
                     # A run may have lost several repetitions; its results are computed once, after all are removed.
                     runs[match[1]] = match[0]
-            kept += node.suppressed
+            released += node.suppressed
             node.suppressed = []
         return runs
 
     def _steps(
-        self, retracted: Sequence[Tracked], again: List[Tuple[TriesAgain, Tried]], start: int, end: int
+        self, retracted: Sequence[Tracked], again: List[Tuple[RetryNode, MatchOrPair]], start: int, end: int
     ) -> Iterator[Again]:
         """Yield the steps of a retraction: functions from a frame to a frame."""
         for occurrence in retracted:
@@ -311,7 +316,7 @@ class LineageTracker:
         for node, what in again:
             yield partial(self._retry, node, what)
 
-    def _retry(self, node: TriesAgain, what: Tried, after: Frame) -> Frame:
+    def _retry(self, node: RetryNode, what: MatchOrPair, after: Frame) -> Frame:
         # Matches of earlier events may be held back until another event arrives; the ``rev`` event is one.
         node.rule.add_those_of_other_events(self._rules.dispatcher.token())
         return node.retry(what, after)

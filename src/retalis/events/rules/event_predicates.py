@@ -240,7 +240,7 @@ def define_new_event(logic: PrologSystem, dispatcher: Dispatcher) -> None:
         return dispatch(made.term, made.start, made.end, after, own=False)
 
     logic.define_control("new_event", 2, general, at_once=True)
-    logic.define_control("new_event", 3, at_instant, at_once=True, gate=dispatcher.gate)
+    logic.define_control("new_event", 3, at_instant, at_once=True, gate=dispatcher.event_filter)
     logic.define_control("new_event", 5, general, at_once=True)
 
 

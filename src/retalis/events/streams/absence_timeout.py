@@ -156,9 +156,9 @@ class AbsenceTimeout(KeyedOperator):
         absent = [item for _, _, item in self._by_start if not item.gone]
         return (self._order, self._reached, sorted(waiting, key=_order), sorted(absent, key=_order))
 
-    def restore(self, kept: KnownState) -> None:
+    def restore(self, saved: KnownState) -> None:
         """See `StreamOperator.restore`."""
-        self._order, self._reached, waiting, absent = kept
+        self._order, self._reached, waiting, absent = saved
         self._pending, self._forbidden, self._due, self._by_start, self._number = {}, {}, [], [], 0
         for item in [*waiting, *absent]:
             # Keys are not part of the saved state: they follow from the values.
@@ -251,9 +251,9 @@ class AbsenceTimeout(KeyedOperator):
             self._number -= 1
         _push(self._by_start, item.start, item, self._number)
 
-    def _drop_forbidden_before(self, before: int) -> None:
+    def _drop_forbidden_before(self, limit: int) -> None:
         """Drop the forbidden elements that started too long ago to cancel a pending one."""
-        while self._by_start and self._by_start[0][0] <= before:
+        while self._by_start and self._by_start[0][0] <= limit:
             item = heapq.heappop(self._by_start)[2]
             if not item.gone:
                 item.gone = True

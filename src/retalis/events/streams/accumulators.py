@@ -352,8 +352,8 @@ class _StatelessMeasure:
     of_none = False
     lists = False
 
-    def __init__(self, at: int, name: str, setting: Setting):
-        self.at = at
+    def __init__(self, index: int, name: str, setting: Setting):
+        self.index = index
         self.name = name
         self.setting = setting
 
@@ -378,18 +378,18 @@ class _Sum(_StatelessMeasure):
     picky = True
     of_none = True
 
-    def __init__(self, at: int, name: str, setting: Setting):
-        super().__init__(at, name, setting)
+    def __init__(self, index: int, name: str, setting: Setting):
+        super().__init__(index, name, setting)
         self.sum = ExactSum()
 
     def check(self, item: StreamElement) -> None:
-        check_finite(item.values[self.at], self.name)
+        check_finite(item.values[self.index], self.name)
 
     def add(self, item: StreamElement) -> None:
-        self.sum.change(item.values[self.at], 1)
+        self.sum.change(item.values[self.index], 1)
 
     def remove(self, item: StreamElement) -> None:
-        self.sum.change(item.values[self.at], -1)
+        self.sum.change(item.values[self.index], -1)
 
     def result(self, members: Members, number: int) -> Optional[Term]:
         return self.sum.over(1)
@@ -405,12 +405,12 @@ class _Average(_Sum):
 class _Deviation(_Sum):
     of_none = False
 
-    def __init__(self, at: int, name: str, setting: Setting):
-        super().__init__(at, name, setting)
+    def __init__(self, index: int, name: str, setting: Setting):
+        super().__init__(index, name, setting)
         self.squares = ExactSum()
 
     def _square(self, item: StreamElement, by: int) -> None:
-        over, under = item.values[self.at].as_integer_ratio()
+        over, under = item.values[self.index].as_integer_ratio()
         self.squares.change_fraction(over * over, 2 * (under.bit_length() - 1), by)
 
     def add(self, item: StreamElement) -> None:
@@ -429,22 +429,22 @@ class _Minimum(_StatelessMeasure):
     picky = True
     sign = 1
 
-    def __init__(self, at: int, name: str, setting: Setting):
-        super().__init__(at, name, setting)
+    def __init__(self, index: int, name: str, setting: Setting):
+        super().__init__(index, name, setting)
         self.lowest = Lowest()
 
     def check(self, item: StreamElement) -> None:
-        check_ordered(item.values[self.at], self.name)
+        check_ordered(item.values[self.index], self.name)
 
     def add(self, item: StreamElement) -> None:
-        self.lowest.add(self.sign * item.values[self.at], item)
+        self.lowest.add(self.sign * item.values[self.index], item)
 
     def remove(self, item: StreamElement) -> None:
         self.lowest.remove()
 
     def result(self, members: Members, number: int) -> Optional[Term]:
         top = self.lowest.top()
-        return None if top is None else top[2].values[self.at]
+        return None if top is None else top[2].values[self.index]
 
 
 class _Maximum(_Minimum):
@@ -454,15 +454,15 @@ class _Maximum(_Minimum):
 class _Quantile(_StatelessMeasure):
     picky = True
 
-    def __init__(self, at: int, name: str, setting: Setting):
-        super().__init__(at, name, setting)
+    def __init__(self, index: int, name: str, setting: Setting):
+        super().__init__(index, name, setting)
         self.ranked = Ranked(setting)
 
     def check(self, item: StreamElement) -> None:
-        check_finite(item.values[self.at], self.name)
+        check_finite(item.values[self.index], self.name)
 
     def add(self, item: StreamElement) -> None:
-        self.ranked.add(item.values[self.at], item)
+        self.ranked.add(item.values[self.index], item)
 
     def remove(self, item: StreamElement) -> None:
         self.ranked.remove(item)
@@ -473,13 +473,13 @@ class _Quantile(_StatelessMeasure):
 
 class _First(_StatelessMeasure):
     def result(self, members: Members, number: int) -> Optional[Term]:
-        value: Term = next(live(members)).values[self.at]
+        value: Term = next(live(members)).values[self.index]
         return value
 
 
 class _Last(_StatelessMeasure):
     def result(self, members: Members, number: int) -> Optional[Term]:
-        value: Term = next(item for item in reversed(members) if not item.gone).values[self.at]
+        value: Term = next(item for item in reversed(members) if not item.gone).values[self.index]
         return value
 
 
@@ -488,23 +488,23 @@ class _List(_StatelessMeasure):
     lists = True
 
     def result(self, members: Members, number: int) -> Optional[Term]:
-        return make_list([item.values[self.at] for item in live(members)])
+        return make_list([item.values[self.index] for item in live(members)])
 
 
 class _CountDistinct(_StatelessMeasure):
     of_none = True
 
-    def __init__(self, at: int, name: str, setting: Setting):
-        super().__init__(at, name, setting)
+    def __init__(self, index: int, name: str, setting: Setting):
+        super().__init__(index, name, setting)
         self.numbers: Dict[Hashable, int] = {}
 
     def add(self, item: StreamElement) -> None:
-        key = term_key(item.values[self.at])
+        key = term_key(item.values[self.index])
         # A count per value: a value leaves when its last element does.
         self.numbers[key] = self.numbers.get(key, 0) + 1
 
     def remove(self, item: StreamElement) -> None:
-        key = term_key(item.values[self.at])
+        key = term_key(item.values[self.index])
         self.numbers[key] -= 1
         if not self.numbers[key]:
             del self.numbers[key]
@@ -549,17 +549,17 @@ class _Distinct(_StatelessMeasure):
     of_none = True
     lists = True
 
-    def __init__(self, at: int, name: str, setting: Setting):
-        super().__init__(at, name, setting)
+    def __init__(self, index: int, name: str, setting: Setting):
+        super().__init__(index, name, setting)
         self.alike: Dict[Hashable, _EqualValues] = {}
         self._order = 0
 
     def add(self, item: StreamElement) -> None:
         self._order += 1
-        self.alike.setdefault(term_key(item.values[self.at]), _EqualValues()).add(self._order, item)
+        self.alike.setdefault(term_key(item.values[self.index]), _EqualValues()).add(self._order, item)
 
     def remove(self, item: StreamElement) -> None:
-        key = term_key(item.values[self.at])
+        key = term_key(item.values[self.index])
         same_value = self.alike[key]
         same_value.count_removal()
         if not same_value.live:
@@ -567,8 +567,8 @@ class _Distinct(_StatelessMeasure):
 
     def result(self, members: Members, number: int) -> Optional[Term]:
         # In the order of first occurrence, as a list of distinct values is expected to be.
-        firsts = sorted([same.first() for same in self.alike.values()], key=_place)
-        return make_list([item.values[self.at] for _, item in firsts])
+        firsts = sorted([same_value.first() for same_value in self.alike.values()], key=_place)
+        return make_list([item.values[self.index] for _, item in firsts])
 
 
 def _place(entry: Tuple[int, StreamElement]) -> int:
@@ -581,8 +581,8 @@ class _Rate(_StatelessMeasure):
     The duration is that of the window (``setting``), or else the time from the first end to the last one.
     """
 
-    def __init__(self, at: int, name: str, setting: Setting):
-        super().__init__(at, name, setting)
+    def __init__(self, index: int, name: str, setting: Setting):
+        super().__init__(index, name, setting)
         self.seconds = Fraction(setting) if setting else None
         self.first, self.last = Lowest(), Lowest()
 
@@ -614,7 +614,7 @@ class _Fold(_StatelessMeasure):
     lists = True
 
     def result(self, members: Members, number: int) -> Optional[Term]:
-        result: Optional[Term] = self.setting([item.values[self.at] for item in live(members)])
+        result: Optional[Term] = self.setting([item.values[self.index] for item in live(members)])
         return result
 
 
@@ -643,7 +643,7 @@ MEASURES: Dict[str, AccumulatorKind] = {
     "max": AccumulatorKind("max(X)", 0, True, True, _Maximum),
     "avg": AccumulatorKind("avg(X)", 0, True, True, _Average),
     "stddev": AccumulatorKind("stddev(X)", 0, True, True, _Deviation),
-    "median": AccumulatorKind("median(X)", 0, True, True, lambda at, name, _: _Quantile(at, name, 0.5)),
+    "median": AccumulatorKind("median(X)", 0, True, True, lambda index, name, _: _Quantile(index, name, 0.5)),
     "quantile": AccumulatorKind("quantile(P, X)", 1, True, True, _Quantile),
     "first": AccumulatorKind("first(X)", 0, True, False, _First),
     "last": AccumulatorKind("last(X)", 0, True, False, _Last),

@@ -45,11 +45,11 @@ class Throttle(KeyedOperator):
             return [StreamOutput((item,), item.start, item.end)]
         self._advance(item.end)
         self._drop_expired()
-        before = self.states.get(item.key)
+        previous = self.states.get(item.key)
         # States older than ``span`` were dropped, so an element passes exactly if its key has no state.
-        if before is None or (self.every and item.end > before.end):
+        if previous is None or (self.every and item.end > previous.end):
             self._store(item)
-        return [StreamOutput((item,), item.start, item.end)] if before is None else []
+        return [StreamOutput((item,), item.start, item.end)] if previous is None else []
 
     def _store(self, item: StreamElement) -> None:
         # Without the match, which would keep its events alive.
@@ -67,8 +67,8 @@ class Throttle(KeyedOperator):
             heapq.heapify(self._by_end)
 
     def _drop_expired(self) -> None:
-        before = self.clock - self.span
-        while self._by_end and self._by_end[0][0] <= before:
+        limit = self.clock - self.span
+        while self._by_end and self._by_end[0][0] <= limit:
             item = heapq.heappop(self._by_end)[2]
             if self.states.get(item.key) is item:
                 del self.states[item.key]
@@ -77,9 +77,9 @@ class Throttle(KeyedOperator):
         """See `StreamOperator.kept`."""
         return (self.clock, list(self.states.values()))
 
-    def restore(self, kept: KnownState) -> None:
+    def restore(self, saved: KnownState) -> None:
         """See `StreamOperator.restore`."""
-        self.clock, noted = kept
+        self.clock, noted = saved
         self.states.clear()
         self._by_end = []
         for item in noted:
@@ -137,10 +137,10 @@ class DistinctUntilChanged(KeyedOperator):
         last_values = self.states.values()
         return ([state.since for state in last_values], [state.item for state in last_values])
 
-    def restore(self, kept: KnownState) -> None:
+    def restore(self, saved: KnownState) -> None:
         """See `StreamOperator.restore`."""
         self.states.clear()
-        for self.clock, item in zip(*kept):
+        for self.clock, item in zip(*saved):
             item.file()
             self._store(term_key(item.values[0]), item)
 
@@ -236,9 +236,9 @@ class Debounce(KeyedOperator):
         waiting = [item for elements in self.waiting.values() for item in elements]
         return (self._order, self._reached, sorted(waiting, key=lambda element: element.order))
 
-    def restore(self, kept: KnownState) -> None:
+    def restore(self, saved: KnownState) -> None:
         """See `StreamOperator.restore`."""
-        self._order, self._reached, waiting = kept
+        self._order, self._reached, waiting = saved
         self.waiting, self._due, self._number = {}, [], 0
         for item in waiting:
             item.file()

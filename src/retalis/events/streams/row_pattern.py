@@ -139,11 +139,11 @@ class RowPatternNFA:
     def marked(self, marks: Marks, step: int, item: StreamElement) -> Marks:
         """Return the navigations of a match after a step has accepted an element."""
         marks_after = []
-        for mark, before in zip(self.marks, marks):
+        for mark, earlier in zip(self.marks, marks):
             is_reached = mark.kind == "prev" or (
-                mark.step == step and (mark.kind == "last" or before is None)
+                mark.step == step and (mark.kind == "last" or earlier is None)
             )
-            marks_after.append(item if is_reached else before)
+            marks_after.append(item if is_reached else earlier)
         return tuple(marks_after)
 
     def _transitions(self, step: int, enough: bool, more: bool) -> StepTransitions:
@@ -263,47 +263,47 @@ class PartitionState:
 
     Attributes:
         items: elements that a state or match uses, and all elements since the oldest of them.
-        ways: the computation states in order of preference.
+        states: the computation states in order of preference.
         whole: waiting matches, the oldest first: those that the last state comes after, but not the first one.
         counted: number of states that the window has counted for this partition.
         since: the clock at its last element.
     """
 
-    __slots__ = ("items", "ways", "whole", "counted", "since")
+    __slots__ = ("items", "states", "whole", "counted", "since")
 
-    def __init__(self, ways: List[ComputationState]):
+    def __init__(self, states: List[ComputationState]):
         self.items: Deque[StreamElement] = deque()
-        self.ways = ways
+        self.states = states
         self.counted = 0
         self.since = NEVER
         self.whole: Deque[_CompletedMatch] = deque()
 
     def go_on(
-        self, ways: List[ComputationState], whole: Optional[_CompletedMatch] = None
+        self, states: List[ComputationState], whole: Optional[_CompletedMatch] = None
     ) -> List[_CompletedMatch]:
         """Replace the computation states, and return the matches that are now decided.
 
         Args:
-            ways: the new states.
+            states: the new states.
             whole: a match that was completed by the same element; the last state comes after it.
         """
         # Matches are popped from the new end if the states that preferred them were dropped, and emitted from the old
         # end if no state precedes them.
-        after = ways[-1].after - (whole is not None)
-        for _ in range(self.ways[-1].after - after):
+        after = states[-1].after - (whole is not None)
+        for _ in range(self.states[-1].after - after):
             self.whole.pop()
         if whole is not None:
             self.whole.append(whole)
-        self.ways = ways
+        self.states = states
         return [self.whole.popleft() for _ in range(len(self.whole) - self.waiting())]
 
     def waiting(self) -> int:
         """Return the number of completed matches that wait for a preferred state."""
-        return self.ways[-1].after - self.ways[0].after
+        return self.states[-1].after - self.states[0].after
 
     def oldest(self) -> Optional[int]:
         """Return the order of the oldest element in use, or None."""
-        held = [way.start for way in self.ways if way.taken is not None]
+        held = [state.start for state in self.states if state.taken is not None]
         if self.whole:
             held.append(self.whole[0].start)
         return min(held, default=None)
@@ -313,17 +313,17 @@ class _Successors:
     """Successor states of a partition for one element, while they are computed.
 
     Attributes:
-        ways: the states in order of preference.
+        states: the states in order of preference.
         seen: largest count for each key of a state.
         whole: the match that the element completes; the last state comes after it.
         start: order of the first element of the newest state.
         alternatives: number of states with that start. Earlier starts are preferred, so equal starts are adjacent.
     """
 
-    __slots__ = ("ways", "seen", "whole", "start", "alternatives")
+    __slots__ = ("states", "seen", "whole", "start", "alternatives")
 
     def __init__(self) -> None:
-        self.ways: List[ComputationState] = []
+        self.states: List[ComputationState] = []
         self.seen: Dict[Hashable, int] = {}
         self.whole: Optional[_CompletedMatch] = None
         self.start = 0
@@ -332,7 +332,7 @@ class _Successors:
     def holds(self, item: StreamElement) -> bool:
         """Return whether a state or match uses the element."""
         return self.whole is not None or any(
-            way.taken is not None and way.taken.item is item for way in self.ways
+            state.taken is not None and state.taken.item is item for state in self.states
         )
 
 
@@ -364,13 +364,13 @@ class RowPatternWindow(KeyedOperator):
                 (self._checks if scope is None else self._checks_of[scope]).append(measure.check)
         self.states: OrderedDict[Hashable, PartitionState] = OrderedDict()
         self._number = 0
-        self._ways = 0
+        self._state_count = 0
         self._order = 0
         self._end = NEVER
 
     def __len__(self) -> int:
         """Return the number of elements or of states, whichever is larger."""
-        return max(self._number, self._ways)
+        return max(self._number, self._state_count)
 
     def _scanning(self, after: int = 0) -> ComputationState:
         return ComputationState(SCANNING, 0, None, (None,) * len(self.plan.marks), None, 0, 0, after)
@@ -385,14 +385,14 @@ class RowPatternWindow(KeyedOperator):
         group = self.states.get(item.key)
         if group is None or (idle is not None and group.since < clock - idle):
             group = PartitionState([self._scanning()])
-        ways = group.ways if span is None else self._started_since(group, clock - span)
+        states = group.states if span is None else self._started_since(group, clock - span)
         meter = self.meter
-        if meter is not None and meter(len(ways)):
+        if meter is not None and meter(len(states)):
             return []
         item.order = self._order + 1
         # A condition or check may raise an error. The element, the clock and the partition are changed only after
         # this call, so a rejected element leaves no trace.
-        successors = self._successors(ways, item)
+        successors = self._successors(states, item)
         self._order += 1
         self.clock, self._end = clock, end
         if idle is not None:
@@ -401,22 +401,22 @@ class RowPatternWindow(KeyedOperator):
         if successors.holds(item):
             self._number += 1
             group.items.append(item)
-        decided = group.go_on(successors.ways, successors.whole)
+        decided = group.go_on(successors.states, successors.whole)
         self._store_partition(group, item.key)
         return self._outputs(decided)
 
-    def _started_since(self, group: PartitionState, before: int) -> List[ComputationState]:
+    def _started_since(self, group: PartitionState, limit: int) -> List[ComputationState]:
         """Return the states of a partition, without those that started before an instant."""
-        if all(way.begun >= before or way.taken is None for way in group.ways):
-            return group.ways
-        remaining = [way for way in group.ways if way.begun >= before or way.taken is None]
+        if all(state.begun >= limit or state.taken is None for state in group.states):
+            return group.states
+        remaining = [state for state in group.states if state.begun >= limit or state.taken is None]
         return self._with_scanning(remaining, group)
 
-    def _with_scanning(self, ways: List[ComputationState], group: PartitionState) -> List[ComputationState]:
+    def _with_scanning(self, states: List[ComputationState], group: PartitionState) -> List[ComputationState]:
         """Return the remaining states of a partition, with the scanning state at the end."""
-        if not ways or ways[-1].step != SCANNING:
-            ways.append(self._scanning(group.ways[-1].after))
-        return ways
+        if not states or states[-1].step != SCANNING:
+            states.append(self._scanning(group.states[-1].after))
+        return states
 
     def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`; drops states of the least recently used partition.
@@ -425,7 +425,7 @@ class RowPatternWindow(KeyedOperator):
         """
         key, group = next(iter(self.states.items()))
         oldest = group.items[0].order
-        remaining = [way for way in group.ways if way.taken is None or way.start != oldest]
+        remaining = [state for state in group.states if state.taken is None or state.start != oldest]
         decided = group.go_on(self._with_scanning(remaining, group))
         self._store_partition(group, key)
         return self._outputs(decided)
@@ -434,14 +434,14 @@ class RowPatternWindow(KeyedOperator):
         """Drop a partition; matches that wait in it are lost."""
         group = self.states.pop(key)
         self._number -= len(group.items)
-        self._ways -= group.counted
+        self._state_count -= group.counted
 
     def _store_partition(self, group: PartitionState, key: Hashable) -> None:
         """Store a partition, count its states, and drop elements that are not used by any state."""
         oldest = group.oldest()
-        ways = 0 if oldest is None else len(group.ways) - (group.ways[-1].step == SCANNING)
-        self._ways += ways - group.counted
-        group.counted = ways
+        state_count = 0 if oldest is None else len(group.states) - (group.states[-1].step == SCANNING)
+        self._state_count += state_count - group.counted
+        group.counted = state_count
         if oldest is not None:
             if key in self.states:
                 self.states.move_to_end(key)
@@ -457,87 +457,96 @@ class RowPatternWindow(KeyedOperator):
             self._number -= len(group.items)
             self.states.pop(key, None)
 
-    def _successors(self, ways: Sequence[ComputationState], item: StreamElement) -> _Successors:
+    def _successors(self, states: Sequence[ComputationState], item: StreamElement) -> _Successors:
         """Return the successor states for an element."""
         successors = _Successors()
-        for way in ways:
-            takers, passing = self._accepting_steps(way, item)
+        for state in states:
+            takers, passing = self._accepting_steps(state, item)
             for step in takers:
                 # A completed match, or one that is certain to complete, makes all less preferred states obsolete.
-                if self._accept(way, step, item, successors):
+                if self._accept(state, step, item, successors):
                     return successors
-            if way.step == SCANNING:
-                successors.ways.append(way)
+            if state.step == SCANNING:
+                successors.states.append(state)
             # An element is skipped only if no step accepts it: skipping is not an alternative to accepting.
             elif not takers and passing:
                 successor = ComputationState(
-                    way.step, way.count, passing, way.marks, way.taken, way.start, way.begun, way.after
+                    state.step,
+                    state.count,
+                    passing,
+                    state.marks,
+                    state.taken,
+                    state.start,
+                    state.begun,
+                    state.after,
                 )
                 if self._add(successor, successors) and self.plan.is_sure(passing):
                     return successors
         return successors
 
     def _accepting_steps(
-        self, way: ComputationState, item: StreamElement
+        self, state: ComputationState, item: StreamElement
     ) -> Tuple[List[int], Tuple[int, ...]]:
         """Return the steps that accept an element, and the steps that remain if the element is skipped."""
         steps = self.plan.steps
-        choices = self.plan.choices(way.step, way.count)
-        candidates = choices.steps if way.left is None else way.left
+        choices = self.plan.choices(state.step, state.count)
+        candidates = choices.steps if state.left is None else state.left
         open_steps = [
             step
             for step in candidates
-            if not (steps[step].until and ends(steps[step].until, way.marks, item))
+            if not (steps[step].until and ends(steps[step].until, state.marks, item))
         ]
-        takers = [step for step in open_steps if passes(steps[step].tests, way.marks, item)]
+        takers = [step for step in open_steps if passes(steps[step].tests, state.marks, item)]
         passing = tuple([step for step in open_steps if steps[step].later])
         if not takers and passing:
             for step in choices.blocking:
                 # A reluctant step has no `until`. After a skipped element, only `later` steps can follow.
-                if (way.left is None or steps[step].later) and passes(steps[step].tests, way.marks, item):
+                if (state.left is None or steps[step].later) and passes(steps[step].tests, state.marks, item):
                     return takers, ()
         return takers, passing
 
-    def _accept(self, way: ComputationState, step: int, item: StreamElement, successors: _Successors) -> bool:
+    def _accept(
+        self, state: ComputationState, step: int, item: StreamElement, successors: _Successors
+    ) -> bool:
         """Add the state after a step has accepted an element; return whether less preferred states are obsolete."""
         for check in self._checks_of[step]:
             check(item)
         plan = self.plan
-        count = plan.counted(step, way.count + 1 if way.step == step else 1)
-        taken = _MatchedElements(item, step, way.taken)
-        start, begun = (item.order, item.start) if way.taken is None else (way.start, way.begun)
+        count = plan.counted(step, state.count + 1 if state.step == step else 1)
+        taken = _MatchedElements(item, step, state.taken)
+        start, begun = (item.order, item.start) if state.taken is None else (state.start, state.begun)
         choices, whole, left, _ = plan.choices(step, count)
         # `left` is set if all steps skip elements: the state then equals the one after a skip.
         if choices:
-            marks = plan.marked(way.marks, step, item)
+            marks = plan.marked(state.marks, step, item)
             added = self._add(
-                ComputationState(step, count, left, marks, taken, start, begun, way.after), successors
+                ComputationState(step, count, left, marks, taken, start, begun, state.after), successors
             )
             if added and not whole and plan.is_sure(choices):
                 return True
         if whole:
             successors.whole = _CompletedMatch(taken, start)
             # The search for the next match starts after this one: matches do not share elements.
-            successors.ways.append(self._scanning(way.after + 1))
+            successors.states.append(self._scanning(state.after + 1))
         return whole
 
-    def _add(self, way: ComputationState, successors: _Successors) -> bool:
+    def _add(self, state: ComputationState, successors: _Successors) -> bool:
         """Add a state unless a preferred one subsumes it; return whether either of them is present."""
         # Two states with equal keys accept the same future elements with the same navigations.
-        key = way.key(self.plan.meaning(way.step, way.count))
+        key = state.key(self.plan.meaning(state.step, state.count))
         # States are added in order of preference, so one with the same key and at least this count is preferred and
         # completes no later: the new one can never win.
-        if successors.seen.get(key, -1) >= way.count:
+        if successors.seen.get(key, -1) >= state.count:
             return True
-        if way.start != successors.start:
-            successors.start, successors.alternatives = way.start, 0
+        if state.start != successors.start:
+            successors.start, successors.alternatives = state.start, 0
         if successors.alternatives >= MAX_WAYS_PER_START:
             # The least preferred states are lost; the count is reported.
             self.crowded += 1
             return False
         successors.alternatives += 1
-        successors.seen[key] = way.count
-        successors.ways.append(way)
+        successors.seen[key] = state.count
+        successors.states.append(state)
         return True
 
     def _outputs(self, decided: Sequence[_CompletedMatch]) -> List[StreamOutput]:
@@ -577,27 +586,27 @@ class RowPatternWindow(KeyedOperator):
             (
                 group.since,
                 list(group.items),
-                tuple([_state_fields(way) for way in group.ways]),
+                tuple([_state_fields(state) for state in group.states]),
                 tuple([_orders(_in_order(match.taken)) for match in group.whole]),
             )
             for group in self.states.values()
         ]
         return (self.late, self._order, self.clock, groups)
 
-    def restore(self, kept: KnownState) -> None:
+    def restore(self, saved: KnownState) -> None:
         """See `StreamOperator.restore`; if elements are missing, the remaining ones are processed again."""
-        self.late, self._order, self.clock, groups = kept
+        self.late, self._order, self.clock, groups = saved
         self.states.clear()
-        self._number = self._ways = 0
-        for since, items, ways, whole in groups:
+        self._number = self._state_count = 0
+        for since, items, states, whole in groups:
             if items:
-                self._restore_group(since, items, ways, whole)
+                self._restore_group(since, items, states, whole)
 
     def _restore_group(
         self,
         since: int,
         items: List[StreamElement],
-        ways: Sequence[Tuple[object, ...]],
+        states: Sequence[Tuple[object, ...]],
         whole: Sequence[Sequence[Tuple[int, int]]],
     ) -> None:
         by_order = {item.order: item for item in items}
@@ -611,17 +620,17 @@ class RowPatternWindow(KeyedOperator):
             group.whole.extend(
                 _CompletedMatch(_matched_elements(match, by_order), match[0][0]) for match in whole
             )
-            group.ways = [self._state_of(way, by_order) for way in ways]
+            group.states = [self._state_of(state, by_order) for state in states]
             is_consistent = len(group.whole) == group.waiting()
         except KeyError:
             is_consistent = False
         # Elements are missing, or an interrupt came between two updates.
         if not is_consistent:
             group.whole.clear()
-            group.ways = [self._scanning()]
+            group.states = [self._scanning()]
             for item in items:
-                successors = self._successors(group.ways, item)
-                group.go_on(successors.ways, successors.whole)
+                successors = self._successors(group.states, item)
+                group.go_on(successors.states, successors.whole)
         self._store_partition(group, items[0].key)
 
     def _state_of(self, numbers: Tuple[Any, ...], by_order: Dict[int, StreamElement]) -> ComputationState:
@@ -664,10 +673,10 @@ def _in_order(taken: Optional[_MatchedElements]) -> _StepAssignments:
     return tuple(reversed(pairs))
 
 
-def _state_fields(way: ComputationState) -> Tuple[Any, ...]:
+def _state_fields(state: ComputationState) -> Tuple[Any, ...]:
     """Return the fields of a state, with elements replaced by their orders."""
-    marks = tuple([None if element is None else element.order for element in way.marks])
-    return (way.step, way.count, way.left, marks, _orders(_in_order(way.taken)), way.after)
+    marks = tuple([None if element is None else element.order for element in state.marks])
+    return (state.step, state.count, state.left, marks, _orders(_in_order(state.taken)), state.after)
 
 
 def _orders(pairs: _StepAssignments) -> Tuple[Tuple[int, int], ...]:

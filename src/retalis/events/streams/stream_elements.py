@@ -153,7 +153,7 @@ class StreamOperator(Protocol):
     def kept(self) -> KnownState:
         """Return the state; see `restore`."""
 
-    def restore(self, kept: KnownState, /) -> None:
+    def restore(self, saved: KnownState, /) -> None:
         """Set the state to one that an equal operator returned from `kept`."""
 
 
@@ -224,11 +224,11 @@ class KeyedOperator:
         """Drop the keys whose last use is too long ago."""
         if self._idle is None:
             return
-        states, before = self.states, self.clock - self._idle
+        states, limit = self.states, self.clock - self._idle
         while states:
             key = next(iter(states))
             # Keys are ordered by last use, so the first key in use ends the search.
-            if states[key].since >= before:
+            if states[key].since >= limit:
                 return
             self._drop_key(key)
 

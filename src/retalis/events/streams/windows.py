@@ -189,10 +189,10 @@ class Window(KeyedOperator):
         ]
         return (self.clock, self.next, self.late, self.last_order, groups)
 
-    def restore(self, kept: KnownState) -> None:
+    def restore(self, saved: KnownState) -> None:
         """See `StreamOperator.restore`."""
         # Subclasses append their own fields.
-        self.clock, self.next, self.late, self.last_order, groups = kept[:5]
+        self.clock, self.next, self.late, self.last_order, groups = saved[:5]
         self.states.clear()
         self.number = 0
         for since, members in groups:
@@ -219,7 +219,7 @@ class Window(KeyedOperator):
         self.last_order += 1
         item.order = self.last_order
 
-    def _used_group(self, item: StreamElement) -> KeyedWindow:
+    def _most_recent_window(self, item: StreamElement) -> KeyedWindow:
         """Return the keyed window of an element as the most recently used one, after idle keys are dropped."""
         group = self._keyed_window_of(item)
         end = item.end
@@ -294,9 +294,9 @@ class SlidingTimeWindow(Window):
         """See `StreamOperator.take`."""
         group = self._keyed_window_of(item)
         self._advance(item.end)
-        before = self.clock - self.span
-        self._remove_before(before)
-        if item.start <= before:
+        limit = self.clock - self.span
+        self._remove_before(limit)
+        if item.start <= limit:
             self.late += 1
             return []
         self._number_element(item)
@@ -315,63 +315,63 @@ class SlidingTimeWindow(Window):
     def _compact(self) -> None:
         if len(self.queue) + len(self.disordered) > 2 * self.number + 64:
             self.queue = deque([element for element in self.queue if not element.gone])
-            self.disordered = without_gone(self.disordered)
+            self.disordered = compacted_heap(self.disordered)
 
-    def _remove_before(self, before: int) -> None:
+    def _remove_before(self, limit: int) -> None:
         queue, heap = self.queue, self.disordered
-        while queue and queue[0].start <= before:
+        while queue and queue[0].start <= limit:
             item = queue.popleft()
             if not item.gone:
                 self.remove(item)
-        while heap and heap[0][0] <= before:
+        while heap and heap[0][0] <= limit:
             item = heapq.heappop(heap)[2]
             if not item.gone:
                 self.remove(item)
 
 
 class SlidingCountWindow(Window):
-    """Window of the last ``most`` elements of each key; emits at each element."""
+    """Window of the last ``size`` elements of each key; emits at each element."""
 
-    def __init__(self, make: Make, most: int):
+    def __init__(self, make: Make, size: int):
         super().__init__(make)
-        self.most = most
+        self.size = size
 
     def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
-        group = self._used_group(item)
+        group = self._most_recent_window(item)
         self._number_element(item)
         self._insert(item, group)
         # More than one if an interrupt came before the removal.
-        while group.number > self.most:
+        while group.number > self.size:
             self.remove(group.members[0])
         return self._emit(group)
 
 
 class TumblingCountWindow(Window):
-    """Window of ``most`` elements of each key at a time; emits when it is full, or if ``running`` at each element."""
+    """Window of ``size`` elements of each key at a time; emits when it is full, or if ``running`` at each element."""
 
-    def __init__(self, make: Make, most: int, running: bool):
+    def __init__(self, make: Make, size: int, running: bool):
         super().__init__(make)
-        self.most = most
+        self.size = size
         self.running = running
 
     def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""
-        group = self._used_group(item)
+        group = self._most_recent_window(item)
         # An interrupt came when it was full.
-        if group.number >= self.most:
+        if group.number >= self.size:
             self._clear_key(group, item.key)
-            group = self._used_group(item)
+            group = self._most_recent_window(item)
         self._number_element(item)
         self._insert(item, group)
-        full = group.number >= self.most
+        full = group.number >= self.size
         outputs = self._emit(group) if full or self.running else []
         if full:
             self._clear_key(group, item.key)
         return outputs
 
 
-def without_gone(heap: List[Tuple[int, int, StreamElement]]) -> List[Tuple[int, int, StreamElement]]:
+def compacted_heap(heap: List[Tuple[int, int, StreamElement]]) -> List[Tuple[int, int, StreamElement]]:
     """Return a heap without the elements that are gone."""
     remaining = [entry for entry in heap if not entry[2].gone]
     heapq.heapify(remaining)
@@ -423,10 +423,10 @@ class AnchoredTumblingWindow(Window):
         self._set_next()
         return [*outputs, *self._emit(group)] if self.running else outputs
 
-    def restore(self, kept: KnownState) -> None:
+    def restore(self, saved: KnownState) -> None:
         """See `StreamOperator.restore`."""
-        super().restore(kept)
-        (self._reached,) = kept[5:]
+        super().restore(saved)
+        (self._reached,) = saved[5:]
         self._open = [(group.since, group.members[0].order, key, group) for key, group in self.states.items()]
         heapq.heapify(self._open)
 
@@ -511,13 +511,13 @@ class HoppingWindow(Window):
         return (
             *super().kept(),
             self._reached,
-            [item for _, _, item in sorted(self._ahead, key=lambda one: one[:2])],
+            [item for _, _, item in sorted(self._ahead, key=lambda element: element[:2])],
         )
 
-    def restore(self, kept: KnownState) -> None:
+    def restore(self, saved: KnownState) -> None:
         """See `StreamOperator.restore`."""
-        super().restore(kept)
-        self._reached, ahead = kept[5:]
+        super().restore(saved)
+        self._reached, ahead = saved[5:]
         for item in ahead:
             item.file()
         self._ahead = [(item.end, item.order, item) for item in ahead]
@@ -555,12 +555,12 @@ class HoppingWindow(Window):
         while self._ahead and self._ahead[0][0] < instant:
             entering.append(heapq.heappop(self._ahead)[2])
         # The heap is ordered by ends; members must be in order of arrival.
-        for item in sorted(entering, key=lambda one: one.order):
+        for item in sorted(entering, key=lambda element: element.order):
             self._insert(item, self._keyed_window_of(item))
             self._file(item)
         outputs = [
             output
-            for group in sorted(self.states.values(), key=lambda one: one.members[0].order)
+            for group in sorted(self.states.values(), key=lambda element: element.members[0].order)
             for output in self._emit(group, instant - self.span, instant)
         ]
         # While elements remain, every multiple has a result; otherwise windows without elements are skipped.
@@ -579,10 +579,10 @@ class HoppingWindow(Window):
 
     def _compact(self) -> None:
         if len(self._by_end) > 2 * self.number + 64:
-            self._by_end = without_gone(self._by_end)
+            self._by_end = compacted_heap(self._by_end)
 
-    def _remove_before(self, before: int) -> None:
-        while self._by_end and self._by_end[0][0] < before:
+    def _remove_before(self, limit: int) -> None:
+        while self._by_end and self._by_end[0][0] < limit:
             item = heapq.heappop(self._by_end)[2]
             if not item.gone:
                 self.remove(item)
