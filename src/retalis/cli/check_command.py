@@ -107,8 +107,8 @@ def _learn(definitions: Definitions, path: Path, max_chunk_megabytes: int) -> No
                 print(f"warning: {path}: topic {printable(topic.name)}: {error}", file=sys.stderr)
 
 
-def _counted(number: int, what: str) -> str:
-    return counted(number, what) if number else f"no {what}s"
+def _counted(number: int, noun: str) -> str:
+    return counted(number, noun) if number else f"no {noun}s"
 
 
 def _as_json(finding: Finding) -> Dict[str, object]:

@@ -65,12 +65,12 @@ def candidates(
     names: Callable[[str, Optional[str]], Iterable[str]],
 ) -> List[str]:
     """Return the candidates for the last of the words, by the parser and the words before it."""
-    *before, current = _without_equals_signs(words)
+    *previous, current = _without_equals_signs(words)
     option_values: Dict[str, str] = {}
     open_option: Optional[argparse.Action] = None
     position = 0
     # The words are interpreted as argparse would do it, without requiring that the line is complete or correct.
-    for word in before:
+    for word in previous:
         if open_option is not None:
             option_values[open_option.dest] = word
             open_option = None
@@ -92,8 +92,8 @@ def candidates(
 
 def _without_equals_signs(words: Sequence[str]) -> List[str]:
     """Return the words without ``=`` of their own: bash splits ``--option=value`` into three words."""
-    *before, current = words
-    return [*(word for word in before if word != "="), "" if current == "=" else current]
+    *previous, current = words
+    return [*(word for word in previous if word != "="), "" if current == "=" else current]
 
 
 def _option(parser: argparse.ArgumentParser, word: str) -> Optional[argparse.Action]:

@@ -66,21 +66,23 @@ def help_lines(name: str, defined: Iterable[str]) -> List[str]:
     """
     rows = [row for row in _rows() if any(_is_of(name, key) for key in row.keys)]
     lines = [f"{row.call}\n    {row.what}" for row in rows]
-    known = {key for row in rows for key in row.keys}
-    return [*lines, *(key for key in sorted(defined) if _is_of(name, key) and key not in known)][
+    documented = {key for row in rows for key in row.keys}
+    return [*lines, *(key for key in sorted(defined) if _is_of(name, key) and key not in documented)][
         :MAX_HELP_LINES
     ]
 
 
 def apropos_lines(word: str, defined: Iterable[str]) -> List[str]:
     """Return a line for each predicate whose name or description contains a word; see `help_lines`."""
-    low, known, lines = word.lower(), set(), []
+    low, documented, lines = word.lower(), set(), []
     for row in _rows():
         if low in row.what.lower() or any(low in key.lower() for key in row.keys):
-            known.update(row.keys)
+            documented.update(row.keys)
             lines.append(f"{', '.join(row.keys)}: {row.what}")
-    own = [key for key in sorted(defined) if low in key.lower() and key not in known and key[0] != "$"]
-    lines += own
+    undocumented = [
+        key for key in sorted(defined) if low in key.lower() and key not in documented and key[0] != "$"
+    ]
+    lines += undocumented
     return (
         lines
         if len(lines) <= MAX_HELP_LINES
@@ -109,9 +111,9 @@ def _page() -> Path:
         UsageError: if it is in neither.
     """
     for root in Path(__file__).resolve().parents:
-        for place in (root / PAGE, root / "share" / "retalis" / PAGE):
-            if place.is_file():
-                return place
+        for path in (root / PAGE, root / "share" / "retalis" / PAGE):
+            if path.is_file():
+                return path
     raise UsageError(f"{PAGE} is neither in the source tree nor in an installed package")
 
 

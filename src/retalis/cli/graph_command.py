@@ -85,8 +85,8 @@ def _format_of(path: Optional[Path]) -> str:
     return kind
 
 
-def _topics(folder: Path, asked: InputTopics) -> List[GraphTopic]:
-    topics = asked.joined(read_topics(folder / TOPICS) if (folder / TOPICS).exists() else Topics())
+def _topics(folder: Path, input_topics: InputTopics) -> List[GraphTopic]:
+    topics = input_topics.joined(read_topics(folder / TOPICS) if (folder / TOPICS).exists() else Topics())
     return [GraphTopic(name, topics.event_of(name) or functor_name(kind)) for name, kind in topics.subscribed]
 
 

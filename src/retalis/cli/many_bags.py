@@ -90,8 +90,8 @@ def play_bag(task: BagTask, scratch: str) -> Played:
         task: the bag.
         scratch: folder for temporary files.
     """
-    said, failure, bag, state = _LimitedOutput(), "", task.place, None
-    with _PROCESS, redirect_stderr(said):
+    stderr, failure, bag, state = _LimitedOutput(), "", task.place, None
+    with _PROCESS, redirect_stderr(stderr):
         report = Report().listen(events=True)
         try:
             with fetched(task.place, scratch) as bag, result_file(task.target, scratch) as result:
@@ -105,7 +105,7 @@ def play_bag(task: BagTask, scratch: str) -> Played:
             leave()
             restore_gc()
     # Messages name the bag as the user gave it, not the temporary copy of a URL.
-    messages, failure = (text.replace(bag, task.place) for text in (said.getvalue(), failure))
+    messages, failure = (text.replace(bag, task.place) for text in (stderr.getvalue(), failure))
     return Played(report.errors, messages, failure or None, state)
 
 
@@ -326,8 +326,8 @@ def _tasks(
     # The processes of a cluster may have other working directories.
     absolute = os.path.abspath if options.scheduler else str
 
-    def shared_path(place: str) -> str:
-        return place if is_url(place) else absolute(place)
+    def shared_path(path_or_url: str) -> str:
+        return path_or_url if is_url(path_or_url) else absolute(path_or_url)
 
     bag_options = {name: getattr(options, name) for name in _OPTIONS}
     bag_options["program"] = Path(absolute(options.program))
@@ -376,7 +376,7 @@ class _Results:
         self._next_to_report = 0
         self._errors = 0
         self._failed = 0
-        self._said: Dict[str, int] = {}
+        self._message_counts: Dict[str, int] = {}
         self.done = 0
 
     def take(self, number: int, outcome: _Outcome) -> None:
@@ -408,17 +408,17 @@ class _Results:
                 shutil.copyfileobj(file, sys.stdout)
             os.unlink(task.target)
 
-    def _report_messages(self, task: BagTask, said: str) -> None:
+    def _report_messages(self, task: BagTask, messages: str) -> None:
         """Print the errors and warnings of a bag, unless another bag had the same ones."""
-        if not said:
+        if not messages:
             return
-        if said not in self._said:
-            print(f"{task.place}:\n{said}", end="", file=sys.stderr)
-        self._said[said] = self._said.get(said, 0) + 1
+        if messages not in self._message_counts:
+            print(f"{task.place}:\n{messages}", end="", file=sys.stderr)
+        self._message_counts[messages] = self._message_counts.get(messages, 0) + 1
 
     def finish(self) -> int:
         """Print a summary; return the exit status."""
-        repeated = sum(self._said.values()) - len(self._said)
+        repeated = sum(self._message_counts.values()) - len(self._message_counts)
         if repeated:
             print(f"{repeated} more bags had the same errors and warnings as one before", file=sys.stderr)
         if self._failed:

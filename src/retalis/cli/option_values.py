@@ -20,11 +20,11 @@ def from_zero(kind: Callable[[str], float]) -> Reader:
     return _reader(kind, lambda number: 0 <= number < float("inf"), f"{name} of 0 or more")
 
 
-def _reader(kind: Callable[[str], float], fits: Callable[[float], bool], wanted: str) -> Reader:
+def _reader(kind: Callable[[str], float], fits: Callable[[float], bool], expected: str) -> Reader:
     def read(text: str) -> float:
         number = _number(kind, text)
         if number is None or not fits(number):
-            raise argparse.ArgumentTypeError(f"expected {wanted}, found {text}")
+            raise argparse.ArgumentTypeError(f"expected {expected}, found {text}")
         return number
 
     return read

@@ -65,13 +65,13 @@ class Printer:
         for solution in instances:
             print(add_full_stop(text(solution)), flush=True)
 
-    def explanation(self, asked: Term, answer: Explanation) -> None:
+    def explanation(self, term: Term, answer: Explanation) -> None:
         """Print the explanation of an event that happened or did not happen."""
         if self._json:
             because = [_as_json(line) for line in answer.lines]
-            self.line({"explain": text(asked), "happened": answer.happened, "because": because})
+            self.line({"explain": text(term), "happened": answer.happened, "because": because})
             return
-        print(f"% {text(asked)} {'happened' if answer.happened else 'did not happen'}")
+        print(f"% {text(term)} {'happened' if answer.happened else 'did not happen'}")
         for line in answer.lines:
             for part in line.indented(1):
                 print(f"% {part}")

@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     path, kind = options.output, options.output.suffix[1:].lower()
     if kind not in (*PAGES, *PICTURES):
-        endings = ", ".join(f".{one}" for one in (*PAGES, *PICTURES))
+        endings = ", ".join(f".{ending}" for ending in (*PAGES, *PICTURES))
         raise UsageError(f"--output {path}: expected a name that ends in one of {endings}")
     report = Report().listen()
     if options.run_file is not None:

@@ -46,7 +46,7 @@ def bindings(names: Dict[str, Var], operators: Operators) -> str:
     named = _variable_names(groups)
     lines = []
     for group in groups:
-        chain = [f"{left} = {right}" for left, right in zip(group.names, group.names[1:])]
+        chain = [f"{name} = {next_name}" for name, next_name in zip(group.names, group.names[1:])]
         if group.value.__class__ is not Var:
             text = write_term(
                 group.value,
@@ -86,8 +86,8 @@ def _variable_names(groups: List[_Group]) -> Dict[Var, str]:
     counts: Dict[Var, int] = {}
     _count((functor("", len(groups)), *[group.value for group in groups]), counts)
     # Generated names must not coincide with names of the goal.
-    taken = {name for group in groups for name in group.names}
-    letters = (f"_{letter}" for letter in _letters() if f"_{letter}" not in taken)
+    goal_names = {name for group in groups for name in group.names}
+    letters = (f"_{letter}" for letter in _letters() if f"_{letter}" not in goal_names)
     for var, count in counts.items():
         if var not in named:
             named[var] = "_" if count == 1 else next(letters)
@@ -235,14 +235,14 @@ def _key() -> str:
         # A system without termios: the first character of a line.
         return input()[:1]
     stdin = sys.stdin.fileno()
-    before = termios.tcgetattr(stdin)
+    settings = termios.tcgetattr(stdin)
     try:
         # TCSADRAIN keeps input that was typed ahead; the default TCSAFLUSH would discard it.
         tty.setcbreak(stdin, termios.TCSADRAIN)
         sys.stdout.flush()
         return sys.stdin.read(1)
     finally:
-        termios.tcsetattr(stdin, termios.TCSADRAIN, before)
+        termios.tcsetattr(stdin, termios.TCSADRAIN, settings)
 
 
 def completions(text: str, names: Iterable[str]) -> List[str]:

@@ -13,7 +13,7 @@ PlainRecord = Mapping[str, Any]
 """A message of a node, as a dictionary."""
 
 
-def report(found: PlainRecord) -> List[str]:
+def report(record: PlainRecord) -> List[str]:
     """Return the lines of a record: its simple values, then a table for each list of records.
 
     >>> for line in report({"events": 3, "memories": [{"id": "odom", "size": 10}]}):
@@ -24,9 +24,9 @@ def report(found: PlainRecord) -> List[str]:
       id    size
       odom  10
     """
-    plain = [(name, value) for name, value in found.items() if not _is_table(value)]
+    plain = [(name, value) for name, value in record.items() if not _is_table(value)]
     lines = _aligned([[name, _shown(value)] for name, value in plain])
-    for name, rows in found.items():
+    for name, rows in record.items():
         if _is_table(rows):
             lines += ["", name, *(f"  {line}" for line in table(rows))]
     return lines
@@ -63,7 +63,7 @@ def status_page(
     more = [name for name in found if name.startswith("more_") and found[name]]
     head += [f"{found[name]} more {name[len('more_') :]}" for name in more]
     # Non-breaking spaces keep each part in one line while the text is wrapped.
-    lines = wrap("  ".join(one.replace(" ", "\xa0") for one in head), columns)
+    lines = wrap("  ".join(part.replace(" ", "\xa0") for part in head), columns)
     lines = [line.replace("\xa0", " ") for line in lines]
     for name, form in _TABLES.items():
         if found.get(name):
@@ -106,12 +106,12 @@ def _key(row: PlainRecord, form: _TableForm) -> Tuple[Any, ...]:
     return tuple(row.get(name) for name in form.keys)
 
 
-def _work(found: PlainRecord) -> str:
-    if not found.get("work"):
+def _work(record: PlainRecord) -> str:
+    if not record.get("work"):
         return "idle"
-    place = f" at {found['work_place']}" if found.get("work_place") else ""
-    goal = f": {found['work_goal']}" if found.get("work_goal") else ""
-    return f"busy for {_span(found.get('work_time'))} with {found['work']}{goal}{place}"
+    place = f" at {record['work_place']}" if record.get("work_place") else ""
+    goal = f": {record['work_goal']}" if record.get("work_goal") else ""
+    return f"busy for {_span(record.get('work_time'))} with {record['work']}{goal}{place}"
 
 
 def _rate(before: Optional[PlainRecord], row: PlainRecord, name: str, time: _StatusTime) -> str:
@@ -246,11 +246,11 @@ def _rows(
 ) -> List[List[str]]:
     """Return the heading and the rows of a table that fits a width, without empty rare columns."""
     # Rows are identified by key, not by position: rules and topics may have been added or removed meanwhile.
-    known = {_key(row, form): row for row in before}
+    former_rows = {_key(row, form): row for row in before}
     shown: List[_Column] = []
     cells: List[List[str]] = []
     for column in form.columns:
-        values = [column.of(row, known.get(_key(row, form)), time) for row in records]
+        values = [column.of(row, former_rows.get(_key(row, form)), time) for row in records]
         if not column.rare or any(cell not in _NOTHING for cell in values):
             shown.append(column)
             cells.append([column.name, *values])

@@ -106,28 +106,28 @@ class RecentEvents:
         self._engine = engine
         self._dispatcher, self._executor, self._show = engine.dispatcher, engine.executor, engine.logic.show
         self._listener: Optional[Listener] = None
-        self._wanted = False
+        self._is_requested = False
         self._serial = count(1)
         self._kinds: Dict[Optional[Functor], _FunctorEvents] = {}
 
     @property
     def watching(self) -> bool:
         """True if events are observed, or will be as soon as the engine executes the request."""
-        return self._wanted
+        return self._is_requested
 
     def watch(self, wanted: bool) -> None:
         """Start or stop to observe events, as soon as the engine executes the request; stored events remain."""
-        if wanted != self._wanted:
-            self._wanted = wanted
+        if wanted != self._is_requested:
+            self._is_requested = wanted
             self._executor.post(self._apply_observation)
 
     def _apply_observation(self) -> None:
-        if self._wanted and self._listener is None:
+        if self._is_requested and self._listener is None:
             event = Var()
             self._listener = self._dispatcher.listen(
                 ListenerPhase.TRACE, event, self._count_event, unused={event}
             )  # what is not read stays out of the texts between the nodes
-        elif not self._wanted and self._listener is not None:
+        elif not self._is_requested and self._listener is not None:
             self._dispatcher.remove(self._listener)
             self._listener = None
 
@@ -331,7 +331,7 @@ class Snapshots:
         topics = list(self._source.topics())[:MAX_SHOWN_TOPICS]
         counts = self.events.counts()
         numbers = {"taken": status.taken, "fired": status.fired}
-        numbers.update({f"rule:{at}": rule.fired for at, rule in enumerate(status.rules)})
+        numbers.update({f"rule:{index}": rule.fired for index, rule in enumerate(status.rules)})
         numbers.update({f"memory:{item.id}": item.added for item in status.memories})
         for item in status.subscriptions:
             name = f"output:{beginning(item.topic)}"
@@ -434,27 +434,27 @@ class Client:
     def __init__(self, events: bool) -> None:
         self.events = events
         self.graph: Any = None
-        self._graph_data = self._look = b""
+        self._graph_data = self._snapshot = b""
         self._ready = asyncio.Event()
 
-    def put(self, look: bytes, drawn: bytes = b"") -> None:
+    def put(self, snapshot: bytes, graph_data: bytes = b"") -> None:
         """Store a snapshot to send next, and optionally a graph to send before it."""
-        self._look = look
+        self._snapshot = snapshot
         # A graph is sent once, so it must not be lost if the page skips this snapshot.
-        self._graph_data = drawn or self._graph_data
+        self._graph_data = graph_data or self._graph_data
         self._ready.set()
 
     def end(self) -> None:
         """End the stream of the page."""
-        self._look = self._graph_data = b""
+        self._snapshot = self._graph_data = b""
         self._ready.set()
 
     async def next(self) -> bytes:
         """Wait for data to send, and return it; empty if the stream has ended."""
         await self._ready.wait()
         self._ready.clear()
-        data = self._graph_data + self._look
-        self._look = self._graph_data = b""
+        data = self._graph_data + self._snapshot
+        self._snapshot = self._graph_data = b""
         return data
 
 
@@ -520,17 +520,17 @@ class LiveUpdates:
         self._work = None
 
     def _send_snapshot(self) -> None:
-        look = _sent("look", self._snapshots.take())
+        snapshot = _sent("look", self._snapshots.take())
         graph = self._snapshots.graph
         drawn = b""
         for client in list(self._clients):
             # The graph is large and rarely changes, so it is sent only when the page does not have this object.
             if client.graph is graph:
-                client.put(look)
+                client.put(snapshot)
                 continue
             drawn = drawn or _sent("graph", graph)
             client.graph = graph
-            client.put(look, drawn)
+            client.put(snapshot, drawn)
 
 
 def _sent(event: str, data: Dict[str, Any]) -> bytes:

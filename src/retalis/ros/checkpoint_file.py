@@ -72,7 +72,7 @@ class StateFile:
         )
 
     def _log_restored(self, engine: Engine, restored: Checkpoint) -> None:
-        records = sum(len(one.memory) for one in engine.knowledge.memories)
+        records = sum(len(entry.memory) for entry in engine.knowledge.memories)
         rospy.loginfo(
             "restored from %s, written %.1f s ago: %s with %s, %s, %s",
             self._parameters.checkpoint,

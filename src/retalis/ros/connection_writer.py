@@ -334,14 +334,14 @@ class _Receiver:
     def _take_queued(self) -> Tuple[bytes, int]:
         """Return the next queued frames, combined, and their number of messages; mark the thread as ended if none."""
         with self._lock:
-            taken: List[Tuple[bytes, int]] = []
+            writes: List[Tuple[bytes, int]] = []
             size = 0
-            while self._waiting and len(taken) < MAX_COMBINED_WRITES and size < COMBINED_WRITE_BYTES:
-                taken.append(self._waiting.popleft())
-                size += len(taken[-1][0])
-            number = sum(write[1] for write in taken)
+            while self._waiting and len(writes) < MAX_COMBINED_WRITES and size < COMBINED_WRITE_BYTES:
+                writes.append(self._waiting.popleft())
+                size += len(writes[-1][0])
+            number = sum(write[1] for write in writes)
             self._queued -= number
             # Under the same lock as the test of the queue: a message that `write` appends is written by this
             # thread, or `write` finds `_busy` cleared and writes itself.
-            self._busy = bool(taken)
-        return b"".join([write[0] for write in taken]), number
+            self._busy = bool(writes)
+        return b"".join([write[0] for write in writes]), number

@@ -119,8 +119,8 @@ class Changes:
 
     def note(self, now: float, name: object, number: int) -> Change:
         """Record a counter's value; return its growth."""
-        known = self._noted.get(name) or self._all.get(name)
-        change = self._noted[name] = known or Change()
+        former = self._noted.get(name) or self._all.get(name)
+        change = self._noted[name] = former or Change()
         return change.note(now, number)
 
     def end(self) -> None:
@@ -298,11 +298,11 @@ class EngineHealth:
     def _queries(self, now: float, status: Status) -> Health:
         # Waiting is measured by the monotonic clock, from the first status that contains the query: simulated time
         # may stand still or jump.
-        seen = {(query.event, query.since): query for query in status.waiting}
-        self._waiting = {key: self._waiting.get(key, now) for key in seen}
+        waiting_queries = {(query.event, query.since): query for query in status.waiting}
+        self._waiting = {key: self._waiting.get(key, now) for key in waiting_queries}
         longest = max((now - since for since in self._waiting.values()), default=0.0)
         values = []
-        for key, query in list(seen.items())[:LISTED]:
+        for key, query in list(waiting_queries.items())[:LISTED]:
             behind = [f"{memory.id} {_behind(memory.behind)}" for memory in query.memories]
             since = f"since {query.since / 1e9:.3f}, for {now - self._waiting[key]:.0f} s"
             values.append((query.event, f"{since}: waits for {', '.join(behind)}"))

@@ -40,20 +40,20 @@ class DynamicSubscriptions:
         Args:
             interface: the ROS interface of this node; None if it is another node.
         """
-        take = (
-            _SubscriptionPublisher().tell
+        execute = (
+            _SubscriptionPublisher().publish_added
             if interface is None
-            else lambda wanted: _subscribe(interface, wanted)
+            else lambda request: _subscribe(interface, request)
         )
 
         def run() -> None:
             while not rospy.is_shutdown():
-                take(self._requests.get())
+                execute(self._requests.get())
 
         # Requests of the program's loading are executed before this returns, as the topics of `pub_sub.xml` are.
         try:
             while True:
-                take(self._requests.get_nowait())
+                execute(self._requests.get_nowait())
         except Empty:
             pass
         threading.Thread(target=run, daemon=True, name="topics of goals").start()
@@ -63,14 +63,14 @@ class _SubscriptionPublisher:
     """Publisher of the list of subscriptions, for the interface node."""
 
     def __init__(self) -> None:
-        self._asked: List[AskedTopic] = []
+        self._subscriptions: List[AskedTopic] = []
         self._publisher = rospy.Publisher(SUBSCRIPTIONS_TOPIC, String, queue_size=10, latch=True)
 
-    def tell(self, wanted: AskedTopic) -> None:
+    def publish_added(self, request: AskedTopic) -> None:
         """Add a topic to the list, and publish it."""
-        self._asked.append(wanted)
+        self._subscriptions.append(request)
         try:
-            self._publisher.publish(String(json.dumps(self._asked)))
+            self._publisher.publish(String(json.dumps(self._subscriptions)))
         except rospy.ROSException as error:
             # The node is being shut down.
             rospy.logdebug("%s: %s", SUBSCRIPTIONS_TOPIC, error)
@@ -96,10 +96,10 @@ class SubscriptionReceiver:
         except MessageError as error:
             self._reports.warning(f"{SUBSCRIPTIONS_TOPIC}: {error}", SUBSCRIPTIONS_TOPIC)
             return
-        for wanted in topics:
-            if wanted not in self._done and len(self._done) < MAX_INPUT_TOPICS:
-                self._done.add(wanted)
-                _subscribe(self._interface, wanted)
+        for request in topics:
+            if request not in self._done and len(self._done) < MAX_INPUT_TOPICS:
+                self._done.add(request)
+                _subscribe(self._interface, request)
 
 
 def read_subscriptions(text: str) -> List[AskedTopic]:
@@ -120,14 +120,14 @@ def read_subscriptions(text: str) -> List[AskedTopic]:
     return [AskedTopic(*item) for item in items]
 
 
-def _subscribe(interface: RosInterface, wanted: AskedTopic) -> None:
+def _subscribe(interface: RosInterface, request: AskedTopic) -> None:
     try:
-        interface.subscribe(*wanted)
+        interface.subscribe(*request)
     except RetalisError as error:
         rospy.logerr("subscribe_to: %s", error)
     except rospy.ROSException as error:
         # The node is being shut down.
-        rospy.logdebug("subscribe_to: topic %s: %s", beginning(wanted.topic), error)
+        rospy.logdebug("subscribe_to: topic %s: %s", beginning(request.topic), error)
 
 
 def subscribable_name(topic: str) -> str:

@@ -54,7 +54,7 @@ def master_state() -> State:
     master = rosgraph.Master("/retalis_command_line")
     # rosgraph has no parameter for a timeout: without the default of sockets, a master that hangs would block
     # forever.
-    before = socket.getdefaulttimeout()
+    default_timeout = socket.getdefaulttimeout()
     socket.setdefaulttimeout(MASTER_TIMEOUT_SECONDS)
     try:
         published, _, services = master.getSystemState()
@@ -62,7 +62,7 @@ def master_state() -> State:
         uri = rosgraph.get_master_uri()
         raise UsageError(f"no master answers at {uri}: start one (roscore), or set ROS_MASTER_URI") from error
     finally:
-        socket.setdefaulttimeout(before)
+        socket.setdefaulttimeout(default_timeout)
     return _by_name(published), _by_name(services)
 
 
@@ -358,8 +358,8 @@ def _page(node: LiveNode, before: Dict[str, Any], answer: Dict[str, Any], second
 def _rate(before: Dict[str, Any], answer: Dict[str, Any], seconds: float) -> Dict[str, Any]:
     """Return the answer of a node's service ``~list``, with the rate of events."""
     # A restarted node counts from 0.
-    taken = max(0, answer["taken"] - before["taken"])
-    return {"node": answer["node"], "events_a_second": round(taken / seconds, 1), **answer}
+    processed = max(0, answer["taken"] - before["taken"])
+    return {"node": answer["node"], "events_a_second": round(processed / seconds, 1), **answer}
 
 
 def _watch(options: argparse.Namespace) -> int:
@@ -403,14 +403,14 @@ def _exit(number: int, frame: Any) -> None:
     raise SystemExit(128 + number)
 
 
-def _print_received(received: Any, own: str, options: argparse.Namespace, output: IO[str]) -> None:
+def _print_received(received: Any, own_topic: str, options: argparse.Namespace, output: IO[str]) -> None:
     shown = 0
     while not options.count or shown < options.count:
         kind, text = received.get()
         topic = None
         if kind == "output":
             kind, topic, text = _output_parts(text)
-            if topic == own:
+            if topic == own_topic:
                 kind, topic = "event", None
             # The outputs of other `retalis watch` commands.
             elif topic.startswith(WATCH):

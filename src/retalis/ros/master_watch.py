@@ -128,9 +128,9 @@ class MasterWatch:
             f"; refused: {', '.join(refused)}" if refused else "",
         )
 
-    def _register_one(self, method: str, name: str, what: str) -> List[str]:
+    def _register_one(self, method: str, name: str, value: str) -> List[str]:
         """Register a topic or service; return its name if the master refuses."""
-        code, _, _ = getattr(self._master, method)(self._name, name, what, rospy.get_node_uri())
+        code, _, _ = getattr(self._master, method)(self._name, name, value, rospy.get_node_uri())
         return [] if code == 1 else [name]
 
     def _subscribe(self, name: str, kind: str) -> List[str]:
@@ -188,7 +188,7 @@ def _services() -> _Pairs:
 
 
 def _pairs(entries: Any) -> _Pairs:
-    return [(name, what) for name, what in entries]
+    return [(name, value) for name, value in entries]
 
 
 def _removed_names(before: _Pairs, now: _Pairs) -> List[str]:

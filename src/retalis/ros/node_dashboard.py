@@ -102,15 +102,15 @@ class NodeDashboard:
 
     def _receive(self, message: Any) -> None:
         """Store the topics that nodes of this package report in the same namespace."""
-        own = rospy.get_name().strip("/")
-        namespace = own.rpartition("/")[0]
+        own_name = rospy.get_name().strip("/")
+        namespace = own_name.rpartition("/")[0]
         for status in message.status:
             node, separator, topic = status.name.partition(_SEPARATOR)
             values = {value.key: value.value for value in status.values}
             if (
                 not separator
                 or not values.keys() >= _TOPIC_KEYS
-                or node == own
+                or node == own_name
                 or node.rpartition("/")[0] != namespace
             ):
                 # The status of another program, or of something else than a topic.

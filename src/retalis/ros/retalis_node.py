@@ -308,9 +308,9 @@ class RetalisNode:
     def _named_topics(self, topics: Topics) -> List[str]:
         """Return the topics of this node that its program or parameters name, without those subscribed by default."""
         direct = self._parameters.direct
-        own = [*(topics.subscribed if self._parameters.embedded else ())]
-        own += direct if isinstance(direct, tuple) else ()
-        return [topic for topic, _ in own]
+        named = [*(topics.subscribed if self._parameters.embedded else ())]
+        named += direct if isinstance(direct, tuple) else ()
+        return [topic for topic, _ in named]
 
     def _missing_source(self, pattern: Term, topics: Topics, direct: Iterable[TopicType]) -> str:
         """Return the reason why no events of a pattern are expected; "" if there may be some."""
@@ -329,8 +329,8 @@ class RetalisNode:
         if kind is None:
             return ""
         # Types that publishers define are in the node's definitions; `find` there would load the types of rosbags.
-        known = definitions if definitions.known(kind) else Definitions(Installed(rosbags=False))
-        return never_sent(goal, topic, kind, known)
+        type_definitions = definitions if definitions.known(kind) else Definitions(Installed(rosbags=False))
+        return never_sent(goal, topic, kind, type_definitions)
 
     def _load(self) -> None:
         try:

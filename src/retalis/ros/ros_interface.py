@@ -212,11 +212,11 @@ class RosInterface:
         """Learn an unknown type from a publisher of a topic that node retalis subscribes; process no messages."""
         if self.outputs.knows(kind):
             return
-        known = threading.Event()
+        is_learned = threading.Event()
 
         def handler_factory(decoder: Decoder) -> MessageHandler:
             self.outputs.learned()
-            known.set()
+            is_learned.set()
             return lambda data: None
 
         listening = InputTopic(
@@ -231,7 +231,7 @@ class RosInterface:
 
         # Not closed by `handler_factory`: rospy calls it in the thread of the connection that closing would end.
         def close() -> None:
-            known.wait()
+            is_learned.wait()
             listening.close()
 
         threading.Thread(target=close, daemon=True, name=f"learning {kind}").start()

@@ -160,8 +160,8 @@ class EngineServices:
                 raise UsageError(f"format: {misfit}")
             self._engine.add_subscription(fields.event, fields.conditions, fields.form, topic, key)
             self._warn_about_unbound("subscribe", request.id, fields)
-            taken = fields._replace(event=subscribed_event(fields.event))
-            self._warn_about_missing_source("subscribe", request.id, taken)
+            matched_fields = fields._replace(event=subscribed_event(fields.event))
+            self._warn_about_missing_source("subscribe", request.id, matched_fields)
             self._untyped_topics.check(request.topic.strip())
 
         return answer(lambda: do_for_others(self._engine, work))
@@ -273,8 +273,8 @@ class InterfaceServices:
         def work() -> None:
             # Rejects invalid names before any lookup.
             topic_type(topic, kind)
-            known = self._interface.outputs.knows(kind)
-            suggestion = "" if known else Definitions().misspelt(kind)
+            is_known = self._interface.outputs.knows(kind)
+            suggestion = "" if is_known else Definitions().misspelt(kind)
             # An unknown type is not an error: a publisher's connection header contains its definition.
             if suggestion and not _is_published(topic, kind):
                 raise UsageError(
@@ -282,7 +282,7 @@ class InterfaceServices:
                     "If a publisher is to bring the type, start the publisher first"
                 )
             self._interface.subscribe(topic, kind)
-            if not known:
+            if not is_known:
                 rospy.logwarn(
                     "topic %s is subscribed as %s, which is not known here: it is learned from a publisher",
                     shown(topic),

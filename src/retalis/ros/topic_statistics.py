@@ -186,6 +186,9 @@ class StartupWarnings:
             # Reported by `MasterWatch`.
             return
         servers = {rospy.resolve_name(name) for name in _SERVICES}
-        own = {rospy.get_name(), *(node for name, nodes in services if name in servers for node in nodes)}
-        for text in unpublished(waiting, dict(published), own):
+        own_nodes = {
+            rospy.get_name(),
+            *(node for name, nodes in services if name in servers for node in nodes),
+        }
+        for text in unpublished(waiting, dict(published), own_nodes):
             rospy.logwarn("%s", printable(text))
