@@ -278,8 +278,8 @@ def younger_first(deadlines: NodeTimers, node: Any, instant: int) -> None:
     deadlines._arm()
 
 
-takers = RowPatternWindow._takers
-listed, planned = RowPatternNFA._listed, RowPatternNFA.__init__
+takers = RowPatternWindow._accepting_steps
+listed, planned = RowPatternNFA._transitions, RowPatternNFA.__init__
 
 
 def never_later(plan: Any, own: Any, marks: Any) -> None:
@@ -312,7 +312,7 @@ def never_over(stream: Any, instant: int) -> List[StreamOutput]:
 LONG = 10**9
 MECHANISMS: Dict[str, Mechanism] = {
     "a window by time lets go": Mechanism(
-        method(SlidingTimeWindow, "_leave_before", nothing), windows("last")
+        method(SlidingTimeWindow, "_remove_before", nothing), windows("last")
     ),
     "a window by number lets go": Mechanism(
         window("newest", lambda make, form: SlidingCountWindow(make, LONG)), windows("newest")
@@ -321,7 +321,7 @@ MECHANISMS: Dict[str, Mechanism] = {
         window("batch", lambda make, form: TumblingCountWindow(make, LONG, form.running)),
         windows("batch", "running_batch"),
     ),
-    "a hopping window lets go": Mechanism(method(HoppingWindow, "_leave_before", nothing), windows("every")),
+    "a hopping window lets go": Mechanism(method(HoppingWindow, "_remove_before", nothing), windows("every")),
     "a window from the first on is over": Mechanism(
         method(AnchoredTumblingWindow, "_close", never_over), windows("first", "running_first")
     ),
@@ -332,7 +332,7 @@ MECHANISMS: Dict[str, Mechanism] = {
         method(NodeTimers, "add", younger_first), oracle_about(is_clocked, 2)
     ),
     "what must not happen ends a wait": Mechanism(
-        method(AbsenceTimeout, "_rule_out", nothing), oracle_about(lambda node: isinstance(node, Awaited))
+        method(AbsenceTimeout, "_cancel_pending", nothing), oracle_about(lambda node: isinstance(node, Awaited))
     ),
     "only of the same key": Mechanism(
         lambda: patch.object(stream_compiler, "key_function", lambda places: lambda values: ()),
@@ -351,9 +351,9 @@ MECHANISMS: Dict[str, Mechanism] = {
     "timers ring before an event of their instant": Mechanism(method(Clock, "due", after_the_event), timers),
     "later steps pass over": Mechanism(method(RowPatternNFA, "__init__", never_later), steps),
     "steps are tried in their order": Mechanism(
-        method(RowPatternWindow, "_takers", later_steps_first), steps
+        method(RowPatternWindow, "_accepting_steps", later_steps_first), steps
     ),
-    "reluctant steps take few": Mechanism(method(RowPatternNFA, "_listed", never_reluctant), steps),
+    "reluctant steps take few": Mechanism(method(RowPatternNFA, "_transitions", never_reluctant), steps),
     "steps end": Mechanism(lambda: patch.object(row_pattern, "ends", lambda *_: False), steps),
     "conditions of steps look back": Mechanism(
         method(RowPatternNFA, "marked", lambda plan, marks, at, item: (item,) * len(marks)), steps

@@ -171,3 +171,23 @@ def test_instants_in_records_come_back_as_integers():
     other = Engine.restore(engine.snapshot())
     found = [one["R"] for one in other.query("access_mem(m, R, _)")]
     assert found == [functor("f", 2)(at, at) for at in reversed(range(60))]
+
+
+def without_scanning(data):
+    """Return data without the computation states that wait for the first element of a row pattern."""
+    if not isinstance(data, list):
+        return data
+    kept = [one for one in data if not (isinstance(one, list) and len(one) == 6 and one[0] == -1)]
+    return [without_scanning(one) for one in kept]
+
+
+def test_a_row_pattern_that_could_lose_its_last_state_is_refused():
+    engine = Engine(StreamClock())
+    engine.load("s(N) <- aggregate(count, v(X), N, steps([up where X > 3, down(2) where X < 3])).")
+    engine.event("v(5)", 1)
+    state = unpack(engine.snapshot())
+    data = from_bytes(state["matches"])
+    assert without_scanning(data) != data
+    Engine.restore(pack(state)).event("v(1)", 2)
+    with pytest.raises(UsageError, match="valid computation states of a row pattern"):
+        Engine.restore(pack({**state, "matches": to_bytes(without_scanning(data))}))

@@ -26,7 +26,7 @@ from ..events.rules.rule_base import RuleBase
 from ..events.rules.timer_service import RuleAlarm
 from ..events.streams.absence_timeout import AbsenceTimeout
 from ..events.streams.rate_operators import Debounce, DistinctUntilChanged, Throttle
-from ..events.streams.row_pattern import RowPatternWindow
+from ..events.streams.row_pattern import SCANNING, RowPatternNFA, RowPatternWindow
 from ..events.streams.stream_elements import StreamElement, StreamOperator
 from ..events.streams.windows import AnchoredTumblingWindow, HoppingWindow
 from ..foundation.errors import UsageError
@@ -194,9 +194,18 @@ class StreamCheck:
                 or any(list(entry[4]) != sorted(entry[4], key=lambda pair: pair[0]) for entry in states)
                 or positions != sorted(positions)
                 or len(complete) != positions[-1] - positions[0]
+                # Without either, a partition could lose its last state, and have none to continue with.
+                or not any(entry[0] == SCANNING or _is_certain(stream.plan, entry) for entry in states)
             ):
                 raise wrong(states, "valid computation states of a row pattern")
         return state
+
+
+def _is_certain(plan: RowPatternNFA, entry: Decoded) -> bool:
+    """Return whether a computation state, given as data, is certain to complete."""
+    step, count, remaining = entry[:3]
+    steps = plan.choices(step, count).steps if remaining is None else tuple(remaining)
+    return bool(steps) and plan.is_sure(steps)
 
 
 def rule_state(graph: GraphReader, rule: EventRule, value: Decoded) -> RuleState:
