@@ -4,7 +4,7 @@ import json
 import sys
 from typing import IO, Dict, List, Optional
 
-from ..events.knowledge.knowledge_base import OF_MEMORIES
+from ..events.knowledge.knowledge_base import MEMORY_EVENTS
 from ..explanation.explain import Explanation, ExplanationLine
 from ..prolog.syntax.term_writer import add_full_stop
 from ..prolog.syntax.term_writer import canonical_text as text
@@ -36,7 +36,7 @@ class Printer:
 
     def event(self, term: Term, start: int, end: int) -> None:
         """Print an event."""
-        memory = term.__class__ is tuple and term[0] in OF_MEMORIES
+        memory = term.__class__ is tuple and term[0] in MEMORY_EVENTS
         if memory and not self._memory_events:
             return
         if self._json:

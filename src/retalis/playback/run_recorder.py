@@ -7,7 +7,7 @@ by `RunTable` (with the package ``pyarrow``), one row per record.
 from itertools import islice
 from typing import Any, Callable, Dict, List, NamedTuple, Union
 
-from ..events.knowledge.knowledge_base import OF_MEMORIES
+from ..events.knowledge.knowledge_base import MEMORY_EVENTS
 from ..prolog.syntax.term_writer import canonical_text
 from ..prolog.terms.types import Term
 from .decompression import reason
@@ -49,7 +49,7 @@ class RunRecorder:
 
     def _event(self, term: Term, start: int, end: int) -> None:
         # Events of memories are internal; `finish` reports their result.
-        if term.__class__ is not tuple or term[0] not in OF_MEMORIES:
+        if term.__class__ is not tuple or term[0] not in MEMORY_EVENTS:
             self._tell({"event": canonical_text(term), "start": int(start), "end": int(end)})
 
     def output(self, output: Output) -> None:

@@ -230,8 +230,8 @@ class DeclaredState:
         if not group:
             del self._by_shared[state.shared]
 
-    def _warn_of_variables(self, event: Term, what: str) -> None:
-        text = f"{self._logic.brief(event)} has variables: it {what} no state"
+    def _warn_of_variables(self, event: Term, verb: str) -> None:
+        text = f"{self._logic.brief(event)} has variables: it {verb} no state"
         self._warn(f"{self.name}: {text}", ("variables", self.name))
 
     # ---- ending --------------------------------------------------------------------------------------

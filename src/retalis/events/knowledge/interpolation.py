@@ -122,11 +122,11 @@ def usual_step(memory: Memory, gap: int) -> Optional[float]:
     Records with the same end count as one, because several publishers may have sent them.
     """
     ends = memory.ends
-    others = sum(1 for before, after in zip(ends, ends[1:]) if after > before) - 1
-    return (ends[-1] - ends[0] - gap) / others if others >= MIN_OTHER_STEPS else None
+    step_count = sum(1 for before, after in zip(ends, ends[1:]) if after > before) - 1
+    return (ends[-1] - ends[0] - gap) / step_count if step_count >= MIN_OTHER_STEPS else None
 
 
-_STEPS = (
+_FUSED_GOALS = (
     functor("prev", 5),
     functor("next_inf", 5),
     functor("datime_interpolate", 4),
@@ -154,7 +154,7 @@ class TransformChains:
     def define(self, logic: PrologSystem) -> None:
         """Define ``pose_chain(Links, T, Pose)``, and register the fusion of look-ups with interpolation."""
         logic.define_function("pose_chain", 3, self.product)
-        look = logic.database.predicate(_STEPS[0])
+        look = logic.database.predicate(_FUSED_GOALS[0])
         if look.functional is not None:
             look.functional = look.functional._replace(joins=self.joins)
 
@@ -171,10 +171,10 @@ class TransformChains:
         value: Optional[Pose] = None
         # The product is from left to right, as in a chain of frames: each pose is relative to the frame before it.
         for link in items:
-            here = self._pose(link if link.__class__ is Atom else deref(link), instant)
-            if here is None:
+            link_pose = self._pose(link if link.__class__ is Atom else deref(link), instant)
+            if link_pose is None:
                 return None
-            value = here if value is None else compose(value, here)
+            value = link_pose if value is None else compose(value, link_pose)
         return shown_pose(value or IDENTITY_POSE)
 
     def _pose(self, link: Term, instant: int) -> Optional[Pose]:
@@ -202,7 +202,7 @@ class TransformChains:
         They are fused only if no other goal of the clause uses the records and their time stamps, and both records
         are looked up in one memory with the same pattern.
         """
-        if tuple(goal[0] for goal in goals) != _STEPS:
+        if tuple(goal[0] for goal in goals) != _FUSED_GOALS:
             return None
         (
             (_, name, first, *before_args),
@@ -223,17 +223,17 @@ class TransformChains:
         ]
         if any(deref(left) is not deref(right) for left, right in same):
             return None
-        form, again = _layout(first, v1, q1, counts), _layout(second, v2, q2, counts)
+        form, second_form = _layout(first, v1, q1, counts), _layout(second, v2, q2, counts)
         between = [deref(term) for term in (before_args[0], after_args[0], fraction, v1, q1, v2, q2)]
         # Each intermediate variable occurs twice: where it is computed and where it is used. A third use would see
         # it unbound.
-        if form is None or form != again or any(counts.get(var) != 2 for var in between):
+        if form is None or form != second_form or any(counts.get(var) != 2 for var in between):
             return None
         if len(set(between)) < len(between) or any(
             counts.get(deref(term)) != 1 for term in (before_args[1], after_args[1])
         ):
             return None
-        return JoinedGoals(len(_STEPS), self._between(*form), (name, weighed[2]), result)
+        return JoinedGoals(len(_FUSED_GOALS), self._between(*form), (name, weighed[2]), result)
 
     def _between(self, key: Functor, position: int, rotation: int) -> Callable[[Term, Term], Optional[Term]]:
         """Return the function that computes the pose between two records of a layout."""

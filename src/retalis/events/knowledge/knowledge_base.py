@@ -31,10 +31,10 @@ MEMORIZE = functor("memorize", 5)
 SUBSCRIBE = functor("subscribe", 5)
 DELETE_MEMORY = functor("delete_memory", 1)
 
-OF_MEMORIES = frozenset((CREATED, UPDATED, DELETED))
+MEMORY_EVENTS = frozenset((CREATED, UPDATED, DELETED))
 """Events about memories."""
 
-OWN_EVENTS = OF_MEMORIES | {GIVEN_UP}
+OWN_EVENTS = MEMORY_EVENTS | {GIVEN_UP}
 """All events that the package makes by itself, without a rule, goal or topic."""
 
 

@@ -327,8 +327,8 @@ def enumerate_records(memories: MemoryInstances) -> Callable[..., Iterator[bool]
             return
         for term, start, end in instance.memory.newest_first():
             kept = copy(term) if instance.open else term
-            shown = timestamps.interval_term(start, end)
-            if machine.unify(record, kept) and machine.unify(interval, shown):
+            record_interval = timestamps.interval_term(start, end)
+            if machine.unify(record, kept) and machine.unify(interval, record_interval):
                 yield True
 
     return access

@@ -151,7 +151,7 @@ def required_instant(time: Term) -> int:
 
 
 _CALL = functor("call", 1)
-_NAME = "synchronized query"
+_REPORT_NAME = "synchronized query"
 
 
 class QueryContext(NamedTuple):
@@ -289,7 +289,9 @@ def general_question(around: QueryContext) -> TriggeredQuery:
     The query comes from an event, which may have any source; it is not allowed to change flags.
     """
     event, query = Var(), Var()
-    goal = around.logic.compile_goal((_CALL, query), [event, query], [event], name=_NAME, from_outside=True)
+    goal = around.logic.compile_goal(
+        (_CALL, query), [event, query], [event], name=_REPORT_NAME, from_outside=True
+    )
     question = TriggeredQuery(around, goal, (0, 1), lambda values: values[2], lambda values: values[0])
     question.terms = lambda values: (values[0], values[1])
     return question
@@ -322,13 +324,13 @@ def compile_question(
             return None
         query = (_CALL, query)
     outputs = [var for var in variables(event) if var in mentioned and var not in known]
-    build = compile_builder(event, [*names, *outputs], f"event of a {_NAME}")
+    build = compile_builder(event, [*names, *outputs], f"event of a {_REPORT_NAME}")
     inputs = [position for position, name in enumerate(names) if name in mentioned]
     goal = None
     if query is not TRUE:
         try:
             goal = around.logic.compile_goal(
-                query, [names[position] for position in inputs], outputs, place, _NAME, from_outside
+                query, [names[position] for position in inputs], outputs, place, _REPORT_NAME, from_outside
             )
         except PrologError:  # the general form reports the error for each event
             return None
@@ -621,11 +623,11 @@ class PendingQueries:
 
     def mend(self) -> None:
         """Register all pending queries again after an interrupt; queries that are ready run with the next event."""
-        there = set(self._memories)
+        instances = set(self._memories)
         for order in sorted(self._all):
             waiting = self._all[order]
             missing = waiting[5]
-            if any(instance not in there for instance, _ in missing):
+            if any(instance not in instances for instance, _ in missing):
                 self._all.pop(order)
                 event = waiting[1].event(waiting[2])
                 self._warn(

@@ -46,20 +46,20 @@ class RecordIndex:
     def places(self, value: Any) -> List[int]:
         """Return the positions of all records that may have this atom or integer as the argument, in order."""
         argument_position, records = self._at, self._records
-        for place in range(self._taken, len(records)):
-            term: Any = deref(records[place][0])
+        for index in range(self._taken, len(records)):
+            term: Any = deref(records[index][0])
             argument = (
                 deref(term[argument_position])
                 if term.__class__ is tuple and argument_position < len(term)
                 else None
             )
             if argument.__class__ is Atom or argument.__class__ is int:
-                self._places.setdefault(argument, []).append(place)
+                self._places.setdefault(argument, []).append(index)
             elif argument is not None:
-                self._others.append(place)
+                self._others.append(index)
             # Updated for each record: `look` may raise, and a record must not be added twice.
-            self._taken = place + 1
-            if not place % RECORDS_PER_CHECK:
+            self._taken = index + 1
+            if not index % RECORDS_PER_CHECK:
                 look(RECORDS_PER_CHECK)
         known = self._places.get(value, _NO_POSITIONS)
         return sorted(known + self._others) if self._others else known

@@ -133,15 +133,15 @@ class OutputRateLimiter:
         if len(stream) > self._clock.cap:
             outputs = [*outputs, *stream.drop_oldest()]
             self.dropped += 1
-            what = (
+            reason = (
                 f"more than {self._clock.cap} events are held; {self.dropped} of the oldest have been dropped"
             )
-            self._warn(f"{self._name}: {what} so far", ("dropped", self._name))
+            self._warn(f"{self._name}: {reason} so far", ("dropped", self._name))
         if stream.evicted != self._evicted:
             self.dropped += stream.evicted - self._evicted
             self._evicted = stream.evicted
-            what = f"more than {stream.bounds.keys} keys are held; {self.dropped} of the oldest have been dropped"
-            self._warn(f"{self._name}: {what} so far", ("dropped", self._name))
+            reason = f"more than {stream.bounds.keys} keys are held; {self.dropped} of the oldest have been dropped"
+            self._warn(f"{self._name}: {reason} so far", ("dropped", self._name))
         self._wake()
         self._send(outputs)
 

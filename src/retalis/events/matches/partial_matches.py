@@ -117,7 +117,7 @@ class EventMatch:
 
             The constructor of this class runs for each event that is stored and leaves out what is seldom read.
             """
-            if name not in _LEFT_OUT:
+            if name not in _DEFAULTED_ATTRIBUTES:
                 raise AttributeError(name)
             value = self.term[1:] if name == "values" else None
             setattr(self, name, value)
@@ -175,7 +175,7 @@ class PartialMatch(EventMatch):
         self.used = None
 
 
-_LEFT_OUT = frozenset(("values", "event", "parts", "identity", "used"))
+_DEFAULTED_ATTRIBUTES = frozenset(("values", "event", "parts", "identity", "used"))
 
 
 class TrackedMatch:

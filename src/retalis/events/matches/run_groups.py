@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from ..network.repeat_node import RepeatNode
 
 
-_MASK = (1 << 61) - 1
+_HASH_MASK = (1 << 61) - 1
 
 
 class SharedLog:
@@ -57,7 +57,7 @@ class SharedLog:
         # Prefix sums make the hash of any slice a subtraction, so hashing does not depend on the length of a
         # sequence.
         while len(sums) <= end:
-            sums.append((sums[-1] + hash(identity(self.items[len(sums) - 1]))) & _MASK)
+            sums.append((sums[-1] + hash(identity(self.items[len(sums) - 1]))) & _HASH_MASK)
         return sums[end]
 
 
@@ -84,7 +84,7 @@ class BufferSlice(Repetitions):
 
     def __hash__(self) -> int:
         total = sum(log.sum_to(end) - log.sum_to(begin) for log, begin, end in self.pieces)
-        return hash((self.length, total & _MASK))
+        return hash((self.length, total & _HASH_MASK))
 
     def __eq__(self, other: Any) -> bool:
         if self is other:
@@ -134,7 +134,7 @@ def slices_of(match: PartialMatch, times: int) -> Tuple[LogSlice, ...]:
     return ((SharedLog(repetitions(match, times)), 0, times),)
 
 
-_NEVER = -(1 << 80)
+_BEFORE_ALL_INSTANTS = -(1 << 80)
 
 
 class RunCursor(PartialMatch):
@@ -185,7 +185,7 @@ class RunGroup:
         self.node = node
         self.key = key
         self.tokens: Deque[Optional[RunCursor]] = deque()
-        self.end = _NEVER
+        self.end = _BEFORE_ALL_INSTANTS
         self.order = 0
         self.log = SharedLog([])
         self.taken = 0

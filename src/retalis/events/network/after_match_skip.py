@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 # Before all instants.
-_NEVER = -(1 << 80)
+_BEFORE_ALL_INSTANTS = -(1 << 80)
 # Stale entries that are tolerated in addition to the number of stored matches.
 _STALE_TOLERANCE = 1000
 
@@ -61,7 +61,7 @@ class AfterMatchSkip:
     def __init__(self, rule: "EventRule", strategy: AfterMatchSkipStrategy):
         self._rule = rule
         self.kind = strategy
-        self.past = self.swept = _NEVER
+        self.past = self.swept = _BEFORE_ALL_INSTANTS
         self._due: Set[int] = set()
         self._served: List[ServedEvent] = []
         self._action: Optional[ActionNode] = None
@@ -75,7 +75,7 @@ class AfterMatchSkip:
 
     def clear(self) -> None:
         """Reset the state, because the clock went back."""
-        self.past = self.swept = _NEVER
+        self.past = self.swept = _BEFORE_ALL_INSTANTS
         self._due.clear()
         self.forget()
 

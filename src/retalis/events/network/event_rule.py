@@ -87,13 +87,13 @@ class RuleState(NamedTuple):
 
 
 # Before all instants.
-_NEVER = -(1 << 63)
-_UNLIMITED = 1 << 62
+_BEFORE_ALL_INSTANTS = -(1 << 63)
+_NO_SWEEP = 1 << 62
 
 MATCH_BYTES = 930
 """Memory of a partial match with two small arguments, in bytes; measured with tracemalloc on CPython 3.11."""
 
-_SWEEP_STEP = 250
+_MATCHES_PER_SWEEP_STEP = 250
 """Number of further stored matches after which a sweep visits its next slice."""
 
 
@@ -146,14 +146,14 @@ class EventRule:
         self.late = 0
         self.timed = False
         self._watched = False
-        self.clock: int = _NEVER
-        self.allowed: int = _NEVER
+        self.clock: int = _BEFORE_ALL_INSTANTS
+        self.allowed: int = _BEFORE_ALL_INSTANTS
         self.completion: Optional[Continuation] = None
         self.order = 0
         self.arrivals: Deque[PartialMatch] = deque()
         self._visited = 0
         self.expiries = StartExpirationQueue(None)
-        self.sweep_at = _UNLIMITED
+        self.sweep_at = _NO_SWEEP
         self._sweeping = False
         self._sweeps: List[RuledOutSweep] = []
         self._to_visit = False
@@ -275,16 +275,18 @@ class EventRule:
                 node.restore(kept)
         buffers = self._buffers()
         waiting: Dict[int, Dict[PartialMatch, None]] = {}
-        for match, place, order in state.arrivals:
+        for match, position, order in state.arrivals:
             # Orders are set before the matches are put back: buffers link them in this order.
             match.order = order
-            waiting.setdefault(place, {})[match] = None
-        for place, matches in waiting.items():
-            if place >= 0:
-                buffers[place].put_back(list(matches))
+            waiting.setdefault(position, {})[match] = None
+        for position, matches in waiting.items():
+            if position >= 0:
+                buffers[position].put_back(list(matches))
         self._reset_arrivals([match for match, _, _ in state.arrivals])
         self.waiting = len(set(self.arrivals))
-        self.later = [(buffers[place], match, buffers[place].key_of(match)) for place, match in state.later]
+        self.later = [
+            (buffers[position], match, buffers[position].key_of(match)) for position, match in state.later
+        ]
         self._later_event = state.later_event
         self._refile_matches()
 
@@ -387,7 +389,7 @@ class EventRule:
         self.clear_matches()
         if self.skipping is not None:
             self.skipping.clear()
-        self.clock = self.allowed = _NEVER
+        self.clock = self.allowed = _BEFORE_ALL_INSTANTS
         self._collected_at = None
 
     def clear_matches(self) -> None:
@@ -500,7 +502,7 @@ class EventRule:
         if not self._to_visit and all(sweep.drop_negated(VISITED_SLICE) for sweep in self._sweeps):
             self._end_sweep()
         else:
-            self.sweep_at = self.waiting + _SWEEP_STEP
+            self.sweep_at = self.waiting + _MATCHES_PER_SWEEP_STEP
 
     def _visit(self, match: PartialMatch) -> None:
         for sweep in self._sweeps:
@@ -511,7 +513,7 @@ class EventRule:
         self._sweeping = self._to_visit = False
         for sweep in self._sweeps:
             sweep.begin(self.order)
-        self.sweep_at = 2 * (self.waiting + SPARE) if self._sweeps else _UNLIMITED
+        self.sweep_at = 2 * (self.waiting + SPARE) if self._sweeps else _NO_SWEEP
 
     def _watch(self, match: PartialMatch, span: Optional[int]) -> None:
         """Enter a stored match into the expiration queues, and register it with the events that it contains."""
@@ -578,7 +580,7 @@ class EventRule:
         key: Optional[Functor] = None
         if head.__class__ is Atom:
             key = head.functor
-        elif head.__class__ is tuple and head[0].name not in _ALARMS:
+        elif head.__class__ is tuple and head[0].name not in _ALARM_FUNCTORS:
             key = head[0]
         # Generated code covers the usual case: a head that is known to be an event, and no test of the interval.
         if self.window is not None or key is None or is_larger(head, MAX_TERM_ARGUMENTS):
@@ -615,7 +617,7 @@ class EventRule:
         if head.__class__ not in (tuple, Atom):
             head = deref(head)
         try:
-            if head.__class__ is tuple and head[0].name in _ALARMS:
+            if head.__class__ is tuple and head[0].name in _ALARM_FUNCTORS:
                 alarm = alarm_of(head, start, end)
                 network.look_at_alarm(self, head, alarm)
                 if alarm is not None:
@@ -627,4 +629,4 @@ class EventRule:
             return after
 
 
-_ALARMS = frozenset(("exceptionAlarm", "exceptionAlarmAbsoluteDatime"))
+_ALARM_FUNCTORS = frozenset(("exceptionAlarm", "exceptionAlarmAbsoluteDatime"))

@@ -95,8 +95,8 @@ class KleeneValues(NetworkNode):
 
         They are the same in all repetitions.
         """
-        here = set(self.step_vars)
-        self.open_vars = [var for var in names if var not in here]
+        known_vars = set(self.step_vars)
+        self.open_vars = [var for var in names if var not in known_vars]
         self.step_vars = [*self.step_vars, *self.open_vars]
 
     def finish(
@@ -527,13 +527,13 @@ class KleeneNode(KleeneValues):
         """Return the results that become invalid without containing the forgotten matches: none."""
         return []
 
-    def retry(self, what: Union[PartialMatch, Tuple[Run, PartialMatch]], after: Frame) -> Frame:
+    def retry(self, retried: Union[PartialMatch, Tuple[Run, PartialMatch]], after: Frame) -> Frame:
         """Emit a result that was computed again, or extend a run by a repetition that a negation had prevented."""
         result: Optional[PartialMatch]
-        if isinstance(what, PartialMatch):
-            result = what
+        if isinstance(retried, PartialMatch):
+            result = retried
         else:
-            run, match = what
+            run, match = retried
             if run.buffer is None or (self.consuming and match.used is not None):
                 return after
             extended, result = self.extending(run, match, False)

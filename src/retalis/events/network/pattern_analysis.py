@@ -150,9 +150,9 @@ class NegatedPattern:
         if not self._made:
             self._made = True
             return self.first
-        again = self._forbidden()
-        self._twins.append((again, self.first))
-        return again
+        copy = self._forbidden()
+        self._twins.append((copy, self.first))
+        return copy
 
     def needs(self, context: AbstractSet[Var], known: Set[Var]) -> Set[Var]:
         """Return the variables of a context that the pattern uses and that are not known."""
@@ -278,8 +278,8 @@ def _test_of_each(
     # the whole match are passed from one repetition to the next.
     list_position = names.index(items.var)
     mentioned = [] if condition.goal is None else variables(condition.goal)
-    here = set(names)
-    known = [*names, *(var for var in mentioned if var in items.same and var not in here)]
+    match_vars = set(names)
+    known = [*names, *(var for var in mentioned if var in items.same and var not in match_vars)]
     width = len(known)
     test_one, result_vars = deferred_test(rule, node, condition, [*known, *items.names])
     items.names = result_vars[width:]
@@ -395,12 +395,12 @@ def order_by_result_use(
 
     A condition depends on the result also if it uses a variable that such a condition binds.
     """
-    shown = set(result)
+    result_vars = set(result)
     early, late = [], []
     for condition in conditions:
         mentioned = set() if condition.goal is None else set(variables(condition.goal))
-        if mentioned & shown:
-            shown |= mentioned.difference(known)
+        if mentioned & result_vars:
+            result_vars |= mentioned.difference(known)
             late.append((True, condition))
         else:
             early.append((False, condition))

@@ -121,8 +121,8 @@ class RuleCompiler(StreamCompiler):
             raise RuleError("a condition uses variables that no pattern to its left binds", self.rule.place)
         for rank, leaf in enumerate(built.leaves):
             leaf.rank = rank
-        for place, stream in enumerate(self.ringing):
-            stream.place = place
+        for position, stream in enumerate(self.ringing):
+            stream.place = position
         # Copies of a negated pattern receive an event together with the first one, whichever node tests them.
         for built_again, first in self.twins:
             for leaf, first_leaf in zip(built_again.leaves, first.leaves):
@@ -304,10 +304,10 @@ class RuleCompiler(StreamCompiler):
     ) -> BuiltPattern:
         """Build the right operand of a pair; the streams of the left one begin at ``first_left_stream``."""
         # The clock wakes the operators of the right operand first, see `ringing`; the left ones were built before.
-        left = self.ringing[first_left_stream:]
+        left_streams = self.ringing[first_left_stream:]
         del self.ringing[first_left_stream:]
         built = self._build(pattern, context, limit)
-        self.ringing += left
+        self.ringing += left_streams
         return built
 
     def _build_join(
@@ -319,8 +319,8 @@ class RuleCompiler(StreamCompiler):
         left: BuiltPattern,
         first_left_stream: int,
     ) -> BuiltPattern:
-        here = context | self._bound(core.left)
-        right = self._build_right(core.right, here, limit, first_left_stream)
+        inner_context = context | self._bound(core.left)
+        right = self._build_right(core.right, inner_context, limit, first_left_stream)
         below = [*left.deferred, *right.deferred]
         sure: Set[Var] = set()
         # Only then: the analysis visits the whole left operand.
@@ -331,7 +331,7 @@ class RuleCompiler(StreamCompiler):
         negated: Optional[NegatedPattern] = None
         needs: Set[Var] = set()
         if wrapping.absent is not None:
-            inner = here | frozenset(bound_by(core.right)) | goal_variables(wrapping.conditions)
+            inner = inner_context | frozenset(bound_by(core.right)) | goal_variables(wrapping.conditions)
             negated = self._negated(wrapping.absent, inner, limit.of_negated(wrapping.span))
             known = set(left.node.vars) | set(right.node.vars)
             needs = negated.needs(inner, known) | negated.needs(context, sure)
@@ -401,10 +401,10 @@ class RuleCompiler(StreamCompiler):
 
     def _build_not(self, core: Absent, context: VarSet, limit: Retention) -> BuiltPattern:
         below = self._build(core.pattern, context, limit)
-        here = context | frozenset(bound_by(core.pattern))
-        negated = self._negated(core, here, UNLIMITED)
+        inner_context = context | frozenset(bound_by(core.pattern))
+        negated = self._negated(core, inner_context, UNLIMITED)
         sure = surely_bound_by(core.pattern, False, True)
-        needs = negated.needs(here, set(below.node.vars)) | negated.needs(context, sure)
+        needs = negated.needs(inner_context, set(below.node.vars)) | negated.needs(context, sure)
         # The negated pattern needs no variables from further left, so it is tested directly above its pattern.
         if not needs:
             built = negated.make()
@@ -423,11 +423,11 @@ class RuleCompiler(StreamCompiler):
     def _build_kleene(
         self, core: Union[Star, Aggregate], wrapping: Wrapping, context: VarSet, limit: Retention
     ) -> BuiltPattern:
-        here = context | frozenset(bound_by(core.first))
+        inner_context = context | frozenset(bound_by(core.first))
         pattern = core.repeated if isinstance(core, Star) else core.collected
         first_left_stream = len(self.ringing)
         first = self._build(core.first, context, limit)
-        repeated = self._build_right(pattern, here, limit, first_left_stream)
+        repeated = self._build_right(pattern, inner_context, limit, first_left_stream)
         naming = self._named(first, core.first), self._named(repeated, pattern)
         node = KleeneNode(
             self.rule, first.node, repeated.node, may_share_event(first, repeated), naming, self.keep

@@ -438,12 +438,12 @@ class StreamCompiler:
     def _build_absence(self, core: Awaited, context: VarSet) -> BuiltPattern:
         """Build a pattern after which another one must not happen for some time."""
         below = self._build(core.pattern, context, UNLIMITED)
-        here = context | frozenset(bound_by(core.pattern))
-        negated = self._negated(core, here, UNLIMITED)
+        inner_context = context | frozenset(bound_by(core.pattern))
+        negated = self._negated(core, inner_context, UNLIMITED)
         sure = surely_bound_by(core.pattern, False, True)
         names = below.node.vars
         # The timeout has no left operand whose variables could become known later.
-        if negated.needs(here, set(names)) | negated.needs(context, sure):
+        if negated.needs(inner_context, set(names)) | negated.needs(context, sure):
             message = (
                 "what must be absent looks at a variable that the pattern before it does not give a value"
             )

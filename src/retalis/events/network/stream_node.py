@@ -192,15 +192,15 @@ class Replay:
         outputs = [output for output in outputs if output.error is None]
         # Outputs are compared as multisets: equal outputs may occur several times, and each old one needs its own
         # counterpart.
-        there = Counter(_key(output) for output in outputs)
+        counts = Counter(_key(output) for output in outputs)
         stand: List[Tuple[StreamOutput, TrackedMatch]] = []
         lost: List[TrackedMatch] = []
         for output, held in self._given:
             if held.gone:
                 continue
             key = _key(output)
-            if there[key]:
-                there[key] -= 1
+            if counts[key]:
+                counts[key] -= 1
                 stand.append((output, held))
             else:
                 lost.append(held)
@@ -208,8 +208,8 @@ class Replay:
         self._new = []
         # Of equal outputs, the last ones are new.
         for output in reversed(outputs):
-            if there[_key(output)]:
-                there[_key(output)] -= 1
+            if counts[_key(output)]:
+                counts[_key(output)] -= 1
                 self._new.append(output)
         self._new.reverse()
         return stream, lost
@@ -654,9 +654,9 @@ class StreamNode(NetworkNode):
             return []
         return list(self._matches(self.replay.take_new()))
 
-    def retry(self, what: PartialMatch, after: Frame) -> Frame:
+    def retry(self, match: PartialMatch, after: Frame) -> Frame:
         """Emit such a match."""
-        return after if is_retracted(what) else self.out(what, after)
+        return after if is_retracted(match) else self.out(match, after)
 
     # ---- state ---------------------------------------------------------------------------------------
 
