@@ -332,7 +332,8 @@ MECHANISMS: Dict[str, Mechanism] = {
         method(NodeTimers, "add", younger_first), oracle_about(is_clocked, 2)
     ),
     "what must not happen ends a wait": Mechanism(
-        method(AbsenceTimeout, "_cancel_pending", nothing), oracle_about(lambda node: isinstance(node, Awaited))
+        method(AbsenceTimeout, "_cancel_pending", nothing),
+        oracle_about(lambda node: isinstance(node, Awaited)),
     ),
     "only of the same key": Mechanism(
         lambda: patch.object(stream_compiler, "key_function", lambda places: lambda values: ()),
