@@ -20,12 +20,12 @@ from retalis.prolog.database.database import Database  # noqa: E402
 FIRST, LAST = 60, 460
 
 SEEN_TO_AT = (
-    ("events.dispatch.audience", "_GATES"),
-    ("events.fused.sides", "SPARE"),
-    ("events.network.rule", "SPARE"),
-    ("events.matches.expiry", "_SPARE"),
-    ("events.matches.absence", "_SPARE"),
-    ("engine.runtime.reports", "_KINDS"),
+    ("events.dispatch.listener_index", "_MIN_FILTERS_TO_SWEEP"),
+    ("events.fused.fused_join", "SPARE"),
+    ("events.network.event_rule", "SPARE"),
+    ("events.matches.expiration", "_STALE_TOLERANCE"),
+    ("events.matches.negation", "_STALE_TOLERANCE"),
+    ("engine.runtime.problem_reports", "_KINDS"),
 )
 """Numbers from which on it is looked what is of no use any more."""
 
