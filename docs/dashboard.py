@@ -24,15 +24,15 @@ from browser import Browser  # noqa: E402
 from make_bag import make_bag  # noqa: E402
 
 from retalis.dashboard.page_server import Dashboard  # noqa: E402
-from retalis.dashboard.view_model import DashboardSource, TopicLook  # noqa: E402  # noqa: E402
+from retalis.dashboard.view_model import DashboardSource, TopicRow  # noqa: E402  # noqa: E402
 from retalis.explanation.explain import record_origins  # noqa: E402
 from retalis.playback.playback import Playback  # noqa: E402
 from retalis.playback.rosbag1 import BagReader  # noqa: E402  # noqa: E402
 
 TOPICS = (
-    TopicLook("/tf", "tf/tfMessage"),
-    TopicLook("/ar_pose_marker", "ar_pose/ARMarkers"),
-    TopicLook("/face_recognition/feedback", "face_recognition/FaceRecognitionActionFeedback"),
+    TopicRow("/tf", "tf/tfMessage"),
+    TopicRow("/ar_pose_marker", "ar_pose/ARMarkers"),
+    TopicRow("/face_recognition/feedback", "face_recognition/FaceRecognitionActionFeedback"),
 )
 
 

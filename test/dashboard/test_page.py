@@ -7,7 +7,7 @@ pytest.importorskip("tornado", reason="tornado is not installed")
 from browser import Browser, chromium  # noqa: E402
 from pageserver import engine, serving  # noqa: E402
 
-from retalis.dashboard.view_model import TopicLook  # noqa: E402
+from retalis.dashboard.view_model import TopicRow  # noqa: E402
 
 pytestmark = [
     pytest.mark.slow,
@@ -16,7 +16,7 @@ pytestmark = [
 
 HOSTILE = "<img src=x onerror=alert(1)><b>bold</b>"
 LONG = "a" * 150
-TOPICS = (TopicLook("/smoke", "house/Smoke", 7, 1, 0, 0.5, 0.01), TopicLook(f"/{LONG}", "house/Other"))
+TOPICS = (TopicRow("/smoke", "house/Smoke", 7, 1, 0, 0.5, 0.01), TopicRow(f"/{LONG}", "house/Other"))
 
 
 @pytest.fixture(scope="module")

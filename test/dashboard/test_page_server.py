@@ -16,7 +16,7 @@ from retalis.dashboard.request_handlers import FILES, MAX_CONNECTIONS, PAGE  # n
 from retalis.dashboard.view_model import (  # noqa: E402  # noqa: E402
     MAX_OPEN_PAGES,  # noqa: E402
     DashboardSource,
-    TopicLook,
+    TopicRow,
 )
 from retalis.foundation.errors import UsageError  # noqa: E402
 
@@ -272,8 +272,8 @@ def test_a_busy_engine_holds_up_no_page(program):
 
 def test_topics_have_what_is_known_of_them(program):
     topics = [
-        TopicLook("/smoke", "house/Smoke", 7, 1, 0, 0.5, 0.01),
-        TopicLook("/other", "house/Other"),
+        TopicRow("/smoke", "house/Smoke", 7, 1, 0, 0.5, 0.01),
+        TopicRow("/other", "house/Other"),
     ]
     with serving(program, topics=lambda: topics) as page, Visitor(page).stream() as stream:
         stream.next()

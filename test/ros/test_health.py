@@ -175,7 +175,7 @@ def test_what_is_listed_is_bounded():
 def test_of_many_topics_those_that_somebody_has_to_look_at_are_told_of():
     wrong = TOPIC._replace(topic="/wrong", dropped=1)
     topics = [*(TOPIC._replace(topic=f"/t{at}") for at in range(300)), TOPIC._replace(publishers=0), wrong]
-    found = NodeHealth(lambda: topics, list, list).look()
+    found = NodeHealth(lambda: topics, list, list).statuses()
     assert [one.name for one in found[:2]] == ["input /wrong", "input /tf"]
     assert len(found) == MAX_REPORTED_TOPICS + 2
     assert found[-2].name == "further inputs" and found[-2].message.startswith("102 ")
@@ -206,7 +206,7 @@ def test_a_node_tells_of_everything():
     of_engine = EngineHealth(1.0, 10.0)
     output = OutputStatus("/pose", "geometry_msgs/PoseStamped", 1, 5, 0)
     node = NodeHealth(lambda: [TOPIC], lambda: [output], lambda: of_engine.of(0.0, engine.status()))
-    assert [one.name for one in node.look()] == [
+    assert [one.name for one in node.statuses()] == [
         "input /tf",
         "output /pose",
         "queue",
@@ -220,9 +220,9 @@ def test_a_node_tells_of_everything():
 def test_the_lag_is_that_of_a_message_with_a_stamp(monkeypatch):
     monkeypatch.setattr("retalis.ros.topic_statistics.ros_now", lambda: 5_000)
     counts = InputCounts()
-    counts.look(lambda data: 3_000, b"")
-    assert (counts.lag, counts.wanted) == (2_000, False)
-    counts.look(lambda data: None, b"")
+    counts.measure_lag(lambda data: 3_000, b"")
+    assert (counts.lag, counts.needs_lag) == (2_000, False)
+    counts.measure_lag(lambda data: None, b"")
     assert counts.lag is None
 
 

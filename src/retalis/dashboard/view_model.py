@@ -151,7 +151,7 @@ class RecentEvents:
             kind.kept.append(RecentEvent(next(self._serial), text, whole, int(start), int(end)))
         return after
 
-    def look(self) -> List[RecentEvent]:
+    def latest(self) -> List[RecentEvent]:
         """Return the last events, the newest first, and allow further ones to be written."""
         events: List[RecentEvent] = []
         for kind in list(self._kinds.values()):
@@ -253,7 +253,7 @@ MAX_SHOWN_TOPICS = 100
 Json = Dict[str, Any]
 
 
-class TopicLook(NamedTuple):
+class TopicRow(NamedTuple):
     """A subscribed topic. Unknown values are None.
 
     Attributes:
@@ -294,7 +294,7 @@ class DashboardSource(NamedTuple):
 
     engine: Engine
     title: str
-    topics: Callable[[], Sequence[TopicLook]] = tuple
+    topics: Callable[[], Sequence[TopicRow]] = tuple
     queries: bool = False
 
 
@@ -349,12 +349,12 @@ class Snapshots:
             "topics": rows,
             "events": [
                 {**item._asdict(), "start": item.start / SECOND, "end": item.end / SECOND}
-                for item in self.events.look()
+                for item in self.events.latest()
             ],
             **_shown(status),
         }
 
-    def _topic(self, topic: TopicLook, counts: Any, now: int, numbers: Dict[str, int]) -> Json:
+    def _topic(self, topic: TopicRow, counts: Any, now: int, numbers: Dict[str, int]) -> Json:
         """Return the row of a topic; if the counters of its receiver are unknown, its events are counted instead."""
         row = topic._asdict()
         name = topic.event_name

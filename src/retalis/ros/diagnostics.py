@@ -396,7 +396,7 @@ class NodeHealth:
         self._changes = Changes()
         self._of_inputs = InputHealth(self._changes, role)
 
-    def look(self) -> List[Health]:
+    def statuses(self) -> List[Health]:
         """Return the status of all parts."""
         now = time.monotonic()
         inputs = self._inputs()
@@ -458,7 +458,7 @@ class Diagnostics:
     def _run(self, period: float) -> None:
         while not self._ended.wait(period):
             try:
-                self._publisher.publish(self._array(self._health.look()))
+                self._publisher.publish(self._array(self._health.statuses()))
             except rospy.ROSException:
                 # The node is being shut down.
                 if not rospy.is_shutdown():

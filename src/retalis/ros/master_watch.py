@@ -78,7 +78,7 @@ class MasterWatch:
         rospy.on_shutdown(self._stop)
         threading.Thread(target=self._run, daemon=True, name="master watch").start()
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Check once, and register again if necessary.
 
         Raises:
@@ -94,7 +94,7 @@ class MasterWatch:
                 if self._ended.is_set():
                     return
                 try:
-                    self.look()
+                    self.check()
                 except (OSError, HTTPException, Error) as error:
                     rospy.logdebug("the master does not answer: %s", error)
 

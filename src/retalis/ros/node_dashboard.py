@@ -8,7 +8,7 @@ from typing import Any, Callable, Dict, Iterable, List, Optional, Sequence
 import rospy
 
 from ..dashboard.page_server import Dashboard
-from ..dashboard.view_model import DashboardSource, TopicLook
+from ..dashboard.view_model import DashboardSource, TopicRow
 from ..engine.engine import Engine
 from ..events.program.program_folder import TopicEvent, TopicType
 from ..foundation.errors import UsageError
@@ -59,10 +59,10 @@ class NodeDashboard:
     ):
         self._inputs = inputs
         self._named = [
-            TopicLook(rospy.resolve_name(topic_type.topic), topic_type.type) for topic_type in named
+            TopicRow(rospy.resolve_name(topic_type.topic), topic_type.type) for topic_type in named
         ]
         self._events = events
-        self._remote_topics: Dict[str, TopicLook] = {}
+        self._remote_topics: Dict[str, TopicRow] = {}
         self.url = ""
         if port is None:
             return
@@ -80,16 +80,16 @@ class NodeDashboard:
         else:
             rospy.loginfo("the dashboard is at %s", page.url)
 
-    def topics(self) -> List[TopicLook]:
+    def topics(self) -> List[TopicRow]:
         """Return all input topics with the known counters of each."""
-        by_name = {look.name: look for look in self._named}
+        by_name = {row.name: row for row in self._named}
         # In increasing precedence: names only, statuses of other nodes, the node's own counters.
         by_name.update(self._remote_topics)
-        by_name.update({look.topic: _topic_look(look) for look in self._inputs()})
+        by_name.update({row.topic: _topic_row(row) for row in self._inputs()})
         events = {rospy.resolve_name(topic): event for topic, event in self._events()}
         between = {rospy.resolve_name(name) for name in (INPUT, OUTPUT)}
         return [
-            look._replace(event=events.get(name, "")) for name, look in by_name.items() if name not in between
+            row._replace(event=events.get(name, "")) for name, row in by_name.items() if name not in between
         ]
 
     def _subscribe_diagnostics(self) -> None:
@@ -117,19 +117,19 @@ class NodeDashboard:
                 continue
             # Any node may publish on /diagnostics: the number of stored topics must be bounded.
             if topic in self._remote_topics or len(self._remote_topics) < MAX_REMOTE_TOPICS:
-                self._remote_topics[topic] = _remote_topic_look(topic, values)
+                self._remote_topics[topic] = _remote_topic_row(topic, values)
 
 
-def _topic_look(status: InputStatus) -> TopicLook:
+def _topic_row(status: InputStatus) -> TopicRow:
     lag = None if status.lag is None else status.lag / SECOND
     lost = status.dropped + status.refused
-    return TopicLook(status.topic, status.type, status.messages, status.publishers, lost, status.age, lag)
+    return TopicRow(status.topic, status.type, status.messages, status.publishers, lost, status.age, lag)
 
 
-def _remote_topic_look(topic: str, values: Dict[str, str]) -> TopicLook:
+def _remote_topic_row(topic: str, values: Dict[str, str]) -> TopicRow:
     """Return the topic that the values of a status describe; see `InputHealth.of`."""
     messages, publishers = _number(values, "messages"), _number(values, "publishers")
-    return TopicLook(
+    return TopicRow(
         topic,
         values.get("type", ""),
         None if messages is None else int(messages),

@@ -301,7 +301,7 @@ class InputTopic:
     def status(self) -> InputStatus:
         """Return the counters, and request that the lag of the next message is measured."""
         counts = self.counts
-        counts.wanted = True
+        counts.needs_lag = True
         age = None if counts.last is None else time.monotonic() - counts.last
         return InputStatus(
             self._name,
@@ -351,8 +351,8 @@ class InputTopic:
 
         def handle_messages(messages: List[bytes]) -> None:
             counts.note(len(messages))
-            if counts.wanted:
-                counts.look(stamp, messages[-1])
+            if counts.needs_lag:
+                counts.measure_lag(stamp, messages[-1])
             with processing_lock:
                 if runs is not None and runs.holding and runs.holds(publisher):
                     runs.keep(handle_batch, messages)

@@ -23,26 +23,26 @@ class InputCounts:
         refused: number of messages from publishers of another type, or with a refused stamp.
         last: receipt time of the last messages in seconds of the monotonic clock; None before the first.
         lag: time in nanoseconds from a message's stamp to its receipt; None if it has no stamp.
-        wanted: whether to measure the lag of the next message. Decoding a stamp is expensive, so only one message per
-            status report is measured.
+        needs_lag: whether to measure the lag of the next message. Decoding a stamp is expensive, so only one message
+            per status report is measured.
     """
 
-    __slots__ = ("dropped", "lag", "last", "messages", "refused", "wanted")
+    __slots__ = ("dropped", "lag", "last", "messages", "refused", "needs_lag")
 
     def __init__(self) -> None:
         self.messages = self.dropped = self.refused = 0
         self.last: Optional[float] = None
         self.lag: Optional[int] = None
-        self.wanted = True
+        self.needs_lag = True
 
     def note(self, number: int) -> None:
         """Count received messages."""
         self.messages += number
         self.last = time.monotonic()
 
-    def look(self, stamp: Callable[[bytes], Optional[int]], data: bytes) -> None:
+    def measure_lag(self, stamp: Callable[[bytes], Optional[int]], data: bytes) -> None:
         """Measure the lag of a message."""
-        self.wanted = False
+        self.needs_lag = False
         try:
             instant = stamp(data)
         except MessageError:
@@ -163,12 +163,12 @@ class StartupWarnings:
         self._inputs = inputs
         self._named = {rospy.resolve_name(topic) for topic in named}
         self._clock = clock
-        timer = threading.Timer(PUBLISHER_WAIT_SECONDS, self.look)
+        timer = threading.Timer(PUBLISHER_WAIT_SECONDS, self.log_missing)
         timer.daemon = True
         timer.start()
         rospy.on_shutdown(timer.cancel)
 
-    def look(self) -> None:
+    def log_missing(self) -> None:
         """Log the warnings."""
         if rospy.is_shutdown():
             return
