@@ -88,11 +88,11 @@ LOAD_CODES: Tuple[Tuple[Type[RetalisError], str], ...] = (
     (PrologError, "RT1005"),
     (RetalisError, "RT1000"),
 )
-"""Codes of errors and warnings of loading, by the first class that fits."""
+"""Codes of errors and warnings of loading; the first matching class decides."""
 
 _IGNORE = re.compile(r"%\s*retalis:\s*ignore(-file)?=\s*(RT\d{4}(?:\s*,\s*RT\d{4})*)")
 _MAX_FILE_CHARACTERS = 1 << 20
-"""Characters of a file that are searched for comments."""
+"""Maximum number of characters of a file in which comments are searched."""
 
 
 class Suppressions:
@@ -102,7 +102,7 @@ class Suppressions:
         self._of_files: Dict[str, Set[str]] = {}
 
     def suppresses(self, problem: RetalisError) -> bool:
-        """Tell whether a comment suppresses a problem with a code."""
+        """Return whether a comment in the line or file of a problem contains its code."""
         place = problem.place
         if place is None or place.source is None:
             return False

@@ -1,4 +1,4 @@
-"""The table of event operators: the only list of the operators of the event language.
+"""Table of event operators: the only list of the operators of the event language.
 
 This module registers the syntax of the operators with the Prolog reader (`EventSyntax`). The compiler of patterns
 takes their meaning from the table, explanations the reason why a pair did not match, and `docs/language.md` its rows.
