@@ -1,9 +1,13 @@
 """Consumption policies, windows, labels and flags."""
 
+from enum import Enum
+
 import pytest
 from events.running import Program, fired, show
 
 from retalis.engine.engine import Engine
+from retalis.events.matches.partial_matches import ConsumptionPolicy, check_policy
+from retalis.foundation.errors import UsageError
 
 STREAM = "a(1)@1 a(2)@2 b@3 b@4"
 TWICE = "a@1 a@2 b@3 b@4"
@@ -203,3 +207,29 @@ def test_a_late_first_side_leaves_the_second_sides_to_others():
         fired(rule, "b(1)@5 b(2)@6 a@2 a@3", "unrestricted", flags) == "c(1)@2-5 c(2)@2-6 c(1)@3-5 c(2)@3-6"
     )
     assert fired(rule, "b(1)@5 b(2)@6 a@2 a@3", "chronological", flags) == "c(1)@2-5 c(2)@3-6"
+
+
+class NewestOfAll(Enum):
+    """A policy that prefers the newest partner and consumes none."""
+
+    NEWEST = "newest_of_all"
+
+    newest = property(lambda self: True)
+    consuming = replacing = property(lambda self: False)
+
+
+def test_a_policy_without_a_join_is_refused():
+    for policy in ConsumptionPolicy:
+        check_policy(policy)
+    with pytest.raises(UsageError, match="policy newest_of_all: the network has no join"):
+        check_policy(NewestOfAll.NEWEST)
+
+
+def test_a_rule_refuses_such_a_policy_and_stays_as_it_is():
+    engine = Engine()
+    engine.load("c(X) <- a(X) seq b(X).")
+    (rule,) = engine.rules.rules
+    mode = rule.mode
+    with pytest.raises(UsageError, match="no join"):
+        rule.configure(mode._replace(policy=NewestOfAll.NEWEST), None, None)
+    assert rule.mode is mode

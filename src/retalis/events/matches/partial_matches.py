@@ -28,6 +28,7 @@ from typing import (
     Union,
 )
 
+from ...foundation.errors import UsageError
 from ...prolog.terms.term_traversal import copy, resolve, term_key
 from ...prolog.terms.types import Term, Trail, Values, Var
 from ...prolog.terms.unification import undo, unify
@@ -461,6 +462,26 @@ class ConsumptionPolicy(Enum):
     def replacing(self) -> bool:
         """True if a newer occurrence of the same event replaces the stored one."""
         return self is ConsumptionPolicy.RECENT
+
+
+_JOINED_POLICIES = frozenset(
+    # (newest, consuming, replacing)
+    ((True, True, True), (True, True, False), (False, True, False), (False, False, False))
+)
+"""The combinations of properties that the joins of the network implement."""
+
+
+def check_policy(policy: ConsumptionPolicy) -> None:
+    """Refuse a policy that the network would silently treat as another one.
+
+    Raises:
+        UsageError: for a combination of properties without a join.
+    """
+    if (policy.newest, policy.consuming, policy.replacing) not in _JOINED_POLICIES:
+        raise UsageError(
+            f"policy {policy.value}: the network has no join for a policy with newest={policy.newest}, "
+            f"consuming={policy.consuming}, replacing={policy.replacing}"
+        )
 
 
 class AfterMatchSkipStrategy(Enum):

@@ -35,7 +35,7 @@ from ..matches.consumption_policy import Emit
 from ..matches.expiration import VISITED_SLICE, ExpirationQueue, StartExpirationQueue, remove_stale_entries
 from ..matches.match_buffer import MatchBuffer
 from ..matches.negation import RuledOutSweep
-from ..matches.partial_matches import NetworkOptions, PartialMatch
+from ..matches.partial_matches import NetworkOptions, PartialMatch, check_policy
 from .after_match_skip import AfterMatchSkip, skip_state_for
 from .pattern_nodes import EventNode
 from .retention import smaller_bound
@@ -181,7 +181,11 @@ class EventRule:
             mode: the options.
             window: longest interval that the label allows, in ns; None for no bound.
             garbage: window and step of garbage control, in ns; None if it is off.
+
+        Raises:
+            UsageError: for a policy that the network does not implement; nothing has changed then.
         """
+        check_policy(mode.policy)
         root: Any = self.root
         # If an interrupt prevents the rest, the rule is configured again before it is used.
         self.sound = False
