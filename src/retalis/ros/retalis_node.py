@@ -189,8 +189,8 @@ class RetalisNode:
         # Before topics are subscribed, so that the outputs of the first message are sent.
         self.engine.on_output(self._send_text)
         if parameters.embedded:
-            connect(self._interface, topics, direct)
             self.engine.on_output(lambda term, topic, name: self._interface.outputs.publish(term, topic))
+            connect(self._interface, topics, direct)
             InterfaceServices(self._interface)
         else:
             ProjectionPublisher(self.engine)
