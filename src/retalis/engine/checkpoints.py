@@ -132,18 +132,16 @@ class CheckpointStorage:
             self._base = sqlite3.connect(str(path), isolation_level=None, check_same_thread=False)
             _value(self._base, "PRAGMA journal_mode = WAL")
             self._base.execute("PRAGMA synchronous = NORMAL")
-            # One transaction creates all tables and the application id, so that a reader, also after a kill, finds
-            # either an
-            # empty database or a complete schema.
             # The schema of an existing file is not trusted: functions in its views and triggers must not run.
             self._base.execute("PRAGMA trusted_schema = OFF")
+            # One transaction creates all tables and the application id, so that a reader, also after a kill, finds
+            # either an empty database or a complete schema.
             self._base.executescript(f"BEGIN; PRAGMA application_id = {APPLICATION}; {_TABLES} COMMIT;")
             _check_schema(self._base)
             newest = _value(self._base, "SELECT max(memory) FROM records")
             self.next_number: int = 0 if newest is None else newest + 1
             # The last process that opens the file owns it. `write` compares the number, so that a second engine that
-            # starts
-            # with the same file does not mix its records with those of the first one.
+            # starts with the same file does not mix its records with those of the first one.
             self._owner = SystemRandom().randrange(1 << 31)
             self._base.execute(f"PRAGMA user_version = {self._owner}")
         except sqlite3.Error as error:
@@ -162,8 +160,7 @@ class CheckpointStorage:
 
         Raises:
             UsageError: if the transaction fails; the file keeps the previous checkpoint. `FileTaken` if another
-                process
-                writes to the file.
+                process writes to the file.
         """
         base = self._base
         try:
@@ -495,8 +492,8 @@ class Checkpointer:
         try:
             self.write()
         # Any exception is reported here and does not end the thread: the next attempt may succeed, for example when
-        # the
-        # disk has space again. The failed attempt has consumed the change marks, so the next one writes everything.
+        # the disk has space again. The failed attempt has consumed the change marks, so the next one writes
+        # everything.
         except Exception as error:  # of whatever kind: the next time may be better, and nobody else says it
             self._keeper = EngineSnapshot(self._engine)  # what has changed is not known any more
             self._memories = {}
@@ -544,8 +541,7 @@ class Checkpointer:
         found = self._keeper.take(whole=False)
         clauses = found.pop("clauses", None)
         # Variables of matches and values may be bound only for the moment, so these sections are encoded before the
-        # engine
-        # continues. Clauses and records are immutable and can be encoded later.
+        # engine continues. Clauses and records are immutable and can be encoded later.
         sections = {name: to_bytes(data) for name, data in found.items()}
         memories: Dict[MemoryInstance, _InFile] = {}
         records = []

@@ -174,8 +174,7 @@ def keep_standings(
             "clauses": [
                 (one.functor, [clauses[id(clause)] for clause in found if id(clause) in clauses])
                 # A retracted clause has no position any more. It is saved in full, because a reload compares the
-                # clauses that it
-                # has loaded with those that still exist, see `ReloadTransaction._leave_retracted`.
+                # clauses that it has loaded with those that still exist, see `ReloadTransaction._leave_retracted`.
                 for one, found in made.clauses.items()
             ],
             "retracted": [

@@ -108,15 +108,12 @@ class Engine:
     rule, goal or callback is logged (logger ``retalis``) with its place, and does not affect other rules.
 
     A callback (`on_output`, `on_event`, a foreign predicate) may call the engine, and any thread may `post`. A
-    callback
-    must not wait for another thread that calls the engine, because that thread waits for the callback. If it does,
-    the
-    other thread gets a `UsageError` after the callback has taken ``settings.patience`` seconds.
+    callback must not wait for another thread that calls the engine, because that thread waits for the callback. If it
+    does, the other thread gets a `UsageError` after the callback has taken ``settings.patience`` seconds.
 
     An interrupt (Ctrl-C) may arrive at any time. It ends the current event or goal: effects that have occurred
-    remain,
-    consequences that have not been derived are omitted, and the engine's data structures are made consistent. Later
-    events are processed normally.
+    remain, consequences that have not been derived are omitted, and the engine's data structures are made consistent.
+    Later events are processed normally.
 
     In a forked process (``os.fork``, ``multiprocessing``) the engine continues independently. If another thread was
     using it at the time of the fork, calls raise a `UsageError` in the new process.
@@ -130,8 +127,7 @@ class Engine:
 
     Args:
         clock: the time of the program; by default a `StreamClock` that follows the timestamps of events and never
-            goes
-            back.
+            goes back.
         settings: limits and sizes.
         reports: receives errors and warnings while events are processed; by default they are logged.
         definitions: the message types whose fields a program may name; by default the installed ones.
@@ -166,8 +162,7 @@ class Engine:
         self.dispatcher = Dispatcher(self.logic, max_depth=settings.max_depth)
         self.reports = reports = Reports() if reports is None else reports
         # Rules and knowledge depend on each other. The rules receive functions that look up the knowledge when they
-        # are
-        # called, which is after both exist.
+        # are called, which is after both exist.
         self.rules = RuleBase(
             self.logic,
             self.dispatcher,
@@ -251,8 +246,7 @@ class Engine:
             goals: text of a goal file.
             source: name of the texts in errors.
             folder: folder of the program: later goals may read files in it, and relative paths start there. Without a
-                folder,
-                paths start in the working directory and later goals may not read files.
+                folder, paths start in the working directory and later goals may not read files.
 
         Raises:
             ProgramErrors: all errors. Goals before a failed one have been called; if a rule is wrong, no rule is
@@ -290,12 +284,9 @@ class Engine:
 
         Everything that `load_program` has created from the folder is replaced. A memory with an unchanged definition
         keeps its records, and an unchanged rule keeps its partial matches. Anything that was added by services or at
-        run
-        time remains. The folder is loaded twice, first into a separate engine with the same settings, so that errors
-        do
-        not affect this engine. Its goals are therefore called twice, and their external effects occur twice. The
-        limits
-        of a request apply to each load. An event file is loaded once, into this engine.
+        run time remains. The folder is loaded twice, first into a separate engine with the same settings, so that
+        errors do not affect this engine. Its goals are therefore called twice, and their external effects occur
+        twice. The limits of a request apply to each load. An event file is loaded once, into this engine.
 
         >>> engine = Engine()
         >>> engine.load_program(folder)
@@ -347,10 +338,8 @@ class Engine:
 
         Raises:
             UsageError: for an invalid timestamp, an end before the start, or an event that does not match its
-                declaration.
-                Also if there is no start and the clock was never set: a default clock is not set before the first
-                    event that
-                has a time.
+                declaration. Also if there is no start and the clock was never set: a default clock is not set before
+                the first event that has a time.
             SyntaxFault: if the text is not a term.
         """
         first = None if start is None else timestamps.from_any(start)
@@ -388,10 +377,8 @@ class Engine:
 
         Args:
             messages: events without variables, each with its time in nanoseconds or None for the present time. The
-                iterable
-                is advanced when the previous message is processed or queued; it must not use the engine. An exception
-                that it
-                raises is raised here after all previous messages are processed.
+                iterable is advanced when the previous message is processed or queued; it must not use the engine. An
+                exception that it raises is raised here after all previous messages are processed.
         """
         self.executor.post_each(self._message, messages)
 
@@ -705,8 +692,7 @@ class Engine:
 
         def work() -> Dict[str, bytes]:
             # The state is encoded within the exclusive call, because the variables of rules may be bound to other
-            # values as
-            # soon as the engine continues.
+            # values as soon as the engine continues.
             keeper = EngineSnapshot(self)
             return coded(keeper.take(), keeper.records())
 
@@ -726,8 +712,7 @@ class Engine:
         """Create an engine from the result of `snapshot`.
 
         The new engine has the program, memories, partial matches, pending queries, alarms and counters. Callbacks
-        must be
-        registered again, because they are not part of the program.
+        must be registered again, because they are not part of the program.
 
         >>> engine = Engine()
         >>> engine.load(goals="memorize(fire(_), [], _, fires, 10)")
@@ -845,8 +830,7 @@ class Engine:
         with closing(self.logic.solutions(term)) as solutions:
             for _ in solutions:
                 # Values are copied before the next solution undoes their bindings. The dictionary keeps a variable
-                # that occurs
-                # in two values one variable. The copies count against the memory limit of the goal.
+                # that occurs in two values one variable. The copies count against the memory limit of the goal.
                 shared: Dict[Var, Term] = {}
                 with self.logic.machine.budget.watching():
                     found.append({name: copy(value, shared) for name, value in names.items()})

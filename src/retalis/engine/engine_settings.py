@@ -14,10 +14,8 @@ class Settings(NamedTuple):
 
     Attributes:
         limits: resources of an event, query or other call, including all consequences: seconds, inferences, memory,
-            and
-            output (1 MB by default). If one is exceeded, the goals end with a resource error. A goal can catch one
-            such error;
-            the next one is final.
+            and output (1 MB by default). If one is exceeded, the goals end with a resource error. A goal can catch
+            one such error; the next one is final.
         limit_start: whether these limits also apply to the goals of a goal file (`Engine.call_goals`).
         watchdog: seconds after which a warning names the work that is in progress; None for no warning.
         max_depth: maximum length of a chain of derived events.
@@ -27,12 +25,11 @@ class Settings(NamedTuple):
         allow_foreign: whether programs may load Python modules with ``use_foreign/1``.
         allow_swi: whether programs may make SWI-Prolog load files with ``use_swi/1``.
         folders: folders in which goals of events, queries and services may read files, in addition to the program's
-            own
-            folders; None for all. Not applied to a program while it is loaded (`Engine.load` and similar methods).
+            own folders; None for all. Not applied to a program while it is loaded (`Engine.load` and similar
+            methods).
         patience: maximum time in seconds that a call from another thread waits for one callback; see `Engine`.
         write_folders: folders in which goals may write and read files; None for all. Files without a given location,
-            such
-            as those of persistent events, are written to the first one.
+            such as those of persistent events, are written to the first one.
         max_gap: initial value of flag ``max_gap``: the longest time in seconds between two records for
             ``datime_interpolate/4``.
         max_file_megabytes: maximum size of a file that a program reads or writes.

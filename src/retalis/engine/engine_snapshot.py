@@ -152,8 +152,8 @@ class EngineSnapshot:
         logic, rules, knowledge = parts.logic, parts.rules, parts.knowledge
         program, run = sections["program"], sections["run"]
         # The order matters: event types and foreign predicates are needed to compile clauses, clauses to compile
-        # rules,
-        # rules and memories to restore partial matches and records, and all of them to refer to items by position.
+        # rules, rules and memories to restore partial matches and records, and all of them to refer to items by
+        # position.
         parts.slots.events.update(program["events"])
         self._load_foreign(program["foreign"], folder)
         self._load_swi([SwiFile(*one) for one in program.get("swi", ())], folder)
@@ -190,8 +190,7 @@ class EngineSnapshot:
         engine, parts = self._engine, self._parts
         for name in modules:
             # The state is data from outside: it must not make the engine execute a module that the settings or the
-            # location
-            # would not allow.
+            # location would not allow.
             path = Path(name)
             if not engine.settings.allow_foreign:
                 raise UsageError(

@@ -190,8 +190,7 @@ class InputTopics:
     """The topics that goals of a program subscribe to.
 
     A node or a bag player calls `begin` with a function that subscribes. Without it the goal succeeds with a warning,
-    so
-    that a program can be tested without topics.
+    so that a program can be tested without topics.
 
     Args:
         logic: Prolog system of the program.

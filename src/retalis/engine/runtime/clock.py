@@ -274,8 +274,7 @@ class StreamClock(Clock):
     """A clock that stands still until it is moved: the time of a stream of events or of a bag.
 
     A pinned clock always returns the same time, but its alarms follow the stream's time. A clock without a start that
-    was
-    neither moved nor pinned is not set, and has no time for events without timestamps.
+    was neither moved nor pinned is not set, and has no time for events without timestamps.
 
     >>> clock = StreamClock()
     >>> engine = Engine(clock)

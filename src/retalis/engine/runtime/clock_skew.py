@@ -117,10 +117,8 @@ class FrameClock:
         """Return the signed distance of a timestamp from the nearest prediction, in ns; positive if later.
 
         Predictions are the last timestamp, and the last one advanced by the time that has passed by one of the clocks
-        or
-        on other topics. A bag may be paused and may be played at another rate, so any timestamp up to the passed real
-        time
-        times the highest measured pace fits; times `PACE` if a pause may have hidden the pace.
+        or on other topics. A bag may be paused and may be played at another rate, so any timestamp up to the passed
+        real time times the highest measured pace fits; times `PACE` if a pause may have hidden the pace.
         """
         step, passed = stamp - self.stamp, wall - self.wall
         if 0 <= step <= passed * (PACE if passed >= SECOND or self.pace is None else self.pace):
@@ -147,9 +145,8 @@ class FrameClock:
         """Update the differences to the node's time, and decide whether timestamps advance like it.
 
         A busy machine delays messages, so that their timestamps seem to lag. A lagging timestamp therefore means
-        nothing. One
-        that is further ahead than before means that earlier ones were delayed, or that the timestamps advance too
-        fast.
+        nothing. One that is further ahead than before means that earlier ones were delayed, or that the timestamps
+        advance too fast.
         """
         ahead = stamp - now
         # The node had no time at the first receipt.

@@ -81,8 +81,7 @@ class _Omissions:
     """Terms that are omitted from a file.
 
     They are reported as warnings when the first term is accepted; before that, the file may still be rejected as a
-    whole, and
-    they would be reported as errors.
+    whole, and they would be reported as errors.
 
         tell: receives warnings.
         most: maximum number of omitted terms; None for any number.

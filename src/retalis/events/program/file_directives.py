@@ -43,10 +43,8 @@ class Directives:
     """Runs directives.
 
     Before each goal of a conjunction a marker goal records its number. So the position of a goal that fails or raises
-    is
-    known without inspecting the machine. The marker is deterministic and leaves no choice point, which a long run
-    would
-    keep. An error on backtracking is attributed to the goal that was called last.
+    is known without inspecting the machine. The marker is deterministic and leaves no choice point, which a long run
+    would keep. An error on backtracking is attributed to the goal that was called last.
     """
 
     def __init__(self, logic: PrologSystem):

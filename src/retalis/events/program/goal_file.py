@@ -25,8 +25,7 @@ _IN_VAIN = 100_000
 """Characters that may be read again, beyond a multiple of the file, in search of the end of goals over several lines.
 
 Afterwards, each line with an error is reported by itself. Otherwise thousands of such lines, each read up to a full
-stop
-far below, would take time that grows with the square of the file.
+stop far below, would take time that grows with the square of the file.
 
 """
 
@@ -96,8 +95,7 @@ def read_goals(text: str, operators: Operators, source: str) -> Iterator[Read]:
     """Yield the goals of a goal file, or a `SyntaxFault` for each text that is not a goal.
 
     A line is a goal if it reads as a term, with or without a full stop. Otherwise the goal continues to a line that
-    ends
-    in a full stop.
+    ends in a full stop.
     """
     lines = text.split("\n")
     at = stop = 0

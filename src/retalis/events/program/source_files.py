@@ -264,8 +264,7 @@ class SourceFiles:
 
         Raises:
             PrologError: a permission error if the path leads out of the permitted folders, other errors for an
-                invalid
-                name.
+                invalid name.
         """
         check_name(str(name))
         path = (self.door.start if self._folder is None else self._folder) / Path(name)

@@ -126,8 +126,7 @@ class InputReader:
         """Parse ``event(E,[T,T])`` with two equal timestamps as other nodes write it; return None for other texts.
 
         The text before the timestamps, closed by ``)``, must read as ``event(E)``. This proves that the timestamps
-        are the
-        second argument and not part of a quoted text in the event.
+        are the second argument and not part of a quoted text in the event.
         """
         at = text.rfind(",[datime(")
         stamps = text[at + 2 :]

@@ -28,8 +28,7 @@ class EventTypes:
     Args:
         rules: rules of the program; a flag tells whether each event must be declared.
         is_external_event: returns whether events of a functor need no declaration, because they are messages or
-            events of
-            the package itself.
+            events of the package itself.
 
     Attributes:
         in_use: whether anything has been declared. If not, events are not checked at all.
@@ -95,8 +94,7 @@ class EventTypes:
         clauses, dead = (_NONE, 0) if predicate is None else (predicate.clauses, predicate.dead)
         strict = self._flags.get(UNDECLARED.name) is STRICTLY
         # The declarations are parsed again if the clauses have changed. A list of clauses only grows, or is replaced
-        # by
-        # another list, so its identity and length, the number of dead clauses and the flag identify its contents.
+        # by another list, so its identity and length, the number of dead clauses and the flag identify its contents.
         number = len(
             clauses
         )  # a list of clauses is only ever added to; else there is another one in its place

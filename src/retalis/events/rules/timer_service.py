@@ -96,8 +96,7 @@ class NodeTimers:
     """Timeouts of network nodes.
 
     At one instant, nodes of older rules come first, and within a rule nodes further right or below. Each node has its
-    own
-    limits and error handling, so a failure of one does not affect the others.
+    own limits and error handling, so a failure of one does not affect the others.
 
     Args:
         rules: the rules of the program.
@@ -330,8 +329,8 @@ class Timers:
     """The timers of a program.
 
     Each timer has at most one valid alarm in the clock. If a timer is set to a later instant, its alarm stays and
-    sets
-    the next one when it is called. Alarms of removed timers are deleted from the clock when they are the majority.
+    sets the next one when it is called. Alarms of removed timers are deleted from the clock when they are the
+    majority.
 
     Attributes:
         left_out: number of events omitted because of jumps of time.
@@ -397,10 +396,8 @@ class Timers:
         """Return the present time for a goal that sets a timer.
 
         In a goal of an alarm this is the alarm's instant, even if the clock has jumped further, so that a chain of
-        timers
-        runs through all instants of the jump. After `MAX_RINGS_PER_JUMP` goals it is the clock's time: a timer that
-        sets
-        itself again would otherwise run through the whole jump, step by step.
+        timers runs through all instants of the jump. After `MAX_RINGS_PER_JUMP` goals it is the clock's time: a timer
+        that sets itself again would otherwise run through the whole jump, step by step.
         """
         clock = self._program.clock
         reached, ringing = clock.reached(), clock.ringing
