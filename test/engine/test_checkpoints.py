@@ -265,7 +265,7 @@ def test_what_it_says_of_itself_is_checked(folder, about, message):
 
 def test_what_is_no_checkpoint_is_refused(folder):
     (folder / "state.db").write_bytes(b"no database at all" * 100)
-    with pytest.raises(UsageError, match="no checkpoint, or damaged"):
+    with pytest.raises(UsageError, match="not a checkpoint, or is damaged"):
         resumed(folder)
     (folder / "state.db").unlink()
     other = sqlite3.connect(str(folder / "state.db"))
@@ -308,7 +308,7 @@ def test_is_put_aside_with_what_belongs_to_it(folder):
     assert aside.name == "state.db.aside2"
     assert not any(name.startswith("state.db") and "aside" not in name for name in os.listdir(folder))
     assert len(records(resumed(folder, "state.db.aside2"))) == 0
-    with pytest.raises(UsageError, match="is no file"):
+    with pytest.raises(UsageError, match="is not a file"):
         put_aside(folder)
 
 
@@ -361,7 +361,7 @@ def test_another_process_with_the_file_ends_the_first(folder, caplog):
     with pytest.raises(UsageError, match="another process keeps its state in"):
         first.write()
     first.end()
-    assert "this one does no more" in caplog.text
+    assert "this one writes no more" in caplog.text
     assert records(resumed(folder)) == records(two)
 
 

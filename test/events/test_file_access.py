@@ -611,8 +611,8 @@ def test_a_goal_writes_only_where_a_folder_is_named(place, goal):
 def test_a_text_that_is_read_is_bounded(place):
     (place / "program" / "large.txt").write_text("p(1).\n" * 1000)
     engine = engine_of(place)
-    engine.rules.files.door.max_bytes = 5999
+    engine.rules.files.sandbox.max_bytes = 5999
     text = told(lambda: engine.query("open('large.txt', read, _)"))
     assert text is not None and "more than 5999 bytes" in text
-    engine.rules.files.door.max_bytes = 6000
+    engine.rules.files.sandbox.max_bytes = 6000
     assert engine.query("open('large.txt', read, _)")

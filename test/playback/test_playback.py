@@ -353,7 +353,7 @@ def test_a_stamp_far_ahead(program, bag, limit, taken):
     assert len(events) == taken
     assert [problem for problem in problems if "no goal" not in problem] == [
         "topic /s, frame map: a stamp is 3600 s ahead of the stamps before it"
-        + ("; such messages are not taken" if limit else "")
+        + ("; such messages are dropped" if limit else "")
     ]
 
 

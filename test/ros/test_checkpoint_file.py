@@ -94,4 +94,4 @@ def test_starts_fresh_where_the_program_has_changed_or_the_file_is_damaged(devel
             (tmp_path / name).unlink()
     path.write_bytes(b"damaged" * 1000)
     node()
-    assert f"{path} is not restored: it is no checkpoint, or damaged" in devel.printed()
+    assert f"{path} is not restored: it is not a checkpoint, or is damaged" in devel.printed()

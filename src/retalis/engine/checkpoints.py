@@ -67,8 +67,8 @@ MAX_REFUSED_FILES = 9
 MAX_FILE_BYTES = (1 << 31) - 1
 """Maximum size of a checkpoint in bytes. SQLite accepts no higher length limit."""
 
-_STEP, _STEPS, _BYTES_PER_STEP = 1000, 200, 250
-"""Limit of the SQLite instructions for reading: `_STEPS` times `_STEP`, plus `_STEP` per `_BYTES_PER_STEP` bytes.
+_INSTRUCTIONS_PER_STEP, _MIN_STEPS, _BYTES_PER_STEP = 1000, 200, 250
+"""Limits of the SQLite instructions for reading: a minimum number of steps, plus one step per so many bytes.
 
 A crafted file cannot make a query run forever.
 """
@@ -166,28 +166,30 @@ class CheckpointStorage:
         try:
             base.execute("BEGIN IMMEDIATE")
             if _value(base, "PRAGMA user_version") != self._owner:
-                raise FileTaken(f"another process keeps its state in {self.path} now: this one does no more")
+                raise FileTaken(f"{self.path}: another process writes to this file: this one writes no more")
             base.executemany(
                 "INSERT OR REPLACE INTO sections VALUES (?, ?, ?)",
                 [(name, data, crc32(data)) for name, data in sections.items()],
             )
-            for one in batches:
+            for batch in batches:
                 # A memory that was cleared after its clock went back continues with lower numbers: later batches are
                 # stale.
-                base.execute("DELETE FROM records WHERE memory = ? AND first >= ?", (one.memory, one.first))
-                base.execute("INSERT INTO records VALUES (?, ?, ?, ?, ?)", (*one, crc32(one.data)))
+                base.execute(
+                    "DELETE FROM records WHERE memory = ? AND first >= ?", (batch.memory, batch.first)
+                )
+                base.execute("INSERT INTO records VALUES (?, ?, ?, ?, ?)", (*batch, crc32(batch.data)))
             # A batch is deleted when all of its records have left the memory; batches are never split.
             base.executemany(
                 "DELETE FROM records WHERE memory = ? AND first + number <= ?", list(oldest.items())
             )
-            self._forget_others(oldest)
+            self._delete_missing(oldest)
             base.execute("COMMIT")
         except sqlite3.Error as error:
             raise UsageError(f"cannot write a checkpoint to {self.path}: {error}") from error
         finally:
-            self._give_up()
+            self._roll_back()
 
-    def _give_up(self) -> None:
+    def _roll_back(self) -> None:
         """Roll back a transaction that was not committed."""
         try:
             if self._base.in_transaction:
@@ -195,11 +197,11 @@ class CheckpointStorage:
         except sqlite3.Error:  # the one before is being raised; the next one to write begins anew
             return
 
-    def _forget_others(self, kept: Dict[int, int]) -> None:
-        there = [memory for (memory,) in self._base.execute("SELECT DISTINCT memory FROM records")]
-        gone = [(memory,) for memory in there if memory not in kept]
-        if gone:
-            self._base.executemany("DELETE FROM records WHERE memory = ?", gone)
+    def _delete_missing(self, kept: Dict[int, int]) -> None:
+        stored = [memory for (memory,) in self._base.execute("SELECT DISTINCT memory FROM records")]
+        deleted = [(memory,) for memory in stored if memory not in kept]
+        if deleted:
+            self._base.executemany("DELETE FROM records WHERE memory = ?", deleted)
 
     def close(self) -> None:
         """Close the file."""
@@ -215,7 +217,7 @@ def read_checkpoint(path: Path) -> Optional[Checkpoint]:
         UsageError: if the file is not a checkpoint, is damaged, or has another format version.
     """
     # Pages that were not yet moved into the main file are in the write-ahead log, so the two sizes are added.
-    size = sum(one.stat().st_size for one in (path, Path(f"{path}-wal")) if one.is_file())
+    size = sum(file.stat().st_size for file in (path, Path(f"{path}-wal")) if file.is_file())
     if not path.exists() or (path.is_file() and not path.stat().st_size):
         return None
     if size > MAX_FILE_BYTES:
@@ -227,15 +229,15 @@ def read_checkpoint(path: Path) -> Optional[Checkpoint]:
     try:
         return _read(base, size)
     except sqlite3.Error as error:
-        raise UsageError(f"it is no checkpoint, or damaged: {error}") from error
+        raise UsageError(f"it is not a checkpoint, or is damaged: {error}") from error
     finally:
         base.close()
 
 
-def _limit(base: sqlite3.Connection, size: int) -> None:
+def _limit_reading(base: sqlite3.Connection, size: int) -> None:
     """Limit the instructions and the value lengths of queries to what a file of ``size`` bytes can need."""
-    steps = iter(range(_STEPS + size // _BYTES_PER_STEP))
-    base.set_progress_handler(lambda: next(steps, None) is None, _STEP)
+    steps = iter(range(_MIN_STEPS + size // _BYTES_PER_STEP))
+    base.set_progress_handler(lambda: next(steps, None) is None, _INSTRUCTIONS_PER_STEP)
     if hasattr(base, "setlimit"):  # since Python 3.11
         base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(size, 1_000_000))
     base.execute("PRAGMA trusted_schema = OFF")
@@ -277,7 +279,7 @@ def _check_lengths(base: sqlite3.Connection, size: int) -> None:
 
 
 def _read(base: sqlite3.Connection, size: int) -> Optional[Checkpoint]:
-    _limit(base, size)
+    _limit_reading(base, size)
     base.execute("BEGIN")  # all of one moment
     if not _value(base, "SELECT count(*) FROM sqlite_master"):
         return None  # it has just been made
@@ -285,23 +287,23 @@ def _read(base: sqlite3.Connection, size: int) -> Optional[Checkpoint]:
         raise UsageError("it is a database of something else")
     _check_schema(base)
     _check_lengths(base, size)
-    found = {
-        name: _whole(data, check)
+    data_by_name = {
+        name: _verified(data, check)
         for name, data, check in base.execute("SELECT name, data, checked FROM sections")
     }
-    if not found:
+    if not data_by_name:
         return None
-    if "about" not in found:
+    if "about" not in data_by_name:
         raise UsageError("it is damaged: it does not say what it is")
-    said = _about(found.pop("about"))
-    missing = SECTIONS.keys() - found.keys()
+    header = _about(data_by_name.pop("about"))
+    missing = SECTIONS.keys() - data_by_name.keys()
     if missing:
         raise UsageError(f"it is damaged: it has no section {', '.join(sorted(missing))}")
-    sections = {name: read_section(name, data) for name, data in found.items()}
-    if len({number for number, _, _ in said["memories"]}) != len(said["memories"]):
+    sections = {name: read_section(name, data) for name, data in data_by_name.items()}
+    if len({number for number, _, _ in header["memories"]}) != len(header["memories"]):
         raise UsageError("it is damaged: two memories have the same records")
-    records = [_records(base, *memory) for memory in said["memories"]]
-    return Checkpoint(sections, records, said["files"], said["made"])
+    records = [_records(base, *memory) for memory in header["memories"]]
+    return Checkpoint(sections, records, header["files"], header["made"])
 
 
 def _about(data: bytes) -> Dict[str, Any]:
@@ -315,11 +317,11 @@ def _about(data: bytes) -> Dict[str, Any]:
             "it was written by an older version of the package: it has format 5 or older, a pickle, which is never "
             f"read; this version reads format {FORMAT}"
         )
-    found = from_bytes(data)
+    fields = from_bytes(data)
     # The version is checked before the full schema: a file of another version has other fields.
-    said = dict_of(text, anything)(found)
-    check_version(said.get("format"), said.get("layout"))
-    checked: Dict[str, Any] = about(found)
+    header = dict_of(text, anything)(fields)
+    check_version(header.get("format"), header.get("layout"))
+    checked: Dict[str, Any] = about(fields)
     return checked
 
 
@@ -342,14 +344,14 @@ def _records(base: sqlite3.Connection, number: int, oldest: int, end: Any) -> Li
         end: an empty batch, positioned after the newest record.
     """
     query = "SELECT data, checked FROM records WHERE memory = ? ORDER BY first"
-    parts = [read_records(_whole(*row)) for row in base.execute(query, (number,))]
+    parts = [read_records(_verified(*row)) for row in base.execute(query, (number,))]
     first = parts[0][0] if parts else end[0]
     if first > oldest:
         raise UsageError("it is damaged: records of a memory are missing")
     return [*parts, end]
 
 
-def _whole(data: bytes, check: int) -> bytes:
+def _verified(data: bytes, check: int) -> bytes:
     if not isinstance(data, bytes) or crc32(data) != check:
         raise UsageError("it is damaged: a part of it is not what was written")
     return data
@@ -364,8 +366,8 @@ def about_state(files: ProgramFiles, memories: List[Any], made: float) -> Dict[s
             oldest one, and an empty batch positioned after its newest record.
         made: time of writing, in seconds since the epoch.
     """
-    found = [list(one) for one in files]
-    return {"format": FORMAT, "layout": LAYOUT, "files": found, "memories": memories, "made": made}
+    file_rows = [list(file) for file in files]
+    return {"format": FORMAT, "layout": LAYOUT, "files": file_rows, "memories": memories, "made": made}
 
 
 def put_aside(path: Path) -> Path:
@@ -375,7 +377,7 @@ def put_aside(path: Path) -> Path:
         UsageError: if the path is not a file or renaming is not permitted.
     """
     if not path.is_file():
-        raise UsageError(f"{path} is no file")
+        raise UsageError(f"{path} is not a file")
     names = [
         Path(f"{path}{_ASIDE}{number if number > 1 else ''}") for number in range(1, MAX_REFUSED_FILES + 1)
     ]
@@ -393,10 +395,10 @@ def put_aside(path: Path) -> Path:
     return aside
 
 
-EVERY = 0.5
+MIN_INTERVAL_SECONDS = 0.5
 """Minimum interval between two checkpoints, in seconds."""
 
-SHARE = 20
+MIN_PAUSE_FACTOR = 20
 """The pause after a checkpoint is at least this multiple of the time that it took, so writing uses at most 5 % of the
 
 time.
@@ -409,7 +411,7 @@ FINAL_WRITE_SECONDS = 5.0
 """Maximum duration of the final write when a node ends, in seconds."""
 
 
-class _InFile(NamedTuple):
+class _FilePosition(NamedTuple):
     """Position of a memory in the file: its number, and the number of records ever written."""
 
     number: int
@@ -438,7 +440,7 @@ class Checkpointer:
         file: CheckpointStorage,
         program: Path,
         reports: Reports,
-        every: float = EVERY,
+        every: float = MIN_INTERVAL_SECONDS,
         files: Optional[ProgramFiles] = None,
     ):
         self._engine = engine
@@ -446,19 +448,19 @@ class Checkpointer:
         self._program = program
         self._reports = reports
         self._every = every
-        self._keeper = EngineSnapshot(engine)
-        self._memories: Dict[MemoryInstance, _InFile] = {}
+        self._snapshot = EngineSnapshot(engine)
+        self._memories: Dict[MemoryInstance, _FilePosition] = {}
         self._numbers = count(file.next_number)
-        self._standings: List[Deployment] = []
+        self._deployments: List[Deployment] = []
         self._files: Dict[str, str] = {}
         if files is not None:
-            self._standings = list(engine.deployments.values())
+            self._deployments = list(engine.deployments.values())
             self._files = dict(files)
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="checkpoints", daemon=True)
         self.written = 0
         self.longest = 0.0
-        self._look_at_files()
+        self._update_digests()
 
     def begin(self) -> None:
         """Start the thread that writes."""
@@ -478,7 +480,7 @@ class Checkpointer:
             begin = time.monotonic()
             if not self._write():
                 return
-            wait = max(self._every, SHARE * (time.monotonic() - begin))
+            wait = max(self._every, MIN_PAUSE_FACTOR * (time.monotonic() - begin))
         self._finish()
 
     def _finish(self) -> None:
@@ -495,7 +497,7 @@ class Checkpointer:
         # the disk has space again. The failed attempt has consumed the change marks, so the next one writes
         # everything.
         except Exception as error:  # of whatever kind: the next time may be better, and nobody else says it
-            self._keeper = EngineSnapshot(self._engine)  # what has changed is not known any more
+            self._snapshot = EngineSnapshot(self._engine)  # what has changed is not known any more
             self._memories = {}
             self._reports.error(error)
             return not isinstance(error, FileTaken)
@@ -507,43 +509,43 @@ class Checkpointer:
         Raises:
             UsageError: if the file cannot be written.
         """
-        parts = self._engine
+        engine = self._engine
         # Only taking the state blocks the engine; encoding of clauses and records and the disk access do not.
-        found = parts.executor.call(lambda: parts.dispatcher.undisturbed(self._take), (REQUEST,))
-        sections, clauses, records = found
+        state = engine.executor.call(lambda: engine.dispatcher.undisturbed(self._take), (REQUEST,))
+        sections, clauses, records = state
         if clauses is not None:
             sections["clauses"] = to_bytes(clauses)
-        self._look_at_files()
+        self._update_digests()
         batches = [batch for number, new in records for batch in _batches(number, new)]
         memories = [(number, new.oldest, keep_records(new.end())) for number, new in records]
         sections["about"] = to_bytes(about_state(list(self._files.items()), memories, time.time()))
         self._file.write(sections, batches, {number: new.oldest for number, new in records})
         self.written += 1
 
-    def _look_at_files(self) -> None:
+    def _update_digests(self) -> None:
         """Update the digests of the program's files.
 
         After a load or reload all files are read again; otherwise only files that are new.
         """
-        parts = self._engine
-        standings = list(parts.deployments.values())
-        if len(standings) != len(self._standings) or any(
-            one is not other for one, other in zip(standings, self._standings)
+        engine = self._engine
+        deployments = list(engine.deployments.values())
+        if len(deployments) != len(self._deployments) or any(
+            new is not old for new, old in zip(deployments, self._deployments)
         ):
-            self._standings, self._files = standings, {}
-        names = own_files(self._program, [str(path) for path in list(parts.rules.files.loaded)])
+            self._deployments, self._files = deployments, {}
+        names = own_files(self._program, [str(path) for path in list(engine.rules.files.loaded)])
         if any(name not in self._files for name in names):
             self._files = {name: self._files.get(name) or digest(name) for name in names}
 
     def _take(self) -> "Tuple[Dict[str, bytes], Any, List[Tuple[int, NewRecords]]]":
         """Return what has changed since the previous checkpoint; the engine must not work meanwhile."""
         begin = time.monotonic()
-        found = self._keeper.take(whole=False)
-        clauses = found.pop("clauses", None)
+        data_by_name = self._snapshot.take(whole=False)
+        clauses = data_by_name.pop("clauses", None)
         # Variables of matches and values may be bound only for the moment, so these sections are encoded before the
         # engine continues. Clauses and records are immutable and can be encoded later.
-        sections = {name: to_bytes(data) for name, data in found.items()}
-        memories: Dict[MemoryInstance, _InFile] = {}
+        sections = {name: to_bytes(data) for name, data in data_by_name.items()}
+        memories: Dict[MemoryInstance, _FilePosition] = {}
         records = []
         for instance in self._engine.knowledge.memories:
             known = self._memories.get(instance)
@@ -552,7 +554,7 @@ class Checkpointer:
             since = 0 if known is None else min(known.added, memory.changed)
             memory.changed = NEVER
             number = next(self._numbers) if known is None else known.number
-            memories[instance] = _InFile(number, memory.added)
+            memories[instance] = _FilePosition(number, memory.added)
             records.append((number, new_records(instance, since)))
         self._memories = memories
         self.longest = max(self.longest, time.monotonic() - begin)
@@ -561,8 +563,8 @@ class Checkpointer:
 
 def _batches(number: int, new: NewRecords) -> Iterator[RecordBatch]:
     """Yield records in encoded batches, and let other Python threads run between two batches."""
-    for at in range(0, len(new.records), RECORDS_PER_STEP):
-        part = new.part(at, at + RECORDS_PER_STEP)
+    for position in range(0, len(new.records), RECORDS_PER_STEP):
+        part = new.part(position, position + RECORDS_PER_STEP)
         yield RecordBatch(number, part.first, len(part.records), to_bytes(keep_records(part)))
         time.sleep(0)
 
@@ -575,7 +577,7 @@ def own_files(folder: Path, loaded: Sequence[str]) -> List[str]:
         loaded: paths of the event files that it has loaded.
     """
     own = [str(folder.absolute() / name) for name in (GOALS, TOPICS)]
-    return [*own, *(one for one in sorted(loaded) if one not in own)]
+    return [*own, *(path for path in sorted(loaded) if path not in own)]
 
 
 def digest(name: str) -> str:
@@ -609,17 +611,17 @@ def resume(
     Raises:
         UsageError: the reason why the checkpoint cannot be used.
     """
-    found = checked(lambda: read_checkpoint(path))
-    if found is None:
+    checkpoint = checked(lambda: read_checkpoint(path))
+    if checkpoint is None:
         return None
-    _check_files(found.files, folder)
+    _check_files(checkpoint.files, folder)
 
     def work() -> Engine:
         engine = Engine(clock, settings, reports, definitions)
-        EngineSnapshot(engine).take_up(found.sections, found.records, folder)
+        EngineSnapshot(engine).restore(checkpoint.sections, checkpoint.records, folder)
         return engine
 
-    return checked(work), found
+    return checked(work), checkpoint
 
 
 def _check_files(files: ProgramFiles, folder: Path) -> None:

@@ -1,8 +1,9 @@
 """Deployments: the rules, clauses and other items of a program, and the part that one folder has created.
 
 A deployment (Esper's term for everything that one load has created) is the difference between two states of the
-program: `standing` reads all items, and `Deployment.since` subtracts an earlier state. A reload replaces exactly the
-items of the folder's deployment. In a saved state, items are referred to by their positions in the program's lists.
+program: `current_deployment` reads all items, and `Deployment.since` subtracts an earlier state. A reload replaces
+exactly the items of the folder's deployment. In a saved state, items are referred to by their positions in the
+program's lists.
 """
 
 from pathlib import Path
@@ -62,17 +63,20 @@ class Deployment(NamedTuple):
         """Return the items that were added after an earlier state."""
         # Items are compared by identity, not by equality: an item that was deleted and defined again is a new one.
         rules, files = set(before.rules), before.files
-        clauses = {one: _without(found, before.clauses.get(one, ())) for one, found in self.clauses.items()}
+        clauses = {
+            predicate: _without(clause_list, before.clauses.get(predicate, ()))
+            for predicate, clause_list in self.clauses.items()
+        }
         properties = {
-            key: [one for one in found if one not in before.properties.get(key, ())]
-            for key, found in self.properties.items()
+            key: [item for item in items if item not in before.properties.get(key, ())]
+            for key, items in self.properties.items()
         }
         return Deployment(
             [rule for rule in self.rules if rule not in rules],
-            {one: found for one, found in clauses.items() if found},
+            {predicate: clause_list for predicate, clause_list in clauses.items() if clause_list},
             _new_in(self.memories, before.memories),
             _new_in(self.subscriptions, before.subscriptions),
-            {key: found for key, found in properties.items() if found},
+            {key: items for key, items in properties.items() if items},
             {name: value for name, value in self.flags.items() if value != before.flags[name]},
             self.dynamic - before.dynamic,
             self.replaced - before.replaced,
@@ -81,22 +85,25 @@ class Deployment(NamedTuple):
             _new_in(self.states, before.states),
         )
 
-    def and_then(self, other: "Deployment") -> "Deployment":
+    def and_then(self, later: "Deployment") -> "Deployment":
         """Return the union of this deployment and a later one."""
-        clauses = {one: [*self.clauses.get(one, ()), *found] for one, found in other.clauses.items()}
-        properties = {key: [*self.properties.get(key, ()), *found] for key, found in other.properties.items()}
+        clauses = {
+            predicate: [*self.clauses.get(predicate, ()), *clause_list]
+            for predicate, clause_list in later.clauses.items()
+        }
+        properties = {key: [*self.properties.get(key, ()), *items] for key, items in later.properties.items()}
         return Deployment(
-            [*self.rules, *other.rules],
+            [*self.rules, *later.rules],
             {**self.clauses, **clauses},
-            {**self.memories, **other.memories},
-            {**self.subscriptions, **other.subscriptions},
+            {**self.memories, **later.memories},
+            {**self.subscriptions, **later.subscriptions},
             {**self.properties, **properties},
-            {**self.flags, **other.flags},
-            self.dynamic | other.dynamic,
-            self.replaced | other.replaced,
-            self.files | other.files,
-            {**self.timers, **other.timers},
-            {**self.states, **other.states},
+            {**self.flags, **later.flags},
+            self.dynamic | later.dynamic,
+            self.replaced | later.replaced,
+            self.files | later.files,
+            {**self.timers, **later.timers},
+            {**self.states, **later.states},
         )
 
 
@@ -104,12 +111,12 @@ NOTHING = Deployment([], {}, {}, {}, {}, {}, set(), set(), set(), {}, {})
 """The empty deployment."""
 
 
-def standing(logic: PrologSystem, rules: RuleBase, knowledge: KnowledgeBase) -> Deployment:
+def current_deployment(logic: PrologSystem, rules: RuleBase, knowledge: KnowledgeBase) -> Deployment:
     """Return all items of an engine's program."""
     database = logic.database
     # A tabled predicate is wrapped; its clauses belong to the inner predicate.
-    found = [one.tabled or one for one in list(database.predicates.values())]
-    own = [one for one in found if one.kind == "user" and not one.library]
+    predicates = [predicate.tabled or predicate for predicate in list(database.predicates.values())]
+    own = [predicate for predicate in predicates if predicate.kind == "user" and not predicate.library]
     return Deployment(
         rules.rules,
         {predicate: list(predicate.live()) for predicate in own},
@@ -117,10 +124,10 @@ def standing(logic: PrologSystem, rules: RuleBase, knowledge: KnowledgeBase) -> 
         dict(knowledge.subscriptions.items()),
         rules.all_properties(),
         {name: rules.flags.get(name) for name in rules.flags.names()},
-        {one for one in found if one.dynamic and not one.library},
+        {predicate for predicate in predicates if predicate.dynamic and not predicate.library},
         set(database.library.kept),
         set(rules.files.loaded),
-        rules.timers.standing(),
+        rules.timers.all_by_key(),
         knowledge.states.standing(),
     )
 
@@ -138,16 +145,16 @@ def paired(
     # In reverse order, so that `pop` returns the first of several equal rules.
     for rule in reversed(old):
         waiting.setdefault(key(rule), []).append(rule)
-    found: List[Tuple[EventRule, EventRule]] = []
+    pairs: List[Tuple[EventRule, EventRule]] = []
     for rule in new:
-        same = waiting.get(key(rule))
-        if same:
-            found.append((rule, same.pop()))
-    return dict(found)
+        equal_rules = waiting.get(key(rule))
+        if equal_rules:
+            pairs.append((rule, equal_rules.pop()))
+    return dict(pairs)
 
 
-def _without(clauses: List[Clause], others: Sequence[Clause]) -> List[Clause]:
-    known = set(others)
+def _without(clauses: List[Clause], excluded: Sequence[Clause]) -> List[Clause]:
+    known = set(excluded)
     return [clause for clause in clauses if clause not in known]
 
 
@@ -155,57 +162,66 @@ Item = TypeVar("Item")
 
 
 def _new_in(items: Dict[ItemKey, Item], before: Dict[ItemKey, Item]) -> Dict[ItemKey, Item]:
-    return {key: one for key, one in items.items() if before.get(key) is not one}
+    return {key: item for key, item in items.items() if before.get(key) is not item}
 
 
-def keep_standings(
+def save_deployments(
     programs: Dict[str, Deployment], logic: PrologSystem, knowledge: KnowledgeBase, named: List[EventRule]
 ) -> Dict[str, Any]:
     """Return the deployments as data for a saved state."""
-    rules = {id(rule): at for at, rule in enumerate(named)}
+    rules = {id(rule): position for position, rule in enumerate(named)}
     predicates = program_predicates(logic)
-    clauses = {id(one): at for found in predicates for at, one in enumerate(found.live())}
-    memories = {id(one): at for at, one in enumerate(knowledge.memories)}
-    subscriptions = {id(one): at for at, (_, one) in enumerate(knowledge.subscriptions.items())}
-    states = {id(one): at for at, one in enumerate(knowledge.states)}
+    clauses = {
+        id(clause): position for predicate in predicates for position, clause in enumerate(predicate.live())
+    }
+    memories = {id(memory): position for position, memory in enumerate(knowledge.memories)}
+    subscriptions = {
+        id(subscription): position
+        for position, (_, subscription) in enumerate(knowledge.subscriptions.items())
+    }
+    states = {id(state): position for position, state in enumerate(knowledge.states)}
     return {
         folder: {
-            "rules": [rules[id(rule)] for rule in made.rules if id(rule) in rules],
+            "rules": [rules[id(rule)] for rule in deployment.rules if id(rule) in rules],
             "clauses": [
-                (one.functor, [clauses[id(clause)] for clause in found if id(clause) in clauses])
+                (predicate.functor, [clauses[id(clause)] for clause in clause_list if id(clause) in clauses])
                 # A retracted clause has no position any more. It is saved in full, because a reload compares the
                 # clauses that it has loaded with those that still exist, see `ReloadTransaction._leave_retracted`.
-                for one, found in made.clauses.items()
+                for predicate, clause_list in deployment.clauses.items()
             ],
             "retracted": [
                 (
-                    one.functor,
+                    predicate.functor,
                     [
                         (clause.head, clause.body, clause.place)
-                        for clause in found
+                        for clause in clause_list
                         if id(clause) not in clauses
                     ],
                 )
-                for one, found in made.clauses.items()
+                for predicate, clause_list in deployment.clauses.items()
             ],
-            "memories": [memories[id(one)] for one in made.memories.values() if id(one) in memories],
+            "memories": [
+                memories[id(memory)] for memory in deployment.memories.values() if id(memory) in memories
+            ],
             "subscriptions": [
-                subscriptions[id(one)] for one in made.subscriptions.values() if id(one) in subscriptions
+                subscriptions[id(subscription)]
+                for subscription in deployment.subscriptions.values()
+                if id(subscription) in subscriptions
             ],
-            "properties": [one for found in made.properties.values() for one in found],
-            "flags": made.flags,
-            "dynamic": [one.functor for one in made.dynamic],
-            "replaced": list(made.replaced),
-            "files": sorted(map(str, made.files)),
-            "declared": [states[id(one)] for one in made.states.values() if id(one) in states],
-            "timers": [(one.event, one.schedule.term) for one in made.timers.values()],
+            "properties": [item for items in deployment.properties.values() for item in items],
+            "flags": deployment.flags,
+            "dynamic": [predicate.functor for predicate in deployment.dynamic],
+            "replaced": list(deployment.replaced),
+            "files": sorted(map(str, deployment.files)),
+            "declared": [states[id(state)] for state in deployment.states.values() if id(state) in states],
+            "timers": [(timer.event, timer.schedule.term) for timer in deployment.timers.values()],
         }
-        for folder, made in programs.items()
+        for folder, deployment in programs.items()
     }
 
 
-def restore_standings(
-    kept: Dict[str, Any],
+def restore_deployments(
+    state: Dict[str, Any],
     logic: PrologSystem,
     knowledge: KnowledgeBase,
     timers: Timers,
@@ -218,42 +234,46 @@ def restore_standings(
     memories = list(knowledge.memories.instances.items())
     subscriptions = knowledge.subscriptions.items()
     states = list(knowledge.states.standing().items())
-    found = {}
-    for folder, made in kept.items():
+    deployments = {}
+    for folder, saved in state.items():
         properties: Dict[Hashable, List[Property]] = {}
-        for one in made["properties"]:
-            properties.setdefault(term_key(one.label), []).append(one)
-        found[folder] = Deployment(
-            [named[at] for at in made["rules"]],
-            _clauses(logic, made),
-            dict(memories[at] for at in made["memories"]),
-            dict(subscriptions[at] for at in made["subscriptions"]),
+        for item in saved["properties"]:
+            properties.setdefault(term_key(item.label), []).append(item)
+        deployments[folder] = Deployment(
+            [named[position] for position in saved["rules"]],
+            _clauses(logic, saved),
+            dict(memories[position] for position in saved["memories"]),
+            dict(subscriptions[position] for position in saved["subscriptions"]),
             properties,
-            made["flags"],
-            {_predicate(logic, functor) for functor in made["dynamic"]},
-            set(made["replaced"]),
-            set(map(Path, made["files"])),
-            {one.key: one for one in (timers.find(*said) for said in made["timers"]) if one is not None},
-            dict(states[at] for at in made["declared"]),
+            saved["flags"],
+            {_predicate(logic, functor) for functor in saved["dynamic"]},
+            set(saved["replaced"]),
+            set(map(Path, saved["files"])),
+            {
+                timer.key: timer
+                for timer in (timers.find(*key) for key in saved["timers"])
+                if timer is not None
+            },
+            dict(states[position] for position in saved["declared"]),
         )
-    return found
+    return deployments
 
 
 def _predicate(logic: PrologSystem, functor: Functor) -> Predicate:
-    found = logic.database.predicate(functor)
-    return found.tabled or found
+    predicate = logic.database.predicate(functor)
+    return predicate.tabled or predicate
 
 
-def _clauses(logic: PrologSystem, made: Dict[str, Any]) -> Dict[Predicate, List[Clause]]:
+def _clauses(logic: PrologSystem, saved: Dict[str, Any]) -> Dict[Predicate, List[Clause]]:
     """Return a deployment's clauses by predicate: existing clauses first, then retracted ones."""
     clauses: Dict[Predicate, List[Clause]] = {}
-    for key, places in made["clauses"]:
+    for key, positions in saved["clauses"]:
         predicate = _predicate(logic, key)
         live = list(predicate.live())
-        clauses[predicate] = [live[at] for at in places]
-    for key, gone in made["retracted"]:
+        clauses[predicate] = [live[position] for position in positions]
+    for key, retracted in saved["retracted"]:
         predicate = _predicate(logic, key)
-        for head, body, place in gone:
+        for head, body, place in retracted:
             clause = Clause(predicate, head, body, place)
             # Marked as dead from the beginning, so that no goal sees the clause.
             clause.died = 0

@@ -174,7 +174,7 @@ class Engine:
         )
         declared = self.rules.declared
         self._files = self.rules.files
-        self._files.door.allow(
+        self._files.sandbox.allow(
             settings.folders, settings.write_folders, settings.max_file_megabytes * MEGABYTE
         )
         self.knowledge = KnowledgeBase(
@@ -431,7 +431,7 @@ class Engine:
             term, names = read.term, read.names
         else:
             term = goal
-            names = {f"_{at}": var for at, var in enumerate(variables(goal))}
+            names = {f"_{position}": var for position, var in enumerate(variables(goal))}
         return self.do(lambda: self._solutions(term, names, most), term)
 
     def do(self, work: Callable[[], Result], what: Term = REQUEST) -> Result:
@@ -621,10 +621,10 @@ class Engine:
 
         # Both steps in one exclusive call: no other thread can delete the memory between them.
         def work() -> bool:  # nobody deletes it in between
-            found = self.has_memory(name)
-            if found:
+            existed = self.has_memory(name)
+            if existed:
                 self._achieve((DELETE_MEMORY, name))
-            return found
+            return existed
 
         return self.executor.call(lambda: self.dispatcher.undisturbed(work), (REQUEST,))
 
@@ -732,15 +732,15 @@ class Engine:
         Raises:
             UsageError: if the data is not a snapshot, is damaged, or has another format version.
         """
-        found = checked(lambda: unpack(data))
-        sections = checked(lambda: decoded(found))
+        encoded = checked(lambda: unpack(data))
+        sections = checked(lambda: decoded(encoded))
 
         def work() -> Made:
             engine = cls(clock or clock_for(sections["run"]), settings, reports, definitions)
             if foreign:
                 engine.add_foreign(*foreign)
-            records = [[read_records(data)] for name, data in found.items() if name.startswith("memory ")]
-            EngineSnapshot(engine).take_up(sections, records, folder)
+            records = [[read_records(data)] for name, data in encoded.items() if name.startswith("memory ")]
+            EngineSnapshot(engine).restore(sections, records, folder)
             return engine
 
         return checked(work)
@@ -761,9 +761,9 @@ class Engine:
             UsageError: if a function is not decorated, or a module has no decorated function.
             PrologError: if a system predicate has the same name.
         """
-        found = self.executor.call(lambda: define_foreign(self.logic, self.executor, *sources))
+        functors = self.executor.call(lambda: define_foreign(self.logic, self.executor, *sources))
         self._foreign.append(sources)
-        return found
+        return functors
 
     # ---- implementation ----
 
@@ -826,17 +826,17 @@ class Engine:
         )
 
     def _solutions(self, term: Term, names: Dict[str, Var], most: Optional[int]) -> List[Dict[str, Term]]:
-        found: List[Dict[str, Term]] = []
+        results: List[Dict[str, Term]] = []
         with closing(self.logic.solutions(term)) as solutions:
             for _ in solutions:
                 # Values are copied before the next solution undoes their bindings. The dictionary keeps a variable
                 # that occurs in two values one variable. The copies count against the memory limit of the goal.
                 shared: Dict[Var, Term] = {}
                 with self.logic.machine.budget.watching():
-                    found.append({name: copy(value, shared) for name, value in names.items()})
-                if most is not None and len(found) >= most:
+                    results.append({name: copy(value, shared) for name, value in names.items()})
+                if most is not None and len(results) >= most:
                     break
-        return found
+        return results
 
     def _achieve(self, goal: Term) -> None:
         """Call a goal that must succeed."""

@@ -28,7 +28,7 @@ from ..serialization.memory_state import (
 )
 from ..serialization.network_state import keep_matches, keep_rules, restore_matches, restore_rules
 from ..serialization.state_sections import SECTIONS, read_section
-from .deployment import keep_standings, restore_standings
+from .deployment import restore_deployments, save_deployments
 from .event_input import AskedTopic
 from .runtime.clock import StreamClock
 
@@ -51,7 +51,6 @@ class EngineSnapshot:
 
     def __init__(self, engine: "Engine"):
         self._engine = engine
-        self._parts = engine
         self._signature: Any = None
 
     def take(self, whole: bool = True) -> Sections:
@@ -63,18 +62,18 @@ class EngineSnapshot:
         Raises:
             UsageError: if an event or goal is active.
         """
-        engine, parts = self._engine, self._parts
-        logic, rules, knowledge = parts.logic, parts.rules, parts.knowledge
+        engine = self._engine
+        logic, rules, knowledge = engine.logic, engine.rules, engine.knowledge
         # In the middle of a goal, choice points and bindings on the trail would belong to the state.
-        if parts.dispatcher.current is not None or logic.machine.choices:
-            raise UsageError("a goal or callback of an engine cannot have its state taken")
+        if engine.dispatcher.current is not None or logic.machine.choices:
+            raise UsageError("a goal or callback of an engine cannot take a snapshot of it")
         matches, named = keep_matches(rules, knowledge, engine.clock, rules.rules)
         run = {
             "clock": engine.clock.kept(),
-            "followed": parts.event_input.followed is not None,
-            "taken": parts.event_input.taken,
-            "dropped": parts.executor.dropped,
-            "tokens": parts.dispatcher.tokens,
+            "followed": engine.event_input.followed is not None,
+            "taken": engine.event_input.taken,
+            "dropped": engine.executor.dropped,
+            "tokens": engine.dispatcher.tokens,
             "sent": keep_sent(knowledge),
         }
         sections = {"values": tuple(keep_values(logic)), "matches": matches, "run": run}
@@ -90,14 +89,14 @@ class EngineSnapshot:
 
     def _sign(self, named: List[EventRule]) -> object:
         """Return a value that changes whenever the program changes."""
-        parts = self._parts
-        rules, knowledge = parts.rules, parts.knowledge
+        engine = self._engine
+        rules, knowledge = engine.rules, engine.knowledge
         # Lists of objects are compared by identity: definitions are immutable, so a change replaces an object. The
         # objects stay referenced by the signature, so no new object can get the address of an old one.
         return (
-            parts.logic.database.changes,
-            len(parts.logic.database.predicates),
-            list(parts.logic.operators),
+            engine.logic.database.changes,
+            len(engine.logic.database.predicates),
+            list(engine.logic.operators),
             [rule.serial for rule in named],
             len(rules.rules),
             rules.all_properties(),
@@ -105,36 +104,36 @@ class EngineSnapshot:
             list(knowledge.memories),
             knowledge.subscriptions.items(),
             list(knowledge.states),
-            parts.input_topics.kept(),
-            dict(parts.slots.events),
+            engine.input_topics.kept(),
+            dict(engine.slots.events),
             set(rules.files.loaded),
-            rules.files.door.own,
-            list(parts.logic.foreign_modules),
-            list(parts.logic.swi_files),
-            sorted(parts.deployments),
-            list(parts.deployments.values()),
+            rules.files.sandbox.own,
+            list(engine.logic.foreign_modules),
+            list(engine.logic.swi_files),
+            sorted(engine.deployments),
+            list(engine.deployments.values()),
         )
 
     def _program(self, named: List[EventRule]) -> Sections:
-        parts = self._parts
-        knowledge = parts.knowledge
+        engine = self._engine
+        knowledge = engine.knowledge
         return {
-            "network": keep_rules(parts.rules, named),
+            "network": keep_rules(engine.rules, named),
             "memories": keep_memories(knowledge),
             "subscriptions": keep_subscriptions(knowledge),
-            "declared": [one.form.term for one in knowledge.states],
-            "standings": keep_standings(parts.deployments, parts.logic, knowledge, named),
-            "topics": [tuple(one) for one in parts.input_topics.kept()],
-            "events": dict(parts.slots.events),
-            "foreign": list(parts.logic.foreign_modules),
-            "swi": [tuple(one) for one in parts.logic.swi_files.values()],
+            "declared": [state.form.term for state in knowledge.states],
+            "standings": save_deployments(engine.deployments, engine.logic, knowledge, named),
+            "topics": [tuple(item) for item in engine.input_topics.kept()],
+            "events": dict(engine.slots.events),
+            "foreign": list(engine.logic.foreign_modules),
+            "swi": [tuple(item) for item in engine.logic.swi_files.values()],
         }
 
     def records(self) -> List[Any]:
         """Return the records of each memory."""
-        return [keep_records(new_records(instance)) for instance in self._parts.knowledge.memories]
+        return [keep_records(new_records(instance)) for instance in self._engine.knowledge.memories]
 
-    def take_up(self, sections: Sections, records: Sequence[Sequence[Any]], folder: Optional[Path]) -> None:
+    def restore(self, sections: Sections, records: Sequence[Sequence[Any]], folder: Optional[Path]) -> None:
         """Restore a state into a new engine.
 
         Args:
@@ -145,18 +144,18 @@ class EngineSnapshot:
         Raises:
             RetalisError: the reason why the state cannot be restored.
         """
-        self._parts.executor.call(lambda: self._take_up(sections, records, folder))
+        self._engine.executor.call(lambda: self._restore(sections, records, folder))
 
-    def _take_up(self, sections: Sections, records: Sequence[Sequence[Any]], folder: Optional[Path]) -> None:
-        engine, parts = self._engine, self._parts
-        logic, rules, knowledge = parts.logic, parts.rules, parts.knowledge
+    def _restore(self, sections: Sections, records: Sequence[Sequence[Any]], folder: Optional[Path]) -> None:
+        engine = self._engine
+        logic, rules, knowledge = engine.logic, engine.rules, engine.knowledge
         program, run = sections["program"], sections["run"]
         # The order matters: event types and foreign predicates are needed to compile clauses, clauses to compile
         # rules, rules and memories to restore partial matches and records, and all of them to refer to items by
         # position.
-        parts.slots.events.update(program["events"])
+        engine.slots.events.update(program["events"])
         self._load_foreign(program["foreign"], folder)
-        self._load_swi([SwiFile(*one) for one in program.get("swi", ())], folder)
+        self._load_swi([SwiFile(*item) for item in program.get("swi", ())], folder)
         restore_logic(logic, KeptLogic(*sections["clauses"]))
         restore_values(logic, KeptValues(*sections["values"]))
         with logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
@@ -169,25 +168,25 @@ class EngineSnapshot:
             raise UsageError("there are not as many subscriptions as counts of what they have sent")
         if len(memories) != len(records):
             raise UsageError("there are not as many memories as records of them")
-        for instance, found in zip(memories, records):
-            restore_records(instance, found)
+        for instance, batches in zip(memories, records):
+            restore_records(instance, batches)
         restore_matches(rules, knowledge, engine.clock, sections["matches"], named)
         rules.files.loaded = set(map(Path, program["network"]["loaded"]))
         # Each event checks the flag before it looks up a declaration; here it is not known whether there are any.
         rules.declared.in_use = True  # what is there is looked at with the first event
-        parts.deployments.update(
-            restore_standings(program["standings"], logic, knowledge, rules.timers, named)
+        engine.deployments.update(
+            restore_deployments(program["standings"], logic, knowledge, rules.timers, named)
         )
-        parts.input_topics.restore(AskedTopic(*one) for one in program["topics"])
+        engine.input_topics.restore(AskedTopic(*item) for item in program["topics"])
         # Last, because adding rules and timers above may read the clock or set alarms.
         engine.clock.restore(run["clock"])
-        parts.event_input.taken = run["taken"]
-        parts.executor.dropped = run["dropped"]
-        parts.dispatcher.tokens = run["tokens"]
+        engine.event_input.taken = run["taken"]
+        engine.executor.dropped = run["dropped"]
+        engine.dispatcher.tokens = run["tokens"]
 
     def _load_foreign(self, modules: Sequence[str], folder: Optional[Path]) -> None:
         """Load the Python modules of the program again; they must be in its folder."""
-        engine, parts = self._engine, self._parts
+        engine = self._engine
         for name in modules:
             # The state is data from outside: it must not make the engine execute a module that the settings or the
             # location would not allow.
@@ -200,27 +199,25 @@ class EngineSnapshot:
                 raise UsageError(
                     f"the program has loaded Python from {name}, which is not in a folder of its own"
                 )
-            files = parts.rules.files
+            files = engine.rules.files
             with files.loading(folder):
-                define_foreign(parts.logic, parts.executor, load_module(name, files))
-            parts.logic.foreign_modules[name] = None
+                define_foreign(engine.logic, engine.executor, load_module(name, files))
+            engine.logic.foreign_modules[name] = None
 
-    def _load_swi(self, found: Sequence[SwiFile], folder: Optional[Path]) -> None:
+    def _load_swi(self, files: Sequence[SwiFile], folder: Optional[Path]) -> None:
         """Make SWI-Prolog load the files of the program again; they must be in its folder."""
-        engine, parts = self._engine, self._parts
-        for one in found:
+        engine = self._engine
+        for file in files:
             if not engine.settings.allow_swi:
-                raise UsageError(f"the program has SWI-Prolog load {one.name}: the setting allow_swi is off")
-            if one.is_path and (folder is None or folder.resolve() not in Path(one.name).resolve().parents):
+                raise UsageError(f"the program has SWI-Prolog load {file.name}: the setting allow_swi is off")
+            if file.is_path and (folder is None or folder.resolve() not in Path(file.name).resolve().parents):
                 raise UsageError(
-                    f"the program has SWI-Prolog load {one.name}, which is not in a folder of its own"
+                    f"the program has SWI-Prolog load {file.name}, which is not in a folder of its own"
                 )
-            with parts.rules.files.loading(folder):
-                use_swi(parts.logic, one, parts.reports.warning)
-            text = (
-                f"SWI-Prolog has loaded {one.name}, and knows nothing of what its clauses had asserted before"
-            )
-            parts.reports.warning(text, ("swi", one.name))
+            with engine.rules.files.loading(folder):
+                use_swi(engine.logic, file, engine.reports.warning)
+            text = f"SWI-Prolog has loaded {file.name} again: facts that its clauses had asserted are not restored"
+            engine.reports.warning(text, ("swi", file.name))
 
 
 def clock_for(run: Dict[str, Any]) -> Optional[StreamClock]:
@@ -230,17 +227,19 @@ def clock_for(run: Dict[str, Any]) -> Optional[StreamClock]:
 
 def coded(sections: Sections, records: Sequence[Any]) -> Dict[str, bytes]:
     """Return sections and records as bytes by name."""
-    made = {name: to_bytes(data) for name, data in sections.items()}
-    made.update({f"memory {at}": to_bytes(one) for at, one in enumerate(records)})
-    return made
+    encoded = {name: to_bytes(data) for name, data in sections.items()}
+    encoded.update({f"memory {position}": to_bytes(data) for position, data in enumerate(records)})
+    return encoded
 
 
-def decoded(found: Dict[str, bytes]) -> Sections:
+def decoded(encoded: Dict[str, bytes]) -> Sections:
     """Return the decoded sections, without records."""
-    missing = SECTIONS.keys() - found.keys()
+    missing = SECTIONS.keys() - encoded.keys()
     if missing:
         raise UsageError(f"the state is damaged: it has no section {', '.join(sorted(missing))}")
-    return {name: read_section(name, data) for name, data in found.items() if not name.startswith("memory ")}
+    return {
+        name: read_section(name, data) for name, data in encoded.items() if not name.startswith("memory ")
+    }
 
 
 def checked(work: Callable[[], Result]) -> Result:

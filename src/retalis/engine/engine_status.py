@@ -275,7 +275,7 @@ def as_json(value: Any) -> Json:
 
 
 _Item = TypeVar("_Item")
-_Told = TypeVar("_Told")
+_Record = TypeVar("_Record")
 
 _Text = Callable[[Term, Optional[Mapping[Var, str]]], str]
 """A function that returns the beginning of a term's text, given names of its variables if they are known."""
@@ -310,7 +310,7 @@ class StatusReader:
     """
 
     def __init__(self, seen: EngineView):
-        self._seen = seen
+        self._view = seen
         self._texts: _ShownTexts = {}
 
     def read(self, most: int) -> Status:
@@ -319,7 +319,7 @@ class StatusReader:
         Args:
             most: limit for the listed items of each kind.
         """
-        seen = self._seen
+        seen = self._view
         texts: _ShownTexts = {}
         text = self._writer(texts)
         show = seen.logic.brief
@@ -352,31 +352,31 @@ class StatusReader:
     def held_records(self) -> int:
         """Return the number of partial matches and of records in memories."""
         # Called during garbage collections, so it adds up counters and does not visit records.
-        memories = [instance.memory for instance in list(self._seen.knowledge.memories)]
-        return self._seen.rules.waiting + sum(min(len(memory.ends), memory.size) for memory in memories)
+        memories = [instance.memory for instance in list(self._view.knowledge.memories)]
+        return self._view.rules.waiting + sum(min(len(memory.ends), memory.size) for memory in memories)
 
     # `ends` is longer than `size` until the next removal of old records, which happens in blocks.
     def _work(self) -> Optional[Work]:
-        held = self._seen.watchdog.held(time.monotonic())
-        if held is None:
+        running = self._view.watchdog.held(time.monotonic())
+        if running is None:
             return None
-        entry, seconds = held
-        found = at_work(self._seen.logic, self._seen.dispatcher, entry)
-        place = "" if found.place is None else str(found.place)
-        return Work(found.entry, round(seconds, 3), found.goal, found.event, place)
+        entry, seconds = running
+        work = at_work(self._view.logic, self._view.dispatcher, entry)
+        place = "" if work.place is None else str(work.place)
+        return Work(work.entry, round(seconds, 3), work.goal, work.event, place)
 
     def _writer(self, texts: _ShownTexts) -> _Text:
         """Return a function that converts terms to text with a cache, and stores the used texts in ``texts``."""
-        known, show = self._texts, self._seen.logic.brief
+        known, show = self._texts, self._view.logic.brief
 
         def write(term: Term, names: Optional[Mapping[Var, str]] = None) -> str:
             # The cached tuple holds a reference to the term, so its id cannot be reused for another term.
             key = id(term)  # the term is kept beside its text, so nothing else has its id
-            found = known.get(key)
-            if found is None:
-                found = term, show(term, {**_letters(term), **(names or {})})
-            texts[key] = found
-            return found[1]
+            entry = known.get(key)
+            if entry is None:
+                entry = term, show(term, {**_variable_names(term), **(names or {})})
+            texts[key] = entry
+            return entry[1]
 
         return write
 
@@ -387,32 +387,32 @@ def _next_alarm(clock: Clock) -> Optional[int]:
     return None if instant is None or instant <= BEGIN else instant
 
 
-def _letters(term: Term) -> Dict[Var, str]:
+def _variable_names(term: Term) -> Dict[Var, str]:
     """Return names for the variables of a term: ``_`` for those that occur once, else ``X1``, ``X2`` and so on."""
-    times: Dict[Var, int] = {}
+    counts: Dict[Var, int] = {}
     # An explicit stack, because a term that is built at run time can be deeper than Python's recursion limit.
-    left: List[Any] = [term]
-    while left:
-        part = deref(left.pop())
+    pending: List[Any] = [term]
+    while pending:
+        part = deref(pending.pop())
         if part.__class__ is Var:
-            times[part] = times.get(part, 0) + 1
+            counts[part] = counts.get(part, 0) + 1
         elif part.__class__ is tuple:
-            left.extend(reversed(part[1:]))
-    shared = [var for var, number in times.items() if number > 1]
-    return {**dict.fromkeys(times, "_"), **{var: f"X{at}" for at, var in enumerate(shared, 1)}}
+            pending.extend(reversed(part[1:]))
+    shared = [var for var, number in counts.items() if number > 1]
+    return {**dict.fromkeys(counts, "_"), **{var: f"X{position}" for position, var in enumerate(shared, 1)}}
 
 
 def _rules(
     rules: RuleBase, text: _Text, show: Callable[[Term], str], most: int
 ) -> Tuple[Tuple[RuleStatus, ...], int]:
     """Return the status of rules, and the number of rules that are not listed: those with the fewest errors."""
-    found = rules.rules
-    if len(found) > most:
+    listed = rules.rules
+    if len(listed) > most:
         # The sort is stable, so rules without errors keep their order, and the result is in order of the rules again.
-        chosen = set(sorted(found, key=lambda rule: -rule.firings.errors)[: max(0, most)])
-        found = [rule for rule in found if rule in chosen]
+        chosen = set(sorted(listed, key=lambda rule: -rule.firings.errors)[: max(0, most)])
+        listed = [rule for rule in listed if rule in chosen]
 
-    def told(rule: Any) -> RuleStatus:
+    def status_of(rule: Any) -> RuleStatus:
         firings = rule.firings
         return RuleStatus(
             "" if rule.label is None else show(rule.label),
@@ -427,7 +427,7 @@ def _rules(
             rule.bytes,
         )
 
-    return tuple([told(rule) for rule in found]), len(rules.rules) - len(found)
+    return tuple([status_of(rule) for rule in listed]), len(rules.rules) - len(listed)
 
 
 def _memories(
@@ -435,7 +435,7 @@ def _memories(
 ) -> Tuple[Tuple[MemoryStatus, ...], int]:
     """Return the status of memories, and the number of memories that are not listed."""
 
-    def told(instance: Any) -> MemoryStatus:
+    def status_of(instance: Any) -> MemoryStatus:
         memory = instance.memory
         # The list only grows; removal of records replaces it. So `ends` and the length read here belong together even
         # while the engine adds records.
@@ -452,7 +452,7 @@ def _memories(
             ends[number - 1] if number else None,
         )
 
-    return _some(list(knowledge.memories), told, most)
+    return _first_items(list(knowledge.memories), status_of, most)
 
 
 def _subscriptions(
@@ -460,15 +460,20 @@ def _subscriptions(
 ) -> Tuple[Tuple[SubscriptionStatus, ...], int]:
     """Return the status of subscriptions, and the number of subscriptions that are not listed."""
 
-    def told(item: Any) -> SubscriptionStatus:
-        (topic, _), one = item
-        pattern, rate = one.definition[1], one.rate
+    def status_of(item: Any) -> SubscriptionStatus:
+        (topic, _), subscription = item
+        pattern, rate = subscription.definition[1], subscription.rate
         late, dropped = (0, 0) if rate is None else (rate.late, rate.dropped)
         return SubscriptionStatus(
-            beginning(topic), show(one.id), text(pattern, None), one.tally.sent, late, dropped
+            beginning(topic),
+            show(subscription.id),
+            text(pattern, None),
+            subscription.tally.sent,
+            late,
+            dropped,
         )
 
-    return _some(knowledge.subscriptions.items(), told, most)
+    return _first_items(knowledge.subscriptions.items(), status_of, most)
 
 
 def _waiting(
@@ -476,8 +481,8 @@ def _waiting(
 ) -> Tuple[Tuple[WaitingStatus, ...], int]:
     """Return the status of pending queries, and the number of queries that are not listed."""
 
-    def told(one: Any) -> WaitingStatus:
-        _, asked, values, _, end, missing = one
+    def status_of(query: Any) -> WaitingStatus:
+        _, asked, values, _, end, missing = query
         awaited = [
             AwaitedMemory(show(instance.id), int(instant), _behind(instance, instant))
             for instance, instant in tuple(missing)
@@ -486,7 +491,7 @@ def _waiting(
         listed = tuple(awaited[:MAX_AWAITED_LISTED])
         return WaitingStatus(show(asked.event(values)), int(end), listed, len(awaited) - len(listed))
 
-    return _some(knowledge.waiting.all(), told, most)
+    return _first_items(knowledge.waiting.all(), status_of, most)
 
 
 def _behind(instance: Any, instant: int) -> Optional[int]:
@@ -494,7 +499,9 @@ def _behind(instance: Any, instant: int) -> Optional[int]:
     return None if newest is None else max(0, int(instant) - newest)
 
 
-def _some(found: Sequence[_Item], told: Callable[[_Item], _Told], most: int) -> Tuple[Tuple[_Told, ...], int]:
+def _first_items(
+    items: Sequence[_Item], convert: Callable[[_Item], _Record], most: int
+) -> Tuple[Tuple[_Record, ...], int]:
     """Return the status of the first items, and the number of items that are not listed."""
-    chosen = found[: max(0, most)]
-    return tuple([told(one) for one in chosen]), len(found) - len(chosen)
+    chosen = items[: max(0, most)]
+    return tuple([convert(item) for item in chosen]), len(items) - len(chosen)

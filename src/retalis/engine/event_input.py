@@ -74,7 +74,7 @@ class EventInput:
             # The common case, in which no alarm is due and time did not go back, takes one call.
             start = self._clock.stamp_at_once()
             if start is None:
-                start = self._stamp_after_alarms(term)
+                start = self._present_after_alarms(term)
             end = start
         elif end < start:
             raise UsageError(f"{self._logic.brief(term)} ends before it starts")
@@ -90,7 +90,7 @@ class EventInput:
         if instant is None:
             stamp = self._clock.stamp_at_once()
             if stamp is None:
-                stamp = self._stamp_after_alarms(term)
+                stamp = self._present_after_alarms(term)
         else:
             stamp = WholeSeconds(instant)  # the form in which the converter writes it
             followed = self.followed
@@ -99,7 +99,7 @@ class EventInput:
         self.taken += 1
         self._serve(term, stamp, stamp, True)
 
-    def _stamp_after_alarms(self, term: Term) -> int:
+    def _present_after_alarms(self, term: Term) -> int:
         """Run the alarms that are due and return the present time for an event.
 
         Raises:
@@ -112,7 +112,7 @@ class EventInput:
                 "and the clock of the engine was never set: "
                 "give the event a time, or the engine the computer's clock with Engine(clock=Clock())"
             )
-        return clock.stamp(self._look_at_clock())
+        return clock.stamp(self._process_clock())
 
     def _move_clock(self, instant: int) -> None:
         """Move the clock to the time of an event and run the alarms that are due."""
@@ -121,9 +121,9 @@ class EventInput:
             # Reading the clock first detects that its owner has set it back; `move_to` would hide that.
             followed.now()
             followed.move_to(instant)
-        self._look_at_clock()
+        self._process_clock()
 
-    def _look_at_clock(self) -> int:
+    def _process_clock(self) -> int:
         """Read the clock, run the alarms that are due, and return the time."""
         clock = self._clock
         now = clock.now()
@@ -202,10 +202,10 @@ class InputTopics:
         self._logic = logic
         self._slots = slots
         self._reports = reports
-        self._subscribe: Subscribe = self._nobody
+        self._subscribe: Subscribe = self._warn_unsubscribed
         self._plain: Callable[[str], str] = by_name
-        self._taken: Dict[str, AskedTopic] = {}
-        self._asked: List[AskedTopic] = []
+        self._subscribed: Dict[str, AskedTopic] = {}
+        self._requests: List[AskedTopic] = []
         for arity in (2, 3):
             logic.define("subscribe_to", arity, self._goal)
 
@@ -227,62 +227,67 @@ class InputTopics:
         self._subscribe = subscribe
         self._plain = plain
         # Goals of a program that was restored or loaded before may have asked for topics.
-        self._taken = {plain(one.topic): one for one in self._asked}
+        self._subscribed = {plain(request.topic): request for request in self._requests}
         # Direct topics precede those of `pub_sub.xml`, because a node subscribes to them with these names.
-        for topic, kind in (*direct, *topics.subscribed):
+        for topic, message_type in (*direct, *topics.subscribed):
             try:
-                self._taken.setdefault(plain(topic), AskedTopic(topic, kind, topics.event_of(topic, plain)))
+                self._subscribed.setdefault(
+                    plain(topic), AskedTopic(topic, message_type, topics.event_of(topic, plain))
+                )
             except UsageError:  # said by who subscribes it
                 continue
-        for wanted in self._asked:
-            subscribe(wanted)
+        for request in self._requests:
+            subscribe(request)
 
     def kept(self) -> List[AskedTopic]:
         """Return the topics that goals have asked for; see `restore`."""
-        return list(self._asked)
+        return list(self._requests)
 
     def restore(self, asked: Iterable[AskedTopic]) -> None:
         """Restore topics that goals have asked for; they are subscribed by `begin`."""
-        for wanted in asked:
-            self._taken[self._plain(wanted.topic)] = wanted
-            self._asked.append(wanted)
+        for request in asked:
+            self._subscribed[self._plain(request.topic)] = request
+            self._requests.append(request)
 
-    def try_out(self, others: "InputTopics") -> None:
+    def try_out(self, other_topics: "InputTopics") -> None:
         """Copy the topics of another engine for a trial of its program; subscribe to nothing."""
-        self._taken = dict(others._taken)  # noqa: SLF001 - its own kind
-        self._asked = list(others._asked)  # noqa: SLF001
-        self._plain = others._plain  # noqa: SLF001
-        self._subscribe = lambda wanted: None
+        self._subscribed = dict(other_topics._subscribed)  # noqa: SLF001 - its own kind
+        self._requests = list(other_topics._requests)  # noqa: SLF001
+        self._plain = other_topics._plain  # noqa: SLF001
+        self._subscribe = lambda request: None
 
     def joined(self, topics: Topics) -> Topics:
         """Return the topics of ``pub_sub.xml`` together with those that goals have asked for."""
         # Copied, because the thread of the engine may append meanwhile.
-        asked = list(self._asked)
-        events = [TopicEvent(one.topic, one.event) for one in asked if one.event]
+        requests = list(self._requests)
+        events = [TopicEvent(request.topic, request.event) for request in requests if request.event]
         return topics._replace(
-            subscribed=(*topics.subscribed, *(TopicType(one.topic, one.kind) for one in asked)),
+            subscribed=(
+                *topics.subscribed,
+                *(TopicType(request.topic, request.kind) for request in requests),
+            ),
             events=(*topics.events, *events),
         )
 
     def event_types(self) -> Dict[str, str]:
         """Return the message types by the event names that goals have given."""
-        return {one.event: one.kind for one in reversed(self._asked) if one.event}
+        return {request.event: request.kind for request in reversed(self._requests) if request.event}
 
     def _goal(self, machine: Machine, topic: Term, kind: Term, *event: Term) -> bool:
-        wanted = AskedTopic(_text(topic), plain_type(_text(kind)), *map(_text, event))
-        self._check("topic", topic, topic_fault(wanted.topic))
-        self._check("message_type", kind, type_fault(wanted.kind))
+        request = AskedTopic(_text(topic), plain_type(_text(kind)), *map(_text, event))
+        self._check("topic", topic, topic_fault(request.topic))
+        self._check("message_type", kind, type_fault(request.kind))
         if event:
-            self._check("event_name", event[0], event_fault(wanted.event))
+            self._check("event_name", event[0], event_fault(request.event))
         try:
-            key = self._plain(wanted.topic)
+            key = self._plain(request.topic)
         except UsageError as error:
             raise domain_error("topic", deref(topic), error.message) from error
         # A second identical request is not an error: a reload calls the goals of a program again.
-        before = self._taken.get(key)
+        before = self._subscribed.get(key)
         if before is None:
-            self._add(key, wanted)
-        elif before[1:] != wanted[1:]:
+            self._add(key, request)
+        elif before[1:] != request[1:]:
             raise permission_error(
                 "subscribe", "topic", deref(topic), f"it is subscribed already as {before}"
             )
@@ -292,34 +297,34 @@ class InputTopics:
         if fault is not None:
             raise domain_error(domain, deref(term), str(fault))
 
-    def _add(self, key: str, wanted: AskedTopic) -> None:
-        if len(self._asked) >= MAX_INPUT_TOPICS:
+    def _add(self, key: str, request: AskedTopic) -> None:
+        if len(self._requests) >= MAX_INPUT_TOPICS:
             raise resource_error("topics", reason=f"goals subscribe {MAX_INPUT_TOPICS} topics at most")
         # Subscribed first: if that raises, the goal fails and nothing is recorded.
-        self._subscribe(wanted)
-        self._taken[key] = wanted
-        self._asked.append(wanted)
-        if wanted.event:
-            self._slots.events.setdefault(wanted.event, wanted.kind)
+        self._subscribe(request)
+        self._subscribed[key] = request
+        self._requests.append(request)
+        if request.event:
+            self._slots.events.setdefault(request.event, request.kind)
 
-    def _nobody(self, wanted: AskedTopic) -> None:
-        name = wanted.event or f"messages of {wanted.kind}"
+    def _warn_unsubscribed(self, request: AskedTopic) -> None:
+        name = request.event or f"messages of {request.kind}"
         self._reports.warning(
-            f"subscribe_to: topic {wanted.topic} is not subscribed: there are no topics here, as there are in a "
+            f"subscribe_to: topic {request.topic} is not subscribed: there are no topics here, as there are in a "
             f"node and with retalis bag; {name} come only as events that are given"
         )
 
 
 def _text(term: Term) -> str:
     """Return the text of an argument."""
-    found: Any = deref(term)
-    if found.__class__ is Var:
+    value: Any = deref(term)
+    if value.__class__ is Var:
         raise instantiation_error()
-    if isinstance(found, String):
-        return found.text
-    if not isinstance(found, Atom):
-        raise domain_error("text", found, "names with a slash stand in quotes, as 'std_msgs/Bool'")
-    return str(found.name)
+    if isinstance(value, String):
+        return value.text
+    if not isinstance(value, Atom):
+        raise domain_error("text", value, "names with a slash stand in quotes, as 'std_msgs/Bool'")
+    return str(value.name)
 
 
 MAX_EVENT_TEXT_CHARACTERS = 10_000_000
@@ -361,16 +366,16 @@ class TextInput:
             )
             return
         try:
-            made = self._reader.event(text)
+            event = self._reader.event(text)
         except RetalisError as error:
             self._refuse(error if error.place else f"{beginning(text)}: {error}")
             return
-        if made is not None:
-            wrong = self._declared.refusal(made.term) if self._declared.in_use else ""
+        if event is not None:
+            wrong = self._declared.refusal(event.term) if self._declared.in_use else ""
             if wrong:
                 self._refuse(f"{beginning(text)}: {wrong}")
             else:
-                self._take(*made)
+                self._take(*event)
         elif self._call is not None:
             self._take_goal(text, self._call)
         else:

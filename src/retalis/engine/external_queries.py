@@ -26,7 +26,7 @@ MAX_ANSWER_CHARACTERS = 1_000_000
 """Maximum length of all solutions of an answer together, in characters of JSON."""
 
 WAITING = functor("wait_for", 1)
-_LOOK_AGAIN = 0.2
+_POLL_SECONDS = 0.2
 """Interval in seconds for checking whether a waiting request can still be completed."""
 
 T = TypeVar("T")
@@ -74,29 +74,29 @@ def ask(
     logic = engine.logic
 
     def work() -> Answer:
-        found: List[List[Binding]] = []
-        left = largest
+        answers: List[List[Binding]] = []
+        characters_left = largest
         before = logic.limits
-        logic.limits = _tighter(before, limits or NO_LIMITS)
+        logic.limits = _stricter(before, limits or NO_LIMITS)
         try:
             with closing(logic.solutions(read.term)) as solutions:
                 for _ in solutions:
                     # The loop asks for one solution more than is wanted, only to know whether the answer is complete.
-                    if len(found) >= most:
-                        return Answer(found, False)
+                    if len(answers) >= most:
+                        return Answer(answers, False)
                     try:
                         # Conversion to text counts against the limits of the goal: a small term can have a huge text.
                         with logic.machine.budget.watching():
-                            values = _values(engine, names, left)
+                            values = _values(engine, names, characters_left)
                     except UsageError:
-                        if not found:
+                        if not answers:
                             raise
-                        return Answer(found, False)
-                    left -= sum(len(value.json) for value in values)
-                    found.append(values)
+                        return Answer(answers, False)
+                    characters_left -= sum(len(value.json) for value in values)
+                    answers.append(values)
         finally:
             logic.limits = before
-        return Answer(found, True)
+        return Answer(answers, True)
 
     # Executed exclusively, so the changed limits of the logic apply to this goal only.
     return do_for_others(engine, work, read.term)
@@ -125,17 +125,17 @@ def _values(engine: Engine, names: Dict[str, Var], most: int) -> List[Binding]:
     return values
 
 
-def _tighter(one: Limits, other: Limits) -> Limits:
+def _stricter(first: Limits, second: Limits) -> Limits:
     return Limits(
-        _least(one.seconds, other.seconds),
-        _least(one.inferences, other.inferences),
-        _least(one.megabytes, other.megabytes),
-        _least(one.output_megabytes, other.output_megabytes),
+        _least(first.seconds, second.seconds),
+        _least(first.inferences, second.inferences),
+        _least(first.megabytes, second.megabytes),
+        _least(first.output_megabytes, second.output_megabytes),
     )
 
 
-def _least(one: Optional[_Number], other: Optional[_Number]) -> Optional[_Number]:
-    return one if other is None else other if one is None else min(one, other)
+def _least(first: Optional[_Number], second: Optional[_Number]) -> Optional[_Number]:
+    return first if second is None else second if first is None else min(first, second)
 
 
 def await_memories(engine: Engine, names: Sequence[Term], instant: int, seconds: float) -> None:
@@ -167,28 +167,28 @@ def await_memories(engine: Engine, names: Sequence[Term], instant: int, seconds:
     end = monotonic() + seconds
     try:
         # A deleted memory never sets the event, so the loop checks regularly whether the request still exists.
-        while not arrived.wait(min(_LOOK_AGAIN, max(0.0, end - monotonic()))):
+        while not arrived.wait(min(_POLL_SECONDS, max(0.0, end - monotonic()))):
             if not knowledge.waiting.waits(order) and not arrived.is_set():
                 raise UsageError("a memory was deleted, or time went back, while the query waited for it")
             if monotonic() >= end:
-                raise UsageError(f"{_late(engine, names, instant)} after {seconds:g} s")
+                raise UsageError(f"{_missing_text(engine, names, instant)} after {seconds:g} s")
     # Also after an interrupt: an entry that is not withdrawn would keep its memory's index growing.
     finally:
         engine.do(lambda: knowledge.waiting.withdraw(order))
 
 
-def _late(engine: Engine, names: Sequence[Term], instant: int) -> str:
+def _missing_text(engine: Engine, names: Sequence[Term], instant: int) -> str:
     """Return a description of the memories that have not reached a time, with the missing time."""
     late = engine.do(lambda: engine.knowledge.behind(names, instant))
-    said = []
-    for one, wanted in late:
-        latest = one.memory.latest
-        how = "nothing yet" if latest is None else f"{(wanted - latest) / 1e9:g} s too early"
-        said.append(f"{engine.brief(one.id)} ({how})")
-    return f"no record at the stamp or later in memory {', '.join(said)}"
+    descriptions = []
+    for instance, time in late:
+        latest = instance.memory.latest
+        delay = "nothing yet" if latest is None else f"{(time - latest) / 1e9:g} s too early"
+        descriptions.append(f"{engine.brief(instance.id)} ({delay})")
+    return f"no record at the stamp or later in memory {', '.join(descriptions)}"
 
 
-_NEW = "added_"
+_LABEL_PREFIX = "added_"
 """Prefix of the labels of rules that are added without a label."""
 
 
@@ -219,21 +219,23 @@ def add_rule(engine: Engine, text: str, label: str = "") -> str:
     return do_for_others(engine, work)
 
 
-def _label(engine: Engine, read: ReadTerm, wanted: str) -> Term:
+def _label(engine: Engine, read: ReadTerm, requested: str) -> Term:
     """Return the label of a parsed rule; add one to the rule if it has none."""
     term: Any = deref(read.term)
     own, _ = labelled(term)
-    name = _named(engine, wanted) if wanted.strip() else own
-    if own is not None and wanted.strip() and _name_of(own) is not name:
-        raise UsageError(f"label: the rule has the label {engine.brief(_name_of(own))} already")
-    taken = {term_key(_name_of(rule.label)) for rule in engine.rules.rules if rule.label is not None}
+    name = _parsed_label(engine, requested) if requested.strip() else own
+    if own is not None and requested.strip() and _plain_label(own) is not name:
+        raise UsageError(f"label: the rule has the label {engine.brief(_plain_label(own))} already")
+    used = {term_key(_plain_label(rule.label)) for rule in engine.rules.rules if rule.label is not None}
     if name is None:
-        name = next(one for one in map(_numbered, count(1)) if term_key(one) not in taken)
-    if term_key(_name_of(name)) in taken:
-        raise UsageError(f"a rule {engine.brief(_name_of(name))} already exists")
+        name = next(
+            candidate for candidate in map(_numbered_label, count(1)) if term_key(candidate) not in used
+        )
+    if term_key(_plain_label(name)) in used:
+        raise UsageError(f"a rule {engine.brief(_plain_label(name))} already exists")
     if own is None:
         read.term = RULE(name, term)
-    return _name_of(name)
+    return _plain_label(name)
 
 
 def delete_rule(engine: Engine, label: str) -> None:
@@ -242,12 +244,12 @@ def delete_rule(engine: Engine, label: str) -> None:
     Raises:
         UsageError: if there are none.
     """
-    name = _named(engine, label)
+    name = _parsed_label(engine, label)
     if not engine.do(lambda: engine.rules.delete(name), REQUEST):
         raise UsageError(f"there is no rule {engine.brief(name)}")
 
 
-def _named(engine: Engine, text: str) -> Term:
+def _parsed_label(engine: Engine, text: str) -> Term:
     """Parse a label."""
     if not text.strip():
         raise UsageError("label is empty")
@@ -257,10 +259,10 @@ def _named(engine: Engine, text: str) -> Term:
     return name
 
 
-def _numbered(number: int) -> Term:
-    return atom(f"{_NEW}{number}")
+def _numbered_label(number: int) -> Term:
+    return atom(f"{_LABEL_PREFIX}{number}")
 
 
-def _name_of(label: Any) -> Term:
+def _plain_label(label: Any) -> Term:
     """Return a label without its properties."""
     return label if isinstance(label, Atom) else atom(label[0].name)

@@ -27,7 +27,7 @@ from ..prolog.database.predicate import Predicate
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.term_traversal import term_key
 from ..prolog.terms.types import atom
-from .deployment import NOTHING, Clauses, Deployment, clause_key, paired, standing
+from .deployment import NOTHING, Clauses, Deployment, clause_key, current_deployment, paired
 from .engine_settings import Settings
 from .program_loader import REQUEST
 from .runtime.clock import Clock, StreamClock
@@ -66,57 +66,63 @@ def changes(
 
 def _rules(old: Sequence[EventRule], new: Sequence[EventRule], kept: Dict[EventRule, EventRule]) -> List[str]:
     staying = set(kept.values())
-    gone = [f"{rule.name}{_lost(rule)}" for rule in old if rule not in staying]
-    fresh = [f"{rule.name}{_at(rule.place)}" for rule in new if rule not in kept]
+    removed = [f"{rule.name}{_lost_matches(rule)}" for rule in old if rule not in staying]
+    added = [f"{rule.name}{_position_text(rule.place)}" for rule in new if rule not in kept]
     waiting = sum(rule.held for rule in staying)
-    with_matches = f", with {_matches(waiting)}" if waiting else ""
-    return _told("rules", fresh, gone, [], f"{len(staying)} kept{with_matches}")
+    with_matches = f", with {_match_count(waiting)}" if waiting else ""
+    return _section_lines("rules", added, removed, [], f"{len(staying)} kept{with_matches}")
 
 
-def _lost(rule: EventRule) -> str:
-    return f", with {_matches(rule.held)}" if rule.held else ""
+def _lost_matches(rule: EventRule) -> str:
+    return f", with {_match_count(rule.held)}" if rule.held else ""
 
 
-def _matches(number: int) -> str:
+def _match_count(number: int) -> str:
     return counted(number, "partial match", "partial matches")
 
 
-def _at(place: object) -> str:
+def _position_text(place: object) -> str:
     return f" ({place.source}:{place.line})" if isinstance(place, Place) else ""
 
 
 def _memories(logic: PrologSystem, old: Deployment, new: Deployment) -> List[str]:
-    kept, changed, fresh = [], [], []
-    for key, one in new.memories.items():
+    kept, changed, added = [], [], []
+    for key, instance in new.memories.items():
         before = old.memories.get(key)
-        if before is one:
-            kept.append(one)
+        if before is instance:
+            kept.append(instance)
         elif before is not None:
-            changed.append(f"memory {logic.brief(one.id)}: it is defined otherwise, and begins empty")
+            changed.append(f"memory {logic.brief(instance.id)}: it is defined otherwise, and begins empty")
         else:
-            fresh.append(f"memory {logic.brief(one.id)}")
-    gone = [f"memory {logic.brief(one.id)}" for key, one in old.memories.items() if key not in new.memories]
-    records = sum(len(one.memory) for one in kept)
-    return _told("memories", fresh, gone, changed, f"{len(kept)} kept, with {counted(records, 'record')}")
+            added.append(f"memory {logic.brief(instance.id)}")
+    removed = [
+        f"memory {logic.brief(instance.id)}"
+        for key, instance in old.memories.items()
+        if key not in new.memories
+    ]
+    records = sum(len(instance.memory) for instance in kept)
+    return _section_lines(
+        "memories", added, removed, changed, f"{len(kept)} kept, with {counted(records, 'record')}"
+    )
 
 
 def _subscriptions(logic: PrologSystem, old: Deployment, new: Deployment) -> List[str]:
-    kept, changed, fresh = 0, [], []
-    for key, one in new.subscriptions.items():
+    kept, changed, added = 0, [], []
+    for key, subscription in new.subscriptions.items():
         before = old.subscriptions.get(key)
-        name = f"subscription {logic.brief(one.id)} of topic {key[0]}"
+        name = f"subscription {logic.brief(subscription.id)} of topic {key[0]}"
         if before is None:
-            fresh.append(name)
-        elif before.key == one.key:
+            added.append(name)
+        elif before.key == subscription.key:
             kept += 1
         else:
             changed.append(name)
-    gone = [
-        f"subscription {logic.brief(one.id)} of topic {key[0]}"
-        for key, one in old.subscriptions.items()
+    removed = [
+        f"subscription {logic.brief(subscription.id)} of topic {key[0]}"
+        for key, subscription in old.subscriptions.items()
         if key not in new.subscriptions
     ]
-    return _told("subscriptions", fresh, gone, changed, f"{kept} kept")
+    return _section_lines("subscriptions", added, removed, changed, f"{kept} kept")
 
 
 def _timers(logic: PrologSystem, old: Deployment, new: Deployment) -> List[str]:
@@ -124,57 +130,67 @@ def _timers(logic: PrologSystem, old: Deployment, new: Deployment) -> List[str]:
         return []
     show = logic.brief
 
-    def named(found: Timed, others: Timed) -> List[str]:
+    def named(timers: Timed, excluded: Timed) -> List[str]:
         return [
-            f"timer {show(one.event)}, {show(one.schedule.term)}"
-            for key, one in found.items()
-            if key not in others
+            f"timer {show(timer.event)}, {show(timer.schedule.term)}"
+            for key, timer in timers.items()
+            if key not in excluded
         ]
 
     kept = sum(key in old.timers for key in new.timers)
-    return _told("timers", named(new.timers, old.timers), named(old.timers, new.timers), [], f"{kept} kept")
+    return _section_lines(
+        "timers", named(new.timers, old.timers), named(old.timers, new.timers), [], f"{kept} kept"
+    )
 
 
 def _states(old: Deployment, new: Deployment) -> List[str]:
     if not (old.states or new.states):
         return []
-    kept = [one for key, one in new.states.items() if old.states.get(key) is one]
-    changed = [one for key, one in new.states.items() if key in old.states and one not in kept]
-    fresh = [one.name for key, one in new.states.items() if key not in old.states]
-    gone = [one.name for key, one in old.states.items() if key not in new.states]
-    hold = sum(len(one.open) for one in kept)
-    told = [f"{one.name}: it is declared otherwise, and nothing holds" for one in changed]
-    return _told("states", fresh, gone, told, f"{len(kept)} kept, {hold} open")
+    kept = [state for key, state in new.states.items() if old.states.get(key) is state]
+    changed = [state for key, state in new.states.items() if key in old.states and state not in kept]
+    added = [state.name for key, state in new.states.items() if key not in old.states]
+    removed = [state.name for key, state in old.states.items() if key not in new.states]
+    hold = sum(len(state.open) for state in kept)
+    changes_text = [f"{state.name}: it is declared otherwise, and nothing holds" for state in changed]
+    return _section_lines("states", added, removed, changes_text, f"{len(kept)} kept, {hold} open")
 
 
 def _predicates(old: Clauses, new: Clauses) -> List[str]:
-    before = {one: [clause_key(clause) for clause in found] for one, found in old.items() if found}
+    before = {predicate: [clause_key(clause) for clause in keys] for predicate, keys in old.items() if keys}
     now: Dict[Hashable, List[Hashable]] = {
-        one: [clause_key(clause) for clause in found] for one, found in new.items() if found
+        predicate: [clause_key(clause) for clause in keys] for predicate, keys in new.items() if keys
     }
-    fresh = [f"predicate {one.functor}" for one in new if one in now and one not in before]
-    gone = [f"predicate {one.functor}" for one in before if one not in now]
-    changed = [f"predicate {one.functor}" for one in before if one in now and now[one] != before[one]]
-    same = sum(now.get(one) == found for one, found in before.items())
-    return _told("predicates", fresh, gone, changed, f"{same} kept")
+    added = [
+        f"predicate {predicate.functor}" for predicate in new if predicate in now and predicate not in before
+    ]
+    removed = [f"predicate {predicate.functor}" for predicate in before if predicate not in now]
+    changed = [
+        f"predicate {predicate.functor}"
+        for predicate in before
+        if predicate in now and now[predicate] != before[predicate]
+    ]
+    unchanged = sum(now.get(predicate) == keys for predicate, keys in before.items())
+    return _section_lines("predicates", added, removed, changed, f"{unchanged} kept")
 
 
-def _told(what: str, fresh: List[str], gone: List[str], changed: List[str], kept: str) -> List[str]:
+def _section_lines(
+    section: str, added: List[str], removed: List[str], changed: List[str], kept: str
+) -> List[str]:
     """Return a line with counts, and a line for each item that is new, changed or gone."""
-    other = f"{len(changed)} changed, " if changed else ""
+    changed_count = f"{len(changed)} changed, " if changed else ""
     return [
-        f"{what}: {len(fresh)} new, {other}{len(gone)} gone, {kept}",
-        *_named("new", fresh),
-        *_named("changed", changed),
-        *_named("gone", gone),
+        f"{section}: {len(added)} new, {changed_count}{len(removed)} gone, {kept}",
+        *_change_lines("new", added),
+        *_change_lines("changed", changed),
+        *_change_lines("gone", removed),
     ]
 
 
-def _named(how: str, names: Sequence[str]) -> Iterable[str]:
+def _change_lines(change: str, names: Sequence[str]) -> Iterable[str]:
     for name in names[:_MAX_NAMED_CHANGES]:
-        yield f"  {how}: {name}"
+        yield f"  {change}: {name}"
     if len(names) > _MAX_NAMED_CHANGES:
-        yield f"  {how}: {len(names) - _MAX_NAMED_CHANGES} more"
+        yield f"  {change}: {len(names) - _MAX_NAMED_CHANGES} more"
 
 
 _UNDOING = atom("putting the old program back")
@@ -189,10 +205,9 @@ class NullReports(Reports):
         """Discard a message."""
 
 
-def standing_of(engine: "Engine") -> Deployment:
+def deployment_of(engine: "Engine") -> Deployment:
     """Return everything that the engine's program consists of now."""
-    parts = engine
-    return standing(parts.logic, parts.rules, parts.knowledge)
+    return current_deployment(engine.logic, engine.rules, engine.knowledge)
 
 
 def clock_at(instant: int) -> Clock:
@@ -209,16 +224,16 @@ def trial_settings(settings: Settings) -> Settings:
 
 def load_folder(engine: "Engine", folder: Path) -> None:
     """Load a program's folder or an event file, and record its deployment; see `Engine.load_program`."""
-    programs, key = engine.deployments, _real(folder)
-    before = standing_of(engine)
+    programs, key = engine.deployments, _real_path(folder)
+    before = deployment_of(engine)
     try:
         _load(engine, folder)
     finally:
         # Also after an error: what was loaded before the error belongs to the folder, and a reload replaces it.
-        programs[key] = programs.get(key, NOTHING).and_then(standing_of(engine).since(before))
+        programs[key] = programs.get(key, NOTHING).and_then(deployment_of(engine).since(before))
 
 
-def _real(folder: Path) -> str:
+def _real_path(folder: Path) -> str:
     try:
         return os.path.realpath(folder)
     # `realpath` raises ValueError for a name with a NUL character or with surrogates.
@@ -234,42 +249,41 @@ def _load(engine: "Engine", folder: Path) -> None:
     if not os.path.isdir(folder):
         raise UsageError(f"cannot read {folder}: there is no such file or folder")
     path = folder / GOALS
-    parts = engine
     # Types of event names must be known before the goals run: rules in the folder are checked against them.
-    parts.slots.events = {**parts.input_topics.event_types(), **event_types(folder)}
+    engine.slots.events = {**engine.input_topics.event_types(), **event_types(folder)}
     own_files.call_goals(read_text(path), str(path), folder)
 
 
 def reload_folder(engine: "Engine", folder: Path, new_engine: Callable[[], "Engine"]) -> List[str]:
     """Load a program's folder again; see `Engine.reload`."""
-    parts, key = engine, _real(folder)
+    key = _real_path(folder)
     # The executor would run the reload inside the goal that requests it, whose own clauses would be removed.
-    if parts.executor.thread == get_ident():
-        raise UsageError("a goal or callback of an engine cannot have it read its program again")
+    if engine.executor.thread == get_ident():
+        raise UsageError("a goal or callback of an engine cannot reload its program")
     # An event file may need definitions of other files, so it is not loaded alone into a trial engine.
     if os.path.isfile(folder):  # it may need what other files say, so it is not tried alone
-        tried = standing_of(new_engine())
+        tried = deployment_of(new_engine())
     else:
-        tried = try_program(engine, new_engine(), parts.deployments.get(key, NOTHING), folder)
+        tried = try_program(engine, new_engine(), engine.deployments.get(key, NOTHING), folder)
 
     def work() -> List[str]:
-        exchange = ReloadTransaction(engine, parts.deployments.get(key, NOTHING), tried)
+        exchange = ReloadTransaction(engine, engine.deployments.get(key, NOTHING), tried)
         try:
-            with parts.rules.files.loading_again(parts.rules.files.omitted):
+            with engine.rules.files.loading_again(engine.rules.files.omitted):
                 return exchange.run(lambda: _load(engine, folder))
         finally:
-            parts.deployments[key] = exchange.made
+            engine.deployments[key] = exchange.made
 
-    return parts.executor.call(lambda: parts.dispatcher.undisturbed(work), (REQUEST,))
+    return engine.executor.call(lambda: engine.dispatcher.undisturbed(work), (REQUEST,))
 
 
-def try_program(engine: "Engine", trial: "Engine", made: Deployment, folder: Path) -> Deployment:
+def try_program(engine: "Engine", trial: "Engine", deployed: Deployment, folder: Path) -> Deployment:
     """Load a program into a trial engine; return the deployment there.
 
     Args:
         engine: the running engine.
         trial: the trial engine.
-        made: deployment of the folder in the running engine.
+        deployed: deployment of the folder in the running engine.
         folder: folder of the program.
 
     Raises:
@@ -279,27 +293,25 @@ def try_program(engine: "Engine", trial: "Engine", made: Deployment, folder: Pat
     logic.output = logic.error_output = lambda text: None
     with trial.rules.files.loading_again(engine.rules.files.omitted):
         trial.executor.call(lambda: _load(trial, folder), (_LOADING,))
-    found = standing_of(trial)
+    trial_deployment = deployment_of(trial)
     # An id that exists in the running engine but not in the deployment was added by a service. Loading the folder
     # would fail on it only after the old program has been set aside, so it is reported here.
-    now = engine.executor.call(lambda: standing_of(engine))
-    taken = Errors()
+    now = engine.executor.call(lambda: deployment_of(engine))
+    conflicts = Errors()
     show = engine.logic.brief
-    for key, one in found.memories.items():
-        if key in now.memories and key not in made.memories:
-            taken.append(
-                RuleError(f"memory {show(one.id)} of the program has been added meanwhile by others")
+    for key, instance in trial_deployment.memories.items():
+        if key in now.memories and key not in deployed.memories:
+            conflicts.append(
+                RuleError(f"memory {show(instance.id)} of the program has been added meanwhile by others")
             )
-    for place, subscription in found.subscriptions.items():
-        if place in now.subscriptions and place not in made.subscriptions:
+    for key, subscription in trial_deployment.subscriptions.items():
+        if key in now.subscriptions and key not in deployed.subscriptions:
             name = show(subscription.id)
-            text = (
-                f"subscription {name} of topic {place[0]} of the program has been added meanwhile by others"
-            )
-            taken.append(RuleError(text))
-    if taken:
-        raise ProgramErrors(taken)
-    return found
+            text = f"subscription {name} of topic {key[0]} of the program has been added meanwhile by others"
+            conflicts.append(RuleError(text))
+    if conflicts:
+        raise ProgramErrors(conflicts)
+    return trial_deployment
 
 
 class ReloadTransaction:
@@ -313,8 +325,7 @@ class ReloadTransaction:
 
     def __init__(self, engine: "Engine", made: Deployment, trial: Deployment):
         self._engine = engine
-        self._parts = engine
-        self._before = standing_of(engine)
+        self._before = deployment_of(engine)
         self._old = self._still_there(made)
         self._made = made
         self._trial = trial
@@ -327,39 +338,43 @@ class ReloadTransaction:
         Raises:
             RetalisError: the reason of a failure; the old program has been restored.
         """
-        budget = self._parts.logic.machine.budget
+        budget = self._engine.logic.machine.budget
         try:
             self._set_aside()
             # `rest` is the program without the folder. The difference to it after the load is the new deployment.
-            rest = standing_of(self._engine)
+            rest = deployment_of(self._engine)
             budget.apart((_LOADING,), load)
             # Answers of tabled predicates may depend on clauses that were replaced.
-            self._parts.logic.once(_FORGET_TABLES)
-            self.made = standing_of(self._engine).since(rest)
-            told = changes(self._parts.logic, self._old, self.made, self._kept_rules(), self._made.clauses)
-            self._put_back(rest)
+            self._engine.logic.once(_FORGET_TABLES)
+            self.made = deployment_of(self._engine).since(rest)
+            description = changes(
+                self._engine.logic, self._old, self.made, self._kept_rules(), self._made.clauses
+            )
+            self._restore_unchanged(rest)
         # Also for an interrupt: a program that is loaded half-way must not receive events.
         except BaseException as error:
             self._undo_after(error)
             raise
-        self._forget()
-        return told
+        self._delete_unused()
+        return description
 
-    def _still_there(self, made: Deployment) -> Deployment:
+    def _still_there(self, deployment: Deployment) -> Deployment:
         """Return the part of a deployment that has not been deleted or replaced since."""
         now = self._before
         rules, memories, subscriptions = set(now.rules), now.memories, now.subscriptions
         clauses: Clauses = {}
-        for predicate, found in made.clauses.items():
+        for predicate, clause_list in deployment.clauses.items():
             live = set(now.clauses.get(predicate, ()))
-            clauses[predicate] = [clause for clause in found if clause in live]
-        return made._replace(
-            rules=[rule for rule in made.rules if rule in rules],
+            clauses[predicate] = [clause for clause in clause_list if clause in live]
+        return deployment._replace(
+            rules=[rule for rule in deployment.rules if rule in rules],
             clauses=clauses,
-            memories={key: one for key, one in made.memories.items() if memories.get(key) is one},
-            subscriptions={k: one for k, one in made.subscriptions.items() if subscriptions.get(k) is one},
-            timers={k: one for k, one in made.timers.items() if now.timers.get(k) is one},
-            states={k: one for k, one in made.states.items() if now.states.get(k) is one},
+            memories={key: item for key, item in deployment.memories.items() if memories.get(key) is item},
+            subscriptions={
+                k: item for k, item in deployment.subscriptions.items() if subscriptions.get(k) is item
+            },
+            timers={k: item for k, item in deployment.timers.items() if now.timers.get(k) is item},
+            states={k: item for k, item in deployment.states.items() if now.states.get(k) is item},
         )
 
     # ---- taking out ----------------------------------------------------------------------------------
@@ -367,41 +382,41 @@ class ReloadTransaction:
     def _set_aside(self) -> None:
         # Items are set aside, not deleted: the load finds equal definitions there and reactivates them with their
         # state.
-        rules, knowledge, old = self._parts.rules, self._parts.knowledge, self._old
+        rules, knowledge, old = self._engine.rules, self._engine.knowledge, self._old
         for rule in old.rules:
             rules.set_aside(rule)
         for predicate, clauses in old.clauses.items():
-            self._take_out(predicate, clauses)
+            self._remove_clauses(predicate, clauses)
         knowledge.memories.set_aside(old.memories.values())
         knowledge.subscriptions.set_aside(old.subscriptions)
         rules.timers.set_aside(old.timers)
         knowledge.states.set_aside(old.states)
         properties = {
-            key: [one for one in found if one not in old.properties.get(key, ())]
-            for key, found in rules.all_properties().items()
+            key: [item for item in items if item not in old.properties.get(key, ())]
+            for key, items in rules.all_properties().items()
         }
-        rules.restore_properties({key: found for key, found in properties.items() if found})
+        rules.restore_properties({key: items for key, items in properties.items() if items})
         rules.files.loaded -= old.files
         # A flag is reset only if it still has the folder's value; otherwise the program or a service has changed it
         # later.
         for name, value in old.flags.items():
-            wanted = self._trial.flags[name]
-            if wanted is not None and rules.flags.get(name) == value:
-                rules.flags.set(name, wanted)
+            new_value = self._trial.flags[name]
+            if new_value is not None and rules.flags.get(name) == value:
+                rules.flags.set(name, new_value)
 
-    def _take_out(self, predicate: Predicate, clauses: Sequence[Clause]) -> None:
+    def _remove_clauses(self, predicate: Predicate, clauses: Sequence[Clause]) -> None:
         for clause in clauses:
             predicate.remove(clause)
         if len(predicate):
             return
         # The predicate starts again as if it had never been loaded: uncompiled, and not dynamic unless declared so.
-        predicate.compile_after = self._parts.logic.database.compile_after
+        predicate.compile_after = self._engine.logic.database.compile_after
         if predicate in self._old.dynamic:
             predicate.dynamic = False
         key = predicate.functor
-        library = self._parts.logic.database.library.kept.get(key)
+        library = self._engine.logic.database.library.kept.get(key)
         if key in self._old.replaced and library is not None:
-            self._parts.logic.database.give_back(library)
+            self._engine.logic.database.give_back(library)
         # A predicate of the library that the folder had redefined becomes visible again.
         elif not predicate.dynamic:
             predicate.kind = "undefined"
@@ -419,57 +434,61 @@ class ReloadTransaction:
             return {}
         return paired(self._old.rules, self.made.rules, _rule_key)
 
-    def _put_back(self, rest: Deployment) -> None:
-        rules = self._parts.rules
+    def _restore_unchanged(self, rest: Deployment) -> None:
+        rules = self._engine.rules
         kept = self._kept_rules()
-        mine = []
+        own_rules = []
         for rule in self.made.rules:
             old = kept.get(rule)
             if old is not None:
                 # The partial matches refer to the old rule object, so the old object continues and takes the new
                 # position.
                 old.place = rule.place
-            mine.append(old or rule)
-        made = set(self.made.rules)
-        others = [rule for rule in rules.rules if rule not in made]
-        staying = set(mine)
-        rules.arrange([*mine, *others], [rule for rule in self._old.rules if rule not in staying])
-        self.made = self.made._replace(rules=mine)
+            own_rules.append(old or rule)
+        new_rules = set(self.made.rules)
+        other_rules = [rule for rule in rules.rules if rule not in new_rules]
+        staying = set(own_rules)
+        rules.arrange([*own_rules, *other_rules], [rule for rule in self._old.rules if rule not in staying])
+        self.made = self.made._replace(rules=own_rules)
         for predicate, clauses in self.made.clauses.items():
             self._leave_retracted(predicate, clauses, rest.clauses.get(predicate, []))
 
-    def _leave_retracted(self, predicate: Predicate, clauses: List[Clause], others: List[Clause]) -> None:
+    def _leave_retracted(
+        self, predicate: Predicate, clauses: List[Clause], base_clauses: List[Clause]
+    ) -> None:
         """Remove clauses of a dynamic predicate that the old program had loaded and retracted at run time.
 
         If the load itself has changed the clauses, they are left as the load has made them.
         """
         live = set(predicate.live())
-        if not predicate.dynamic or not live.issuperset(others):
+        if not predicate.dynamic or not live.issuperset(base_clauses):
             return
-        there = set(self._old.clauses.get(predicate, ()))
-        made = self._made.clauses.get(predicate, ())
+        remaining = set(self._old.clauses.get(predicate, ()))
+        loaded = self._made.clauses.get(predicate, ())
         # Clauses are compared by content and counted, because the load has created new clause objects.
-        gone = Counter(clause_key(one) for one in made if one not in there)
+        retracted = Counter(
+            clause_key(loaded_clause) for loaded_clause in loaded if loaded_clause not in remaining
+        )
         for clause in clauses:
             key = clause_key(clause)
-            if gone[key] > 0:
-                gone[key] -= 1
+            if retracted[key] > 0:
+                retracted[key] -= 1
                 predicate.remove(clause)
 
-    def _forget(self) -> None:
+    def _delete_unused(self) -> None:
         """Delete the items that were set aside and not reactivated; emit the events for deleted memories."""
-        knowledge = self._parts.knowledge
+        knowledge = self._engine.knowledge
         knowledge.subscriptions.forget_aside()
-        self._parts.rules.timers.forget_aside()
+        self._engine.rules.timers.forget_aside()
         knowledge.states.forget_aside()
         for instance in knowledge.memories.forget_aside():
-            self._tell(instance)
+            self._report_deleted(instance)
 
-    def _tell(self, instance: MemoryInstance) -> None:
-        knowledge, machine = self._parts.knowledge, self._parts.logic.machine
+    def _report_deleted(self, instance: MemoryInstance) -> None:
+        knowledge, machine = self._engine.knowledge, self._engine.logic.machine
         if knowledge.memories.find(instance.id) is None:
             tell = knowledge.memories.tell_deleted
-            self._parts.dispatcher.apart(lambda: machine.run(tell(instance, machine.done)))
+            self._engine.dispatcher.apart(lambda: machine.run(tell(instance, machine.done)))
 
     # ---- where it went wrong -------------------------------------------------------------------------
 
@@ -481,15 +500,15 @@ class ReloadTransaction:
         """
         try:
             # The restoration has limits of its own: the failed load may have used up those of the request.
-            self._parts.logic.machine.budget.apart((_UNDOING,), self._undo)
+            self._engine.logic.machine.budget.apart((_UNDOING,), self._undo)
         except Exception as second:
             raise UsageError(
-                f"the program does not load ({error}), and the old one is not put back whole ({second}): restart it"
+                f"the program does not load ({error}), and the old one could not be restored ({second}): restart it"
             ) from error
 
     def _undo(self) -> None:
         """Restore flags, rules, memories, subscriptions, timers, states and clauses."""
-        rules, knowledge, before = self._parts.rules, self._parts.knowledge, self._before
+        rules, knowledge, before = self._engine.rules, self._engine.knowledge, self._before
         for name, value in before.flags.items():
             if value is not None:
                 rules.flags.set(name, value)
@@ -498,18 +517,18 @@ class ReloadTransaction:
         rules.files.loaded = before.files
         knowledge.memories.restore(list(before.memories.values()))
         knowledge.subscriptions.restore(list(before.subscriptions.items()))
-        rules.timers.restore_standing(before.timers)
+        rules.timers.restore_all(before.timers)
         knowledge.states.restore_standing(before.states)
         self._undo_clauses()
-        self._parts.logic.once(_FORGET_TABLES)
+        self._engine.logic.once(_FORGET_TABLES)
 
     def _undo_clauses(self) -> None:
         """Restore the clauses of all predicates; removed clause objects cannot be added again, so they are copied."""
-        database = self._parts.logic.database
-        for predicate, clauses in standing_of(self._engine).clauses.items():
+        database = self._engine.logic.database
+        for predicate, clauses in deployment_of(self._engine).clauses.items():
             if predicate not in self._before.clauses:
-                self._take_out(predicate, clauses)
-        again: Dict[Clause, Clause] = {}
+                self._remove_clauses(predicate, clauses)
+        copies: Dict[Clause, Clause] = {}
         for predicate, clauses in self._before.clauses.items():
             if list(predicate.live()) == clauses:
                 continue
@@ -518,15 +537,16 @@ class ReloadTransaction:
             database.take_back(predicate)
             predicate.dynamic = predicate in self._before.dynamic
             for clause in clauses:
-                new = again[clause] = Clause(predicate, clause.head, clause.body, clause.place)
+                new = copies[clause] = Clause(predicate, clause.head, clause.body, clause.place)
                 predicate.add(new)
         # The deployment must refer to the copies, or the next reload would not find its clauses.
-        made = {
-            one: [again.get(clause, clause) for clause in found] for one, found in self._made.clauses.items()
+        restored = {
+            key: [copies.get(clause, clause) for clause in clause_list]
+            for key, clause_list in self._made.clauses.items()
         }
-        again_there = dict(self._parts.knowledge.subscriptions.items())
-        subscriptions = {key: again_there[key] for key in self._old.subscriptions}
-        self.made = self._made._replace(clauses=made, subscriptions=subscriptions)
+        present = dict(self._engine.knowledge.subscriptions.items())
+        subscriptions = {key: present[key] for key in self._old.subscriptions}
+        self.made = self._made._replace(clauses=restored, subscriptions=subscriptions)
 
 
 def _rule_key(rule: EventRule) -> Hashable:

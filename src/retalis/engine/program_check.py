@@ -55,15 +55,15 @@ class Problems(Reports):
         self._keep(ERROR if isinstance(problem, Omission) else WARNING, problem)
 
     def _keep(self, severity: str, problem: object) -> None:
-        one = problem if isinstance(problem, RetalisError) else RuleError(str(problem))
-        one.code = load_code(one)
-        if severity == ERROR or not self._suppressions.suppresses(one):
-            self.found.append(Finding(severity, "load", one))
+        error = problem if isinstance(problem, RetalisError) else RuleError(str(problem))
+        error.code = load_code(error)
+        if severity == ERROR or not self._suppressions.suppresses(error):
+            self.found.append(Finding(severity, "load", error))
 
     def all_of(self, error: RetalisError) -> None:
         """Collect all errors of a program."""
-        for one in error.errors if isinstance(error, ProgramErrors) else [error]:
-            self._keep(ERROR, one)
+        for single in error.errors if isinstance(error, ProgramErrors) else [error]:
+            self._keep(ERROR, single)
 
 
 def check_program(
@@ -90,21 +90,20 @@ def check_program(
     except RetalisError as error:
         problems.all_of(error)
     engine = Engine(Clock(time.time_ns), settings, problems, definitions)
-    parts = engine
-    parts.logic.output = parts.logic.error_output = lambda text: None
+    engine.logic.output = engine.logic.error_output = lambda text: None
     own = direct_topics(direct, topics, by_name)
-    parts.input_topics.begin(lambda wanted: None, topics, own)
+    engine.input_topics.begin(lambda wanted: None, topics, own)
     try:
         engine.load_program(folder)
     except RetalisError as error:
         problems.all_of(error)
-    topics = parts.input_topics.joined(topics)
-    program = ProgramModel(parts.rules, parts.knowledge, definitions, topics, own, folder, observed=alone)
+    topics = engine.input_topics.joined(topics)
+    program = ProgramModel(engine.rules, engine.knowledge, definitions, topics, own, folder, observed=alone)
     # After an error part of the program is missing, and checks of the whole program would report consequences of
     # that.
-    sound = not any(one.severity == ERROR for one in problems.found)
-    said = {one.problem.place for one in problems.found if one.problem.place is not None}
-    new = [one for one in look_through(program, sound) if one.problem.place not in said]
+    sound = not any(finding.severity == ERROR for finding in problems.found)
+    reported = {finding.problem.place for finding in problems.found if finding.problem.place is not None}
+    new = [finding for finding in look_through(program, sound) if finding.problem.place not in reported]
     return _in_order([*problems.found, *new])
 
 
@@ -115,9 +114,8 @@ def never_comes(
 
     Messages of topics that are subscribed to later are not known.
     """
-    parts = engine
-    topics = parts.input_topics.joined(topics)
-    program = ProgramModel(parts.rules, parts.knowledge, definitions, topics, tuple(direct))
+    topics = engine.input_topics.joined(topics)
+    program = ProgramModel(engine.rules, engine.knowledge, definitions, topics, tuple(direct))
     return without_maker(program, pattern)
 
 
@@ -139,21 +137,21 @@ def never_sent(subscription: CompoundTerm, topic: str, kind: str, definitions: D
     return output_fault(definition, subscription, topic) or ""
 
 
-def _in_order(found: List[Finding]) -> List[Finding]:
+def _in_order(findings: List[Finding]) -> List[Finding]:
     """Sort findings by file, in the order in which the files first occur, then by line and column."""
     files: Dict[Optional[str], int] = {}
-    for one in found:
-        files.setdefault(_source(one.problem.place), len(files))
+    for finding in findings:
+        files.setdefault(_source(finding.problem.place), len(files))
 
-    def where(one: Finding) -> Tuple[int, int, int]:
-        place = one.problem.place
+    def where(finding: Finding) -> Tuple[int, int, int]:
+        place = finding.problem.place
         return (
             (files[_source(place)], 0, 0)
             if place is None
             else (files[_source(place)], place.line, place.column)
         )
 
-    return sorted(found, key=where)
+    return sorted(findings, key=where)
 
 
 def _source(place: Optional[Place]) -> Optional[str]:

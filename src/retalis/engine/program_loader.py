@@ -52,7 +52,7 @@ class ProgramLoader:
         together = bool(rules and goals)
         # Goals and rules may refer to each other, so warnings about unknown predicates wait until both are loaded.
         if together:
-            self._rules.loader.gather()
+            self._rules.loader.defer_warnings()
         try:
             if goals:
                 self.call_goals(goals, f"goals of {source}" if source == "text" else source, folder)
@@ -60,16 +60,16 @@ class ProgramLoader:
                 self.load_rules(rules, source, folder)
         finally:
             if together:
-                self._runner.call(self._rules.loader.end_gathering, (REQUEST,))
+                self._runner.call(self._rules.loader.log_deferred_warnings, (REQUEST,))
 
     def load_rules(self, text: str, source: str, folder: Optional[Path]) -> None:
         """Load the text of an event file; see `Engine.load_rules`."""
-        self._own(folder)
+        self._register_own(folder)
         self._load(folder, lambda: self._rules.load_text(text, source, folder))
 
     def call_goals(self, text: str, source: str, folder: Optional[Path]) -> None:
         """Call the goals of a goal file; see `Engine.call_goals`."""
-        self._own(folder)
+        self._register_own(folder)
         errors = Errors()
         # Each goal is read after the previous one has run, because a goal may define operators for the rest of the
         # file.
@@ -98,10 +98,10 @@ class ProgramLoader:
         finally:
             budget.allow(limits)
 
-    def _own(self, folder: Optional[Path]) -> None:
+    def _register_own(self, folder: Optional[Path]) -> None:
         """Register a folder as the program's own."""
         if folder is not None:
-            self._files.door.add_own(folder)
+            self._files.sandbox.add_own(folder)
 
     def _load(self, folder: Optional[Path], work: Callable[[], Result]) -> Result:
         """Execute a function with the permission to read any file; relative paths start in ``folder``."""

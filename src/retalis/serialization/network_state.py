@@ -365,7 +365,7 @@ def keep_rules(rules: RuleBase, graph_rules: Sequence[EventRule]) -> Dict[str, A
         ],
         "flags": rules.flags.changed(),
         "loaded": sorted(str(path) for path in rules.files.loaded),
-        "own": list(rules.files.door.own),
+        "own": list(rules.files.sandbox.own),
     }
 
 
@@ -393,7 +393,7 @@ def restore_rules(rules: RuleBase, kept: Dict[str, Any]) -> List[EventRule]:
     for label_property in kept["properties"]:
         rules.set_property(label_property)
     for folder in kept["own"]:
-        rules.files.door.add_own(folder)
+        rules.files.sandbox.add_own(folder)
     return restored
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retalis.engine.runtime import clock_skew
-from retalis.engine.runtime.clock_skew import AGREEING, FRAMES, ClockSkewMonitor, Refused
+from retalis.engine.runtime.clock_skew import AGREEING_STAMPS, MAX_FRAMES, ClockSkewMonitor, Refused
 from retalis.engine.runtime.problem_reports import Reports
 from retalis.messages.type_registry import Definitions
 
@@ -123,7 +123,7 @@ def test_refused(caplog):
         taken.append(bench.send(ROBOT + at / 10 + (0.7 if at == 10 else 0)))
         bench.pass_time(0.1)
     assert taken == [at != 10 for at in range(20)]
-    assert "0.7 s ahead" in said(caplog)[0] and said(caplog)[0].endswith("such messages are not taken")
+    assert "0.7 s ahead" in said(caplog)[0] and said(caplog)[0].endswith("such messages are dropped")
     assert [(one.far, one.refused) for one in bench.skew] == [(1, 1)]
 
 
@@ -143,9 +143,9 @@ def test_a_clock_that_is_set_is_taken_up(strict, caplog):
     for at in range(20, 50):
         taken.append(strict.send(ROBOT - 5000 + at))
         strict.pass_time(1)
-    assert taken == [False] * (AGREEING - 1) + [True] * (31 - AGREEING)
+    assert taken == [False] * (AGREEING_STAMPS - 1) + [True] * (31 - AGREEING_STAMPS)
     assert len(said(caplog)) == 2
-    assert f"the last {AGREEING} stamps agree and are" in said(caplog)[1]
+    assert f"the last {AGREEING_STAMPS} stamps agree and are" in said(caplog)[1]
 
 
 def test_what_alternates_is_not_taken_up(strict):
@@ -158,7 +158,7 @@ def test_what_alternates_is_not_taken_up(strict):
 def test_a_first_stamp_that_is_wrong_does_not_last(strict):
     strict.send(ROBOT + 3600)
     taken = [strict.send(ROBOT + at / 10) for at in range(50)]
-    assert taken == [False] * (AGREEING - 1) + [True] * (51 - AGREEING)
+    assert taken == [False] * (AGREEING_STAMPS - 1) + [True] * (51 - AGREEING_STAMPS)
 
 
 def test_stamps_of_zero_say_nothing(strict):
@@ -168,15 +168,15 @@ def test_stamps_of_zero_say_nothing(strict):
 
 
 def test_bounded(strict):
-    for at in range(3 * FRAMES):
+    for at in range(3 * MAX_FRAMES):
         strict.send(ROBOT, frame=str(at))
     strict.send(ROBOT, frame="x" * 100_000)
     (times,) = strict.skew
-    assert len(times) <= FRAMES
+    assert len(times) <= MAX_FRAMES
 
 
 def test_bounded_over_all_topics(strict, monkeypatch):
-    monkeypatch.setattr(clock_skew, "SIZE", 100_000)
+    monkeypatch.setattr(clock_skew, "MAX_FRAME_BYTES", 100_000)
     for topic in range(20):
         for at in range(20):
             assert strict.send(ROBOT, frame=str(at), topic=f"/t{topic}")

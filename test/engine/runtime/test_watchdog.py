@@ -225,7 +225,7 @@ def test_what_cannot_be_named_is_ended_all_the_same(monkeypatch, caplog):
         assert budget.closed
         raise RuntimeError("changed size during iteration")
 
-    monkeypatch.setattr(_watchdog, "_held_up", changed_meanwhile)
+    monkeypatch.setattr(_watchdog, "_slow_work_warning", changed_meanwhile)
 
     def hold(machine):
         dog.look(0.0)

@@ -6,7 +6,7 @@ from events.running import Program
 from retalis.engine.engine import Engine
 from retalis.engine.engine_settings import Settings
 from retalis.engine.program_check import check_program
-from retalis.events.program.file_kind import _OF_LANGUAGE
+from retalis.events.program.file_kind import _EVENT_PREDICATES
 from retalis.foundation.errors import Omission, ProgramErrors
 from retalis.messages.type_registry import Definitions
 from retalis.prolog.machine.errors import PrologError
@@ -53,7 +53,7 @@ def test_a_file_of_event_rules_is_accepted_as_a_whole_or_not_at_all(program, res
 
 def test_goals_of_the_event_language_are_known(program):
     names = {key.name for key in program.engine.logic.names()}
-    assert sorted(_OF_LANGUAGE - names) == []
+    assert sorted(_EVENT_PREDICATES - names) == []
 
 
 def test_words_of_rules_in_clauses_and_comments_make_no_event_file(program):

@@ -259,7 +259,7 @@ def test_persistent_events_are_written_to_allowed_folders_only(tmp_path, monkeyp
 def test_events_that_facts_name_are_logged_or_written(tmp_path, caplog, fact):
     caplog.set_level("INFO", "retalis")
     program = Program()
-    program.engine.rules.files.door.allow([tmp_path], [tmp_path])
+    program.engine.rules.files.sandbox.allow([tmp_path], [tmp_path])
     program.engine.load(rules=f"{fact}(b(1)). b(X) <- a(X).")
     assert program.engine.call(f"assertz({fact}(c/0))")
     program.feed("a(1)@1 a(2)@2 c@3")
@@ -324,7 +324,7 @@ def test_names_are_relative_to_the_file_that_is_loaded_else_to_the_programs_fold
         (tmp_path / folder / f"{folder}.pl").write_text("")
     monkeypatch.chdir(tmp_path / "here")
     files = SourceFiles()
-    files.door.add_own(tmp_path / "own")
+    files.sandbox.add_own(tmp_path / "own")
 
     def starts_in(folder):
         assert files.absolute("../x") == str(tmp_path / "x")
@@ -337,9 +337,9 @@ def test_names_are_relative_to_the_file_that_is_loaded_else_to_the_programs_fold
                 work("\0")
         return True
 
-    files.door.allow([tmp_path], [tmp_path / "own"])
+    files.sandbox.allow([tmp_path], [tmp_path / "own"])
     assert starts_in("own")
-    files.door.allow(None, [])
+    files.sandbox.allow(None, [])
     assert starts_in("here")
     with files.relative_to(tmp_path / "sub"):
         assert starts_in("sub")
@@ -361,22 +361,22 @@ def test_an_interrupted_load_is_restored(tmp_path):
         inner = files.relative_to(tmp_path / "two"), files.inside(tmp_path / "two" / "two.pl")
         for context in inner:
             context.__enter__()
-        files.door.is_loading = False
+        files.sandbox.is_loading = False
         assert files.absolute("x") == str(tmp_path / "two" / "x")
         assert files.innermost == tmp_path / "two" / "two.pl"
         files.restore(state)
         assert files.absolute("x") == str(tmp_path / "one" / "x")
         assert files.innermost == tmp_path / "one" / "one.pl"
-        assert files.door.is_loading
+        assert files.sandbox.is_loading
         files.restore(None)
         assert files.absolute("x") == os.path.abspath("x")
         assert files.innermost is None
-        assert not files.door.is_loading
+        assert not files.sandbox.is_loading
 
 
 def test_a_file_that_goals_write_is_emptied_or_added_to(tmp_path):
     files = SourceFiles()
-    files.door.allow([], [tmp_path])
+    files.sandbox.allow([], [tmp_path])
     with files.relative_to(tmp_path):
         for more, text in ((False, "one"), (True, "one"), (True, "oneone"), (False, "")):
             path = files.to_write(atom("new.txt"), more)

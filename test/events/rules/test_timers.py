@@ -183,7 +183,7 @@ def test_an_instant_that_is_over_is_said_and_rings_never(caplog):
     assert engine.call("timer(b, at(3))")
     assert engine.timers() == "[]"
     said = [record.getMessage() for record in caplog.records]
-    assert said == ["timer a, at(2): that instant is over", "timer b, at(3): that instant is over"]
+    assert said == ["timer a, at(2): that instant has passed", "timer b, at(3): that instant has passed"]
 
 
 def test_a_jump_of_time_is_made_up_for_up_to_a_bound(caplog, monkeypatch):

@@ -223,7 +223,7 @@ class Clock:
         []
         """
         # In place, because the list is known elsewhere.
-        self.alarms[:] = [one for one in self.alarms if not is_dead(one[2])]
+        self.alarms[:] = [entry for entry in self.alarms if not is_dead(entry[2])]
         heapq.heapify(self.alarms)
 
     def reached(self) -> int:

@@ -7,10 +7,10 @@ the same as the last one, or advanced by the real time, by the node's time, or b
 distance to the nearest prediction is the skew.
 
 A bag can be paused or played faster than real time, so the highest observed rate (pace) is a factor of the
-prediction. After `AGREEING` distant timestamps that agree with each other, the clock counts as set, and they become
-the reference. At a jump of time back, messages that were still queued belong to the epoch before (refused), and
-messages of the next epoch can precede the clock (`Early`); both are recognized if the frame's timestamps followed the
-node's time before.
+prediction. After `AGREEING_STAMPS` distant timestamps that agree with each other, the clock counts as set, and they
+become the reference. At a jump of time back, messages that were still queued belong to the epoch before (refused),
+and messages of the next epoch can precede the clock (`Early`); both are recognized if the frame's timestamps followed
+the node's time before.
 """
 
 import time
@@ -24,28 +24,28 @@ from ...prolog.terms.timestamps import SECOND
 from .clock import JUMP
 from .problem_reports import Reports
 
-FAR = 10 * SECOND
+MAX_UNREPORTED_SKEW_NS = 10 * SECOND
 """Maximum distance in ns of a timestamp from a prediction without a warning."""
 
-AGREEING = 10
+AGREEING_STAMPS = 10
 """Number of consecutive distant timestamps in agreement after which the clock counts as set."""
 
-PACE = 10.0
+MAX_UNKNOWN_PACE = 10.0
 """Maximum pace of a bag relative to real time while no pace was measured."""
 
-LONG_ENOUGH = SECOND // 2
+MIN_FOLLOW_NS = SECOND // 2
 """Minimum duration in ns for deciding whether timestamps follow the node's time."""
 
-LOOKS = 100
+FULLY_CHECKED_MESSAGES = 100
 """Number of messages of a frame that are all checked at the beginning; afterwards one in a second is checked."""
 
-FRAMES = 5000
+MAX_FRAMES = 5000
 """Maximum number of frames per topic."""
 
-SIZE = 16 << 20
+MAX_FRAME_BYTES = 16 << 20
 """Maximum memory in bytes for the frames of all topics, and separately for those of the previous epoch."""
 
-TOPICS = 1000
+MAX_TOPICS = 1000
 
 _UNKNOWN = -1
 
@@ -118,12 +118,15 @@ class FrameClock:
 
         Predictions are the last timestamp, and the last one advanced by the time that has passed by one of the clocks
         or on other topics. A bag may be paused and may be played at another rate, so any timestamp up to the passed
-        real time times the highest measured pace fits; times `PACE` if a pause may have hidden the pace.
+        real time times the highest measured pace fits; times `MAX_UNKNOWN_PACE` if a pause may have hidden the pace.
         """
         step, passed = stamp - self.stamp, wall - self.wall
-        if 0 <= step <= passed * (PACE if passed >= SECOND or self.pace is None else self.pace):
+        if 0 <= step <= passed * (MAX_UNKNOWN_PACE if passed >= SECOND or self.pace is None else self.pace):
             return 0
-        return min((step - one for one in (0, passed, now - self.now, progress - self.progress)), key=abs)
+        return min(
+            (step - prediction for prediction in (0, passed, now - self.now, progress - self.progress)),
+            key=abs,
+        )
 
     def move_to(self, stamp: int, now: int, wall: int, exact: bool) -> None:
         """Record a timestamp that fits."""
@@ -131,14 +134,18 @@ class FrameClock:
         # machine.
         passed = wall - self.since[1]
         if passed >= SECOND // 2:
-            self.pace = max(self.pace or 1.0, min((stamp - self.since[0]) / passed, PACE))
+            self.pace = max(self.pace or 1.0, min((stamp - self.since[0]) / passed, MAX_UNKNOWN_PACE))
             self.since = stamp, wall
         self._compare(stamp, now)
         self.progress += stamp - self.stamp
         self.stamp, self.now, self.wall = stamp, now, wall
         self.looks += 1
         # The decoder skips messages of the same second as the last one, once enough is known about the frame.
-        self.second = _UNKNOWN if exact or not (self.followed or self.looks > LOOKS) else stamp // SECOND
+        self.second = (
+            _UNKNOWN
+            if exact or not (self.followed or self.looks > FULLY_CHECKED_MESSAGES)
+            else stamp // SECOND
+        )
         self.other, self.agreeing = None, 0
 
     def _compare(self, stamp: int, now: int) -> None:
@@ -160,7 +167,7 @@ class FrameClock:
             self.begun, self.ahead, self.followed = now, ahead, False
         elif not self.followed and ahead > self.ahead + passed / 4:
             self.begun, self.ahead = now, ahead
-        elif not self.followed and passed >= LONG_ENOUGH:
+        elif not self.followed and passed >= MIN_FOLLOW_NS:
             self.followed = ahead >= self.ahead - passed / 4
 
     def is_early(self, stamp: int, now: int) -> bool:
@@ -172,16 +179,16 @@ class FrameClock:
         goes_on = self.stamp <= stamp <= end + self.most + JUMP + (self.most - self.least)
         return goes_on and stamp - now > self.most + JUMP and self.followed
 
-    def agree(self, stamp: int, now: int, wall: int, progress: int, most: int) -> bool:
+    def agree(self, stamp: int, now: int, wall: int, progress: int, max_distance: int) -> bool:
         """Record a distant timestamp; return whether enough consecutive ones agree."""
-        other = self.other
-        if other is not None and abs(other.distance(stamp, now, wall, progress)) <= most:
+        reference = self.other
+        if reference is not None and abs(reference.distance(stamp, now, wall, progress)) <= max_distance:
             self.agreeing += 1
-            other.move_to(stamp, now, wall, True)
+            reference.move_to(stamp, now, wall, True)
         else:
             self.other, self.agreeing = FrameClock(stamp, now, wall, progress), 1
         self.second = _UNKNOWN
-        return self.agreeing >= AGREEING
+        return self.agreeing >= AGREEING_STAMPS
 
 
 class TopicTimes(Cache[bytes, FrameClock]):
@@ -200,7 +207,7 @@ class TopicTimes(Cache[bytes, FrameClock]):
     __slots__ = ("name", "before", "far", "refused", "step", "together", "clock")
 
     def __init__(self, name: str):
-        super().__init__(FRAMES, 4 << 20, 1 << 12)
+        super().__init__(MAX_FRAMES, 4 << 20, 1 << 12)
         self.name = name
         self.before: Dict[bytes, FrameClock] = {}
         self.far = self.refused = 0
@@ -242,8 +249,8 @@ class ClockSkewMonitor:
         self._now = now
         self._wall = wall
         self._most = None if most is None else round(most * SECOND)
-        self._far = FAR if self._most is None else min(FAR, self._most)
-        self._exact = self._far < FAR
+        self._far = MAX_UNREPORTED_SKEW_NS if self._most is None else min(MAX_UNREPORTED_SKEW_NS, self._most)
+        self._exact = self._far < MAX_UNREPORTED_SKEW_NS
         self._topics: Dict[str, TopicTimes] = {}
         self._progress = 0
         self._may_wait = may_wait
@@ -265,13 +272,13 @@ class ClockSkewMonitor:
         """
         times = self._topics.get(topic)
         if times is None:
-            if len(self._topics) >= TOPICS:
+            if len(self._topics) >= MAX_TOPICS:
                 # Also invalidates the references that existing decoders hold.
                 self.forget()
                 self._topics.clear()
             times = self._topics[topic] = TopicTimes(topic)
         known = times
-        return watched(decoder, known, lambda found: self._look(known, publisher, found))
+        return watched(decoder, known, lambda found: self._check_message(known, publisher, found))
 
     def forget(self) -> None:
         """Remove all frames, because another stream begins."""
@@ -299,12 +306,12 @@ class ClockSkewMonitor:
         """Log the number of messages with distant timestamps per topic, if more than one."""
         for times in self:
             if times.far > 1:
-                refused = f", {times.refused} of them not taken" if times.refused else ""
+                refused = f", {times.refused} of them dropped" if times.refused else ""
                 self._reports.warning(
                     f"topic {times.name}: {times.far} messages in all had a stamp far from those before{refused}"
                 )
 
-    def _look(self, times: TopicTimes, publisher: str, found: List[FrameStamp]) -> None:
+    def _check_message(self, times: TopicTimes, publisher: str, stamps: List[FrameStamp]) -> None:
         """Check the timestamps of a message.
 
         Raises:
@@ -313,8 +320,8 @@ class ClockSkewMonitor:
         """
         now, wall = self._now(), self._wall()
         farthest = 0
-        self._look_at_runs(times, found, now)
-        for key, stamp in found:
+        self._check_epoch(times, stamps, now)
+        for key, stamp in stamps:
             known = times.get(key)
             if known is None:
                 self._keep(times, key, FrameClock(stamp, now, wall, self._progress))
@@ -328,7 +335,7 @@ class ClockSkewMonitor:
                     farthest = max(farthest, abs(distance))
                     self._warn(times, known, key, distance, publisher)
                     continue
-                self._tell_of_set_clock(times, key, stamp - known.stamp)
+                self._warn_of_set_clock(times, key, stamp - known.stamp)
                 # A set clock is a step and not progress, so the common progress must not follow it.
                 known.stamp, known.since = stamp, (stamp, wall)
             known.move_to(stamp, now, wall, self._exact)
@@ -340,7 +347,7 @@ class ClockSkewMonitor:
                 times.refused += 1
                 raise Refused
 
-    def _look_at_runs(self, times: TopicTimes, found: List[FrameStamp], now: int) -> None:
+    def _check_epoch(self, times: TopicTimes, stamps: List[FrameStamp], now: int) -> None:
         """Check whether a message belongs to another epoch.
 
         Raises:
@@ -348,7 +355,7 @@ class ClockSkewMonitor:
             Early: if it may belong to the next epoch.
         """
         before = times.before
-        for key, stamp in found:
+        for key, stamp in stamps:
             known = times.get(key)
             if known is not None and known.is_early(stamp, now) and self._may_wait():
                 raise Early
@@ -366,10 +373,10 @@ class ClockSkewMonitor:
 
     def _keep(self, times: TopicTimes, key: bytes, known: FrameClock) -> None:
         """Store a frame. If the frames of all topics exceed the limit together, all are removed."""
-        held = times.held
+        bytes_before = times.held
         times.keep(key, known, 2 * len(key) + 500)
-        self._held += times.held - held
-        if self._held > SIZE:
+        self._held += times.held - bytes_before
+        if self._held > MAX_FRAME_BYTES:
             self._clear()
             times.keep(key, known, 2 * len(key) + 500)
             self._held = times.held
@@ -382,48 +389,50 @@ class ClockSkewMonitor:
         if times.step is None:
             times.step = distance
         # If the clock of the publisher was set, all of its frames are equally far; one warning covers them.
-        elif abs(times.step - distance) <= FAR:
-            self._tell_of_all(times, distance)
+        elif abs(times.step - distance) <= MAX_UNREPORTED_SKEW_NS:
+            self._warn_of_all_frames(times, distance)
             return
-        where = f"topic {topic}, frame {_shown(key)}"
-        by = f" from {printable(beginning(publisher))}" if publisher else ""
-        taken = "" if self._most is None or abs(distance) <= self._most else "; such messages are not taken"
+        place = f"topic {topic}, frame {_frame_name(key)}"
+        origin = f" from {printable(beginning(publisher))}" if publisher else ""
+        consequence = (
+            "" if self._most is None or abs(distance) <= self._most else "; such messages are dropped"
+        )
         self._reports.warning(
-            f"{where}: a stamp{by} is {_seconds(distance)} the stamps before it{taken}",
+            f"{place}: a stamp{origin} is {_distance_text(distance)} the stamps before it{consequence}",
             ("skew", topic),
-            texts=TEXTS,
+            texts=MAX_NAMED_FRAMES,
         )
 
-    def _tell_of_all(self, times: TopicTimes, distance: int) -> None:
+    def _warn_of_all_frames(self, times: TopicTimes, distance: int) -> None:
         if times.together:
             return
         times.together = True
         why = "a bag that is played again without /clock, or a clock" if distance < 0 else "a clock"
         self._reports.warning(
-            f"topic {times.name}: the stamps of other frames are {_seconds(distance)} those before them too, as by "
-            f"{why} that was set; frames of which this is true are not named"
+            f"topic {times.name}: the stamps of other frames are {_distance_text(distance)} those before them too, "
+            f"as by {why} that was set; such frames are not named"
         )
 
-    def _tell_of_set_clock(self, times: TopicTimes, key: bytes, step: int) -> None:
-        if times.together and times.clock is not None and abs(times.clock - step) <= FAR:
+    def _warn_of_set_clock(self, times: TopicTimes, key: bytes, step: int) -> None:
+        if times.together and times.clock is not None and abs(times.clock - step) <= MAX_UNREPORTED_SKEW_NS:
             return
         times.clock = step
         topic = times.name
         self._reports.warning(
-            f"topic {topic}, frame {_shown(key)}: the last {AGREEING} stamps agree and are {_seconds(step)} those "
-            "before them; they are taken as right from now on",
+            f"topic {topic}, frame {_frame_name(key)}: the last {AGREEING_STAMPS} stamps agree and are "
+            f"{_distance_text(step)} those before them; they count as correct from now on",
             ("set clock", topic),
-            texts=TEXTS,
+            texts=MAX_NAMED_FRAMES,
         )
 
 
-TEXTS = 20
+MAX_NAMED_FRAMES = 20
 """Maximum number of frames of a topic that are named in warnings."""
 
 
-def _shown(key: bytes) -> str:
+def _frame_name(key: bytes) -> str:
     return printable(beginning(frame_text(key))) or "without a name"
 
 
-def _seconds(distance: int) -> str:
+def _distance_text(distance: int) -> str:
     return f"{abs(distance) / SECOND:.10g} s {'ahead of' if distance > 0 else 'behind'}"

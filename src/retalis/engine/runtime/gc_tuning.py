@@ -1,20 +1,15 @@
 """Tuning of Python's garbage collector: limits of its pauses in processes that run an engine."""
 
 import gc
-from typing import Protocol
+from typing import TYPE_CHECKING
 from weakref import WeakSet
 
 from ...foundation.python_interpreter import YoungCollector
 
+if TYPE_CHECKING:
+    from ..engine_status import StatusReader
 
-class RecordHolder(Protocol):
-    """An engine whose records explain a part of the heap."""
-
-    def held_records(self) -> int:
-        """Return the number of partial matches and of records in memories."""
-
-
-_holders: "WeakSet[RecordHolder]" = WeakSet()
+_holders: "WeakSet[StatusReader]" = WeakSet()
 
 
 def _records() -> int:
@@ -24,7 +19,7 @@ def _records() -> int:
 _collector = YoungCollector(_records)
 
 
-def count_records_of(engine: RecordHolder) -> None:
+def count_records_of(engine: "StatusReader") -> None:
     """Treat the records of an engine as live heap, as long as the engine exists."""
     _holders.add(engine)
 

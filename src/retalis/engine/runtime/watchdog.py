@@ -22,14 +22,14 @@ from .problem_reports import Reports
 
 Warn = Callable[[float, object], None]
 
-_LOOKS = 5
+_SAMPLES_PER_LIMIT = 5
 """Samples within the shortest of the configured times."""
 
 _MAX_CONJUNCTION_DEPTH = 1000
 """Maximum depth of conjunctions for finding the first goal."""
 
-_SHORTEST = 0.005
-_MAX_LOOK_SECONDS = 0.5
+_MIN_SAMPLE_SECONDS = 0.005
+_MAX_SAMPLE_SECONDS = 0.5
 
 
 class AtWork(NamedTuple):
@@ -100,7 +100,10 @@ class Watchdog:
     def pause(self) -> float:
         """Return the time until the next sample in seconds."""
         times = [time for time in (self._patience, self._budget.limits.seconds) if time is not None]
-        return max(_SHORTEST, min(_MAX_LOOK_SECONDS, min(times, default=_MAX_LOOK_SECONDS) / _LOOKS))
+        return max(
+            _MIN_SAMPLE_SECONDS,
+            min(_MAX_SAMPLE_SECONDS, min(times, default=_MAX_SAMPLE_SECONDS) / _SAMPLES_PER_LIMIT),
+        )
 
 
 def watch(
@@ -111,7 +114,7 @@ def watch(
 
     def warn(seconds: float, entry: object) -> None:
         try:
-            reports.warning(*_held_up(logic, dispatcher, entry, seconds))
+            reports.warning(*_slow_work_warning(logic, dispatcher, entry, seconds))
         # Reads data of another thread that may change meanwhile; the watchdog must survive errors from that.
         except Exception as error:
             reports.error(error)
@@ -133,26 +136,26 @@ def watch(
     watchdog = Watchdog(turn, budget, patience, warn)
     if patience is not None or budget.limits.seconds is not None:
         # Without a warning and a time limit there is nothing to sample, so no thread is started.
-        _begin(watchdog)
-        _BEGUN.add(watchdog)
+        _start_thread(watchdog)
+        _STARTED.add(watchdog)
     return watchdog
 
 
-def _begin(watchdog: Watchdog) -> None:
+def _start_thread(watchdog: Watchdog) -> None:
     threading.Thread(target=_run, args=(ref(watchdog),), name="retalis watchdog", daemon=True).start()
 
 
-_BEGUN: "WeakSet[Watchdog]" = WeakSet()
+_STARTED: "WeakSet[Watchdog]" = WeakSet()
 
 
-def _begin_in_child() -> None:
-    for watchdog in tuple(_BEGUN):
-        _begin(watchdog)
+def _start_in_child() -> None:
+    for watchdog in tuple(_STARTED):
+        _start_thread(watchdog)
 
 
 # A forked process has none of the threads of its parent. Not available on Windows.
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_begin_in_child)
+    os.register_at_fork(after_in_child=_start_in_child)
 
 
 def _run(known: "ref[Watchdog]") -> None:
@@ -168,34 +171,34 @@ def _run(known: "ref[Watchdog]") -> None:
         time.sleep(pause)
 
 
-def _held_up(
+def _slow_work_warning(
     logic: PrologSystem, dispatcher: Dispatcher, entry: object, seconds: float
 ) -> Tuple[RuleError, Tuple[str, str]]:
     """Return a warning about the running work, and the key by which equal warnings are counted.
 
     Terms of events and queries are not shown, only named: they may be large, and the other thread may change them.
     """
-    found = at_work(logic, dispatcher, entry)
-    who = found.goal or "no goal"
-    event = f" at event {found.event}" if found.event else ""
-    text = f"{who} is running{event}; {found.entry} has taken {seconds:.1f} s so far"
-    return RuleError(text, found.place), ("held up", who)
+    work = at_work(logic, dispatcher, entry)
+    culprit = work.goal or "no goal"
+    event = f" at event {work.event}" if work.event else ""
+    text = f"{culprit} is running{event}; {work.entry} has taken {seconds:.1f} s so far"
+    return RuleError(text, work.place), ("held up", culprit)
 
 
 def at_work(logic: PrologSystem, dispatcher: Dispatcher, entry: object) -> AtWork:
     """Return a description of the running work; may be called from any thread."""
     goal, current = logic.machine.budget.goal, dispatcher.current
     place: Optional[Place] = getattr(entry, "place", None)
-    who = ""
+    goal_text = ""
     if isinstance(goal, CompiledGoal):
         place = goal.place
-        who = f"{goal.name}: goal {beginning(logic.show(goal.term))}"
+        goal_text = f"{goal.name}: goal {beginning(logic.show(goal.term))}"
     elif goal is not None:
-        who = f"goal {_name((_first(goal),))}"
-    return AtWork(_name(entry), who, "" if current is None else _name((current[TERM],)), place)
+        goal_text = f"goal {_name((_first_goal(goal),))}"
+    return AtWork(_name(entry), goal_text, "" if current is None else _name((current[TERM],)), place)
 
 
-def _first(term: Any) -> Any:
+def _first_goal(term: Any) -> Any:
     """Return the first goal of a conjunction, because its own functor says nothing; else the term."""
     term = deref(term)
     for _ in range(_MAX_CONJUNCTION_DEPTH):
@@ -207,7 +210,7 @@ def _first(term: Any) -> Any:
 
 def _name(entry: object) -> str:
     """Return a name of an entry: the functor of a term or the beginning of a text."""
-    what = _first(entry[0]) if isinstance(entry, tuple) and entry else None
+    what = _first_goal(entry[0]) if isinstance(entry, tuple) and entry else None
     if isinstance(what, str):
         return beginning(what)
     if isinstance(what, Atom):

@@ -62,7 +62,7 @@ class Consultation:
         self._directives = directives
         self._use = use
 
-    def load(self, one: Consulted, note_calls: Callable[[List[Unknown]], None]) -> None:
+    def load(self, file: Consulted, note_calls: Callable[[List[Unknown]], None]) -> None:
         """Consult a file.
 
         Raises:
@@ -72,7 +72,7 @@ class Consultation:
         flags = self._rules.logic.flags
         kept = {name: flags[name] for name in _OF_FILES}
         try:
-            _PrologFile(self._rules, self._directives, self._use, note_calls).load(one)
+            _PrologFile(self._rules, self._directives, self._use, note_calls).load(file)
         finally:
             flags.update(kept)
 
@@ -83,33 +83,33 @@ class _Omissions:
     They are reported as warnings when the first term is accepted; before that, the file may still be rejected as a
     whole, and they would be reported as errors.
 
-        tell: receives warnings.
-        most: maximum number of omitted terms; None for any number.
+        warn: receives warnings.
+        max_count: maximum number of omitted terms; None for any number.
     """
 
-    def __init__(self, tell: Callable[[RetalisError], None], most: Optional[int]):
-        self._tell = tell
-        self._most = most
-        self._found = Errors()
-        self._left = False
+    def __init__(self, warn: Callable[[RetalisError], None], max_count: Optional[int]):
+        self._warn = warn
+        self._max_count = max_count
+        self._errors = Errors()
+        self._is_accepted = False
 
     def __len__(self) -> int:
-        return len(self._found) + self._found.more
+        return len(self._errors) + self._errors.more
 
     def append(self, error: RetalisError) -> None:
         """Record an omitted term."""
-        before = len(self._found)
-        self._found.append(error)
-        if self._left and len(self._found) > before:
-            self._tell(Omission(error))
+        before = len(self._errors)
+        self._errors.append(error)
+        if self._is_accepted and len(self._errors) > before:
+            self._warn(Omission(error))
 
     # Memory for errors is bounded: `Errors` counts those beyond its limit, and these are not reported one by one.
     def accept(self) -> None:
         """Record that a term was accepted."""
-        if not self._left:
-            self._left = True
-            for error in self._found:
-                self._tell(Omission(error))
+        if not self._is_accepted:
+            self._is_accepted = True
+            for error in self._errors:
+                self._warn(Omission(error))
 
     def end(self) -> None:
         """Reject the file if no term was accepted or too many were omitted.
@@ -117,11 +117,11 @@ class _Omissions:
         Raises:
             ProgramErrors: the errors of all omitted terms.
         """
-        too_many = self._most is not None and len(self) > self._most
-        if too_many or self._found and not self._left:
-            raise ProgramErrors(self._found)
-        if self._found.more:
-            self._tell(self._found.with_rest()[-1])
+        too_many = self._max_count is not None and len(self) > self._max_count
+        if too_many or self._errors and not self._is_accepted:
+            raise ProgramErrors(self._errors)
+        if self._errors.more:
+            self._warn(self._errors.with_rest()[-1])
 
 
 class _PrologFile:
@@ -146,18 +146,18 @@ class _PrologFile:
         self._checker = FileChecker(rules.logic.brief, rules.declared.now())
         self._late: List[FileEntry] = []
 
-    def load(self, one: Consulted) -> None:
+    def load(self, file: Consulted) -> None:
         """Consult the text, then run the goals that are scheduled for the end."""
-        omitted = self._omitted = _Omissions(self._rules.on_warning, self._files.may_omit(one.source))
-        program = read_program(one.text, self._logic.operators, one.source, OF_FILES)
-        self._terms(program)
+        omitted = self._omitted = _Omissions(self._rules.on_warning, self._files.may_omit(file.source))
+        program = read_program(file.text, self._logic.operators, file.source, OF_FILES)
+        self._process_terms(program)
         for unclosed in self._conditions.unclosed():
             self._omitted.append(unclosed)
-        self._at_end()
+        self._finish()
         omitted.end()
-        self._files.note_omitted(one.source, len(omitted))
+        self._files.note_omitted(file.source, len(omitted))
 
-    def _at_end(self) -> None:
+    def _finish(self) -> None:
         """Expand ``end_of_file``, and run the goals of ``initialization/1``."""
         # As in SWI-Prolog, `term_expansion/2` is called for `end_of_file` and may append clauses.
         try:
@@ -170,7 +170,7 @@ class _PrologFile:
             except RetalisError as error:
                 self._omit(error, step.place)
 
-    def _terms(self, program: Program) -> None:
+    def _process_terms(self, program: Program) -> None:
         """Process the terms of a text; the terms of included files take the place of the ``include`` directive."""
         for read in program:
             if isinstance(read, SyntaxFault):
@@ -225,11 +225,11 @@ class _PrologFile:
 
     def _expanded(self, term: Term, read: Optional[ReadTerm], place: Optional[Place]) -> bool:
         """Process the expansion of a term by ``term_expansion/2``; return whether there is one."""
-        found = self._expansion.terms(term)
-        for one in found or ():
-            if one is not _END:
-                self._take(self._expansion.goals(one), read if one is term else None, place)
-        return found is not None
+        expansion = self._expansion.terms(term)
+        for expanded in expansion or ():
+            if expanded is not _END:
+                self._take(self._expansion.goals(expanded), read if expanded is term else None, place)
+        return expansion is not None
 
     def _take(self, term: Term, read: Optional[ReadTerm], place: Optional[Place]) -> None:
         """Process a term; if it is the one that was read, the places of its parts are known."""
@@ -259,38 +259,38 @@ class _PrologFile:
             self._note_calls(checker.calls[:])
             checker.calls.clear()
         # Copied before they are cleared: these lists are also used by the checker.
-        wrong, rules = checker.errors[:], [*checker.rules, *checker.inner]
-        if wrong or rules:
-            for found in (checker.errors, checker.rules, checker.inner):
-                found.clear()
-        for error in wrong:
+        errors, rules = checker.errors[:], [*checker.rules, *checker.inner]
+        if errors or rules:
+            for collected in (checker.errors, checker.rules, checker.inner):
+                collected.clear()
+        for error in errors:
             self._omitted.append(error)
-        for definition in () if wrong else rules:
+        for definition in () if errors else rules:
             self._rules.activate(self._rules.compile(definition))
             self._omitted.accept()
-        return not wrong
+        return not errors
 
-    def _do(self, step: FileEntry) -> None:
-        if step.kind == "clause":
+    def _do(self, entry: FileEntry) -> None:
+        if entry.kind == "clause":
             # Only clauses of the event language's predicates are guarded: a Prolog file may redefine library
             # predicates.
-            problem = clause_error(self._logic, step.term)
+            problem = clause_error(self._logic, entry.term)
             if problem is None:
-                problem = fact_error(self._logic, step.term, set(), self._logic.is_added)
+                problem = fact_error(self._logic, entry.term, set(), self._logic.is_added)
             if problem is not None:
-                raise RuleError(problem, step.place)
-            self._logic.add_clause(step.term, step.place)
+                raise RuleError(problem, entry.place)
+            self._logic.add_clause(entry.term, entry.place)
             self._omitted.accept()
-        elif isinstance(step.term, Property):
-            self._rules.set_property(step.term)
-        elif step.kind in ("use", "ensure"):
-            declare_operators(step.term, self._logic.operators)
-            self._use(step.term, step.kind == "ensure")
+        elif isinstance(entry.term, Property):
+            self._rules.set_property(entry.term)
+        elif entry.kind in ("use", "ensure"):
+            declare_operators(entry.term, self._logic.operators)
+            self._use(entry.term, entry.kind == "ensure")
             self._omitted.accept()
-        elif step.kind == "later":
-            self._late.append(step)
+        elif entry.kind == "later":
+            self._late.append(entry)
         else:
-            self._run(step.term, step.goals, step.place)
+            self._run(entry.term, entry.goals, entry.place)
 
     def _run(self, goal: Term, goals: Goals, place: Optional[Place]) -> None:
         warning = self._directives.run(goal, goals, place)
@@ -304,7 +304,7 @@ class _PrologFile:
         with self._files.inside(path), self._files.relative_to(path.parent):
             program = read_program(text, self._logic.operators, str(path))
             program.flags = outer.flags
-            self._terms(program)
+            self._process_terms(program)
             outer.flags = program.flags
 
     def _holds(self, goal: Term, place: Optional[Place]) -> bool:
@@ -321,11 +321,13 @@ class _PrologFile:
     def _follow_flags(self, program: Program) -> None:
         """Apply the flags that a directive has set to the reading of the following terms."""
         flags = self._logic.flags
-        quotes, back = deref(flags["double_quotes"]), deref(flags["back_quotes"])
-        if not isinstance(quotes, Atom) or not isinstance(back, Atom):
+        double_quotes, back_quotes = deref(flags["double_quotes"]), deref(flags["back_quotes"])
+        if not isinstance(double_quotes, Atom) or not isinstance(back_quotes, Atom):
             return
-        if (quotes.name, back.name) != (program.flags.double_quotes, program.flags.back_quotes):
-            program.flags = program.flags._replace(double_quotes=quotes.name, back_quotes=back.name)
+        if (double_quotes.name, back_quotes.name) != (program.flags.double_quotes, program.flags.back_quotes):
+            program.flags = program.flags._replace(
+                double_quotes=double_quotes.name, back_quotes=back_quotes.name
+            )
 
     def _omit(self, error: RetalisError, place: Optional[Place]) -> None:
         """Omit the term at a place because of an error.
@@ -334,8 +336,8 @@ class _PrologFile:
             RetalisError: the error itself, if a resource limit is exceeded.
         """
         if isinstance(error, ProgramErrors):
-            for one in error.errors:
-                self._omitted.append(one)
+            for inner in error.errors:
+                self._omitted.append(inner)
         elif _is_final(error):
             raise error
         else:

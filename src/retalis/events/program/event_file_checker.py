@@ -138,7 +138,7 @@ class FileChecker:
         """Check a term; ``spot`` returns the position of a part, ``place`` is the position of the term."""
         term = deref(term)
         # The numbers of problems before the check identify those of this term.
-        found = [(problems, len(problems)) for problems in (self.errors, self.warnings)]
+        counts = [(problems, len(problems)) for problems in (self.errors, self.warnings)]
         try:
             self._sort(term, spot, place)
         except RetalisError as error:
@@ -148,9 +148,9 @@ class FileChecker:
             self.errors.append(RuleError(TOO_DEEP, place))
         # Without a position the text of the term is the only way to tell which term is meant.
         if place is None and self._show is not None:
-            for problems, before in found:
-                for at in range(before, len(problems)):
-                    problems[at] = RuleError(f"{self._show(term)}: {problems[at].message}")
+            for problems, before in counts:
+                for position in range(before, len(problems)):
+                    problems[position] = RuleError(f"{self._show(term)}: {problems[position].message}")
 
     def _sort(self, term: Any, spot: Spot, place: Optional[Place]) -> None:
         head = term[0] if term.__class__ is tuple else None
@@ -176,18 +176,18 @@ class FileChecker:
 
     def _directive(self, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
         # Such a rule would be a goal that is called once, which is never intended.
-        goal, at = deref(term[1]), spot(term, 1) or place
+        goal, goal_place = deref(term[1]), spot(term, 1) or place
         if is_rule(goal):
-            raise RuleError("an event rule is written without :- before it", at)
+            raise RuleError("an event rule is written without :- before it", goal_place)
         if goal.__class__ is tuple and goal[0] in _INITIALIZATION:
-            self._later(goal, spot, at)
+            self._later(goal, spot, goal_place)
             return
         if goal.__class__ is tuple and goal[0] in _USING:
-            self._use(goal, at)
+            self._use(goal, goal_place)
             return
         goals = goals_of(term, spot)
         self._declared.fit(made_by_goals(calls(term, 1)), term, self._names, spot, place)
-        self.steps.append(FileEntry("directive", goal, at, goals))
+        self.steps.append(FileEntry("directive", goal, goal_place, goals))
         self._declared.take(goals, spot)
 
     def _use(self, goal: CompoundTerm, place: Optional[Place]) -> None:
@@ -219,9 +219,9 @@ class FileChecker:
             return
         head = term[0]
         if head is RULE or head is COLON:
-            wrong = label_error(term, lambda part, number=0: spot(part, number) or place)
-            if wrong is not None:
-                raise wrong
+            error = label_error(term, lambda part, number=0: spot(part, number) or place)
+            if error is not None:
+                raise error
             if head is RULE or _holds_label(deref(term[2])):
                 self._warn(
                     "this is not a labelled rule (a rule has one label), so it is kept as a fact", place
@@ -242,12 +242,12 @@ class FileChecker:
     def _warn(self, message: str, place: Optional[Place]) -> None:
         self.warnings.append(RuleError(message, place))
 
-    def _property(self, one: Property, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
+    def _property(self, prop: Property, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
         """Process a property from a term whose last arguments are its name and value."""
-        problem, last = one.problem, len(term) - 1
+        problem, last = prop.problem, len(term) - 1
         if problem is None:
-            self.steps.append(FileEntry("property", one, place))
-        elif one.known:
+            self.steps.append(FileEntry("property", prop, place))
+        elif prop.known:
             raise RuleError(problem, spot(term, last) or place)
         else:
             self._warn(problem, spot(term, last - 1) or place)
@@ -292,9 +292,12 @@ class FileChecker:
             if head.__class__ is tuple and SPELLINGS.get(head[0]) == "do":
                 goal = reader.goal(head, 2, "do")
                 head = deref(head[1])
-            at = spot(head) if head.__class__ is tuple else spot(rule, 1)
+            head_place = spot(head) if head.__class__ is tuple else spot(rule, 1)
             check_head(
-                head, lambda part, number=0: spot(part, number) or place, at or place, self.warnings.append
+                head,
+                lambda part, number=0: spot(part, number) or place,
+                head_place or place,
+                self.warnings.append,
             )
             for call in query_goals(head):
                 self._called(call, spot, place)
@@ -303,7 +306,7 @@ class FileChecker:
             if goal is not None:
                 pattern = Action(pattern, goal, False)
             definition = RuleDefinition(rule, head, pattern, label, place, self._names)
-            self._unbound(head, pattern, at or place)
+            self._unbound(head, pattern, head_place or place)
         self._goals(reader.goals, pattern, spot, place)
         # Predicates of `check` have no time, so their use elsewhere is an error unless the program defines them
         # itself.
@@ -312,12 +315,12 @@ class FileChecker:
             self.untimed.append(Unknown(call.term[0], spot(call.term) or place))
         self._doubt_parts(reader, pattern, spot, place)
         heads = [] if definition.head is None else [head_event(rule, 1)]
-        made = made_by_goals((*reader.goals, *query_goals(definition.head or TRUE)))
-        self._declared.fit(chain(heads, reader.events, made), rule, self._names, spot, place)
+        emitted = made_by_goals((*reader.goals, *query_goals(definition.head or TRUE)))
+        self._declared.fit(chain(heads, reader.events, emitted), rule, self._names, spot, place)
         for window, part in reader.windows:
             check_window(window, part, rule, self._names, reader.place, self.warnings.append)
-        for one in reader.inner:
-            self.inner.append(self.definition(one, None, spot, spot(one) or place))
+        for nested in reader.inner:
+            self.inner.append(self.definition(nested, None, spot, spot(nested) or place))
         return definition
 
     def _doubt_parts(
@@ -347,7 +350,7 @@ class FileChecker:
         for call in goals:
             term = call.term
             # All occurrences of the variable are calls, so nothing can bind it to a goal.
-            if term.__class__ is Var and counts[term] == sum(one.term is term for one in goals):
+            if term.__class__ is Var and counts[term] == sum(other.term is term for other in goals):
                 name = self._names.get(term, "this variable")
                 raise RuleError(f"{name} never gets a goal to call", spot(call.parent, call.number) or place)
             self._called(call, spot, place)
@@ -367,17 +370,19 @@ class FileChecker:
         free = [var for var in variables(head) if var not in bound]
         event = deref(head[1]) if head.__class__ is tuple and head[0] in ALARMS else head
         if event.__class__ is Var and event in free:
-            which = "the head" if event is head else "the event of this alarm"
-            raise RuleError(f"nothing in the pattern gives {which} a value", place)
+            subject = "the head" if event is head else "the event of this alarm"
+            raise RuleError(f"nothing in the pattern gives {subject} a value", place)
         if free:
             names = [self._names[var] for var in free if var in self._names]
-            which = f"{' and '.join(names)} in the head" if names else f"{len(free)} variable(s) in the head"
-            exactly = (
+            subject = (
+                f"{' and '.join(names)} in the head" if names else f"{len(free)} variable(s) in the head"
+            )
+            note = (
                 " (rev retracts exactly the event that it names)"
                 if head.__class__ is tuple and head[0] is _REV
                 else ""
             )
-            self._warn(f"nothing in the pattern can bind {which}{exactly}", place)
+            self._warn(f"nothing in the pattern can bind {subject}{note}", place)
 
 
 def _bound_later(head: Term) -> List[Var]:
@@ -488,21 +493,21 @@ def defined_in(steps: Sequence[FileEntry]) -> Set[Functor]:
 
     Several facts count only for predicates that a program may replace: not for ISO predicates and event goals.
     """
-    found: Set[Functor] = set()
+    defined: Set[Functor] = set()
     facts: Set[Optional[Functor]] = set()
     for step in steps:
         if step.kind == "clause" and step.term.__class__ is tuple and _has_body(step.term):
             key = _key(step.term[1])
             if key is not None:
-                found.add(key)
+                defined.add(key)
         elif step.kind == "clause":
             key = _key(step.term)
             if key is not None and key in facts and is_replaceable(key):
-                found.add(key)
+                defined.add(key)
             facts.add(key)
         elif step.kind == "directive":
-            found |= _declared(step.term)
-    return found
+            defined |= _declared(step.term)
+    return defined
 
 
 def fact_error(
@@ -546,7 +551,7 @@ def _declared(goal: Term) -> Set[Functor]:
     goal = deref(goal)
     if goal.__class__ is not tuple or goal[0] not in _DECLARES:
         return set()
-    found: Set[Functor] = set()
+    declared: Set[Functor] = set()
     stack = [deref(goal[1])]
     while stack:
         term = stack.pop()
@@ -560,5 +565,5 @@ def _declared(goal: Term) -> Set[Functor]:
         elif term[0] is SLASH:
             name, arity = deref(term[1]), deref(term[2])
             if isinstance(name, Atom) and isinstance(arity, int):
-                found.add(functor(name.name, arity))
-    return found
+                declared.add(functor(name.name, arity))
+    return declared

@@ -46,7 +46,7 @@ from .event_file_checker import (
     nowhere,
 )
 from .file_directives import Directives
-from .file_kind import change_reading, is_of_events
+from .file_kind import apply_reader_settings, is_event_file
 from .source_files import LIBRARY, SourceFiles, require_library
 from .source_preprocessing import ConditionalCompilation, TermExpansion
 
@@ -79,9 +79,11 @@ class LoadRollback:
     def __init__(self, rules: "RuleBase"):
         self._rules = rules
         self._active = set(rules.rules)
-        found = list(rules.logic.database.predicates.values())
-        self._library = [predicate for predicate in found if predicate.library]
-        self._clauses = {predicate: set(predicate.live()) for predicate in found if predicate.kind == "user"}
+        predicates = list(rules.logic.database.predicates.values())
+        self._library = [predicate for predicate in predicates if predicate.library]
+        self._clauses = {
+            predicate: set(predicate.live()) for predicate in predicates if predicate.kind == "user"
+        }
         self._properties = rules.all_properties()
         self._operators = rules.logic.operators.copy()
 
@@ -145,32 +147,32 @@ class EventFileLoader:
         self._directives = Directives(rules.logic)
         self._consulting = Consultation(rules, self._directives, self.use)
         self._expansion = TermExpansion(rules.logic)
-        self._acting: List[CheckedProgram] = []
+        self._active_files: List[CheckedProgram] = []
         """Files that are taking effect, outermost first."""
-        self._begun: List[Union[LoadSavepoint, LoadRollback]] = []
+        self._rollbacks: List[Union[LoadSavepoint, LoadRollback]] = []
         """Undo information of the load in progress; entries after the first two belong to nested loads."""
-        self._gathered: Optional[List[Unknown]] = None
+        self._deferred_calls: Optional[List[Unknown]] = None
         self._modules = rules.logic.database.modules
         self._modules.on_begin = self._files.note_module
         self._files.on_same_module = self._modules.on_clash
         rules.logic.files = self._files
 
-    def note_calls(self, found: List[Unknown]) -> None:
+    def note_calls(self, unknown: List[Unknown]) -> None:
         """Warn about unknown predicates, at the end of the load in progress or now."""
-        if self._acting:
-            self._acting[0].calls.extend(found)
+        if self._active_files:
+            self._active_files[0].calls.extend(unknown)
         else:
-            self._warn_of_unknown(found)
+            self._warn_of_unknown(unknown)
 
-    def gather(self) -> None:
-        """Defer warnings about unknown predicates until `end_gathering`, because several loads belong together."""
-        if self._gathered is None:
-            self._gathered = []
+    def defer_warnings(self) -> None:
+        """Defer warnings about unknown predicates, because several loads belong together."""
+        if self._deferred_calls is None:
+            self._deferred_calls = []
 
-    def end_gathering(self) -> None:
+    def log_deferred_warnings(self) -> None:
         """Log the deferred warnings about predicates that are still unknown."""
-        found, self._gathered = self._gathered, None
-        self._warn_of_unknown(found or [])
+        unknown, self._deferred_calls = self._deferred_calls, None
+        self._warn_of_unknown(unknown or [])
 
     def load_text(self, text: str, source: str, folder: Optional[Path]) -> None:
         """Load a text; see `RuleBase.load_text`."""
@@ -242,7 +244,7 @@ class EventFileLoader:
             self._finish(lambda errors: self._accept(text, source, errors), Errors())
 
     def _accept(self, text: str, source: str, errors: Errors) -> CheckedProgram:
-        if not is_of_events(text, self._rules.logic, self._opened):
+        if not is_event_file(text, self._rules.logic, self._opened):
             return CheckedProgram([Consulted(text, source)], [], [])
         reading = self._reading(FileChecker(declared=self._rules.declared.now()), errors)
         self._read(read_program(text, reading.operators, source, OF_FILES), reading)
@@ -286,10 +288,10 @@ class EventFileLoader:
             self._include(name, read.place_of(term, 1), reading, program)
             return
         # Terms that the program has generated have no positions of their own; errors point to the original term.
-        found = self._expansion.terms(term)
-        if found is not None:
-            for one in found:
-                reading.checker.term(self._expansion.goals(one), nowhere, read.place)
+        expansion = self._expansion.terms(term)
+        if expansion is not None:
+            for expanded_term in expansion:
+                reading.checker.term(self._expansion.goals(expanded_term), nowhere, read.place)
             return
         expanded = self._expansion.goals(term)
         if expanded is term:
@@ -301,7 +303,7 @@ class EventFileLoader:
             self._rules.on_warning(RuleError(f"singleton variables: {names}", read.place))
         # The directive runs only in step 3, but its operators and flags are needed to read the rest of the file.
         if directive is not None:
-            change_reading(directive, program)
+            apply_reader_settings(directive, program)
 
     def _include(
         self, name: Term, place: Optional[Place], reading: _Reading, outer: Optional[Program] = None
@@ -382,10 +384,10 @@ class EventFileLoader:
     def _finish(self, accepted: Callable[[Errors], CheckedProgram], errors: Errors) -> None:
         """Check the whole program, then make it take effect; undo everything after an error."""
         loaded = set(self._files.loaded)
-        before: Optional[LoadRollback] = None
-        outermost = not self._begun
+        rollback: Optional[LoadRollback] = None
+        outermost = not self._rollbacks
         if outermost:
-            self._begun = [LoadSavepoint(self._rules, loaded)]
+            self._rollbacks = [LoadSavepoint(self._rules, loaded)]
         try:
             checked = accepted(errors)
             if errors:
@@ -393,57 +395,57 @@ class EventFileLoader:
                 # necessary.
                 raise ProgramErrors(_in_order(errors))
             if checked.may_stop_half_way:
-                before = LoadRollback(self._rules)
-                self._begun.append(before)
+                rollback = LoadRollback(self._rules)
+                self._rollbacks.append(rollback)
             self._act(checked)
         except RetalisError as error:
-            if before is not None:
-                before.restore()
+            if rollback is not None:
+                rollback.restore()
             # Also if nothing took effect: reading has marked the files as loaded.
             self._files.loaded = loaded
             if outermost:
-                self._begun = []
+                self._rollbacks = []
             if isinstance(error, ProgramErrors):
                 raise
             raise ProgramErrors([error]) from error
         if outermost:
-            self._begun = []
+            self._rollbacks = []
 
     @property
     def is_loading(self) -> bool:
         """True while a load is in progress."""
-        return bool(self._begun or self._acting)
+        return bool(self._rollbacks or self._active_files)
 
     def mend(self) -> None:
         """Undo a load that was interrupted."""
-        self._acting.clear()
+        self._active_files.clear()
         # The first two entries belong to the outermost load; restoring its state undoes nested loads, too.
-        for before in self._begun[:2]:
+        for before in self._rollbacks[:2]:
             before.restore()
-        self._begun = []
-        self._gathered = None
+        self._rollbacks = []
+        self._deferred_calls = None
 
     def _act(self, accepted: CheckedProgram) -> None:
-        self._acting.append(accepted)
+        self._active_files.append(accepted)
         try:
             with self._files.relative_to(accepted.folder):
-                self._take_in(accepted)
+                self._process_in_module(accepted)
         finally:
-            self._acting.pop()
+            self._active_files.pop()
         self._warn_of_unknown(accepted.calls)
 
-    def _warn_of_unknown(self, found: List[Unknown]) -> None:
-        if self._gathered is not None:
-            self._gathered.extend(found)
+    def _warn_of_unknown(self, unknown: List[Unknown]) -> None:
+        if self._deferred_calls is not None:
+            self._deferred_calls.extend(unknown)
             return
-        for warning in unknown_calls(self._rules.logic, found, self._rules.terms):
+        for warning in unknown_calls(self._rules.logic, unknown, self._rules.terms):
             self._rules.on_warning(warning)
 
-    def _take_in(self, accepted: CheckedProgram) -> None:
+    def _process_in_module(self, accepted: CheckedProgram) -> None:
         with self._modules.of_file(not accepted.rules):
-            self._take_all(accepted)
+            self._process_entries(accepted)
 
-    def _take_all(self, accepted: CheckedProgram) -> None:
+    def _process_entries(self, accepted: CheckedProgram) -> None:
         rules, late = self._rules, []
         for step in accepted.steps:
             if isinstance(step, CheckedProgram):
@@ -470,12 +472,12 @@ class EventFileLoader:
         for step in late:
             self._run(step)
 
-    def _consult(self, one: Consulted, accepted: CheckedProgram) -> None:
+    def _consult(self, file: Consulted, accepted: CheckedProgram) -> None:
         if accepted.path is None:
-            self._consulting.load(one, accepted.calls.extend)
+            self._consulting.load(file, accepted.calls.extend)
             return
         with self._files.inside(accepted.path):
-            self._consulting.load(one, accepted.calls.extend)
+            self._consulting.load(file, accepted.calls.extend)
 
     def _run(self, step: FileEntry) -> None:
         warning = self._directives.run(step.term, step.goals, step.place)

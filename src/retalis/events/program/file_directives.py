@@ -27,7 +27,7 @@ Goals = List[Tuple[Term, Optional[Place]]]
 
 def goals_of(directive: Term, spot: Spot) -> Goals:
     """Return the goals of a directive that are called in sequence, each with its position."""
-    found: Goals = []
+    goals: Goals = []
     stack: List[Tuple[Any, int]] = [(directive, 1)]
     while stack:
         parent, number = stack.pop()
@@ -35,8 +35,8 @@ def goals_of(directive: Term, spot: Spot) -> Goals:
         if goal.__class__ is tuple and goal[0] is COMMA:
             stack += [(goal, 2), (goal, 1)]
         else:
-            found.append((goal, spot(parent, number)))
-    return found
+            goals.append((goal, spot(parent, number)))
+    return goals
 
 
 class Directives:
@@ -61,19 +61,22 @@ class Directives:
         """
         # Saved for nested directives: a goal may load a file.
         before = self._last, self._many
-        goal, goals = self._logic.of_file(goal), [(self._logic.of_file(one), at) for one, at in goals]
-        wrong = [at for at, (one, _) in enumerate(goals) if not _is_callable(one)]
+        goal, goals = (
+            self._logic.of_file(goal),
+            [(self._logic.of_file(part), position) for part, position in goals],
+        )
+        invalid = [position for position, (part, _) in enumerate(goals) if not _is_callable(part)]
         # A conjunction with a part that is not callable raises an error that shows all of it; markers would show
         # there.
-        noting = len(goals) > 1 and not wrong
-        self._last, self._many = wrong[0] if wrong else 0, len(goals)
+        use_markers = len(goals) > 1 and not invalid
+        self._last, self._many = invalid[0] if invalid else 0, len(goals)
         try:
-            if self._logic.once(_noting([one for one, _ in goals]) if noting else goal, goal):
+            if self._logic.once(_noting([part for part, _ in goals]) if use_markers else goal, goal):
                 return None
             return RuleError("this directive fails", goals[self._last][1] or place)
         except PrologError as error:
-            at = goals[self._last][1] or place
-            raise RuleError(f"this directive raises an error: {error.message}", at) from error
+            position = goals[self._last][1] or place
+            raise RuleError(f"this directive raises an error: {error.message}", position) from error
         finally:
             self._last, self._many = before
 
@@ -94,8 +97,8 @@ def _noting(goals: List[Term]) -> Term:
     """Return the conjunction of goals with a marker before each."""
     result: Optional[Term] = None
     for number in range(len(goals) - 1, -1, -1):
-        one = goals[number] if result is None else (COMMA, goals[number], result)
-        result = (COMMA, (_GOAL, number), one)
+        rest = goals[number] if result is None else (COMMA, goals[number], result)
+        result = (COMMA, (_GOAL, number), rest)
     return result or TRUE
 
 
@@ -126,9 +129,9 @@ class FileDeclarations:
             if declared is None or goal.__class__ is not tuple:
                 continue
             if goal[0] is DECLARE_EVENT:
-                for one, place in declared_in(goal, spot):
+                for declaration, place in declared_in(goal, spot):
                     try:
-                        declared.add(one)
+                        declared.add(declaration)
                     except UsageError as error:
                         raise RuleError(error.message, place) from error
             elif goal[0] is _SET_FLAG and deref(goal[1]) is UNDECLARED:

@@ -20,20 +20,20 @@ _OP = functor("op", 3)
 _SET_FLAG = functor("set_prolog_flag", 2)
 
 
-def change_reading(goal: Term, program: Program) -> None:
+def apply_reader_settings(goal: Term, program: Program) -> None:
     """Apply operators and flags that a directive sets to the rest of the text."""
-    for one in conjuncts(goal):
-        if one.__class__ is not tuple:
+    for goal_part in conjuncts(goal):
+        if goal_part.__class__ is not tuple:
             continue
-        arguments = [deref(argument) for argument in one[1:]]
-        if one[0] is _OP and arguments[0].__class__ is int and arguments[1].__class__ is Atom:
+        arguments = [deref(argument) for argument in goal_part[1:]]
+        if goal_part[0] is _OP and arguments[0].__class__ is int and arguments[1].__class__ is Atom:
             for name in _names(arguments[2]):
                 try:
                     program.operators.add(arguments[0], arguments[1].name, name)
                 except (RetalisError, ValueError):
                     # The directive itself reports the error when it runs.
                     continue
-        elif one[0] is _SET_FLAG and arguments[0].__class__ is Atom and arguments[1].__class__ is Atom:
+        elif goal_part[0] is _SET_FLAG and arguments[0].__class__ is Atom and arguments[1].__class__ is Atom:
             name = arguments[0].name
             if name in ("double_quotes", "back_quotes"):
                 changed: Any = {name: arguments[1].name}
@@ -42,17 +42,17 @@ def change_reading(goal: Term, program: Program) -> None:
 
 def _names(term: Term) -> List[str]:
     items = list_items(term)
-    found = [deref(item) for item in items] if items else [term]
-    return [item.name for item in found if item.__class__ is Atom]
+    terms = [deref(item) for item in items] if items else [term]
+    return [item.name for item in terms if item.__class__ is Atom]
 
 
-_WORDS = re.compile(r"<-|'rule:'|'?\b(?:do|iff|IFF|event_rule_property|include)\b")
+_RULE_SIGNS = re.compile(r"<-|'rule:'|'?\b(?:do|iff|IFF|event_rule_property|include)\b")
 """Each text with event rules contains one of these."""
 
-_NAMES = re.compile(r"[:?]-\s*(?:\(\s*)?([a-z]\w*)")
+_DIRECTIVE_CALLS = re.compile(r"[:?]-\s*(?:\(\s*)?([a-z]\w*)")
 """The first predicate that a directive calls."""
 
-_OF_LANGUAGE = frozenset(
+_EVENT_PREDICATES = frozenset(
     (
         "event", "declare_event", "new_event", "timer", "cancel_timer", "state", "delete_state",
         "memorize", "memorize_diactive", "delete_memory", "subscribe", "delete_subscription",
@@ -68,7 +68,7 @@ Opened = Callable[[Term], Optional[Tuple[str, str]]]
 """A function that returns the text of a file and its name for errors; None if there is no such file."""
 
 
-def is_of_events(text: str, logic: PrologSystem, opened: Opened) -> bool:
+def is_event_file(text: str, logic: PrologSystem, opened: Opened) -> bool:
     """Return whether a text contains an event rule, or a directive that calls a predicate of the event language.
 
     Args:
@@ -76,19 +76,19 @@ def is_of_events(text: str, logic: PrologSystem, opened: Opened) -> bool:
         logic: provides predicates and operators.
         opened: returns the text of an included file.
     """
-    if not _may_be(text):
+    if not _may_have_rules(text):
         return False
     return _has_rules(read_program(text, logic.operators.copy(), flags=OF_FILES), logic, opened, 0)
 
 
-def _may_be(text: str) -> bool:
-    if _WORDS.search(text):
+def _may_have_rules(text: str) -> bool:
+    if _RULE_SIGNS.search(text):
         return True
-    return any(match.group(1) in _OF_LANGUAGE for match in _NAMES.finditer(text))
+    return any(match.group(1) in _EVENT_PREDICATES for match in _DIRECTIVE_CALLS.finditer(text))
 
 
-def _is_of_language(logic: PrologSystem, key: Functor) -> bool:
-    return key.name in _OF_LANGUAGE and logic.is_added(key)
+def _is_event_predicate(logic: PrologSystem, key: Functor) -> bool:
+    return key.name in _EVENT_PREDICATES and logic.is_added(key)
 
 
 _MAX_INCLUDE_DEPTH = 50
@@ -110,18 +110,18 @@ def _has_rules(program: Program, logic: PrologSystem, opened: Opened, depth: int
             continue
         name = included(term)
         if name is not None and depth < _MAX_INCLUDE_DEPTH:
-            found = _text(name, opened)
-            if found is not None:
-                inner = read_program(found[0], program.operators, found[1], program.flags)
+            included_file = _text(name, opened)
+            if included_file is not None:
+                inner = read_program(included_file[0], program.operators, included_file[1], program.flags)
                 if _has_rules(inner, logic, opened, depth + 1):
                     return True
                 program.flags = inner.flags
             continue
         first = next(iter(conjuncts(term[1])))
         key = first[0] if first.__class__ is tuple else first.functor if isinstance(first, Atom) else None
-        if key is not None and _is_of_language(logic, key):
+        if key is not None and _is_event_predicate(logic, key):
             return True
-        change_reading(term[1], program)
+        apply_reader_settings(term[1], program)
     return False
 
 

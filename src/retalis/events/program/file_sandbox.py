@@ -26,10 +26,10 @@ from ...prolog.machine.errors import (
 from ...prolog.machine.resource_limits import MEGABYTE
 from ...prolog.terms.types import atom
 
-_LONGEST_PATH, _LONGEST_PART = 4095, 255
+_MAX_PATH_BYTES, _MAX_NAME_BYTES = 4095, 255
 """Limits of Linux in bytes."""
 # O_NONBLOCK and O_NOCTTY: opening a pipe or terminal that has replaced the file must not block or change anything.
-_SAFELY = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
+_SAFE_FLAGS = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
 _NO_PERMISSION = frozenset((errno.EACCES, errno.EPERM, errno.ELOOP, errno.ENXIO, errno.EISDIR, errno.EROFS))
 
 Folders = Optional[List[str]]
@@ -156,7 +156,7 @@ class FileSandbox:
                 # One byte more than permitted is read: the size that `stat` reports may change, and is 0 in /proc.
                 data = file.read(self.max_bytes + 1)
         except OSError as error:
-            raise _fault("read", error, path, name) from error
+            raise _access_error("read", error, path, name) from error
         if len(data) > self.max_bytes:
             raise resource_error("file_size", reason=f"{path} has more than {self.max_bytes} bytes")
         try:
@@ -189,7 +189,7 @@ class FileSandbox:
             finally:
                 os.close(opened)
         except OSError as error:
-            raise _fault("write", error, path, name) from error
+            raise _access_error("write", error, path, name) from error
 
     def append(self, path: str, text: str, encoding: str = "utf-8") -> None:
         """Append a text to a file, completely or not at all.
@@ -208,7 +208,7 @@ class FileSandbox:
             finally:
                 os.close(opened)
         except OSError as error:
-            raise _fault("write", error, path, path) from error
+            raise _access_error("write", error, path, path) from error
         except UnicodeEncodeError as error:
             raise UsageError(f"cannot write {path}: {error.reason}") from error
 
@@ -250,9 +250,9 @@ def check_name(name: str) -> None:
         data = name.encode("utf-8")
     except UnicodeEncodeError:
         raise domain_error("source_sink", atom(name), "a file name cannot contain surrogates") from None
-    if len(data) > _LONGEST_PATH or max(map(len, data.split(b"/"))) > _LONGEST_PART:
-        most = f"a file name has at most {_LONGEST_PATH} bytes, and {_LONGEST_PART} between slashes"
-        raise representation_error("max_path_length", f"{most}; found {shortened(name)}")
+    if len(data) > _MAX_PATH_BYTES or max(map(len, data.split(b"/"))) > _MAX_NAME_BYTES:
+        limits = f"a file name has at most {_MAX_PATH_BYTES} bytes, and {_MAX_NAME_BYTES} between slashes"
+        raise representation_error("max_path_length", f"{limits}; found {shortened(name)}")
 
 
 def _real_folders(folders: Optional[Iterable[FolderName]]) -> Folders:
@@ -275,11 +275,11 @@ def _resolved(path: str, name: str, folders: Folders) -> str:
     # A name that the file system cannot have.
     except (OSError, ValueError) as error:
         raise domain_error("source_sink", atom(name), str(error)) from error
-    _check_place(real, name, folders)
+    _check_location(real, name, folders)
     return real
 
 
-def _check_place(real: str, name: str, folders: Folders) -> None:
+def _check_location(real: str, name: str, folders: Folders) -> None:
     if folders is not None and not any(f"{real}/".startswith(f"{folder.rstrip('/')}/") for folder in folders):
         raise permission_error(
             "open", "source_sink", atom(name), "it is not in a folder that goals may open files in"
@@ -293,7 +293,7 @@ def _open(real: str, flags: int, name: str, folders: Folders) -> int:
     """
     # Before opening, because opening alone starts some devices.
     _check_kind(os.lstat(real), name)
-    opened = os.open(real, flags | _SAFELY)
+    opened = os.open(real, flags | _SAFE_FLAGS)
     try:
         _check_kind(os.fstat(opened), name)
         _check_opened(opened, name, folders)
@@ -309,30 +309,32 @@ def _open_to_write(real: str, name: str, folders: Folders) -> int:
         return _open(real, flags, name, folders)
     except FileNotFoundError:
         pass
-    folder, last = os.path.split(real)
+    folder, file_name = os.path.split(real)
     # The file is created relative to a descriptor of its folder, whose location has been checked. O_EXCL refuses a
     # link that was created meanwhile.
-    at = os.open(folder, O_PATH | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    folder_descriptor = os.open(folder, O_PATH | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:
-        _check_opened(at, name, folders)  # before anything is made in it
-        return os.open(last, flags | os.O_CREAT | os.O_EXCL | _SAFELY, 0o666, dir_fd=at)
+        _check_opened(folder_descriptor, name, folders)  # before anything is made in it
+        return os.open(
+            file_name, flags | os.O_CREAT | os.O_EXCL | _SAFE_FLAGS, 0o666, dir_fd=folder_descriptor
+        )
     finally:
-        os.close(at)
+        os.close(folder_descriptor)
 
 
-def _check_kind(found: os.stat_result, name: str) -> None:
-    if not stat.S_ISREG(found.st_mode):
-        reason = "Is a directory" if stat.S_ISDIR(found.st_mode) else "it is not a regular file"
+def _check_kind(status: os.stat_result, name: str) -> None:
+    if not stat.S_ISREG(status.st_mode):
+        reason = "Is a directory" if stat.S_ISDIR(status.st_mode) else "it is not a regular file"
         raise permission_error("open", "source_sink", atom(name), reason)
 
 
 def _check_opened(opened: int, name: str, folders: Folders) -> None:
     # The kernel's own path of the descriptor; it reflects links that were changed during the opening.
     if folders is not None:
-        _check_place(os.readlink(f"/proc/self/fd/{opened}"), name, folders)
+        _check_location(os.readlink(f"/proc/self/fd/{opened}"), name, folders)
 
 
-def _fault(doing: str, error: OSError, path: str, name: str) -> RetalisError:
+def _access_error(doing: str, error: OSError, path: str, name: str) -> RetalisError:
     """Return the Prolog or usage error for an error of the operating system."""
     if error.errno in _NO_PERMISSION:
         return permission_error("open", "source_sink", atom(name), error.strerror)

@@ -21,7 +21,7 @@ _DIRECTIVES = (functor(":-", 1), functor("?-", 1))
 _INCLUDE = functor("include", 1)
 
 
-_IN_VAIN = 100_000
+_MAX_REREAD_CHARACTERS = 100_000
 """Characters that may be read again, beyond a multiple of the file, in search of the end of goals over several lines.
 
 Afterwards, each line with an error is reported by itself. Otherwise thousands of such lines, each read up to a full
@@ -98,34 +98,38 @@ def read_goals(text: str, operators: Operators, source: str) -> Iterator[Read]:
     ends in a full stop.
     """
     lines = text.split("\n")
-    at = stop = 0
-    in_vain = 4 * len(text) + _IN_VAIN
-    while at < len(lines):
-        if _is_blank(lines[at]):
-            at += 1
+    position = stop = 0
+    characters_left = 4 * len(text) + _MAX_REREAD_CHARACTERS
+    while position < len(lines):
+        if _is_blank(lines[position]):
+            position += 1
             continue
-        goal = _read(lines, at, at + 1, operators, source)
-        end = at + 1
-        if isinstance(goal, SyntaxFault) and in_vain > 0:
+        goal = _read(lines, position, position + 1, operators, source)
+        end = position + 1
+        if isinstance(goal, SyntaxFault) and characters_left > 0:
             stop = max(stop, end)
             while stop < len(lines) and not _ends_goal(lines[stop]):
                 stop += 1
             if stop < len(lines):
-                longer = _read(lines, at, stop + 1, operators, source)
+                longer = _read(lines, position, stop + 1, operators, source)
                 # If the longer text also has an error, but beyond its first line, the lines belong together.
-                if not isinstance(longer, SyntaxFault) or _line(longer) > at + 1:
+                if not isinstance(longer, SyntaxFault) or _line(longer) > position + 1:
                     goal, end = longer, stop + 1
                 else:
-                    in_vain -= sum(map(len, lines[at : stop + 1]))
-        yield _unfinished(goal, lines, at) if isinstance(goal, SyntaxFault) and end == at + 1 else goal
-        at = end
+                    characters_left -= sum(map(len, lines[position : stop + 1]))
+        yield (
+            _unfinished(goal, lines, position)
+            if isinstance(goal, SyntaxFault) and end == position + 1
+            else goal
+        )
+        position = end
 
 
-def _unfinished(fault: SyntaxFault, lines: List[str], at: int) -> SyntaxFault:
+def _unfinished(fault: SyntaxFault, lines: List[str], position: int) -> SyntaxFault:
     """Return the error of a line, with advice about the full stop if the line ends in the middle of a term."""
     place = fault.place
-    follows = at + 1 < len(lines) and not _is_blank(lines[at + 1])
-    if place is None or not follows or not _is_blank(lines[at][place.column - 1 :]):
+    follows = position + 1 < len(lines) and not _is_blank(lines[position + 1])
+    if place is None or not follows or not _is_blank(lines[position][place.column - 1 :]):
         return fault
     # The advice after the semicolon (a superfluous comma) would be misleading here.
     message = fault.message.partition("; ")[0]
@@ -159,4 +163,4 @@ def errors_in(error: RetalisError, place: Place) -> List[RetalisError]:
         errors = error.__cause__.errors
     else:
         errors = [error]
-    return [one if one.place else RuleError(one.message, place) for one in errors]
+    return [single if single.place else RuleError(single.message, place) for single in errors]

@@ -62,17 +62,17 @@ DirectTopics = Union[bool, str, Tuple[TopicType, ...]]
 _DIRECT_WORDS: Dict[str, Union[bool, str]] = {"auto": AUTO, "true": True, "false": False}
 
 
-def topic_type(topic: str, kind: str) -> TopicType:
+def topic_type(topic: str, message_type: str) -> TopicType:
     """Return a validated topic and type; the type may be written as in ROS 2 (``pkg/msg/Type``).
 
     Raises:
         UsageError: if the name or type is invalid in ROS.
     """
-    kind = plain_type(kind)
-    fault = topic_fault(topic) or type_fault(kind)
+    message_type = plain_type(message_type)
+    fault = topic_fault(topic) or type_fault(message_type)
     if fault is not None:
         raise UsageError(fault)
-    return TopicType(topic, kind)
+    return TopicType(topic, message_type)
 
 
 class TopicEvent(NamedTuple):
@@ -104,8 +104,8 @@ class Topics(NamedTuple):
             topic: name of the topic.
             plain: returns the canonical form of a topic name.
         """
-        wanted = plain(topic)
-        return next((event for named, event in self.events if plain(named) == wanted), "")
+        canonical = plain(topic)
+        return next((event for named, event in self.events if plain(named) == canonical), "")
 
 
 def read_text(path: Union[str, Path]) -> str:
@@ -145,18 +145,20 @@ def read_direct(value: object) -> DirectTopics:
     Raises:
         UsageError: if the value is invalid, or a topic or type is invalid in ROS.
     """
-    said = value
-    if isinstance(said, str):
-        said = _DIRECT_WORDS.get(said.strip().lower(), said.strip())
-    if isinstance(said, str) and said.startswith("[") and said.endswith("]"):
+    choice = value
+    if isinstance(choice, str):
+        choice = _DIRECT_WORDS.get(choice.strip().lower(), choice.strip())
+    if isinstance(choice, str) and choice.startswith("[") and choice.endswith("]"):
         # Names have neither brackets nor commas nor quotes, so a list of pairs reads as a flat one.
-        said = [item.strip(" []'\"") for item in said[1:-1].split(",") if item.strip(" []")]
-    if isinstance(said, bool) or said == AUTO:
-        return said
-    if isinstance(said, list):
-        flat = [item for entry in said for item in (entry if isinstance(entry, list) else [entry])]
+        choice = [item.strip(" []'\"") for item in choice[1:-1].split(",") if item.strip(" []")]
+    if isinstance(choice, bool) or choice == AUTO:
+        return choice
+    if isinstance(choice, list):
+        flat = [item for entry in choice for item in (entry if isinstance(entry, list) else [entry])]
         if len(flat) % 2 == 0 and all(isinstance(item, str) for item in flat):
-            return tuple(topic_type(topic, kind) for topic, kind in zip(flat[::2], flat[1::2]))
+            return tuple(
+                topic_type(topic, message_type) for topic, message_type in zip(flat[::2], flat[1::2])
+            )
     raise UsageError(
         "expected auto, true, false, or a list of topics and types [topic, package/Type, ...], "
         f"found {printable(beginning(repr(value)))}"
@@ -177,7 +179,7 @@ def direct_topics(
         return DIRECT
     if direct == AUTO:
         named = {plain(topic) for topic, _ in topics.subscribed}
-        return tuple(one for one in DIRECT if plain(one.topic) not in named)
+        return tuple(topic for topic in DIRECT if plain(topic.topic) not in named)
     return direct if isinstance(direct, tuple) else ()
 
 
@@ -276,7 +278,7 @@ class _TopicReader:
         self.found[tag].append(topic)
 
     def name(self, topic: str, event: Optional[str], place: Place) -> None:
-        if event is None or any(one.topic == topic for one in self.found["subscribe_to"]):
+        if event is None or any(known.topic == topic for known in self.found["subscribe_to"]):
             # Of several entries for a topic the first one counts.
             return
         fault = event_fault(event.strip())
@@ -285,11 +287,11 @@ class _TopicReader:
         else:
             self.wrong(f"<subscribe_to>: {fault}", place)
 
-    def latch(self, topic: str, wanted: str, place: Place) -> None:
-        if wanted == "true":
+    def latch(self, topic: str, value: str, place: Place) -> None:
+        if value == "true":
             self.latched.add(topic)
-        elif wanted != "false":
-            self.wrong(f'<publish_to>: latch is "true" or "false", found "{beginning(wanted)}"', place)
+        elif value != "false":
+            self.wrong(f'<publish_to>: latch is "true" or "false", found "{beginning(value)}"', place)
 
     def wrong(self, message: str, place: Place) -> None:
         self.errors.append(RuleError(message, place))

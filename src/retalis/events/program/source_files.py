@@ -94,7 +94,7 @@ def renaming(file: Term, imports: Term = NIL) -> List[Term]:
     imports = deref(imports)
     if imports.__class__ is tuple and imports[0] is _EXCEPT:
         imports = imports[1]
-    found: List[Term] = []
+    clauses: List[Term] = []
     for item in map(deref, list_items(imports) or ()):
         if item.__class__ is tuple and item[0] is _AS:
             named, name = deref(item[1]), deref(item[2])
@@ -102,8 +102,8 @@ def renaming(file: Term, imports: Term = NIL) -> List[Term]:
             if key is not None and name.__class__ is Atom and key.arity <= _MAX_ARGUMENTS:
                 args = [Var() for _ in range(key.arity)]
                 module = atom(PurePath(library_path(file)).stem)
-                found.append((_CLAUSE, _call(name.name, args), (COLON, module, _call(key.name, args))))
-    return found
+                clauses.append((_CLAUSE, _call(name.name, args), (COLON, module, _call(key.name, args))))
+    return clauses
 
 
 def _call(name: str, args: List[Var]) -> Term:
@@ -181,9 +181,9 @@ def declare_operators(name: Term, operators: Operators) -> None:
     if name.__class__ is not tuple or name[0] is not LIBRARY:
         return
     for line in _EXPORTED.get(library_path(name[1]), "").strip().split("\n"):
-        priority, kind, *names = line.split() or ("0", "fx")
-        for one in names:
-            operators.add(int(priority), kind, one)
+        priority, operator_type, *names = line.split() or ("0", "fx")
+        for operator in names:
+            operators.add(int(priority), operator_type, operator)
 
 
 _ENDINGS = (".pl", ".prolog", ".pro")
@@ -197,7 +197,7 @@ class SourceFiles:
     """Files of a program.
 
     Attributes:
-        door: sandbox that opens the files.
+        sandbox: opens the files.
         loaded: files that have been loaded or are being loaded.
         omitted: number of omitted terms, by file.
         modules: names of modules, by file.
@@ -205,7 +205,7 @@ class SourceFiles:
     """
 
     def __init__(self) -> None:
-        self.door = FileSandbox()
+        self.sandbox = FileSandbox()
         self.loaded: Set[Path] = set()
         self.omitted: Dict[str, int] = {}
         self._again = False
@@ -217,7 +217,7 @@ class SourceFiles:
     @contextmanager
     def loading(self, folder: Optional[Path] = None) -> Iterator[None]:
         """Grant the permissions of the program's own files; relative paths start in ``folder``."""
-        with self.door.loading(), self.relative_to(folder):
+        with self.sandbox.loading(), self.relative_to(folder):
             yield
 
     @contextmanager
@@ -252,11 +252,11 @@ class SourceFiles:
 
     def state(self) -> State:
         """Return the state for `restore`."""
-        return self._folder, len(self._open), self.door.is_loading
+        return self._folder, len(self._open), self.sandbox.is_loading
 
     def restore(self, state: "Optional[State]") -> None:
         """Restore a state; with None, the state in which nothing is being loaded."""
-        self._folder, count, self.door.is_loading = state or (None, 0, False)
+        self._folder, count, self.sandbox.is_loading = state or (None, 0, False)
         del self._open[count:]
 
     def resolve(self, name: Union[str, "os.PathLike[str]"]) -> Path:
@@ -267,8 +267,8 @@ class SourceFiles:
                 invalid name.
         """
         check_name(str(name))
-        path = (self.door.start if self._folder is None else self._folder) / Path(name)
-        self.door.require(str(path), str(name))
+        path = (self.sandbox.start if self._folder is None else self._folder) / Path(name)
+        self.sandbox.require(str(path), str(name))
         return path
 
     def find(self, name: Term) -> Path:
@@ -279,14 +279,14 @@ class SourceFiles:
         """
         text = file_name(name)
         path = self.resolve(text)
-        if self.door.is_file(str(path), text):
+        if self.sandbox.is_file(str(path), text):
             return path
-        endings = [ending for ending in _ENDINGS if self.door.is_file(f"{path}{ending}", text)]
+        endings = [ending for ending in _ENDINGS if self.sandbox.is_file(f"{path}{ending}", text)]
         return Path(f"{path}{endings[0]}") if endings else path
 
     def is_file(self, path: Path) -> bool:
         """Return whether a file exists; raises the errors of `resolve`."""
-        return self.door.is_file(str(path), str(path))
+        return self.sandbox.is_file(str(path), str(path))
 
     def text(self, path: Path) -> str:
         """Return the text of a file.
@@ -295,7 +295,7 @@ class SourceFiles:
             PrologError: a permission, existence or resource error.
             UsageError: if the file cannot be read.
         """
-        return self.door.read(str(path), str(path))
+        return self.sandbox.read(str(path), str(path))
 
     @property
     def innermost(self) -> Optional[Path]:
@@ -312,7 +312,7 @@ class SourceFiles:
             UsageError: if the file cannot be read.
         """
         path = str(self.resolve(file_name(name)))
-        return path, self.door.read(path, path, encoding)
+        return path, self.sandbox.read(path, path, encoding)
 
     def to_write(self, name: Term, more: bool) -> str:
         """Return the path of a file that a goal writes; empty the file unless ``more`` is set.
@@ -323,18 +323,18 @@ class SourceFiles:
         """
         text = file_name(name)
         check_name(text)
-        path = str((self.door.start if self._folder is None else self._folder) / Path(text))
-        self.door.begin(path, text, not more)
+        path = str((self.sandbox.start if self._folder is None else self._folder) / Path(text))
+        self.sandbox.begin(path, text, not more)
         return path
 
     def add(self, path: str, text: str, encoding: str = "utf-8") -> None:
         """Append a text to a file; raises the errors of `to_write`."""
-        self.door.append(path, text, encoding)
+        self.sandbox.append(path, text, encoding)
 
     def absolute(self, name: str) -> str:
         """Return an absolute path from a path relative to the base folder."""
         check_name(name)
-        return os.path.abspath((self.door.start if self._folder is None else self._folder) / Path(name))
+        return os.path.abspath((self.sandbox.start if self._folder is None else self._folder) / Path(name))
 
     def is_readable(self, path: str) -> bool:
         """Return whether a readable file exists; raises the errors of `resolve`."""
@@ -342,7 +342,7 @@ class SourceFiles:
 
     def is_folder(self, path: str) -> bool:
         """Return whether a readable folder exists; raises the errors of `resolve`."""
-        return self.door.is_folder(str(self.resolve(path)), path)
+        return self.sandbox.is_folder(str(self.resolve(path)), path)
 
     def has_loaded(self, path: Path) -> bool:
         """Return whether a file has been loaded or is being loaded."""
@@ -353,8 +353,8 @@ class SourceFiles:
         if not self._open:
             return
         path = self._open[-1]
-        for other, one in self.modules.items():
-            if one == name and other != path and other in self.loaded:
+        for other, module in self.modules.items():
+            if module == name and other != path and other in self.loaded:
                 self.on_same_module(
                     f"Warning: {other} is module {name} as well; what {path} has of it is added to that\n"
                 )

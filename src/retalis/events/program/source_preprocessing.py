@@ -170,7 +170,9 @@ class TermExpansion:
                 break
             times += 1
             if times > _MAX_EXPANSIONS:
-                raise RuleError(f"goal_expansion/2 goes on and on with {self._logic.brief(goal)}")
+                raise RuleError(
+                    f"goal_expansion/2 does not end: it goes on expanding {self._logic.brief(goal)}"
+                )
             goal = deref(result)
         inside = _INSIDE.get(goal[0]) if goal.__class__ is tuple else None
         if inside is None or goal.__class__ is not tuple:

@@ -279,8 +279,8 @@ class EventLog:
         """Write a persistent event; failures are counted and reported at the counts 1, 2, 4, 8 and so on."""
         rules = self._rules
         try:
-            door = rules.files.door
-            door.append(os.path.join(door.output, _PERSISTENT_FILE), f"{rules.logic.show(event)}.\n")
+            sandbox = rules.files.sandbox
+            sandbox.append(os.path.join(sandbox.output, _PERSISTENT_FILE), f"{rules.logic.show(event)}.\n")
         except RetalisError as error:
             self._failed_writes += 1
             # Powers of two: a full disk must not produce one warning per event.

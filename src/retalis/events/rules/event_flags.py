@@ -95,8 +95,8 @@ class Flags:
         """
         flag = FLAGS.get(name)
         if flag is None:
-            meant = get_close_matches(name, FLAGS, 1)
-            raise UsageError(f"there is no flag {name}{f'; did you mean {meant[0]}?' if meant else ''}")
+            matches = get_close_matches(name, FLAGS, 1)
+            raise UsageError(f"there is no flag {name}{f'; did you mean {matches[0]}?' if matches else ''}")
         if flag.values:
             if value.__class__ is not Atom or value.name not in flag.values:
                 raise UsageError(f"{name} takes {', '.join(flag.values)}")
@@ -111,7 +111,7 @@ class Flags:
             # An interrupt may come before the listeners have been called; `mend` calls them then.
             self._changing = name
             self._values[name] = value
-            self._tell(name)
+            self._notify(name)
             self._changing = None
 
     def set_default(self, name: str, value: Term) -> None:
@@ -127,7 +127,7 @@ class Flags:
         """Return the flags whose values differ from their defaults."""
         return {name: value for name, value in self._values.items() if value != self._defaults[name]}
 
-    def _tell(self, name: str) -> None:
+    def _notify(self, name: str) -> None:
         self._on_change(name)
         if name in self._followers:
             self._followers[name](self.number(name))
@@ -135,7 +135,7 @@ class Flags:
     def mend(self) -> None:
         """Call the listeners of a flag that was being changed when an interrupt came."""
         if self._changing is not None:
-            self._tell(self._changing)
+            self._notify(self._changing)
             self._changing = None
 
     def reset(self) -> None:
@@ -180,16 +180,16 @@ class Flags:
         ttl = self.key_bounds().idle
         # A property of the label overrides the flag; 0 turns the time to live off.
         if "ttl" in properties:
-            ttl = min([one for one in properties["ttl"] if one], default=None)
-        found = self._garbage_control(properties)
-        return (ttl, 0) if ttl is not None and (found is None or ttl < found[0]) else found
+            ttl = min([time for time in properties["ttl"] if time], default=None)
+        control = self._garbage_control(properties)
+        return (ttl, 0) if ttl is not None and (control is None or ttl < control[0]) else control
 
     def _garbage_control(self, properties: Dict[str, List[int]]) -> Optional[Tuple[int, int]]:
-        kind = self.get("garbage_control")
-        if kind is atom("general"):
+        mode = self.get("garbage_control")
+        if mode is atom("general"):
             window = self.number("garbage_window")
             if window > 0:
                 return from_seconds(window), max(0, from_seconds(self.number("garbage_window_step")))
-        elif kind is atom("pattern") and "window" in properties and "window_step" in properties:
+        elif mode is atom("pattern") and "window" in properties and "window_step" in properties:
             return min(properties["window"]), min(properties["window_step"])
         return None

@@ -7,7 +7,7 @@ language.
 """
 
 import re
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...foundation.bounded_caches import Cache
 from ...foundation.errors import Errors, ProgramErrors, SyntaxFault, UsageError
@@ -25,6 +25,9 @@ from ...prolog.terms.term_traversal import copy
 from ...prolog.terms.timestamps import FIRST, LAST, SECOND, WholeSeconds, from_any
 from ...prolog.terms.types import Atom, Frame, Functor, String, Term, Values, Var, deref, functor
 from ..dispatch.dispatcher import Dispatcher
+
+if TYPE_CHECKING:
+    from .rule_base import RuleBase
 
 EVENT2 = functor("event", 2)
 
@@ -117,9 +120,9 @@ class InputReader:
             PrologError: if the arguments of the goal are invalid.
         """
         if text.startswith("event("):
-            found = self._stamped(text)
-            if found is not None:
-                return found
+            event = self._stamped(text)
+            if event is not None:
+                return event
         return event_of(self._reader.read(text))
 
     def _stamped(self, text: str) -> Optional[InputEvent]:
@@ -128,12 +131,12 @@ class InputReader:
         The text before the timestamps, closed by ``)``, must read as ``event(E)``. This proves that the timestamps
         are the second argument and not part of a quoted text in the event.
         """
-        at = text.rfind(",[datime(")
-        stamps = text[at + 2 :]
+        position = text.rfind(",[datime(")
+        stamps = text[position + 2 :]
         middle = (len(stamps) - 3) // 2
         stamp = stamps[:middle]
         # Two equal timestamps, compared as text.
-        if at < 0 or stamps != f"{stamp},{stamp}])":
+        if position < 0 or stamps != f"{stamp},{stamp}])":
             return None
         last = stamp.rfind(",") + 1
         # Texts of one second share their first six numbers, so the cache saves the conversion of the calendar date.
@@ -143,7 +146,7 @@ class InputReader:
         if second is None or not _NANOSECOND.fullmatch(stamp, last):
             return None
         try:
-            goal = self._reader.read(text[:at] + ")")
+            goal = self._reader.read(text[:position] + ")")
         # The general way reports the error with its position in the whole text.
         except SyntaxFault:
             return None
@@ -154,11 +157,11 @@ class InputReader:
 
     def _learn(self, text: str) -> Optional[int]:
         """Convert the text of a datime without its nanoseconds to an instant and cache it; return None if invalid."""
-        found = _SECOND.fullmatch(text)
-        if found is None:
+        match = _SECOND.fullmatch(text)
+        if match is None:
             return None
         try:
-            instant = timestamps.from_term((timestamps.DATIME7, *map(int, found.groups()), 0))
+            instant = timestamps.from_term((timestamps.DATIME7, *map(int, match.groups()), 0))
         except UsageError:
             return None
         return self._seconds.keep(text, instant, len(text))
@@ -235,8 +238,8 @@ def define_new_event(logic: PrologSystem, dispatcher: Dispatcher) -> None:
 
     def general(machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
         # `own=False`: the event is dispatched as if it came from outside, not as derived from the current event.
-        made = READERS[functor("new_event", len(arguments))](arguments)
-        return dispatch(made.term, made.start, made.end, after, own=False)
+        event = READERS[functor("new_event", len(arguments))](arguments)
+        return dispatch(event.term, event.start, event.end, after, own=False)
 
     logic.define_control("new_event", 2, general, at_once=True)
     logic.define_control("new_event", 3, at_instant, at_once=True, gate=dispatcher.event_filter)
@@ -246,7 +249,7 @@ def define_new_event(logic: PrologSystem, dispatcher: Dispatcher) -> None:
 _EVENT1 = functor("event", 1)
 
 
-def define_firing(rules: Any) -> None:
+def define_firing(rules: "RuleBase") -> None:
     """Define the goals that fire events."""
     _FiringGoals(rules).define(rules.logic)
 
@@ -254,7 +257,7 @@ def define_firing(rules: Any) -> None:
 class _FiringGoals:
     """The goals that fire one event, a list of events, or a file."""
 
-    def __init__(self, rules: Any):
+    def __init__(self, rules: "RuleBase"):
         self.rules = rules
 
     def define(self, logic: PrologSystem) -> None:
@@ -277,14 +280,14 @@ class _FiringGoals:
             start = end = self.rules.clock.stamp()
         else:
             start, end = interval_of(interval)
-        found: Frame = self.rules.dispatcher.dispatch(term, start, end, after, own=False)
-        return found
+        next_frame: Frame = self.rules.dispatcher.dispatch(term, start, end, after, own=False)
+        return next_frame
 
     def fire_list(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Optional[Frame]:
         goals = list_items(arguments[0])
         if goals is None:
             self.rules.on_warning(
-                UsageError("fire_event_list takes a list; what it was given is fired as a single event")
+                UsageError("fire_event_list: expected a list; the argument is fired as a single event")
             )
             goals = [callable_of(arguments[0])]
         # The terms are copied, because their variables may be bound or unbound again before their turn.
@@ -324,7 +327,7 @@ class _FiringGoals:
 class _Stream:
     """Code of a frame that calls the remaining goals of a stream, one for each activation of the frame."""
 
-    def __init__(self, rules: Any, goals: Sequence[Term]):
+    def __init__(self, rules: "RuleBase", goals: Sequence[Term]):
         self.rules = rules
         self.goals = iter(goals)
         self.machine: Machine = rules.logic.machine
@@ -334,12 +337,12 @@ class _Stream:
     def run(self, frame: Frame) -> Optional[Frame]:
         # Only the first remaining goal: the frame is activated again when the goal and its consequences are done.
         for goal in self.goals:
-            found: Optional[Frame] = self.machine.attempt(
+            next_frame: Optional[Frame] = self.machine.attempt(
                 self.call, (goal,), self._done(frame), (_FAILED, self, goal, frame), self._raised(goal)
             )
-            return found
-        last: Frame = frame[1]
-        return last
+            return next_frame
+        after: Frame = frame[1]
+        return after
 
     def _done(self, frame: Frame) -> Callable[[Values], Frame]:
         return lambda outputs: frame
@@ -364,11 +367,11 @@ class _Failed:
     def run(frame: Frame) -> Frame:
         after: Frame
         _, stream, goal, after = frame
-        left = list(stream.goals)
-        if left and left[0] is _RAISED:
-            stream.goals = iter(left[1:])
+        remaining = list(stream.goals)
+        if remaining and remaining[0] is _RAISED:
+            stream.goals = iter(remaining[1:])
         else:
-            stream.goals = iter(left)
+            stream.goals = iter(remaining)
             text = stream.rules.logic.show(goal)
             stream.rules.on_error(UsageError(f"{text} in an event stream fails"))
         return after

@@ -4,7 +4,7 @@ Declarations are stored as clauses of a hidden predicate. So they are removed, r
 other clauses of a program, without code of their own. The parsed form is cached per clause.
 """
 
-from typing import Any, Callable, Dict, Iterable, List
+from typing import TYPE_CHECKING, Callable, Dict, Iterable, List
 
 from ...foundation.errors import RuleError, UsageError
 from ...messages.type_definition import type_name
@@ -16,6 +16,9 @@ from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.types import Functor, Term, deref, functor
 from ..language.event_declarations import STRICTLY, UNDECLARED, Declaration, Declarations, declared_in
 from ..program.event_file_checker import nowhere
+
+if TYPE_CHECKING:
+    from .rule_base import RuleBase
 
 _DECLARED = functor("$declared_event", 1)
 _NEED_NONE = frozenset(functor(name, arity) for name, arity in (("null", 0), ("null_event", 0)))
@@ -34,7 +37,7 @@ class EventTypes:
         in_use: whether anything has been declared. If not, events are not checked at all.
     """
 
-    def __init__(self, rules: Any, is_external_event: Callable[[Functor], bool]):
+    def __init__(self, rules: "RuleBase", is_external_event: Callable[[Functor], bool]):
         logic: PrologSystem = rules.logic
         self._logic = logic
         self._flags = rules.flags
@@ -74,10 +77,10 @@ class EventTypes:
         known = self.now()
         goal = (DECLARE_EVENT, deref(declared))
         try:
-            for one, _ in declared_in(goal, nowhere):
+            for declaration, _ in declared_in(goal, nowhere):
                 self.in_use = True
-                if known.add(one):
-                    self._logic.add_clause((_DECLARED, one.term))
+                if known.add(declaration):
+                    self._logic.add_clause((_DECLARED, declaration.term))
         except (RuleError, UsageError) as error:
             raise domain_error("event_declaration", declared, error.message) from None
         return True
@@ -122,7 +125,7 @@ class EventTypes:
 def _read(clause: Clause) -> List[Declaration]:
     assert isinstance(clause.head, tuple)
     try:
-        return [one for one, _ in declared_in(clause.head, nowhere)]
+        return [declaration for declaration, _ in declared_in(clause.head, nowhere)]
     # Asserted by the program under the hidden name, and not a declaration.
     except RuleError:
         return []

@@ -9,7 +9,7 @@ frequency, so that a rule that fails at each event does not flood the log.
 import logging
 from os import PathLike
 from pathlib import Path
-from typing import Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Tuple, Union
+from typing import TYPE_CHECKING, Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Tuple, Union
 
 from ...foundation.errors import Place, RetalisError, RuleError
 from ...prolog.machine.resource_limits import keep_back
@@ -36,7 +36,10 @@ from ..provenance.lineage import LineageTracker
 from .event_flags import Flags
 from .event_types import EventTypes
 from .rule_predicates import define_predicates
-from .timer_service import NodeTimers, RuleAlarm, Timers, Timing
+from .timer_service import NodeTimers, RuleAlarm, Timers
+
+if TYPE_CHECKING:
+    from ...engine.runtime.clock import Clock
 
 _UNLABELED = atom("unlabeled")
 
@@ -57,14 +60,14 @@ class RuleIndex:
     def add(self, rule: EventRule) -> None:
         """Add a rule at the end."""
         self._all[rule] = None
-        self._file(rule)
+        self._add_to_indexes(rule)
 
-    def take_out(self, rule: EventRule) -> bool:
+    def discard(self, rule: EventRule) -> bool:
         """Remove a rule; return whether it was present."""
         if self._all.pop(rule, 0) is not None:
             return False
-        _take_out(self._by_label, term_key(label_of(rule)), rule)
-        _take_out(self._by_key, rule.definition.key, rule)
+        _remove_from_group(self._by_label, term_key(label_of(rule)), rule)
+        _remove_from_group(self._by_key, rule.definition.key, rule)
         return True
 
     def labelled(self, label: Term) -> List[EventRule]:
@@ -79,9 +82,9 @@ class RuleIndex:
         """Rebuild the indexes after an interrupt, which may have come between two of their updates."""
         self._by_label, self._by_key = {}, {}
         for rule in self._all:
-            self._file(rule)
+            self._add_to_indexes(rule)
 
-    def _file(self, rule: EventRule) -> None:
+    def _add_to_indexes(self, rule: EventRule) -> None:
         self._by_label.setdefault(term_key(label_of(rule)), {})[rule] = None
         self._by_key.setdefault(rule.definition.key, {})[rule] = None
 
@@ -91,7 +94,7 @@ def label_of(rule: EventRule) -> Term:
     return _UNLABELED if rule.label is None else rule.label
 
 
-def _take_out(groups: _Groups, key: Hashable, rule: EventRule) -> None:
+def _remove_from_group(groups: _Groups, key: Hashable, rule: EventRule) -> None:
     """Remove a rule from the group of a key, and an empty group from the index."""
     del groups[key][rule]
     if not groups[key]:
@@ -134,7 +137,7 @@ class RuleBase:
         self,
         logic: PrologSystem,
         dispatcher: Dispatcher,
-        clock: Timing,
+        clock: "Clock",
         cap: int = 1_000_000,
         future: int = 10 * SECOND,
         on_error: Callable[[RetalisError], None] = lambda error: log.error("%s", error),
@@ -189,9 +192,9 @@ class RuleBase:
             UsageError: if the file cannot be read.
         """
         with self.files.loading():
-            found = self.files.resolve(path)
-            self.files.door.add_own(found.parent)
-            self.loader.load_file(found)
+            resolved = self.files.resolve(path)
+            self.files.sandbox.add_own(resolved.parent)
+            self.loader.load_file(resolved)
 
     def load_terms(self, terms: Sequence[Tuple[Term, Optional[Place]]]) -> None:
         """Load terms like the contents of an event file.
@@ -247,28 +250,28 @@ class RuleBase:
         """
         term = deref(term)
         if is_rule(term):
-            found = self._same_rules(term)[:1]
+            rules = self._same_rules(term)[:1]
         else:
-            found = self._table.labelled(term)
-        for rule in found:
+            rules = self._table.labelled(term)
+        for rule in rules:
             self.remove(rule)
-        return bool(found)
+        return bool(rules)
 
     def delete_by_head(self, head: Term) -> bool:
         """Delete all rules whose head unifies with a term; return whether there were any."""
-        found = []
+        matching = []
         for rule in self.rules:
             trail: Trail = []
             own = rule.definition.head
             if own is not None and unify(copy(own), copy(head), trail):
-                found.append(rule)
-        for rule in found:
+                matching.append(rule)
+        for rule in matching:
             self.remove(rule)
-        return bool(found)
+        return bool(matching)
 
     def remove(self, rule: EventRule) -> None:
         """Remove a rule and its partial matches."""
-        known = self._table.take_out(rule)
+        known = self._table.discard(rule)
         rule.unlisten()
         rule.clear()
         if known:
@@ -276,23 +279,23 @@ class RuleBase:
 
     def set_aside(self, rule: EventRule) -> None:
         """Deactivate a rule and keep its partial matches."""
-        self._table.take_out(rule)
+        self._table.discard(rule)
         rule.unlisten()
 
-    def arrange(self, rules: Sequence[EventRule], gone: Sequence[EventRule] = ()) -> None:
+    def arrange(self, rules: Sequence[EventRule], deleted: Sequence[EventRule] = ()) -> None:
         """Activate exactly these rules, in this order; they keep their partial matches.
 
         Args:
             rules: new, active or deactivated rules.
-            gone: deactivated rules to be deleted.
+            deleted: deactivated rules to be deleted.
         """
         # `remove` below counts their matches in `fired_before` only if they are in the table.
-        for rule in gone:
+        for rule in deleted:
             self._table.add(rule)
         kept = set(rules)
         for rule in self.rules:
             if rule in kept:
-                self._table.take_out(rule)
+                self._table.discard(rule)
             else:
                 self.remove(rule)
         for rule in rules:
@@ -328,8 +331,8 @@ class RuleBase:
             return []
         # The label is part of the identity only if the given term has one.
         wanted = checker.rules[0]
-        found = self._table.alike(wanted.key)
-        return [rule for rule in found if wanted.label is None or label_of(rule) is wanted.label]
+        candidates = self._table.alike(wanted.key)
+        return [rule for rule in candidates if wanted.label is None or label_of(rule) is wanted.label]
 
     def note_conditions(self, conditions: Term, caller: str) -> None:
         """Warn of unknown predicates in the conditions of a memory or subscription."""
@@ -337,8 +340,12 @@ class RuleBase:
 
     def terms(self) -> List[Term]:
         """Return the terms of all rules and the bodies of all clauses of the program."""
-        predicates = [one for one in self.logic.database.predicates.values() if one.kind == "user"]
-        bodies = [clause.body for one in predicates if not one.library for clause in one.live()]
+        predicates = [
+            predicate for predicate in self.logic.database.predicates.values() if predicate.kind == "user"
+        ]
+        bodies = [
+            clause.body for predicate in predicates if not predicate.library for clause in predicate.live()
+        ]
         return [*(rule.definition.term for rule in self.rules), *bodies]
 
     def _name(self, definition: RuleDefinition) -> str:
@@ -355,21 +362,21 @@ class RuleBase:
 
     # ---- how they run --------------------------------------------------------------------------------
 
-    def set_property(self, one: Property) -> None:
+    def set_property(self, prop: Property) -> None:
         """Set a property of a label; it is applied at once to the rules with the label."""
-        known = self._properties.setdefault(term_key(one.label), [])
+        known = self._properties.setdefault(term_key(prop.label), [])
         # A property with a word has one value, so it replaces the previous one. Numbers of a window accumulate; the
         # smallest applies.
-        if one.word is not None:
-            known[:] = [other for other in known if other.name != one.name]
-        if one not in known:
-            known.append(one)
-        for rule in self._table.labelled(one.label):
+        if prop.word is not None:
+            known[:] = [known_property for known_property in known if known_property.name != prop.name]
+        if prop not in known:
+            known.append(prop)
+        for rule in self._table.labelled(prop.label):
             self._configure(rule)
 
     def all_properties(self) -> Dict[Hashable, List[Property]]:
         """Return the properties by label; see `restore_properties`."""
-        return {key: list(found) for key, found in self._properties.items()}
+        return {key: list(properties) for key, properties in self._properties.items()}
 
     def restore_properties(self, properties: Dict[Hashable, List[Property]]) -> None:
         """Replace the properties of all labels, and apply them to the rules."""
@@ -383,15 +390,15 @@ class RuleBase:
         return self._properties.get(term_key(label), [])
 
     def _configure(self, rule: EventRule) -> None:
-        found: Dict[str, List[int]] = {}
+        times: Dict[str, List[int]] = {}
         mode = self.mode
-        for one in self.properties(label_of(rule)):
-            if one.word is not None:
-                mode = with_property(mode, one.name, one.word)
+        for prop in self.properties(label_of(rule)):
+            if prop.word is not None:
+                mode = with_property(mode, prop.name, prop.word)
             else:
-                found.setdefault(one.name, []).append(from_seconds(one.number))
-        windows = found.get("window", []) + found.get("event_rule_window", [])
-        rule.configure(mode, min(windows) if windows else None, self.flags.garbage_control(found))
+                times.setdefault(prop.name, []).append(from_seconds(prop.number))
+        windows = times.get("window", []) + times.get("event_rule_window", [])
+        rule.configure(mode, min(windows) if windows else None, self.flags.garbage_control(times))
 
     def _flag_changed(self, name: str) -> None:
         if name in _CONFIGURING:
@@ -420,7 +427,7 @@ class RuleBase:
         for rule in self.rules:
             rule.clear()
         self.tracker.clear()
-        self.timers.start_anew()
+        self.timers.restart()
 
     def reset(self) -> None:
         """Remove all rules, properties, partial matches, stored events and timers, and reset all flags."""
@@ -454,7 +461,7 @@ class RuleBase:
         if len(self.clock.alarms) >= self.cap:
             rule.alarms_dropped += 1
             text = f": more than {self.cap} alarms are set; {rule.alarms_dropped} have been dropped so far"
-            self._warn_seldom(rule, rule.alarms_dropped, text)
+            self._warn_rarely(rule, rule.alarms_dropped, text)
             return
         self.clock.call_at(instant, RuleAlarm(self, rule, term, start, instant, token))
 
@@ -470,7 +477,7 @@ class RuleBase:
     def came_late(self, rule: EventRule, what: str) -> None:
         """Report that a match was too late to be used."""
         rule.late += 1
-        self._warn_seldom(rule, rule.late, f": {what}; {rule.late} so far")
+        self._warn_rarely(rule, rule.late, f": {what}; {rule.late} so far")
 
     def look_at_alarm(self, rule: EventRule, head: Term, alarm: Optional[Tuple[Term, int, int]]) -> None:
         """Report an alarm for a past instant; ``alarm`` is None if the instant precedes the event's own start."""
@@ -479,15 +486,17 @@ class RuleBase:
         rule.alarms_past += 1
         then = "it is an ordinary event" if alarm is None else "it fires at once"
         text = f": the instant of its alarm is in the past, so {then}; {rule.alarms_past} so far"
-        self._warn_seldom(rule, rule.alarms_past, text)
+        self._warn_rarely(rule, rule.alarms_past, text)
 
     def took_nothing_back(self, term: Term, rule: Optional[EventRule]) -> None:
         """Report an event ``rev(E)`` without an event E to retract, at the occurrences 1, 2, 4, 8 and so on."""
         self.revs_of_nothing += 1
         number = self.revs_of_nothing
         if number & (number - 1) == 0:
-            who = "" if rule is None else f"{rule.name}: "
-            text = f"{who}rev retracts nothing: no event {self.logic.brief(term)} that still holds is known"
+            prefix = "" if rule is None else f"{rule.name}: "
+            text = (
+                f"{prefix}rev retracts nothing: no event {self.logic.brief(term)} that still holds is known"
+            )
             place = None if rule is None else rule.place
             self.on_warning(RuleError(f"{text}; {number} so far", place))
 
@@ -495,15 +504,15 @@ class RuleBase:
         """Report an error that prevented a rule from firing."""
         rule.firings.errors += 1
         context = self.dispatcher.current
-        met = "" if context is None else f", at event {self.logic.brief(context[TERM])}"
-        self.on_error(RuleError(f"{rule.name}{met}: {error.message}", rule.place))
+        context_text = "" if context is None else f", at event {self.logic.brief(context[TERM])}"
+        self.on_error(RuleError(f"{rule.name}{context_text}: {error.message}", rule.place))
 
     def goal_failed(self, rule: EventRule, goal: Term, error: RetalisError) -> None:
         """Report an error of a goal of a rule."""
         # Only the first goals over a limit are reported one by one; the others are counted, see `Budget`.
         if keep_back(error):
-            shown = self.logic.brief(goal, names=rule.definition.names)
-            self.rule_failed(rule, RuleError(f"goal {shown}: {error.message}"))
+            goal_text = self.logic.brief(goal, names=rule.definition.names)
+            self.rule_failed(rule, RuleError(f"goal {goal_text}: {error.message}"))
 
     def dropped(self, rule: EventRule, ways: int = 0) -> None:
         """Report that partial matches of a rule were dropped, or more than ``ways`` runs from one start."""
@@ -513,7 +522,7 @@ class RuleBase:
                 f" has more than {ways} ways to take its steps from one start; "
                 f"{rule.dropped} have been dropped so far"
             )
-        self._warn_seldom(rule, rule.dropped, text)
+        self._warn_rarely(rule, rule.dropped, text)
 
     def dropped_key(self, rule: EventRule) -> None:
         """Report that keys of a rule were dropped."""
@@ -521,9 +530,9 @@ class RuleBase:
             f" has more than {self.key_bounds.keys} keys; {rule.dropped} of the least recently used have been "
             "dropped so far; flag max_keys sets the number, property(ttl, SECONDS) of a label ends idle keys"
         )
-        self._warn_seldom(rule, rule.dropped, text)
+        self._warn_rarely(rule, rule.dropped, text)
 
-    def _warn_seldom(self, rule: EventRule, number: int, text: str) -> None:
+    def _warn_rarely(self, rule: EventRule, number: int, text: str) -> None:
         """Log a warning at the occurrences 1, 2, 4, 8 and so on."""
         if number & (number - 1) == 0:
             self.on_warning(RuleError(f"{rule.name}{text}", rule.place))

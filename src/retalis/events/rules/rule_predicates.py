@@ -5,7 +5,7 @@ Predicates that load files follow SWI-Prolog (``consult/1``, ``use_module/1,2``,
 """
 
 from pathlib import Path
-from typing import Any, Dict, Hashable, Iterator, Sequence, Tuple
+from typing import TYPE_CHECKING, Dict, Hashable, Iterator, Sequence, Tuple
 
 from ...foundation.errors import UsageError
 from ...prolog.builtins.argument_checks import callable_of
@@ -22,11 +22,14 @@ from .event_flags import FLAGS
 from .event_predicates import EVENT2, define_firing, items_of, path_of
 from .timer_service import define_timers
 
+if TYPE_CHECKING:
+    from .rule_base import RuleBase
+
 _IF = functor("if", 1)
 _ONCE = ("not_loaded", "changed")
 
 
-def define_load_goals(rules: Any) -> None:
+def define_load_goals(rules: "RuleBase") -> None:
     """Define the predicates of Prolog that load files; those of the event language are in `_RuleGoals`."""
     logic, loader = rules.logic, rules.loader
 
@@ -36,18 +39,18 @@ def define_load_goals(rules: Any) -> None:
             option.__class__ is tuple and option[0] is _IF and getattr(deref(option[1]), "name", "") in _ONCE
             for option in given
         )
-        found = list_items(names)
-        for name in [names] if found is None else found:
+        items = list_items(names)
+        for name in [names] if items is None else items:
             loader.use(name, once)
         return True
 
     def context(machine: Machine, key: Term, value: Term) -> Iterator[bool]:
         path = rules.files.innermost
-        for one in () if path is None else _known(path):
+        for entry in () if path is None else _known(path):
             # Bindings are undone before the next solution, as each solution of a nondeterministic predicate starts
             # afresh.
             mark = len(machine.trail)
-            if machine.unify_all((key, one[0]), (value, one[1])):
+            if machine.unify_all((key, entry[0]), (value, entry[1])):
                 yield True
             undo(machine.trail, mark)
 
@@ -75,7 +78,7 @@ def _known(path: Path) -> Tuple[Tuple[Term, Term], ...]:
     )
 
 
-def define_predicates(rules: Any) -> None:
+def define_predicates(rules: "RuleBase") -> None:
     """Define all predicates of the event language for a program's rules."""
     logic = rules.logic
     _RuleGoals(rules).define(logic)
@@ -86,10 +89,10 @@ def define_predicates(rules: Any) -> None:
     _ListingGoals(rules).define(logic)
 
 
-def _each(machine: Machine, terms: Sequence[Term], found: Iterator[Tuple[Term, ...]]) -> Iterator[bool]:
+def _each(machine: Machine, terms: Sequence[Term], results: Iterator[Tuple[Term, ...]]) -> Iterator[bool]:
     """Unify terms with one solution after another."""
     # The solutions are collected first, because a goal may change what they are computed from.
-    for solution in list(found):
+    for solution in list(results):
         mark = len(machine.trail)
         if all(machine.unify(term, value) for term, value in zip(terms, solution)):
             yield True
@@ -99,7 +102,7 @@ def _each(machine: Machine, terms: Sequence[Term], found: Iterator[Tuple[Term, .
 class _RuleGoals:
     """Predicates that add and delete rules and load files."""
 
-    def __init__(self, rules: Any):
+    def __init__(self, rules: "RuleBase"):
         self.rules = rules
 
     def define(self, logic: PrologSystem) -> None:
@@ -136,8 +139,8 @@ class _RuleGoals:
         return True
 
     def consult(self, machine: Machine, names: Term) -> bool:
-        found = list_items(names)
-        for name in [names] if found is None else found:
+        items = list_items(names)
+        for name in [names] if items is None else items:
             self.rules.loader.use(name, once=False)
         return True
 
@@ -178,7 +181,7 @@ class _RuleGoals:
 class _FlagGoals:
     """Predicates that set and read flags and counters."""
 
-    def __init__(self, rules: Any):
+    def __init__(self, rules: "RuleBase"):
         self.rules = rules
         # Stored with the state of the built-ins, so that snapshots include it.
         state = rules.logic.state
@@ -213,12 +216,12 @@ class _FlagGoals:
         name = deref(name)
         names = list(FLAGS) if name.__class__ is Var else [name.name if name.__class__ is Atom else ""]
         # An unknown name that is given is an error; with a variable all flags are enumerated.
-        for one in names:
-            found = self.rules.flags.get(one)
-            if found is None:
+        for flag_name in names:
+            current = self.rules.flags.get(flag_name)
+            if current is None:
                 raise existence_error("etalis_flag", name)
             mark = len(machine.trail)
-            if machine.unify(name, atom(one)) and machine.unify(value, found):
+            if machine.unify(name, atom(flag_name)) and machine.unify(value, current):
                 yield True
             undo(machine.trail, mark)
 
@@ -260,7 +263,7 @@ def _key(term: Term) -> Hashable:
 class _ListingGoals:
     """Predicates that query intervals, stored events and explanations."""
 
-    def __init__(self, rules: Any):
+    def __init__(self, rules: "RuleBase"):
         self.rules = rules
 
     def define(self, logic: PrologSystem) -> None:
@@ -275,21 +278,21 @@ class _ListingGoals:
         # Declared dynamic, so that a call without any property fails and does not raise an existence error.
         logic.database.predicate(functor("event_rule_property", 3)).dynamic = True
 
-    def checked(self, machine: Machine, instant: Term, at: int) -> bool:
+    def checked(self, machine: Machine, instant: Term, position: int) -> bool:
         interval = self.rules.under_way.checked
-        return interval is not None and bool(machine.unify(instant, shown(interval[at])))
+        return interval is not None and bool(machine.unify(instant, shown(interval[position])))
 
     def fired(self, machine: Machine, event: Term, interval: Term) -> Iterator[bool]:
         return solutions(self.rules.store.stored(), machine, event, interval)
 
     def stored(self, machine: Machine, event: Term) -> Iterator[bool]:
-        found = self.rules.store.stored()
-        stored = [((EVENT2, term, interval_term(start, end)),) for term, start, end in found]
+        events = self.rules.store.stored()
+        stored = [((EVENT2, term, interval_term(start, end)),) for term, start, end in events]
         return _each(machine, (event,), iter(stored))
 
     def justify(self, machine: Machine, event: Term, interval: Term, why: Term) -> Iterator[bool]:
-        found = self.rules.justifier.explanations(resolve(event), resolve(interval))
-        return _each(machine, (event, interval, why), found)
+        explanations = self.rules.justifier.explanations(resolve(event), resolve(interval))
+        return _each(machine, (event, interval, why), explanations)
 
     def edges(self, machine: Machine, head: Term, body: Term) -> Iterator[bool]:
         return _each(machine, (head, body), self.rules.justifier.edges())

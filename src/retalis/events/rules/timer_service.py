@@ -24,7 +24,6 @@ from typing import (
     List,
     Mapping,
     Optional,
-    Protocol,
     Sequence,
     Tuple,
 )
@@ -39,48 +38,13 @@ from ...prolog.terms.term_traversal import copy, freeze, term_key
 from ...prolog.terms.timestamps import SECOND, WholeSeconds, shown
 from ...prolog.terms.types import Term, Var, atom, deref, functor
 from ...prolog.terms.unification import may_unify
-from ..dispatch.dispatcher import Dispatcher
 from ..language.rule_parser import TIMER, Schedule, schedule_of
 from ..network.goal_evaluation import TimedNode
 from ..provenance.event_log import Occurrence
 
 if TYPE_CHECKING:
     from ..network.event_rule import EventRule
-
-
-class Timing(Protocol):
-    """Interface of a clock with alarms.
-
-    Attributes:
-        ringing: the instant of the alarm that is being called; None between alarms.
-    """
-
-    ringing: Optional[int]
-
-    @property
-    def alarms(self) -> List[Tuple[int, int, Any]]:
-        """The alarms that are set: instant, order and callback."""
-
-    def now(self) -> int:
-        """Return the present time in ns since the epoch."""
-
-    def stamp(self) -> int:
-        """Return the present time, increased to be later than all earlier results."""
-
-    def call_at(self, instant: int, alarm: Callable[[int], None], /) -> None:
-        """Call a function when the clock reaches an instant."""
-
-    def put_back(self, instant: int, order: int, alarm: Callable[[int], None], /) -> None:
-        """Set an alarm of another clock, with its order."""
-
-    def drop(self, is_dead: Callable[[Any], bool], /) -> None:
-        """Remove the alarms for which a function returns true."""
-
-    def reached(self) -> int:
-        """Return the instant up to which alarms are due; 0 if the clock has no time yet."""
-
-    def coming(self) -> int:
-        """Return the instant to which the clock is being moved, possibly in several steps."""
+    from .rule_base import RuleBase
 
 
 # Heaps up to this size are never rebuilt.
@@ -102,11 +66,11 @@ class NodeTimers:
         rules: the rules of the program.
     """
 
-    def __init__(self, rules: Any):
+    def __init__(self, rules: "RuleBase"):
         self._rules = rules
         self._heap: List[_Deadline] = []
         self._numbers = count()
-        self._most = _SMALL_QUEUE
+        self._rebuild_size = _SMALL_QUEUE
         self._armed: List[int] = []
 
     def clear(self) -> None:
@@ -124,8 +88,8 @@ class NodeTimers:
     def add(self, node: TimedNode, instant: int) -> None:
         """Set the timeout of a node; a later one replaces an earlier one."""
         heapq.heappush(self._heap, (instant, node.rule.serial, node.place, next(self._numbers), node))
-        if len(self._heap) > self._most:
-            self._drop_all_not_wanted()
+        if len(self._heap) > self._rebuild_size:
+            self._drop_all_stale()
         self._arm()
 
     def _arm(self) -> None:
@@ -133,25 +97,25 @@ class NodeTimers:
 
         An alarm for a later instant stays in the clock.
         """
-        self._drop_those_not_wanted()
+        self._drop_stale_top()
         heap, armed = self._heap, self._armed
         if heap and (not armed or heap[0][0] < armed[0]):
             heapq.heappush(armed, heap[0][0])
             self._rules.clock.put_back(heap[0][0], _BEFORE_ALL, self._ring)
 
-    def _drop_those_not_wanted(self) -> None:
+    def _drop_stale_top(self) -> None:
         """Remove stale entries from the top of the heap."""
         # An entry is stale if its node has asked for another instant since, or has been woken.
         heap = self._heap
-        while heap and not _is_wanted(heap[0]):
+        while heap and not _is_current(heap[0]):
             heapq.heappop(heap)
 
-    def _drop_all_not_wanted(self) -> None:
+    def _drop_all_stale(self) -> None:
         """Remove all stale and duplicate entries."""
-        wanted = {id(entry[-1]): entry for entry in self._heap if _is_wanted(entry)}
+        wanted = {id(entry[-1]): entry for entry in self._heap if _is_current(entry)}
         self._heap = list(wanted.values())
         heapq.heapify(self._heap)
-        self._most = 2 * len(self._heap) + _SMALL_QUEUE
+        self._rebuild_size = 2 * len(self._heap) + _SMALL_QUEUE
 
     def _ring(self, instant: int) -> None:
         """Wake the first node that is due, and set the next alarm.
@@ -161,22 +125,22 @@ class NodeTimers:
         # Alarms up to this instant have been called, so they are not in the clock any more.
         while self._armed and self._armed[0] <= instant:
             heapq.heappop(self._armed)
-        self._drop_those_not_wanted()
+        self._drop_stale_top()
         heap = self._heap
         try:
             if heap and heap[0][0] <= instant:
-                at, *_, node = heapq.heappop(heap)
+                due, *_, node = heapq.heappop(heap)
                 node.woken = None
                 # An inactive rule is being reloaded; its nodes set their timeouts again if the rule is activated.
                 if node.rule.active:
                     machine = self._rules.logic.machine
-                    self._rules.dispatcher.apart(lambda: machine.run(node.ring(at, machine.done)))
+                    self._rules.dispatcher.apart(lambda: machine.run(node.ring(due, machine.done)))
         # Also after an error or interrupt, otherwise no later node would be woken.
         finally:
             self._arm()
 
 
-def _is_wanted(entry: _Deadline) -> bool:
+def _is_current(entry: _Deadline) -> bool:
     return entry[-1].woken == entry[0]
 
 
@@ -196,7 +160,7 @@ class RuleAlarm:
 
     def __init__(
         self,
-        rules: Any,
+        rules: "RuleBase",
         rule: "EventRule",
         term: Term,
         start: int,
@@ -234,30 +198,10 @@ BEGIN = 1
 """Instant of an alarm that waits for the clock's first time."""
 
 # Stale alarms are removed from the clock if they outnumber the others by this.
-_SPARE = 16
+_STALE_MARGIN = 16
 
 KeptTimer = Tuple[Term, Term, Optional[int], int, int]
 """Event, schedule, next instant, and instant and order of the alarm in the clock."""
-
-
-class TimedProgram(Protocol):
-    """Interface of a program that timers need."""
-
-    @property
-    def logic(self) -> PrologSystem:
-        """The Prolog system."""
-
-    @property
-    def dispatcher(self) -> Dispatcher:
-        """The dispatcher of events."""
-
-    @property
-    def clock(self) -> Timing:
-        """The clock."""
-
-    @property
-    def on_warning(self) -> Any:
-        """Callback for warnings."""
 
 
 class ProgramTimer:
@@ -321,8 +265,8 @@ class TimerTable:
         if name is None:
             return [timer for timer in self.by_key.values() if may_unify(timer.event, event)]
         general = self._by_name.get(None, {}).values()
-        found = list(self._by_name.get(name, {}).values())
-        return found + [timer for timer in general if may_unify(timer.event, event)]
+        timers = list(self._by_name.get(name, {}).values())
+        return timers + [timer for timer in general if may_unify(timer.event, event)]
 
 
 class Timers:
@@ -336,13 +280,13 @@ class Timers:
         left_out: number of events omitted because of jumps of time.
     """
 
-    def __init__(self, program: TimedProgram):
+    def __init__(self, program: "RuleBase"):
         self._program = program
         self._all = TimerTable()
-        self._aside: Dict[Hashable, ProgramTimer] = {}
+        self._inactive: Dict[Hashable, ProgramTimer] = {}
         self._jumps = 0
-        self._dead = 0
-        self._behind = 0
+        self._stale = 0
+        self._late_goals = 0
         self.left_out = 0
 
     def __len__(self) -> int:
@@ -362,13 +306,13 @@ class Timers:
             PrologError: if there are too many timers.
         """
         timer = ProgramTimer(copy(event), schedule_of(copy(when)))
-        known = self._all.by_key.get(timer.key) or self._aside.pop(timer.key, None)
-        now = self._present()
+        known = self._all.by_key.get(timer.key) or self._inactive.pop(timer.key, None)
+        now = self._goal_time()
         if known is None:
             if len(self) >= MAX_TIMERS:
                 raise resource_error("timers", reason=f"more than {MAX_TIMERS} timers are set")
             if now > 0 and timer.schedule.next(now) is None:
-                self._over(timer)
+                self._warn_past(timer)
                 return
             known = timer
         # During a reload an unchanged timer is reactivated with its alarm, so its period does not start again.
@@ -376,15 +320,15 @@ class Timers:
             self._all.add(known)
             return
         self._all.add(known)
-        self._count(known, now)
+        self._schedule_next(known, now)
 
     def cancel(self, event: Term) -> int:
         """Remove the timers whose events unify with a term; return their number."""
-        found = self._all.unifying(event)
-        for timer in found:
+        timers = self._all.unifying(event)
+        for timer in timers:
             self._all.remove(timer.key)
-            self._left(timer)
-        return len(found)
+            self._invalidate_alarm(timer)
+        return len(timers)
 
     def find(self, event: Term, when: Term) -> Optional[ProgramTimer]:
         """Return the timer of an event and a schedule, or None."""
@@ -392,7 +336,7 @@ class Timers:
 
     # ---- alarms --------------------------------------------------------------------------------------
 
-    def _present(self) -> int:
+    def _goal_time(self) -> int:
         """Return the present time for a goal that sets a timer.
 
         In a goal of an alarm this is the alarm's instant, even if the clock has jumped further, so that a chain of
@@ -402,18 +346,18 @@ class Timers:
         clock = self._program.clock
         reached, ringing = clock.reached(), clock.ringing
         if ringing is None or reached - ringing <= SECOND:
-            self._behind = 0
+            self._late_goals = 0
         else:
-            self._behind += 1
-        return reached if ringing is None or self._behind > MAX_RINGS_PER_JUMP else ringing
+            self._late_goals += 1
+        return reached if ringing is None or self._late_goals > MAX_RINGS_PER_JUMP else ringing
 
-    def _count(self, timer: ProgramTimer, now: int) -> None:
+    def _schedule_next(self, timer: ProgramTimer, now: int) -> None:
         """Compute the next instant of a timer, from the given time or from the clock's first time."""
         timer.instant = timer.schedule.next(now) if now > 0 else None
         if now > 0 and timer.instant is None:
             self._all.remove(timer.key)
-            self._left(timer)
-            self._over(timer)
+            self._invalidate_alarm(timer)
+            self._warn_past(timer)
             return
         self._set_alarm(timer)
 
@@ -423,40 +367,40 @@ class Timers:
             # An earlier alarm is kept; `ring` sets the alarm for the later instant.
             if timer.set_for <= instant:
                 return
-            self._dead += 1
+            self._stale += 1
         timer.set_for = instant
         self._program.clock.call_at(instant, TimerAlarm(self, timer, instant))
 
-    def _left(self, timer: ProgramTimer) -> None:
+    def _invalidate_alarm(self, timer: ProgramTimer) -> None:
         """Invalidate the alarm of a removed timer."""
         if timer.set_for is None:
             return
         timer.set_for = None
-        self._dead += 1
+        self._stale += 1
         # Lazy deletion as in `NodeTimers`: amortized constant cost per removal.
         clock = self._program.clock
-        if 2 * self._dead > len(clock.alarms) + _SPARE:
+        if 2 * self._stale > len(clock.alarms) + _STALE_MARGIN:
             clock.drop(lambda alarm: isinstance(alarm, TimerAlarm) and not self.is_sound(alarm))
-            self._dead = 0
+            self._stale = 0
 
     def is_sound(self, alarm: "TimerAlarm") -> bool:
         """Return whether an alarm is the valid one of an existing timer."""
         timer = alarm.timer
-        there = self._all.by_key.get(timer.key) is timer or self._aside.get(timer.key) is timer
-        return there and timer.set_for == alarm.set_for
+        exists = self._all.by_key.get(timer.key) is timer or self._inactive.get(timer.key) is timer
+        return exists and timer.set_for == alarm.set_for
 
     def ring(self, alarm: "TimerAlarm") -> None:
         """Process an alarm of a timer."""
         if not self.is_sound(alarm):
-            self._dead -= 1
+            self._stale -= 1
             return
         timer = alarm.timer
         timer.set_for = None
         instant = timer.instant
         if instant is None:
             # The clock has got its first time: now the schedule can be computed.
-            self._count(timer, self._program.clock.reached())
-        elif instant > alarm.set_for or self._skips(timer, instant):
+            self._schedule_next(timer, self._program.clock.reached())
+        elif instant > alarm.set_for or self._skip_missed(timer, instant):
             self._set_alarm(timer)
         else:
             # The next alarm is set before the event is dispatched, so that its goals can cancel or replace the timer.
@@ -467,7 +411,7 @@ class Timers:
                 self._all.remove(timer.key)
             self._dispatch(timer.event, WholeSeconds(instant))
 
-    def _skips(self, timer: ProgramTimer, instant: int) -> bool:
+    def _skip_missed(self, timer: ProgramTimer, instant: int) -> bool:
         """If too many instants of a periodic timer have passed, move it to the last one; return whether it moved."""
         schedule = timer.schedule
         if not schedule.repeats:
@@ -484,7 +428,7 @@ class Timers:
             seconds = behind * schedule.period // SECOND
             self._program.on_warning(
                 UsageError(
-                    f"time has gone on by {seconds} s at once: {counted(behind, 'event')} of timer "
+                    f"time has jumped by {seconds} s: {counted(behind, 'event')} of timer "
                     f"{show(timer.event)}, {show(schedule.term)} left out; {self.left_out} of all timers so far"
                 )
             )
@@ -496,10 +440,10 @@ class Timers:
             lambda: machine.run(dispatcher.dispatch(event, instant, instant, machine.done, own=False))
         )
 
-    def _over(self, timer: ProgramTimer) -> None:
+    def _warn_past(self, timer: ProgramTimer) -> None:
         show = self._program.logic.brief
         self._program.on_warning(
-            UsageError(f"timer {show(timer.event)}, {show(timer.schedule.term)}: that instant is over")
+            UsageError(f"timer {show(timer.event)}, {show(timer.schedule.term)}: that instant has passed")
         )
 
     # ---- lifecycle -----------------------------------------------------------------------------------
@@ -508,20 +452,20 @@ class Timers:
         """Remove all timers."""
         for timer in self:
             self._all.remove(timer.key)
-            self._left(timer)
+            self._invalidate_alarm(timer)
 
-    def start_anew(self) -> None:
+    def restart(self) -> None:
         """Restart the timers after time went back and the clock dropped its alarms.
 
         Timers with a relative time are removed, like other alarms, because they belong to the time before.
         """
-        self._dead = 0
+        self._stale = 0
         for timer in self:
             timer.set_for = None
             if timer.schedule.is_relative:
                 self._all.remove(timer.key)
             else:
-                self._count(timer, self._program.clock.reached())
+                self._schedule_next(timer, self._program.clock.reached())
 
     def mend(self) -> None:
         """Make each timer have its alarm again, after an interrupt."""
@@ -538,34 +482,34 @@ class Timers:
                 timer.set_for = None
                 self._set_alarm(timer)
 
-    def standing(self) -> Dict[Hashable, ProgramTimer]:
+    def all_by_key(self) -> Dict[Hashable, ProgramTimer]:
         """Return the timers by key."""
         return dict(self._all.by_key)
 
     def set_aside(self, timers: Mapping[Hashable, ProgramTimer]) -> None:
         """Deactivate timers; those that are set again unchanged continue."""
         for key in timers:
-            self._aside[key] = self._all.remove(key)
+            self._inactive[key] = self._all.remove(key)
 
     def forget_aside(self) -> None:
         """Remove the deactivated timers."""
-        gone, self._aside = list(self._aside.values()), {}
-        for timer in gone:
-            self._left(timer)
+        removed, self._inactive = list(self._inactive.values()), {}
+        for timer in removed:
+            self._invalidate_alarm(timer)
 
-    def restore_standing(self, timers: Mapping[Hashable, ProgramTimer]) -> None:
+    def restore_all(self, timers: Mapping[Hashable, ProgramTimer]) -> None:
         """Restore exactly these timers, whether or not they have been deactivated."""
-        gone = [timer for timer in self if timers.get(timer.key) is not timer]
-        self._all, self._aside = TimerTable(timers.values()), {}
-        for timer in gone:
-            self._left(timer)
+        removed = [timer for timer in self if timers.get(timer.key) is not timer]
+        self._all, self._inactive = TimerTable(timers.values()), {}
+        for timer in removed:
+            self._invalidate_alarm(timer)
         self.mend()
 
     def kept(self) -> List[KeptTimer]:
         """Return all timers as data; see `restore`."""
         return [
             (alarm.timer.event, alarm.timer.schedule.term, alarm.timer.instant, alarm.set_for, order)
-            for _, order, alarm in sorted(self._program.clock.alarms, key=lambda one: one[:2])
+            for _, order, alarm in sorted(self._program.clock.alarms, key=lambda entry: entry[:2])
             if isinstance(alarm, TimerAlarm) and self.is_sound(alarm)
         ]
 
@@ -640,9 +584,9 @@ class _TimerGoals:
     def cancel_counting(self, machine: Machine, event: Term, number: Term) -> bool:
         return bool(machine.unify(number, self.timers.cancel(deref(event))))
 
-    def list(self, machine: Machine, found: Term) -> bool:
+    def list(self, machine: Machine, listed: Term) -> bool:
         rows: List[Any] = []
         for timer in self.timers:
             instant = _WAITS if timer.instant is None else shown(WholeSeconds(timer.instant))
             rows.append((_LISTED, copy(timer.event), copy(timer.schedule.term), instant))
-        return bool(machine.unify(found, make_list(rows)))
+        return bool(machine.unify(listed, make_list(rows)))

@@ -71,7 +71,7 @@ def define_use_swi(
     def use(machine: Machine, spec: Term, wanted: Term) -> bool:
         reason = "" if allowed else "the setting allow_swi is off"
         # A goal of a service could otherwise run arbitrary code of SWI-Prolog, which has no sandbox.
-        if not files.door.is_loading:
+        if not files.sandbox.is_loading:
             reason = "SWI-Prolog loads only what the program's own files ask for, while they are being loaded"
         if reason:
             raise permission_error("load", "swi_file", deref(spec), reason)

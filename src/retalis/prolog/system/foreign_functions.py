@@ -290,7 +290,7 @@ def define_use_foreign(
         if not isinstance(module, (Atom, String)):
             raise type_error("atom", module)
         reason = "" if allowed else "the setting allow_foreign is off"
-        if not files.door.is_loading:
+        if not files.sandbox.is_loading:
             reason = "Python may be loaded only by the program's own files, while they are being loaded"
         if reason:
             raise permission_error("load", "foreign_module", module, reason)
