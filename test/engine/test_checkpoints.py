@@ -358,7 +358,7 @@ def test_another_process_with_the_file_ends_the_first(folder, caplog):
     two.event("in(2)", 2)
     second.write()
     one.event("in(1)", 1)
-    with pytest.raises(UsageError, match="another process keeps its state in"):
+    with pytest.raises(UsageError, match="another process writes to this file"):
         first.write()
     first.end()
     assert "this one writes no more" in caplog.text

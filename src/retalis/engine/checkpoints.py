@@ -172,8 +172,8 @@ class CheckpointStorage:
                 [(name, data, crc32(data)) for name, data in sections.items()],
             )
             for batch in batches:
-                # A memory that was cleared after its clock went back continues with lower numbers: later batches are
-                # stale.
+                # An event out of order is inserted between older records and moves them. All records from there on
+                # are new in the batch, so older batches of the same range are replaced.
                 base.execute(
                     "DELETE FROM records WHERE memory = ? AND first >= ?", (batch.memory, batch.first)
                 )
@@ -194,7 +194,8 @@ class CheckpointStorage:
         try:
             if self._base.in_transaction:
                 self._base.execute("ROLLBACK")
-        except sqlite3.Error:  # the one before is being raised; the next one to write begins anew
+        # The error that made the rollback necessary is already being raised; the next write starts a transaction.
+        except sqlite3.Error:
             return
 
     def _delete_missing(self, kept: Dict[int, int]) -> None:
@@ -280,9 +281,11 @@ def _check_lengths(base: sqlite3.Connection, size: int) -> None:
 
 def _read(base: sqlite3.Connection, size: int) -> Optional[Checkpoint]:
     _limit_reading(base, size)
-    base.execute("BEGIN")  # all of one moment
+    # A transaction, so that all queries see the same checkpoint even if another process writes meanwhile.
+    base.execute("BEGIN")
     if not _value(base, "SELECT count(*) FROM sqlite_master"):
-        return None  # it has just been made
+        # The file was created, and its tables are not committed yet.
+        return None
     if _value(base, "PRAGMA application_id") != APPLICATION:
         raise UsageError("it is a database of something else")
     _check_schema(base)
@@ -469,6 +472,7 @@ class Checkpointer:
     def end(self) -> None:
         """Write a last checkpoint and stop; wait at most `FINAL_WRITE_SECONDS` for a busy engine."""
         self._ending.set()
+        # Never started: a node that ends at once still leaves a checkpoint.
         if self._thread.ident is None:
             self._finish()
         else:
@@ -496,8 +500,8 @@ class Checkpointer:
         # Any exception is reported here and does not end the thread: the next attempt may succeed, for example when
         # the disk has space again. The failed attempt has consumed the change marks, so the next one writes
         # everything.
-        except Exception as error:  # of whatever kind: the next time may be better, and nobody else says it
-            self._snapshot = EngineSnapshot(self._engine)  # what has changed is not known any more
+        except Exception as error:
+            self._snapshot = EngineSnapshot(self._engine)
             self._memories = {}
             self._reports.error(error)
             return not isinstance(error, FileTaken)
@@ -550,7 +554,8 @@ class Checkpointer:
         for instance in self._engine.knowledge.memories:
             known = self._memories.get(instance)
             memory = instance.memory
-            # `memory.changed` is the lowest record number whose value was changed since the previous checkpoint.
+            # `memory.changed` is the lowest position that an insertion out of order has moved since the previous
+            # checkpoint; everything from there on is written again.
             since = 0 if known is None else min(known.added, memory.changed)
             memory.changed = NEVER
             number = next(self._numbers) if known is None else known.number
@@ -582,7 +587,7 @@ def own_files(folder: Path, loaded: Sequence[str]) -> List[str]:
 
 def digest(name: str) -> str:
     """Return the SHA-256 digest of a file, or "none" if it cannot be read."""
-    from hashlib import sha256  # noqa: PLC0415 - loads OpenSSL, and only nodes have checkpoints
+    from hashlib import sha256  # noqa: PLC0415 - loads OpenSSL, which only nodes with checkpoints need
 
     try:
         return sha256(Path(name).read_bytes()).hexdigest()

@@ -231,6 +231,7 @@ def restore_deployments(
 
     One-shot timers that have fired since are omitted.
     """
+    # The lists have the same order as when the state was saved, because items were restored in that order.
     memories = list(knowledge.memories.instances.items())
     subscriptions = knowledge.subscriptions.items()
     states = list(knowledge.states.standing().items())

@@ -150,7 +150,7 @@ class Engine:
         definitions: Optional[Definitions] = None,
     ):
         # A clock that the caller provides is moved by the caller only; timestamps of events do not move it.
-        followed = StreamClock() if clock is None else None  # somebody's own clock is moved by its owner
+        followed = StreamClock() if clock is None else None
         self.clock: Clock = clock or followed  # type: ignore[assignment]
         self.settings = settings = Settings() if settings is None else settings
         self.logic = PrologSystem()
@@ -198,7 +198,8 @@ class Engine:
         self.watchdog = watch(self.executor, self.logic, self.dispatcher, reports, settings.watchdog)
         call = self._call_undisturbed if settings.allow_goals else None
         self.event_input = EventInput(self.logic, self.dispatcher, self.clock, followed, self._start_anew)
-        self._take = self.event_input.take  # bound once: one step less for each event
+        # Bound once, which saves an attribute access per event.
+        self._take = self.event_input.take
         self._message = self.event_input.take_message
         self._text_input = TextInput(self.logic.operators, self._take, call, reports, declared)
         self._outputs: List[OnOutput] = []
@@ -223,11 +224,13 @@ class Engine:
                 settings.queue,
             )
         )
+        # The garbage collector counts the records as live heap, see `gc_tuning`.
         count_records_of(self._status)
         define_new_event(self.logic, self.dispatcher)
         self.input_topics = InputTopics(self.logic, self.slots, reports)
         define_use_foreign(self.logic, self.executor, self._files, settings.allow_foreign)
-        if settings.allow_foreign:  # Python may read it all the same
+        # Python modules can read the environment anyway, so goals may read it, too.
+        if settings.allow_foreign:
             self.logic.environment = os.environ
         define_use_swi(self.logic, self._files, settings.allow_swi, reports.warning)
 
@@ -366,7 +369,7 @@ class Engine:
             self.executor.post(self._message, term)
         else:
             # `WholeSeconds` is the form that the message converter produces; the rules compare it fastest.
-            stamped = WholeSeconds(instant)  # the form in which the converter writes it
+            stamped = WholeSeconds(instant)
             self.executor.post(self._take, term, stamped, stamped, True)
 
     def post_each(self, messages: Iterable[Tuple[Term, Optional[int]]]) -> None:
@@ -620,7 +623,7 @@ class Engine:
         """
 
         # Both steps in one exclusive call: no other thread can delete the memory between them.
-        def work() -> bool:  # nobody deletes it in between
+        def work() -> bool:
             existed = self.has_memory(name)
             if existed:
                 self._achieve((DELETE_MEMORY, name))
@@ -816,7 +819,7 @@ class Engine:
         try:
             callback(*arguments)
         # An error in a callback of one subscriber must not prevent the remaining consequences of the event.
-        except Exception as error:  # a subscriber's own fault must not cut off what follows of the event
+        except Exception as error:
             self.reports.error(error)
         runner.callback = outer
 

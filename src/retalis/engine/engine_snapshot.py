@@ -82,9 +82,8 @@ class EngineSnapshot:
         if whole or signature != self._signature:
             self._signature = signature
             sections["program"] = self._program(named)
-            sections["clauses"] = tuple(
-                keep_logic(logic)
-            )  # apart, since it is large and nothing binds its variables
+            # A section of its own, because it is large and its variables are never bound: it can be encoded later.
+            sections["clauses"] = tuple(keep_logic(logic))
         return sections
 
     def _sign(self, named: List[EventRule]) -> object:
@@ -173,7 +172,7 @@ class EngineSnapshot:
         restore_matches(rules, knowledge, engine.clock, sections["matches"], named)
         rules.files.loaded = set(map(Path, program["network"]["loaded"]))
         # Each event checks the flag before it looks up a declaration; here it is not known whether there are any.
-        rules.declared.in_use = True  # what is there is looked at with the first event
+        rules.declared.in_use = True
         engine.deployments.update(
             restore_deployments(program["standings"], logic, knowledge, rules.timers, named)
         )
@@ -254,5 +253,5 @@ def checked(work: Callable[[], Result]) -> Result:
         raise UsageError(error.message) from error
     # A damaged state can raise any exception in the functions that use its values. The engine that was begun is
     # discarded, so nothing inconsistent remains.
-    except Exception as error:  # of whatever kind: nothing that was begun is kept
+    except Exception as error:
         raise UsageError(f"the state is damaged ({type(error).__name__}: {error})") from error

@@ -275,7 +275,7 @@ def as_json(value: Any) -> Json:
 
 
 _Item = TypeVar("_Item")
-_Record = TypeVar("_Record")
+_ItemStatus = TypeVar("_ItemStatus")
 
 _Text = Callable[[Term, Optional[Mapping[Var, str]]], str]
 """A function that returns the beginning of a term's text, given names of its variables if they are known."""
@@ -327,6 +327,7 @@ class StatusReader:
         memories, more_memories = _memories(seen.knowledge, text, show, most)
         subscriptions, more_subscriptions = _subscriptions(seen.knowledge, text, show, most)
         waiting, more_waiting = _waiting(seen.knowledge, show, most)
+        # Replaced and not extended, so that texts of deleted rules are not kept.
         self._texts = texts
         return Status(
             now=int(seen.clock.present()),
@@ -357,6 +358,7 @@ class StatusReader:
 
     # `ends` is longer than `size` until the next removal of old records, which happens in blocks.
     def _work(self) -> Optional[Work]:
+        # The watchdog keeps the start time of the entry, which the engine itself does not record.
         running = self._view.watchdog.held(time.monotonic())
         if running is None:
             return None
@@ -371,7 +373,7 @@ class StatusReader:
 
         def write(term: Term, names: Optional[Mapping[Var, str]] = None) -> str:
             # The cached tuple holds a reference to the term, so its id cannot be reused for another term.
-            key = id(term)  # the term is kept beside its text, so nothing else has its id
+            key = id(term)
             entry = known.get(key)
             if entry is None:
                 entry = term, show(term, {**_variable_names(term), **(names or {})})
@@ -439,7 +441,7 @@ def _memories(
         memory = instance.memory
         # The list only grows; removal of records replaces it. So `ends` and the length read here belong together even
         # while the engine adds records.
-        ends = memory.ends  # this list only grows: where records go, another one takes its place
+        ends = memory.ends
         number = len(ends)
         records = min(number, memory.size)
         return MemoryStatus(
@@ -500,8 +502,8 @@ def _behind(instance: Any, instant: int) -> Optional[int]:
 
 
 def _first_items(
-    items: Sequence[_Item], convert: Callable[[_Item], _Record], most: int
-) -> Tuple[Tuple[_Record, ...], int]:
+    items: Sequence[_Item], convert: Callable[[_Item], _ItemStatus], most: int
+) -> Tuple[Tuple[_ItemStatus, ...], int]:
     """Return the status of the first items, and the number of items that are not listed."""
     chosen = items[: max(0, most)]
     return tuple([convert(item) for item in chosen]), len(items) - len(chosen)

@@ -92,7 +92,8 @@ class EventInput:
             if stamp is None:
                 stamp = self._present_after_alarms(term)
         else:
-            stamp = WholeSeconds(instant)  # the form in which the converter writes it
+            # `WholeSeconds` is the form that the message converter produces; the rules compare it fastest.
+            stamp = WholeSeconds(instant)
             followed = self.followed
             if not (self._clock.is_quiet() if followed is None else followed.follow(instant)):
                 self._move_clock(instant)
@@ -234,7 +235,8 @@ class InputTopics:
                 self._subscribed.setdefault(
                     plain(topic), AskedTopic(topic, message_type, topics.event_of(topic, plain))
                 )
-            except UsageError:  # said by who subscribes it
+            # An invalid name is reported by the function that subscribes to the topic.
+            except UsageError:
                 continue
         for request in self._requests:
             subscribe(request)

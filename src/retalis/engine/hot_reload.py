@@ -237,7 +237,7 @@ def _real_path(folder: Path) -> str:
     try:
         return os.path.realpath(folder)
     # `realpath` raises ValueError for a name with a NUL character or with surrogates.
-    except ValueError as error:  # what no folder is called: a NUL, surrogates
+    except ValueError as error:
         raise UsageError(f"cannot read {str(folder)!r}: {error}") from error
 
 
@@ -261,7 +261,7 @@ def reload_folder(engine: "Engine", folder: Path, new_engine: Callable[[], "Engi
     if engine.executor.thread == get_ident():
         raise UsageError("a goal or callback of an engine cannot reload its program")
     # An event file may need definitions of other files, so it is not loaded alone into a trial engine.
-    if os.path.isfile(folder):  # it may need what other files say, so it is not tried alone
+    if os.path.isfile(folder):
         tried = deployment_of(new_engine())
     else:
         tried = try_program(engine, new_engine(), engine.deployments.get(key, NOTHING), folder)
@@ -377,7 +377,7 @@ class ReloadTransaction:
             states={k: item for k, item in deployment.states.items() if now.states.get(k) is item},
         )
 
-    # ---- taking out ----------------------------------------------------------------------------------
+    # ---- deactivation of the old deployment ----------------------------------------------------------
 
     def _set_aside(self) -> None:
         # Items are set aside, not deleted: the load finds equal definitions there and reactivates them with their
@@ -421,7 +421,7 @@ class ReloadTransaction:
         elif not predicate.dynamic:
             predicate.kind = "undefined"
 
-    # ---- putting back --------------------------------------------------------------------------------
+    # ---- reactivation of unchanged items -------------------------------------------------------------
 
     def _kept_rules(self) -> Dict[EventRule, EventRule]:
         """Return the old rule for each new rule that is equal to it.
@@ -490,7 +490,7 @@ class ReloadTransaction:
             tell = knowledge.memories.tell_deleted
             self._engine.dispatcher.apart(lambda: machine.run(tell(instance, machine.done)))
 
-    # ---- where it went wrong -------------------------------------------------------------------------
+    # ---- rollback ------------------------------------------------------------------------------------
 
     def _undo_after(self, error: BaseException) -> None:
         """Restore the old program after an error.

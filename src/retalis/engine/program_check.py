@@ -89,6 +89,7 @@ def check_program(
         topics = read_topics(folder / TOPICS) if os.path.isdir(folder) else topics
     except RetalisError as error:
         problems.all_of(error)
+    # The computer's clock, as in a node, so that goals which need the time succeed.
     engine = Engine(Clock(time.time_ns), settings, problems, definitions)
     engine.logic.output = engine.logic.error_output = lambda text: None
     own = direct_topics(direct, topics, by_name)
@@ -103,6 +104,7 @@ def check_program(
     # that.
     sound = not any(finding.severity == ERROR for finding in problems.found)
     reported = {finding.problem.place for finding in problems.found if finding.problem.place is not None}
+    # A mistake that loading has already reported is not reported again by a check of the same place.
     new = [finding for finding in look_through(program, sound) if finding.problem.place not in reported]
     return _in_order([*problems.found, *new])
 

@@ -85,6 +85,7 @@ class Clock:
         instant = self._source()
         if instant >= self._newest:
             self._newest = instant
+        # A smaller step back is a correction of the clock and no new epoch: the newest time stays.
         elif instant < self._newest - JUMP:
             self._newest = instant
             self.behind = True
@@ -333,6 +334,7 @@ class StreamClock(Clock):
         1000000000
         """
         self.is_set = True
+        # `_last_stamp` makes the next timestamp one nanosecond later than the pinned time.
         self._pinned = int(instant)
         self._last_stamp = max(self._last_stamp, self._pinned)
         self._time = max(self._time, self._pinned)

@@ -303,6 +303,7 @@ class _PrologFile:
         text = self._files.text(path)
         with self._files.inside(path), self._files.relative_to(path.parent):
             program = read_program(text, self._logic.operators, str(path))
+            # Flags of directives apply across the boundaries of included files, in both directions.
             program.flags = outer.flags
             self._process_terms(program)
             outer.flags = program.flags

@@ -229,7 +229,7 @@ class EventFileLoader:
         rules = self._rules
         checker = FileChecker(declared=rules.declared.now())
         checker.read(read)
-        # `preparing` collects the terms of all rules, from which the compiler sees which predicates events call.
+        # `preparing` compiles goals and predicates now, so that the first events do not wait for it.
         with rules.logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
             self._finish(lambda errors: self._checked(checker, errors), Errors())
 

@@ -314,7 +314,8 @@ def _open_to_write(real: str, name: str, folders: Folders) -> int:
     # link that was created meanwhile.
     folder_descriptor = os.open(folder, O_PATH | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:
-        _check_opened(folder_descriptor, name, folders)  # before anything is made in it
+        # Checked before the file is created, which would be an effect outside of the permitted folders.
+        _check_opened(folder_descriptor, name, folders)
         return os.open(
             file_name, flags | os.O_CREAT | os.O_EXCL | _SAFE_FLAGS, 0o666, dir_fd=folder_descriptor
         )

@@ -207,6 +207,7 @@ class _TopicReader:
         self.parser = expat.ParserCreate()
         self.parser.StartElementHandler = self.element
         self.parser.EndElementHandler = lambda tag: self.open.pop()
+        # Refusing the document type excludes all entity declarations before they are read.
         self.parser.StartDoctypeDeclHandler = self.doctype
         self.open: List[Tuple[str, int]] = []
         self.inside = False

@@ -279,6 +279,7 @@ class SourceFiles:
         """
         text = file_name(name)
         path = self.resolve(text)
+        # The exact name has priority over the name with a suffix, as in SWI-Prolog.
         if self.sandbox.is_file(str(path), text):
             return path
         endings = [ending for ending in _ENDINGS if self.sandbox.is_file(f"{path}{ending}", text)]
@@ -323,6 +324,7 @@ class SourceFiles:
         """
         text = file_name(name)
         check_name(text)
+        # Not `resolve`, which requires permission to read.
         path = str((self.sandbox.start if self._folder is None else self._folder) / Path(text))
         self.sandbox.begin(path, text, not more)
         return path
@@ -363,6 +365,7 @@ class SourceFiles:
 
     def module(self, path: Path) -> str:
         """Return the module name of a file that has been or is being loaded, or "" if it is not a module."""
+        # The module of a file whose load was undone is still recorded, but the file is not loaded.
         real = _real(path)
         return self.modules.get(real, "") if real in self.loaded else ""
 

@@ -77,6 +77,7 @@ class ConditionalCompilation:
             branch.choose(True)
             branch.last = True
         elif key is _ENDIF:
+            # `endif` may follow `else`, which `elif` and a second `else` may not.
             self._innermost("endif", place, closes=True)
             self._open.pop()
         else:
@@ -164,6 +165,7 @@ class TermExpansion:
     def _goal(self, given: Term) -> Term:
         """Return a goal with all inner goals expanded, or the identical object if none was."""
         goal, times = deref(given), 0
+        # Expanded until there is no further expansion, as in SWI-Prolog; then the goals inside of the result.
         while goal.__class__ is not Var:
             result = Var()
             if not self._logic.once((_GOAL, goal, result)):

@@ -98,9 +98,7 @@ class EventTypes:
         strict = self._flags.get(UNDECLARED.name) is STRICTLY
         # The declarations are parsed again if the clauses have changed. A list of clauses only grows, or is replaced
         # by another list, so its identity and length, the number of dead clauses and the flag identify its contents.
-        number = len(
-            clauses
-        )  # a list of clauses is only ever added to; else there is another one in its place
+        number = len(clauses)
         if (
             clauses is not self._clauses
             or number != self._number

@@ -352,15 +352,13 @@ class RuleBase:
         show = self.logic.brief
         head = "(no head)"
         # Variables of a rule that was added at run time have no names; numbered ones would differ in each message.
-        if (
-            definition.head is not None
-        ):  # a rule made at run time has no names; its own would be ever new ones
+        if definition.head is not None:
             unnamed = dict.fromkeys(variables(definition.head), "_")
             head = show(definition.head, {**unnamed, **definition.names}, made=True)
         label = "" if definition.label is None else f"{show(definition.label)}: "
         return f"rule {label}{head}"
 
-    # ---- how they run --------------------------------------------------------------------------------
+    # ---- properties and flags ------------------------------------------------------------------------
 
     def set_property(self, prop: Property) -> None:
         """Set a property of a label; it is applied at once to the rules with the label."""
