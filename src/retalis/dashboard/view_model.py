@@ -95,8 +95,8 @@ class _FunctorEvents:
 class RecentEvents:
     """Counts events by functor and stores the last ones as text, on request.
 
-    A listener for all events disables fused actions and gates (`Audience.fused`, `Gate`), so it is registered only
-    on request. The work for each event is bounded, and no method waits for the engine.
+    A listener for all events disables fused actions and early filters (`ListenerIndex.fused`, `PushdownFilter`), so
+    it is registered only on request. The work for each event is bounded, and no method waits for the engine.
 
     Args:
         engine: the engine to observe.
