@@ -33,9 +33,7 @@ sys.path[:0] = [str(ROOT / "bench"), str(ROOT / "src")]
 from arguments import above_zero, existing, positive, target  # noqa: E402
 from corpus import chosen, closed, is_closed, kind  # noqa: E402
 
-from retalis.engine.engine import (  # noqa: E402
-    Engine,  # noqa: E402
-)
+from retalis.engine.engine import Engine  # noqa: E402
 from retalis.engine.engine_settings import Settings  # noqa: E402  # noqa: E402
 from retalis.foundation.errors import RetalisError, SyntaxFault, TermTooLarge  # noqa: E402
 from retalis.prolog.machine.errors import PrologError  # noqa: E402

@@ -39,9 +39,7 @@ import event_streams  # noqa: E402
 import event_tables  # noqa: E402
 from arguments import above_zero, existing, positive, target  # noqa: E402
 
-from retalis.engine.engine import (  # noqa: E402
-    Engine,  # noqa: E402
-)
+from retalis.engine.engine import Engine  # noqa: E402
 from retalis.engine.runtime.clock import StreamClock  # noqa: E402
 from retalis.events.dispatch.listeners import ListenerPhase  # noqa: E402
 from retalis.prolog.terms.timestamps import SECOND  # noqa: E402

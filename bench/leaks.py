@@ -19,9 +19,7 @@ sys.path[:0] = [str(ROOT / "bench"), str(ROOT / "src")]
 
 from arguments import positive  # noqa: E402
 
-from retalis.engine.engine import (  # noqa: E402
-    Engine,  # noqa: E402
-)
+from retalis.engine.engine import Engine  # noqa: E402
 from retalis.engine.engine_settings import Settings  # noqa: E402  # noqa: E402
 from retalis.engine.runtime.problem_reports import Reports  # noqa: E402
 from retalis.foundation.errors import RetalisError  # noqa: E402

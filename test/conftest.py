@@ -13,7 +13,7 @@ import os
 import pytest
 
 import retalis.events.language.event_operators  # noqa: F401 -- adds its operators to those of Prolog
-from retalis.foundation.python_interpreter import PYPY
+from retalis.foundation.interpreter_compatibility import PYPY
 from retalis.messages.type_registry import Definitions
 
 FAST = "not slow"

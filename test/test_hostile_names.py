@@ -10,12 +10,12 @@ import pytest
 from reachability import reachable
 
 from retalis.engine.engine import Engine
-from retalis.events.program.program_folder import read_topics, topic_type
+from retalis.events.program.topic_configuration import read_topics, topic_type
 from retalis.foundation import codegen
 from retalis.foundation.bounded_caches import Cache
 from retalis.foundation.errors import MessageError, ProgramErrors, SyntaxFault, UsageError, printable
-from retalis.messages.message_to_text import text_writer
 from retalis.messages.ros2_types import ros2_type
+from retalis.messages.text_decoder import text_writer
 from retalis.messages.type_registry import Definitions, Installed
 from retalis.prolog.machine.errors import PrologError
 from retalis.prolog.syntax.operators import Operators

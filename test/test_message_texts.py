@@ -80,7 +80,7 @@ def test_such_texts_are_in_snapshots_and_on_the_dashboard():
     recent = RecentEvents(engine)
     recent.watch(True)
     engine.post(decoded(message("Jürgen")), SECOND)
-    assert "my_msgs__0__Note('\"Jürgen\"','\"bytes\"')" in [event.text for event in recent.look()]
+    assert "my_msgs__0__Note('\"Jürgen\"','\"bytes\"')" in [event.text for event in recent.latest()]
     other = Engine.restore(engine.snapshot())
     assert other.query("access_mem(memory, met(_, '\"Jürgen\"'), _)")
     other.post(decoded(message("Jürgen")), 2 * SECOND)

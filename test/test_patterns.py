@@ -17,7 +17,7 @@ from typing import Any, Dict, Iterator, List, NamedTuple, Set, Tuple
 import pytest
 from source import FILES
 
-from retalis.foundation.python_interpreter import PYPY
+from retalis.foundation.interpreter_compatibility import PYPY
 from retalis.prolog.syntax import tokenizer
 
 SIZE = 100_000
@@ -240,7 +240,7 @@ CASES: Dict[str, Case] = {
         ("", "a", "a[", "a[1", "a[1 ", "a[1] ", "a a", "a a "),
         (*BLANKS, "a", "1", "1 ", "[ ", "a "),
     ),
-    # messages/message_to_text.py
+    # messages/text_decoder.py
     r"(^|,)(-?[0-9]+)e": Case(
         "search",
         "a number without an exponent: its digits once more",

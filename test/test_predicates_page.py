@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from retalis.cli.prompt import bindings
+from retalis.cli.toplevel_io import bindings
 from retalis.prolog.machine.errors import PrologError
 from retalis.prolog.machine.resource_limits import Limits
 from retalis.prolog.syntax.term_reader import read_term

@@ -12,7 +12,7 @@ from retalis.engine.engine_settings import Settings
 from retalis.engine.event_input import MAX_EVENT_TEXT_CHARACTERS
 from retalis.events.knowledge import event_states
 from retalis.events.language import state_parser
-from retalis.events.program import program_folder
+from retalis.events.program import topic_configuration
 from retalis.events.rules import timer_service
 from retalis.foundation import errors, ros_names
 from retalis.foundation.errors import MAX_MESSAGE_CHARACTERS, SHOWN
@@ -46,7 +46,7 @@ FIXED = {
         f"{type_registry.MAX_ADDED_TYPES:,} types, {millions(type_registry.MAX_ADDED_CHARACTERS)} characters in all; each "
         f"{millions(type_registry.MAX_DEFINITION_CHARACTERS)} characters, {type_definition.MAX_SLOTS:,} slots, depth {type_definition.MAX_TYPE_DEPTH}"
     ),
-    "`pub_sub.xml`": f"{millions(program_folder.MAX_XML_CHARACTERS)} characters, depth {program_folder.MAX_XML_DEPTH}, no DOCTYPE",
+    "`pub_sub.xml`": f"{millions(topic_configuration.MAX_XML_CHARACTERS)} characters, depth {topic_configuration.MAX_XML_DEPTH}, no DOCTYPE",
     "errors of one file that are kept and shown": f"{errors.MAX_ERRORS}, and how many more",
     "characters of a text from outside that are kept and shown": f"{SHOWN}; of a whole error {MAX_MESSAGE_CHARACTERS:,}",
     "streams that are open at once": f"{text_streams.MAX_OPEN_STREAMS};",

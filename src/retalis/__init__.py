@@ -33,7 +33,7 @@ if TYPE_CHECKING:  # for type checkers; a program gets them by `__getattr__`
     from .engine.runtime.clock import Clock, StreamClock
     from .engine.runtime.gc_tuning import collect_when_idle, limit_gc_pauses, restore_gc
     from .engine.runtime.problem_reports import Reports
-    from .events.program.program_folder import TopicType
+    from .events.program.topic_configuration import TopicType
     from .explanation.explain import Explanation, ExplanationLine, explain, record_origins
     from .foundation.errors import (
         MessageError,
@@ -179,7 +179,7 @@ _MODULES = {
     "to_python": "prolog.system.value_conversion",
     "to_term": "prolog.system.value_conversion",
     "Topic": "playback.rosbag1",
-    "TopicType": "events.program.program_folder",
+    "TopicType": "events.program.topic_configuration",
     "UsageError": "foundation.errors",
     "Var": "prolog.terms.types",
     "WaitingStatus": "engine.engine_status",

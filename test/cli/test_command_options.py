@@ -7,8 +7,8 @@ import pytest
 
 from retalis.cli.command_line import main
 from retalis.cli.console import Console
-from retalis.cli.error_report import Report
-from retalis.cli.prompt import Lines
+from retalis.cli.stderr_report import Report
+from retalis.cli.toplevel_io import Lines
 from retalis.engine.engine_settings import Settings
 from retalis.messages.type_registry import Definitions
 from retalis.playback.rosbag1 import BagWriter

@@ -8,8 +8,8 @@ import pytest
 from retalis.cli import console
 from retalis.cli.command_line import main
 from retalis.cli.console import CONSOLE, DEFAULT_SHOWN_SOLUTIONS, Console, apropos_lines, help_lines
-from retalis.cli.error_report import Report
-from retalis.cli.prompt import Lines
+from retalis.cli.stderr_report import Report
+from retalis.cli.toplevel_io import Lines
 
 
 @pytest.fixture

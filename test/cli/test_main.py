@@ -52,9 +52,11 @@ def test_the_version_imports_no_engine():
 
 def test_a_command_imports_no_other_command_and_bags_only_if_it_reads_them():
     found = imported("events", "--help")
-    assert "retalis.cli.events_command" in found
+    assert "retalis.cli.event_stream_command" in found
     assert not [name for name in found if name.startswith("retalis.playback")]
-    assert not found & {f"retalis.cli.{module}" for module in COMMANDS.values() if module != "events_command"}
+    assert not found & {
+        f"retalis.cli.{module}" for module in COMMANDS.values() if module != "event_stream_command"
+    }
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -13,11 +13,7 @@ from pageserver import PATIENCE, Visitor, engine, serving  # noqa: E402
 
 from retalis.dashboard.page_server import Dashboard  # noqa: E402
 from retalis.dashboard.request_handlers import FILES, MAX_CONNECTIONS, PAGE  # noqa: E402
-from retalis.dashboard.view_model import (  # noqa: E402  # noqa: E402
-    MAX_OPEN_PAGES,  # noqa: E402
-    DashboardSource,
-    TopicRow,
-)
+from retalis.dashboard.view_model import MAX_OPEN_PAGES, DashboardSource, TopicRow  # noqa: E402  # noqa: E402
 from retalis.foundation.errors import UsageError  # noqa: E402
 
 

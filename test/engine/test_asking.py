@@ -6,7 +6,7 @@ import pytest
 
 from retalis.engine.engine import Engine
 from retalis.engine.engine_settings import Settings
-from retalis.engine.external_queries import ask, await_memories
+from retalis.engine.external_requests import ask, await_memories
 from retalis.foundation.errors import SyntaxFault, UsageError
 from retalis.prolog.machine.errors import PrologError
 from retalis.prolog.machine.resource_limits import Limits

@@ -6,7 +6,7 @@ import pytest
 
 from retalis.engine.engine import Engine
 from retalis.engine.program_check import check_program
-from retalis.events.program.program_folder import TopicEvent, Topics, topic_type
+from retalis.events.program.topic_configuration import TopicEvent, Topics, topic_type
 from retalis.foundation.errors import RetalisError
 from retalis.messages.type_registry import Definitions
 

@@ -4,7 +4,7 @@ import pytest
 
 from retalis.engine.engine import Engine
 from retalis.engine.engine_settings import Settings
-from retalis.engine.external_queries import add_rule, ask, do_for_others
+from retalis.engine.external_requests import add_rule, ask, do_for_others
 from retalis.prolog.machine.errors import PrologError
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.terms.types import atom

@@ -4,7 +4,7 @@ import pytest
 
 from retalis.engine.engine import Engine
 from retalis.engine.program_check import check_program, never_comes, never_sent
-from retalis.events.program.program_folder import Topics, topic_type
+from retalis.events.program.topic_configuration import Topics, topic_type
 from retalis.foundation.errors import RetalisError
 from retalis.messages.type_registry import Definitions
 from retalis.prolog.syntax.operators import Operators

@@ -6,7 +6,7 @@ import pytest
 
 from retalis.engine.engine import Engine
 from retalis.engine.engine_settings import Settings
-from retalis.engine.external_queries import add_rule, delete_rule
+from retalis.engine.external_requests import add_rule, delete_rule
 from retalis.foundation.errors import ProgramErrors, RetalisError, UsageError
 from retalis.prolog.machine.resource_limits import Limits
 from retalis.prolog.system.foreign_functions import foreign

@@ -3,7 +3,7 @@
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.external_queries import add_rule, delete_rule
+from retalis.engine.external_requests import add_rule, delete_rule
 from retalis.foundation.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from retalis.engine.engine import Engine
 from retalis.engine.runtime.problem_reports import Reports
-from retalis.events.program.program_folder import read_topics
+from retalis.events.program.topic_configuration import read_topics
 from retalis.explanation.explain import explain, record_origins
 from retalis.foundation.errors import ProgramErrors
 from retalis.messages.type_registry import Definitions, Installed

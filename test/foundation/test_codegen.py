@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from retalis.foundation import codegen
-from retalis.foundation.python_interpreter import PYPY
+from retalis.foundation.interpreter_compatibility import PYPY
 
 AT_ONCE = not PYPY and getattr(sys, "_is_gil_enabled", lambda: True)()
 """Whether functions are freed as soon as nothing holds them; threads without a lock leave them to the collector."""

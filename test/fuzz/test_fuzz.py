@@ -6,7 +6,7 @@ import pytest
 
 from fuzz.campaign import Campaign
 from fuzz.kinds import NAMES
-from retalis.foundation.python_interpreter import PYPY
+from retalis.foundation.interpreter_compatibility import PYPY
 
 pytestmark = pytest.mark.skipif(PYPY, reason="an input is watched by audit events, and PyPy has few of them")
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from events.streams.feeding import Came, item_of, listing
 
-from retalis.events.streams import stream_elements
+from retalis.events.streams import stream_operator
 from retalis.events.streams.rate_operators import Debounce, DistinctUntilChanged, Throttle
 from retalis.events.streams.row_pattern import RowPatternNFA, RowPatternVariable, RowPatternWindow, StepTest
 from retalis.events.streams.windows import (
@@ -19,7 +19,7 @@ from retalis.events.streams.windows import (
 
 from .injection import Interrupt, Traced
 
-_SOURCE = str(Path(stream_elements.__file__).parent)
+_SOURCE = str(Path(stream_operator.__file__).parent)
 
 
 class AtLine(Traced):

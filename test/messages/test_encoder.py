@@ -8,8 +8,8 @@ from messages.wire import messages, serialize
 from retalis.foundation.errors import MessageError
 from retalis.messages.decoder import Decoder
 from retalis.messages.encoder import Encoder
-from retalis.messages.term_validation import CheckingEncoder
 from retalis.messages.type_registry import Definitions, Installed
+from retalis.messages.validating_encoder import CheckingEncoder
 from retalis.prolog.terms import timestamps
 from retalis.prolog.terms.list_terms import make_list
 from retalis.prolog.terms.term_traversal import copy

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from retalis.foundation.errors import MessageError
 from retalis.messages.header_stamps import frame_text, stamp_reader, watched
-from retalis.messages.message_to_text import text_writer
+from retalis.messages.text_decoder import text_writer
 from retalis.messages.type_registry import Definitions, Installed
 from retalis.prolog.syntax.event_text import to_text
 from retalis.prolog.syntax.operators import Operators

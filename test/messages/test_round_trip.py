@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from messages.wire import CODES, messages, serialize, to_term
 from retalis.messages import encoder
-from retalis.messages.message_to_text import text_writer
+from retalis.messages.text_decoder import text_writer
 from retalis.messages.type_registry import Definitions, Installed
 from retalis.prolog.syntax.event_text import EventReader, to_text
 from retalis.prolog.syntax.operators import Operators

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retalis.foundation.errors import SyntaxFault, UsageError
-from retalis.messages.field_names import SlotNames
+from retalis.messages.named_slots import SlotNames
 from retalis.messages.type_registry import Definitions, Installed
 from retalis.prolog.syntax.event_text import to_text
 from retalis.prolog.syntax.operators import Operators

@@ -4,7 +4,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from retalis.foundation.errors import MessageError
-from retalis.messages.field_names import SlotNames, by_names, positional, zero
+from retalis.messages.named_slots import SlotNames, by_names, positional, zero
 from retalis.messages.type_registry import Definitions
 from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_term

@@ -113,7 +113,7 @@ def bombs(folder):
 
 READ = """
 import resource, sys
-from retalis.playback.bag_sources import MergedBag as BagSeries; from retalis.playback.rosbag1 import BagError
+from retalis.playback.bag_locations import MergedBag as BagSeries; from retalis.playback.rosbag1 import BagError
 def read(path):
     try:
         with BagSeries([path], max_chunk_megabytes=20) as bag:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from retalis.playback.bag_sources import (
+from retalis.playback.bag_locations import (
     FoundBag,
     fetched,
     find_bags,

@@ -6,7 +6,7 @@ import pytest
 from parsing import parse_term
 
 from retalis.engine.engine import Engine
-from retalis.events.program.program_folder import TopicType
+from retalis.events.program.topic_configuration import TopicType
 from retalis.events.rules import timer_service
 from retalis.messages.type_registry import Definitions
 from retalis.playback.playback import Playback

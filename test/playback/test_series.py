@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from retalis.foundation.errors import UsageError
 from retalis.messages.type_registry import Definitions
-from retalis.playback.bag_sources import MergedBag
+from retalis.playback.bag_locations import MergedBag
 from retalis.playback.playback import Playback
 from retalis.playback.rosbag1 import BagError, BagWriter
 from retalis.playback.run_recorder import RunRecorder

@@ -35,7 +35,7 @@ SUITES = (
     "test/events",
     "test/events/knowledge",
     "test/engine/test_engine.py",
-    "test/events/program/test_program_folder.py",
+    "test/events/program/test_topic_configuration.py",
 )
 _ERROR = functor("error", 2)
 

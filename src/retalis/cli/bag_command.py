@@ -6,10 +6,10 @@ from typing import Callable
 
 from .bag_run import add_chunk_limit, play
 from .command_options import add_direct, add_folders, add_limits
-from .error_report import Report
 from .many_bags import add_many, are_many, play_many
 from .option_values import RELATIVE, RELATIVE_TIMES, STAMPS, from_zero
 from .output import JSON
+from .stderr_report import Report
 
 DESCRIPTION = """\
 Feed bags to a program and print what it publishes, as output(TERM,TOPIC) terms. Bags are of ROS 1, compressed or

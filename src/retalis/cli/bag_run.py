@@ -8,10 +8,10 @@ from typing import Callable, Dict, List, Optional
 
 from ..engine.engine_settings import Settings
 from ..engine.runtime.gc_tuning import limit_gc_pauses
-from ..events.program.program_folder import TopicType, topic_type
+from ..events.program.topic_configuration import TopicType, topic_type
 from ..explanation.explain import explain, record_origins
 from ..foundation.errors import UsageError, shortened
-from ..playback.bag_sources import MergedBag
+from ..playback.bag_locations import MergedBag
 from ..playback.decompression import MAX_CHUNK_MEGABYTES
 from ..playback.playback import Output, Playback
 from ..playback.rosbag1 import BagWriter
@@ -21,9 +21,9 @@ from ..prolog.syntax.term_reader import read_term
 from ..prolog.terms import timestamps
 from ..prolog.terms.types import Term, atom, functor
 from .command_options import allow_folders, limited
-from .error_report import Bar, Report, progress, to_reader
 from .option_values import RELATIVE, from_one
 from .output import Printer
+from .stderr_report import Bar, Report, progress, to_reader
 
 OUTPUT = functor("output", 2)
 TIMED_OUTPUT = functor("output", 3)

@@ -11,7 +11,7 @@ from ..engine.program_check import check_program
 from ..events.checks.check_registry import ERROR, INFO, Finding
 from ..foundation.errors import MessageError, counted, printable
 from ..messages.type_registry import Definitions, Installed
-from ..playback.bag_sources import open_bag
+from ..playback.bag_locations import open_bag
 from .bag_run import add_chunk_limit
 from .command_options import add_direct, add_swi
 

@@ -13,8 +13,8 @@ from typing import Any, Iterable, List, Optional
 from xml.etree import ElementTree
 
 from ..foundation.errors import RetalisError
-from .error_report import NobodyReads, leave
 from .option_values import join_times
+from .stderr_report import NobodyReads, leave
 
 MANIFEST = Path(__file__).resolve().parents[3] / "package.xml"
 """Manifest in the source tree, which contains the version."""
@@ -53,7 +53,7 @@ COMMANDS = {
     "check": "check_command",
     "console": "console",
     "demo": "demo_command",
-    "events": "events_command",
+    "events": "event_stream_command",
     "graph": "graph_command",
     "query": "node_commands",
     "explain": "node_commands",

@@ -4,7 +4,7 @@ import argparse
 from typing import Callable, Optional, Tuple
 
 from ..engine.engine_settings import Settings
-from ..events.program.program_folder import AUTO, DirectTopics, read_direct
+from ..events.program.topic_configuration import AUTO, DirectTopics, read_direct
 from ..foundation.errors import UsageError
 from ..prolog.machine.resource_limits import Limits
 from .option_values import from_one, from_zero

@@ -27,10 +27,10 @@ from ..prolog.system.prolog_system import Tracer
 from ..prolog.terms.list_terms import list_items
 from ..prolog.terms.types import COMMA, Atom, String, Term, Var, deref, functor
 from .command_options import add_limits, limited
-from .error_report import Report, to_reader
 from .node_commands import of_ros
 from .option_values import from_zero
-from .prompt import LEAVE, Lines, Terminal, bindings, read_clause
+from .stderr_report import Report, to_reader
+from .toplevel_io import LEAVE, Lines, Terminal, bindings, read_clause
 
 PAGE = "docs/predicates.md"
 MAX_HELP_LINES = 50

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any, Callable, Dict, Tuple
 
 from ..foundation.errors import UsageError
-from ..playback.bag_sources import MergedBag
+from ..playback.bag_locations import MergedBag
 from ..playback.playback import Playback
 from ..prolog.terms.term_traversal import resolve
 from .bag_run import share_of
-from .error_report import Report, progress
 from .option_values import seconds, whole
+from .stderr_report import Report, progress
 
 
 def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:

@@ -8,12 +8,12 @@ from typing import Callable, List, Optional
 from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
 from ..engine.event_input import InputTopics
-from ..events.program.program_folder import GOALS, TOPICS, Topics, read_topics
+from ..events.program.topic_configuration import GOALS, TOPICS, Topics, read_topics
 from ..foundation.errors import ProgramErrors, UsageError
 from ..messages.type_definition import functor_name
 from ..visualization.program_graph import FORMATS, GraphTopic, dot_text, draw, program_graph
 from .command_options import add_limits, limited
-from .error_report import Report
+from .stderr_report import Report
 
 AS_TEXT = ("dot", "gv")
 """Suffixes of files in the text format of Graphviz."""

@@ -20,7 +20,7 @@ from typing import Any, Callable, Deque, Dict, Generator, List, NamedTuple, Opti
 
 from ..engine.runtime.gc_tuning import restore_gc
 from ..foundation.errors import RetalisError, UsageError
-from ..playback.bag_sources import (
+from ..playback.bag_locations import (
     FoundBag,
     fetched,
     find_bags,
@@ -34,8 +34,8 @@ from ..playback.bag_sources import (
 from ..playback.run_recorder import RunTable
 from ..playback.worker_pool import Unfinished, in_processes, on_cluster
 from .bag_run import play, print_line
-from .error_report import Report, leave, progress
 from .option_values import from_one
+from .stderr_report import Report, leave, progress
 
 FORMATS = ("bag", "parquet", "jsonl")
 

@@ -6,10 +6,10 @@ from typing import Callable, Dict
 
 from ..foundation.errors import MessageError, UsageError
 from ..foundation.ros_names import plain_type, type_fault
-from ..messages.field_names import by_names, positional, zero
+from ..messages.named_slots import by_names, positional, zero
 from ..messages.type_definition import Definition
 from ..messages.type_registry import Definitions
-from ..playback.bag_sources import open_bag
+from ..playback.bag_locations import open_bag
 from .bag_run import add_chunk_limit
 
 FORMATS: Dict[str, Callable[[Definition, Definitions], str]] = {

@@ -11,7 +11,7 @@ from ..visualization.timeline import PICTURES, Timeline, TimelineBuilder, draw_t
 from .bag_command import add_source
 from .bag_run import bags_of, playback_of, share_of
 from .command_options import add_folders, add_limits
-from .error_report import Report, progress
+from .stderr_report import Report, progress
 
 PAGES = ("html", "htm")
 

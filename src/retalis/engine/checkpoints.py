@@ -22,7 +22,7 @@ from typing import Any, Dict, Iterable, Iterator, List, NamedTuple, Optional, Se
 from zlib import crc32
 
 from ..events.knowledge.memory import NEVER, MemoryInstance
-from ..events.program.program_folder import GOALS, TOPICS
+from ..events.program.topic_configuration import GOALS, TOPICS
 from ..foundation.errors import UsageError
 from ..messages.type_registry import Definitions
 from ..serialization.codec import from_bytes, to_bytes
@@ -37,7 +37,7 @@ from ..serialization.state_sections import (
     read_records,
     read_section,
 )
-from .deployment import Deployment
+from .deployed_items import Deployment
 from .engine import Engine
 from .engine_settings import Settings
 from .engine_snapshot import EngineSnapshot, checked

@@ -23,11 +23,11 @@ from ..events.checks.program_model import ProgramModel
 from ..events.dispatch.dispatcher import Dispatcher
 from ..events.dispatch.listeners import ListenerPhase
 from ..events.knowledge.knowledge_base import DELETE_MEMORY, MEMORIZE, OWN_EVENTS, SUBSCRIBE, KnowledgeBase
-from ..events.program.program_folder import Topics, TopicType
+from ..events.program.topic_configuration import Topics, TopicType
 from ..events.rules.event_predicates import define_new_event
 from ..events.rules.rule_base import RuleBase
 from ..foundation.errors import RetalisError, UsageError, counted
-from ..messages.field_names import SlotNames
+from ..messages.named_slots import SlotNames
 from ..messages.type_registry import Definitions
 from ..prolog.machine.resource_limits import MEGABYTE
 from ..prolog.swi.use_swi import define_use_swi
@@ -42,7 +42,7 @@ from ..prolog.terms.term_traversal import copy, variables
 from ..prolog.terms.timestamps import WholeSeconds
 from ..prolog.terms.types import Frame, Functor, Term, Var
 from ..serialization.state_sections import pack, read_records, unpack
-from .deployment import Deployment
+from .deployed_items import Deployment
 from .engine_settings import Settings
 from .engine_snapshot import EngineSnapshot, checked, clock_for, coded, decoded
 from .engine_status import DEFAULT_LISTED, EngineView, Status, StatusReader

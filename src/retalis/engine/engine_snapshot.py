@@ -28,7 +28,7 @@ from ..serialization.memory_state import (
 )
 from ..serialization.network_state import keep_matches, keep_rules, restore_matches, restore_rules
 from ..serialization.state_sections import SECTIONS, read_section
-from .deployment import restore_deployments, save_deployments
+from .deployed_items import restore_deployments, save_deployments
 from .event_input import AskedTopic
 from .runtime.clock import StreamClock
 

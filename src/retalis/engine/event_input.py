@@ -14,12 +14,12 @@ from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional
 
 from ..events.dispatch.dispatcher import Dispatcher
 from ..events.language.event_declarations import event_fault
-from ..events.program.program_folder import TopicEvent, Topics, TopicType
+from ..events.program.topic_configuration import TopicEvent, Topics, TopicType
 from ..events.rules.event_predicates import InputReader
 from ..events.rules.event_types import EventTypes
 from ..foundation.errors import RetalisError, UsageError, beginning
 from ..foundation.ros_names import plain_type, topic_fault, type_fault
-from ..messages.field_names import SlotNames
+from ..messages.named_slots import SlotNames
 from ..prolog.machine.errors import domain_error, instantiation_error, permission_error, resource_error
 from ..prolog.machine.machine import Machine
 from ..prolog.syntax.operators import Operators

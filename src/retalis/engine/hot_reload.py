@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Callable, Dict, Hashable, Iterable, List, Sequ
 
 from ..events.knowledge.memory import MemoryInstance
 from ..events.network.event_rule import EventRule
-from ..events.program.program_folder import GOALS, event_types, read_text
+from ..events.program.topic_configuration import GOALS, event_types, read_text
 from ..events.rules.timer_service import ProgramTimer
 from ..foundation.errors import Errors, Place, ProgramErrors, RuleError, UsageError, counted
 from ..prolog.database.clause_index import Clause
@@ -27,7 +27,7 @@ from ..prolog.database.predicate import Predicate
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.term_traversal import term_key
 from ..prolog.terms.types import atom
-from .deployment import NOTHING, Clauses, Deployment, clause_key, current_deployment, paired
+from .deployed_items import NOTHING, Clauses, Deployment, clause_key, current_deployment, paired
 from .engine_settings import Settings
 from .program_loader import REQUEST
 from .runtime.clock import Clock, StreamClock

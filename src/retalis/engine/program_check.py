@@ -5,18 +5,11 @@ import time
 from pathlib import Path
 from typing import Dict, Iterable, List, Optional, Tuple
 
-from ..events.checks.check_registry import (
-    ERROR,
-    WARNING,
-    Finding,
-    Suppressions,
-    load_code,
-    look_through,
-)
+from ..events.checks.check_registry import ERROR, WARNING, Finding, Suppressions, load_code, look_through
+from ..events.checks.event_flow_checks import without_maker
 from ..events.checks.message_checks import output_fault
-from ..events.checks.producer_checks import without_maker
 from ..events.checks.program_model import ProgramModel
-from ..events.program.program_folder import (
+from ..events.program.topic_configuration import (
     AUTO,
     TOPICS,
     DirectTopics,

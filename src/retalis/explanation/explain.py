@@ -15,7 +15,7 @@ from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Se
 from ..engine.engine import Engine
 from ..events.knowledge.subscriptions import Subscription, SubscriptionKey
 from ..events.language.pattern_tree import Aggregate, Shaped, Windowed, walk
-from ..events.language.window_parser import subscribed_event
+from ..events.language.stream_parser import subscribed_event
 from ..events.matches.partial_matches import AfterMatchSkipStrategy
 from ..events.network.event_rule import EventRule
 from ..events.provenance.event_log import Occurrence

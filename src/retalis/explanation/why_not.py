@@ -25,7 +25,6 @@ from typing import (
     Tuple,
 )
 
-from ..events.language.aggregate_functions import Collector
 from ..events.language.event_operators import OPERATORS, EventOperator, OperatorKind, names_of_kind
 from ..events.language.pattern_tree import (
     Absent,
@@ -45,14 +44,15 @@ from ..events.language.pattern_tree import (
     occurrences,
 )
 from ..events.language.row_pattern_parser import step_term
-from ..events.language.window_parser import shape_term, window_term
+from ..events.language.sequence_aggregates import Collector
+from ..events.language.stream_parser import shape_term, window_term
 from ..events.matches.partial_matches import NetworkOptions
 from ..events.network.event_rule import EventRule
 from ..events.network.goal_evaluation import Evaluators
 from ..events.network.stream_compiler import rate_operator
 from ..events.network.stream_node import StreamNode
 from ..events.provenance.event_log import Occurrence
-from ..events.streams.stream_elements import StreamElement, StreamOutput
+from ..events.streams.stream_operator import StreamElement, StreamOutput
 from ..foundation import codegen
 from ..foundation.cancellation import look
 from ..foundation.errors import RetalisError, RuleError

@@ -13,7 +13,7 @@ from typing import Any, Callable, Dict, Hashable, Iterable, Mapping, NamedTuple,
 
 from .bounded_caches import Cache
 from .errors import shortened
-from .python_interpreter import confine
+from .interpreter_compatibility import confine
 
 _BUILTINS: Dict[str, object] = {
     name: getattr(builtins, name)

@@ -35,14 +35,21 @@ from ..engine.event_input import AskedTopic, by_name
 from ..engine.runtime.clock import StreamClock
 from ..engine.runtime.clock_skew import ClockSkewMonitor, Refused
 from ..engine.runtime.problem_reports import Reports
-from ..events.program.program_folder import AUTO, TOPICS, DirectTopics, TopicType, direct_topics, read_topics
+from ..events.program.topic_configuration import (
+    AUTO,
+    TOPICS,
+    DirectTopics,
+    TopicType,
+    direct_topics,
+    read_topics,
+)
 from ..foundation.errors import MessageError, ProgramErrors, RetalisError, beginning, counted, shortened
 from ..foundation.ros_names import plain_type, topic_fault, type_fault
 from ..messages.decoder import Decoder
 from ..messages.type_definition import Definition
 from ..messages.type_registry import Definitions
 from ..prolog.terms.types import Term
-from .bag_sources import Bag
+from .bag_locations import Bag
 from .rosbag1 import Record, Topic
 
 log = logging.getLogger("retalis")

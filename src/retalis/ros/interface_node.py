@@ -12,10 +12,10 @@ import rospy
 from ..engine.runtime.clock_skew import ClockSkewMonitor
 from ..engine.runtime.problem_reports import Reports
 from ..events.dispatch.listeners import NOT_READ
-from ..events.program.program_folder import TOPICS, Topics, direct_topics, read_topics
+from ..events.program.topic_configuration import TOPICS, Topics, direct_topics, read_topics
 from ..foundation.errors import RetalisError, UsageError, beginning
 from ..messages.decoder import Decoder
-from ..messages.message_to_text import text_without, text_writer
+from ..messages.text_decoder import text_without, text_writer
 from ..messages.type_registry import Definitions
 from ..prolog.syntax.event_text import EventReader, event_text, to_text
 from ..prolog.terms.types import deref

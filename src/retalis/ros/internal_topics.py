@@ -10,7 +10,7 @@ from typing import Any, Iterable
 import rospy
 
 from ..engine.runtime.problem_reports import Reports
-from ..events.program.program_folder import TOPICS
+from ..events.program.topic_configuration import TOPICS
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError, UsageError, beginning
 from ..foundation.ros_names import topic_fault

@@ -6,7 +6,7 @@ from io import StringIO
 from typing import Union
 
 from .. import srv
-from ..cli import prompt
+from ..cli import toplevel_io
 from ..foundation.errors import SyntaxFault, UsageError, printable
 from ..prolog.syntax.term_reader import ReadTerm
 from ..prolog.syntax.term_writer import write_term
@@ -24,13 +24,13 @@ def run(options: argparse.Namespace) -> int:
     console = LiveConsole(LiveNode(options.node), options.most)
     if options.goal:
         for goal in options.goal:
-            console.goals(prompt.Lines(StringIO(goal if goal.rstrip().endswith(".") else f"{goal} .\n")))
+            console.goals(toplevel_io.Lines(StringIO(goal if goal.rstrip().endswith(".") else f"{goal} .\n")))
     elif sys.stdin.isatty():
         print(f"% {console.node.name}: goals end with a full stop; quit. or ctrl-D ends the console")
-        console.goals(prompt.Terminal(list))
+        console.goals(toplevel_io.Terminal(list))
         return 0
     else:
-        console.goals(prompt.Lines(sys.stdin))
+        console.goals(toplevel_io.Lines(sys.stdin))
     return 1 if console.errors else 0
 
 
@@ -51,18 +51,18 @@ class LiveConsole:
         self._most = most
         self._logic = PrologSystem()
 
-    def goals(self, lines: Union[prompt.Lines, prompt.Terminal]) -> None:
+    def goals(self, lines: Union[toplevel_io.Lines, toplevel_io.Terminal]) -> None:
         """Read and solve goals until the end of the input or ``halt``."""
         while True:
             try:
-                read = prompt.read_clause(lines, self._logic, "?- ")
+                read = toplevel_io.read_clause(lines, self._logic, "?- ")
                 if read is None:
                     return
                 if isinstance(read, SyntaxFault):
                     self._say(str(read))
                     continue
                 goal = deref(read.term)
-                if isinstance(goal, Atom) and goal.name in prompt.LEAVE:
+                if isinstance(goal, Atom) and goal.name in toplevel_io.LEAVE:
                     return
                 self._ask(read, lines)
             except UsageError as error:
@@ -75,7 +75,7 @@ class LiveConsole:
         self.errors += 1
         print(text, file=sys.stderr, flush=True)
 
-    def _ask(self, read: ReadTerm, lines: Union[prompt.Lines, prompt.Terminal]) -> None:
+    def _ask(self, read: ReadTerm, lines: Union[toplevel_io.Lines, toplevel_io.Terminal]) -> None:
         names = {var: name for name, var in read.names.items()}
         # Parsed and written again: the node gets a single goal without comments, with the names of its variables.
         goal = write_term(read.term, self._logic.operators, quoted=True, variable_names=names)

@@ -7,7 +7,7 @@ from typing import Dict, List, Optional, Set, Tuple
 import rospy
 
 from ..engine.runtime.problem_reports import Reports
-from ..events.program.program_folder import TOPICS
+from ..events.program.topic_configuration import TOPICS
 from ..foundation.errors import MessageError, RetalisError, UsageError, beginning, printable
 from ..messages.encoder import Encoder
 from ..messages.type_registry import Definitions

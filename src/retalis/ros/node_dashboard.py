@@ -10,7 +10,7 @@ import rospy
 from ..dashboard.page_server import Dashboard
 from ..dashboard.view_model import DashboardSource, TopicRow
 from ..engine.engine import Engine
-from ..events.program.program_folder import TopicEvent, TopicType
+from ..events.program.topic_configuration import TopicEvent, TopicType
 from ..foundation.errors import UsageError
 from ..prolog.terms.timestamps import SECOND
 from .diagnostics import TOPIC

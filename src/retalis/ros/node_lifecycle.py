@@ -19,7 +19,7 @@ import rospy
 
 from ..engine.runtime.gc_tuning import collect_when_idle, limit_gc_pauses
 from ..foundation.errors import RetalisError
-from ..foundation.python_interpreter import stop_collecting
+from ..foundation.interpreter_compatibility import stop_collecting
 from .connection_limits import limit_connections
 from .master_watch import MasterWatch, wait_for_master
 from .parameters import Parameters, read_parameters

@@ -10,7 +10,7 @@ import rospy
 
 from ..dashboard.page_server import DASHBOARD_PORT
 from ..engine.engine_settings import Settings
-from ..events.program.program_folder import AUTO, DirectTopics, read_direct
+from ..events.program.topic_configuration import AUTO, DirectTopics, read_direct
 from ..foundation.errors import UsageError, beginning, printable
 from ..messages.type_definition import BARE
 from ..prolog.machine.resource_limits import Limits, Number, checked_number

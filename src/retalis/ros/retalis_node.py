@@ -20,7 +20,7 @@ from ..engine.runtime.clock import Alarm, Clock
 from ..engine.runtime.clock_epochs import ClockEpochs
 from ..engine.runtime.clock_skew import ClockSkewMonitor
 from ..engine.runtime.problem_reports import Reports
-from ..events.program.program_folder import TOPICS, Topics, TopicType, direct_topics, read_topics
+from ..events.program.topic_configuration import TOPICS, Topics, TopicType, direct_topics, read_topics
 from ..explanation.explain import record_origins
 from ..foundation.errors import RetalisError, UsageError
 from ..messages.decoder import Decoder

@@ -21,7 +21,7 @@ import rospy
 from ..engine.runtime.clock_epochs import ClockEpochs
 from ..engine.runtime.clock_skew import ClockSkewMonitor, Early, Refused
 from ..engine.runtime.problem_reports import Reports
-from ..events.program.program_folder import TOPICS, Topics, TopicType, topic_type
+from ..events.program.topic_configuration import TOPICS, Topics, TopicType, topic_type
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError, RetalisError, UsageError, beginning, printable
 from ..messages.decoder import Decoder

@@ -19,10 +19,10 @@ import rospy
 
 from ..engine.engine import Engine
 from ..engine.engine_status import MemoryStatus, RuleStatus, Status, SubscriptionStatus, WaitingStatus
-from ..engine.external_queries import add_rule, ask, await_memories, delete_rule, do_for_others
+from ..engine.external_requests import add_rule, ask, await_memories, delete_rule, do_for_others
 from ..engine.runtime.problem_reports import Reports
-from ..events.language.window_parser import subscribed_event
-from ..events.program.program_folder import TOPICS, Topics, read_topics, topic_type
+from ..events.language.stream_parser import subscribed_event
+from ..events.program.topic_configuration import TOPICS, Topics, read_topics, topic_type
 from ..explanation.explain import explain, records_origins
 from ..foundation.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError, beginning, printable
 from ..messages.type_registry import Definitions

@@ -13,14 +13,14 @@ and the graph of what objects were made of must be acyclic, because the engine t
 from typing import Any, Callable, Dict, List, Sequence, Tuple
 
 from ..events.matches.partial_matches import NOTHING_HELD, EventMatch, Found, PartialMatch, TrackedMatch
-from ..events.matches.run_groups import BufferSlice, Run, RunCursor, RunGroup, SharedLog
+from ..events.matches.shared_run_buffer import BufferSlice, Run, RunCursor, RunGroup, SharedLog
 from ..events.network.event_rule import EventRule
 from ..events.network.kleene_node import KleeneNode
 from ..events.network.pattern_nodes import NetworkNode
 from ..events.network.repeat_node import RepeatNode
 from ..events.network.stream_node import StreamNode
 from ..events.provenance.event_log import Occurrence, Suppressed
-from ..events.streams.stream_elements import StreamElement
+from ..events.streams.stream_operator import StreamElement
 from ..foundation.errors import UsageError
 from ..prolog.terms.types import Functor
 from .codec import Ref

@@ -14,7 +14,7 @@ from ..engine.runtime.clock import Clock
 from ..events.knowledge.knowledge_base import KnowledgeBase
 from ..events.knowledge.timeouts import TimeoutAlarm
 from ..events.matches.partial_matches import PartialMatch
-from ..events.matches.run_groups import Run
+from ..events.matches.shared_run_buffer import Run
 from ..events.network.event_rule import EventRule, RuleState
 from ..events.network.join_node import JoinNode
 from ..events.network.kleene_node import KleeneNode
@@ -27,7 +27,7 @@ from ..events.rules.timer_service import RuleAlarm
 from ..events.streams.absence_timeout import AbsenceTimeout
 from ..events.streams.rate_operators import Debounce, DistinctUntilChanged, Throttle
 from ..events.streams.row_pattern import SCANNING, RowPatternNFA, RowPatternWindow
-from ..events.streams.stream_elements import StreamElement, StreamOperator
+from ..events.streams.stream_operator import StreamElement, StreamOperator
 from ..events.streams.windows import AnchoredTumblingWindow, HoppingWindow
 from ..foundation.errors import UsageError
 from ..prolog.terms.term_traversal import term_key

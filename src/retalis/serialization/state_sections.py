@@ -13,7 +13,7 @@ from typing import Any, Dict, Tuple
 from zlib import crc32
 
 from ..events.knowledge.knowledge_base import MEMORIZE, SUBSCRIBE
-from ..events.language.rule_parser import Property
+from ..events.language.rule_head_parser import Property
 from ..events.network.event_rule import RuleState
 from ..foundation.errors import Place, UsageError
 from ..prolog.system.logic_state import KeptLogic, KeptValues

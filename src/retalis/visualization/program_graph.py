@@ -15,7 +15,7 @@ from typing import Any, Dict, Hashable, Iterable, Iterator, List, Mapping, Named
 
 from ..engine.engine import Engine
 from ..events.language.pattern_tree import Occurs, own_terms, walk
-from ..events.language.rule_parser import ALARMS, SYNCHRONIZED, sets_timer
+from ..events.language.rule_head_parser import ALARMS, SYNCHRONIZED, sets_timer
 from ..foundation.errors import UsageError, beginning, counted, printable
 from ..prolog.terms.list_terms import list_items, list_parts
 from ..prolog.terms.term_traversal import variables

@@ -7,7 +7,7 @@ import pytest
 from retalis.engine.engine import Engine
 from retalis.engine.runtime.gc_tuning import collect_when_idle, limit_gc_pauses, restore_gc
 from retalis.events.matches.interval_index import gc_paused
-from retalis.foundation.python_interpreter import PYPY, YoungCollector
+from retalis.foundation.interpreter_compatibility import PYPY, YoungCollector
 
 pytestmark = pytest.mark.skipif(PYPY, reason="PyPy collects in small steps: nothing is set there")
 

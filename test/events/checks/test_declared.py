@@ -4,7 +4,7 @@ import pytest
 from events.checks.test_mistakes import said_of, write
 
 from retalis.engine.engine import Engine as Whole
-from retalis.engine.external_queries import add_rule
+from retalis.engine.external_requests import add_rule
 
 NEAR = "\n:- event near(thing:atom, distance:number)."
 OUTSIDE = "input_event(near/2).\n"

@@ -3,10 +3,10 @@
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.events.checks.producer_checks import never_made, never_taken
+from retalis.events.checks.event_flow_checks import never_made, never_taken
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.knowledge.knowledge_base import OWN_EVENTS
-from retalis.events.program.program_folder import Topics, TopicType
+from retalis.events.program.topic_configuration import Topics, TopicType
 from retalis.messages.type_registry import Definitions
 
 TOPICS = Topics((TopicType("said", "std_msgs/String"),))

@@ -6,7 +6,7 @@ from retalis.engine.engine import Engine
 from retalis.engine.program_check import check_program
 from retalis.events.checks.message_checks import wrong_messages
 from retalis.events.checks.program_model import ProgramModel
-from retalis.events.program.program_folder import TopicEvent, Topics, topic_type
+from retalis.events.program.topic_configuration import TopicEvent, Topics, topic_type
 from retalis.messages.type_registry import Definitions
 
 HEADER = "uint32 seq\ntime stamp\nstring frame_id\n"

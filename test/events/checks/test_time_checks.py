@@ -5,7 +5,7 @@ import pytest
 from retalis.engine.engine import Engine
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.checks.time_checks import cycles, missed_pairs, never_meet, unbounded_keys
-from retalis.events.program.program_folder import Topics, TopicType
+from retalis.events.program.topic_configuration import Topics, TopicType
 from retalis.messages.type_registry import Definitions
 
 TOPICS = Topics((TopicType("said", "std_msgs/String"),))

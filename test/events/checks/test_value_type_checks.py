@@ -5,7 +5,7 @@ import pytest
 from retalis.engine.engine import Engine
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.checks.value_type_checks import numerals
-from retalis.events.program.program_folder import Topics, topic_type
+from retalis.events.program.topic_configuration import Topics, topic_type
 
 TOPICS = Topics((topic_type("at", "geometry_msgs/Point"), topic_type("n", "std_msgs/Int32")))
 

@@ -12,8 +12,8 @@ from fuzz.kinds import rules as fuzzed
 from oracle import patterns
 
 import retalis
-from retalis.events.language.aggregate_functions import AGGREGATES
 from retalis.events.language.event_operators import EVENT_OPERATORS, OPERATORS, OperatorKind
+from retalis.events.language.sequence_aggregates import AGGREGATES
 
 SOURCE = Path(retalis.__file__).parent
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "language.md").read_text(encoding="utf-8")

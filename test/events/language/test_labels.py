@@ -3,7 +3,7 @@
 import pytest
 from events.refusals import assert_refused, warnings_of
 
-from retalis.events.language.rule_parser import WORDS
+from retalis.events.language.rule_head_parser import WORDS
 from retalis.events.matches.partial_matches import AfterMatchSkipStrategy, ConsumptionPolicy
 
 FORMS = "a label is an atom, or Label([property(Name, Value), ...])"

@@ -7,7 +7,7 @@ import pytest
 
 from retalis.events.program.file_sandbox import FileSandbox, check_name
 from retalis.foundation.errors import RetalisError, UsageError
-from retalis.foundation.python_interpreter import O_PATH
+from retalis.foundation.interpreter_compatibility import O_PATH
 from retalis.prolog.machine.errors import PrologError
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from retalis.engine.engine import Engine
-from retalis.engine.external_queries import add_rule
+from retalis.engine.external_requests import add_rule
 from retalis.events.rules import event_types
 from retalis.foundation.errors import ProgramErrors, UsageError
 from retalis.prolog.machine.errors import PrologError

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from hypothesis import strategies as st
 
 from retalis.events.streams.accumulators import MEASURES
-from retalis.events.streams.stream_elements import StreamElement
+from retalis.events.streams.stream_operator import StreamElement
 
 
 class Came(NamedTuple):

@@ -11,7 +11,7 @@ from hypothesis import settings as example_settings
 from hypothesis import strategies as st
 
 from retalis.events.streams.accumulators import MEASURES
-from retalis.events.streams.stream_elements import StreamElement
+from retalis.events.streams.stream_operator import StreamElement
 from retalis.events.streams.windows import SlidingTimeWindow
 from retalis.foundation.errors import RuleError
 from retalis.prolog.terms.list_terms import list_items

@@ -2,7 +2,7 @@
 
 import os
 
-from retalis.playback.bag_sources import MergedBag
+from retalis.playback.bag_locations import MergedBag
 from retalis.playback.playback import Playback
 
 from ..mutate import changed_bytes

@@ -1,6 +1,6 @@
 """Texts of message definitions."""
 
-from retalis.messages.message_to_text import text_writer
+from retalis.messages.text_decoder import text_writer
 from retalis.messages.type_registry import Definitions, Installed
 
 from ..mutate import changed_text, soup, to_bytes, to_text

@@ -3,7 +3,7 @@
 import random
 import struct
 
-from retalis.messages.message_to_text import text_writer
+from retalis.messages.text_decoder import text_writer
 from retalis.messages.type_registry import Definitions
 from retalis.prolog.syntax.event_text import EventReader
 from retalis.prolog.syntax.event_text import to_text as text_of

@@ -7,7 +7,7 @@ mark for that.
 import json
 import re
 
-from retalis.messages.message_to_text import text_writer
+from retalis.messages.text_decoder import text_writer
 from retalis.messages.type_definition import functor_name
 from retalis.messages.type_registry import Definitions, Installed
 from retalis.prolog.syntax.event_text import EventReader

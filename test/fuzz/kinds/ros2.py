@@ -2,8 +2,8 @@
 
 import struct
 
-from retalis.messages.message_to_text import text_writer
 from retalis.messages.ros2_types import ros2_type
+from retalis.messages.text_decoder import text_writer
 from retalis.messages.type_registry import Definitions
 from retalis.prolog.syntax.event_text import to_text as text_of
 

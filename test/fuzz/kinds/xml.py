@@ -2,7 +2,7 @@
 
 import os
 
-from retalis.events.program.program_folder import read_topics
+from retalis.events.program.topic_configuration import read_topics
 
 from ..mutate import changed_bytes, changed_text, soup, to_bytes
 from .base import Kind

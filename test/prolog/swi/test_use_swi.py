@@ -11,7 +11,7 @@ from source import ROOT
 from retalis.engine.engine import Engine
 from retalis.engine.engine_settings import Settings
 from retalis.foundation.errors import ProgramErrors, RetalisError, UsageError
-from retalis.foundation.python_interpreter import PYPY
+from retalis.foundation.interpreter_compatibility import PYPY
 from retalis.prolog.swi import libswipl
 
 ALLOWED = Settings(allow_swi=True)

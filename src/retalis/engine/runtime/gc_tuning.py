@@ -4,7 +4,7 @@ import gc
 from typing import TYPE_CHECKING
 from weakref import WeakSet
 
-from ...foundation.python_interpreter import YoungCollector
+from ...foundation.interpreter_compatibility import YoungCollector
 
 if TYPE_CHECKING:
     from ..engine_status import StatusReader

@@ -10,6 +10,7 @@ from typing import Callable, Dict, Iterator, NamedTuple, Optional, Set, Tuple, T
 
 from ...foundation.errors import MessageError, Omission, Place, RetalisError, RuleError, SyntaxFault
 from ...prolog.machine.errors import PrologError
+from .event_flow_checks import never_made, never_taken, unfitting
 from .memory_checks import stale_tables, unknown_memories, wrong_records
 from .message_checks import outputs, topics, unpublished, values, wrong_messages
 from .predicate_checks import (
@@ -22,7 +23,6 @@ from .predicate_checks import (
     unknown_states,
     unread_rules,
 )
-from .producer_checks import never_made, never_taken, unfitting
 from .program_model import ProgramModel
 from .time_checks import cycles, missed_pairs, never_meet, timers, unbounded_keys, waits_for_ever, windows
 from .value_type_checks import kinds, numerals

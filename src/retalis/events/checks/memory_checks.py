@@ -15,8 +15,8 @@ from ...prolog.terms.list_terms import conjuncts, list_items, list_parts
 from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, Functor, Term, Var, deref, functor
 from ...prolog.terms.unification import may_unify
-from ..language.goal_analysis import calls
-from ..language.rule_parser import SYNCHRONIZED
+from ..language.called_predicates import calls
+from ..language.rule_head_parser import SYNCHRONIZED
 from ..language.state_parser import HOLDS, asked_state
 from .predicate_checks import ADDS, RETRACTS, key_of_clause
 from .program_model import ProgramModel, Subterm, did_you_mean, key_of, subterms, wrapped

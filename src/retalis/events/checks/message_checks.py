@@ -9,8 +9,8 @@ from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 from xml.parsers import expat
 
 from ...foundation.errors import Place, RuleError, UsageError, beginning, counted, place_in, printable
-from ...messages.term_validation import fault_of
 from ...messages.type_definition import Definition, Field, type_name
+from ...messages.validating_encoder import fault_of
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.types import (
     FALSE,
@@ -25,10 +25,10 @@ from ...prolog.terms.types import (
     deref,
     functor,
 )
-from ..language.rule_parser import NEW_EVENT, made_by
+from ..language.rule_head_parser import NEW_EVENT, made_by
 from ..program.event_file_checker import nowhere
-from ..program.program_folder import ATTRIBUTES, TOPICS, read_text
-from .producer_checks import SUBSCRIBE_TO
+from ..program.topic_configuration import ATTRIBUTES, TOPICS, read_text
+from .event_flow_checks import SUBSCRIBE_TO
 from .program_model import (
     EventConsumer,
     ProgramModel,

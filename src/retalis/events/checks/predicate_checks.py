@@ -11,10 +11,10 @@ from typing import Any, Dict, Iterator, List, Optional, Set
 from ...foundation.errors import RuleError, UsageError
 from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, Functor, Term, Var, deref, functor
+from ..language.called_predicates import calls
 from ..language.event_operators import SPELLINGS
-from ..language.goal_analysis import calls
 from ..language.state_parser import asked_state
-from ..program.program_folder import GOALS, RULES, read_text
+from ..program.topic_configuration import GOALS, RULES, read_text
 from .program_model import (
     NECK,
     NearFunctors,

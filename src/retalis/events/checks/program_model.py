@@ -21,15 +21,15 @@ from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.types import TRUE, Atom, CompoundTerm, Functor, String, Term, Var, deref, functor
 from ..knowledge.knowledge_base import KnowledgeBase
 from ..knowledge.memory import is_event_variable
+from ..language.called_predicates import calls
 from ..language.event_operators import SPELLINGS
-from ..language.goal_analysis import calls
 from ..language.pattern_parser import Spot
 from ..language.pattern_tree import Occurs, RuleDefinition, own_terms, walk
 from ..language.state_parser import StateForm, declares_state, state_form
-from ..language.window_parser import subscribed_event
+from ..language.stream_parser import subscribed_event
 from ..program.event_file_checker import FileChecker, nowhere
 from ..program.goal_file import goal_of, read_goals
-from ..program.program_folder import GOALS, Topics, TopicType, read_text
+from ..program.topic_configuration import GOALS, Topics, TopicType, read_text
 from ..rules.rule_base import RuleBase
 
 _MAX_CANDIDATES = 2000

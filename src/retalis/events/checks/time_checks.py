@@ -35,7 +35,7 @@ from ..language.pattern_tree import (
     children,
     occurrences,
 )
-from ..language.rule_parser import ALARMS, TIMER, made_by, schedule_fault
+from ..language.rule_head_parser import ALARMS, TIMER, made_by, schedule_fault
 from .program_model import ProgramModel, WrittenRule, key_of, subterms, wrapped
 
 DAY = 86_400

@@ -13,14 +13,14 @@ from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Set
 from ...foundation.errors import RuleError
 from ...messages.type_definition import Definition, Field
 from ...prolog.terms.types import Atom, CompoundTerm, Functor, String, Term, Var, deref, functor
-from ..language.aggregate_functions import AGGREGATES
 from ..language.event_declarations import ValueType, slot_kind
 from ..language.event_operators import OperatorKind, names_of_kind
 from ..language.pattern_parser import EventTerm, Spot
 from ..language.pattern_tree import Occurs, walk
-from ..language.rule_parser import NEW_EVENT, made_by, makes_event
+from ..language.rule_head_parser import NEW_EVENT, made_by, makes_event
+from ..language.sequence_aggregates import AGGREGATES
 from ..program.event_file_checker import nowhere
-from .producer_checks import event_of_kept, events_of_goals, events_of_rule
+from .event_flow_checks import event_of_kept, events_of_goals, events_of_rule
 from .program_model import NECK, ProgramModel, Subterm, key_of, subterms, wrapped
 
 _COMPARED = frozenset(functor(name, 2) for name in ("<", ">", "=<", ">=", "=:=", "=\\="))

@@ -19,7 +19,7 @@ from ..matches.consumption_policy import Emit, MatchSide
 from ..matches.match_buffer import MatchBuffer
 from ..matches.negation import NegationBuffer
 from ..matches.partial_matches import EventMatch, Found, PartialMatch
-from .fused_actions import Continuation
+from .fused_single_event import Continuation
 
 SPARE = 1000
 """Number of removed matches in the list of arrivals of a rule above which the list is compacted."""

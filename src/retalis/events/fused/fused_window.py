@@ -12,7 +12,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence
 from ...foundation.codegen import Block, Statement, shared_function, source_of, tuple_source
 from ...prolog.terms.term_traversal import PLAIN, term_key
 from ...prolog.terms.types import EventAction
-from ..streams.stream_elements import StreamElement
+from ..streams.stream_operator import StreamElement
 
 _GENERAL_PATH = "return plain(term, values, start, end, after)"
 _METERED_STEPS = 2

@@ -23,7 +23,7 @@ from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.timestamps import SECOND, from_seconds
 from ...prolog.terms.types import CONS, NIL, Atom, CompoundTerm, Functor, Term, Var, deref, functor
 from .memory import WIDE_STEP_FACTOR, Memory, MemoryInstance, Warn
-from .memory_instances import MemoryInstances
+from .memory_registry import MemoryInstances
 
 MAX_GAP_FLAG = "max_gap"
 """Name of the flag."""

@@ -13,13 +13,13 @@ from ...prolog.machine.machine import Machine
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.types import Frame, Term, Var, deref, functor
 from ..dispatch.dispatcher import Dispatcher
-from ..language.window_parser import subscribed_event
+from ..language.stream_parser import subscribed_event
 from .event_states import StateRegistry
 from .interpolation import MemoryGaps, TransformChains
 from .memory import UPDATED, MemoryInstance, Warn, key_of
-from .memory_instances import CREATED, DELETED, MemoryInstances, define_read_access, enumerate_records
+from .memory_registry import CREATED, DELETED, MemoryInstances, define_read_access, enumerate_records
 from .pending_queries import GIVEN_UP, MissingMemories, PendingQueries
-from .record_lookup import define_matching
+from .record_index import define_matching
 from .subscriptions import Deliver, Subscriptions
 from .timeouts import AlarmClock
 

@@ -31,10 +31,10 @@ from ...prolog.terms.types import CONS, MINUS, TRUE, EventAction, Frame, Term, V
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
-from ..fused.fused_actions import question_action
+from ..fused.fused_single_event import question_action
 from ..network.event_rule import EventRule
 from .memory import MemoryInstance, Warn, key_of
-from .memory_instances import MemoryInstances
+from .memory_registry import MemoryInstances
 from .timeouts import AlarmClock, Timeouts, timeout_of
 
 MissingMemories = List[Tuple[MemoryInstance, int]]

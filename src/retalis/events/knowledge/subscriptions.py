@@ -30,10 +30,10 @@ from ...prolog.terms.types import MINUS, Atom, EventAction, Frame, Term, Values,
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import Listener, ListenerPhase
 from ..language.pattern_tree import Shaped
-from ..language.window_parser import subscribed_event, subscribed_shape
+from ..language.stream_parser import subscribed_event, subscribed_shape
 from ..matches.partial_matches import NetworkOptions
 from ..network.stream_compiler import rate_node_spec
-from ..streams.stream_elements import StreamElement, StreamOperator, StreamOutput
+from ..streams.stream_operator import StreamElement, StreamOperator, StreamOutput
 from .memory import Recording, Warn, compile_recording, key_of, record_event, unused_variables
 
 if TYPE_CHECKING:

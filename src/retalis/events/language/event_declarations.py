@@ -47,10 +47,10 @@ from ...prolog.terms.types import (
     deref,
     functor,
 )
+from .called_predicates import Subgoal, calls
 from .event_operators import NO_EVENTS, OPERATORS, SPELLINGS, OperatorKind, names_of_kind
-from .goal_analysis import Subgoal, calls
 from .pattern_parser import EventTerm, Spot
-from .rule_parser import ALARMS, SYNCHRONIZED, makes_event
+from .rule_head_parser import ALARMS, SYNCHRONIZED, makes_event
 from .state_parser import declares_state
 
 _TAKEN = frozenset(

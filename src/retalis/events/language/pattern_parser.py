@@ -17,7 +17,7 @@ from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import CONS, Atom, CompoundTerm, String, Term, Var, deref, functor
 from ..streams.accumulators import MEASURES
-from .aggregate_functions import AGGREGATES
+from .called_predicates import Subgoal, calls, required_interval_calls
 from .event_operators import (
     ARROWS,
     EVENT_OPERATOR,
@@ -27,7 +27,6 @@ from .event_operators import (
     OperatorKind,
     names_of_kind,
 )
-from .goal_analysis import Subgoal, calls, required_interval_calls
 from .likely_mistakes import bracket_advice, event_warning
 from .pattern_tree import (
     MAX_COMPOSED_REPETITIONS,
@@ -50,7 +49,8 @@ from .pattern_tree import (
     occurrences,
     substitute_variables,
 )
-from .window_parser import is_event, read_shape, read_window, regroup_rate_operator
+from .sequence_aggregates import AGGREGATES
+from .stream_parser import is_event, read_shape, read_window, regroup_rate_operator
 
 Spot = Callable[..., Optional[Place]]
 """Returns the place of a compound term: that of its functor, or that of the argument with a given number."""

@@ -27,10 +27,10 @@ from ...prolog.terms.term_traversal import is_larger
 from ...prolog.terms.types import Atom, EventAction, Frame, Functor, Term, Values, Var, deref
 from ..dispatch.listeners import Listener, ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
-from ..fused.fused_actions import Continuation, firing_action
 from ..fused.fused_join import SPARE
+from ..fused.fused_single_event import Continuation, firing_action
 from ..language.pattern_tree import Pattern, RuleDefinition
-from ..language.rule_parser import alarm_of
+from ..language.rule_head_parser import alarm_of
 from ..matches.consumption_policy import Emit
 from ..matches.expiration import VISITED_SLICE, ExpirationQueue, StartExpirationQueue, remove_stale_entries
 from ..matches.match_buffer import MatchBuffer

@@ -26,7 +26,7 @@ from ...prolog.machine.resource_limits import keep_back
 from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import are_ground, positions, variables
 from ...prolog.terms.types import Atom, EventAction, Frame, Term, Values, Var, functor
-from ..fused.fused_actions import Continuation, goal_action
+from ..fused.fused_single_event import Continuation, goal_action
 from ..matches.consumption_policy import emit_each, metered
 from ..matches.partial_matches import PartialMatch
 from ..streams.accumulators import ADDING, is_number, is_number_expression, unfit

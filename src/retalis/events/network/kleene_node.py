@@ -37,8 +37,8 @@ from ...prolog.terms.term_traversal import positions, resolve, variables
 from ...prolog.terms.types import Frame, Term, Trail, Values, Var
 from ...prolog.terms.unification import undo, unify
 from ..dispatch.matcher_compiler import compile_builder
-from ..language.aggregate_functions import Collector
 from ..language.pattern_tree import SEQ
+from ..language.sequence_aggregates import Collector
 from ..matches.consumption_policy import Emit, emit_each, metered
 from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer, has_equal_key
@@ -53,8 +53,8 @@ from ..matches.partial_matches import (
     unify_sides,
     unify_values,
 )
-from ..matches.revision import RetainedMatches, earlier_partners, is_revived, is_valid
-from ..matches.run_groups import NO_ITEMS, Run, identity_by_start, identity_by_start_interval
+from ..matches.revived_matches import RetainedMatches, earlier_partners, is_revived, is_valid
+from ..matches.shared_run_buffer import NO_ITEMS, Run, identity_by_start, identity_by_start_interval
 from .goal_evaluation import Buffer, Test
 from .pattern_analysis import RepetitionItems, append_item
 from .pattern_nodes import IdentityFunction, NetworkNode, computed_values_getter

@@ -45,7 +45,7 @@ from ..language.pattern_tree import (
 )
 from ..matches.negation import NegationBuffer
 from ..matches.partial_matches import PartialMatch
-from ..matches.run_groups import NO_ITEMS
+from ..matches.shared_run_buffer import NO_ITEMS
 from .goal_evaluation import RuleGoal, Test, goal_test
 from .pattern_nodes import EventNode, NetworkNode
 

@@ -35,7 +35,7 @@ from typing import (
 from ...prolog.terms.term_traversal import positions, term_key, variables
 from ...prolog.terms.types import EventAction, Frame, Term, Values, Var
 from ..dispatch.discrimination_tree import takes_all
-from ..fused.fused_actions import Continuation
+from ..fused.fused_single_event import Continuation
 from ..language.pattern_tree import Aggregate, Either, Pattern, Star, Windowed, children, own_terms
 from ..matches.consumption_policy import Emit
 from ..matches.negation import NegationBuffer, RuledOutSweep

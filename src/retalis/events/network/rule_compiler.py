@@ -21,7 +21,6 @@ from ...foundation.errors import RuleError
 from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.types import NIL, Term, Var
 from ..dispatch.matcher_compiler import compile_builder
-from ..language.aggregate_functions import Collector
 from ..language.event_operators import OPERATORS
 from ..language.pattern_tree import (
     Absent,
@@ -41,6 +40,7 @@ from ..language.pattern_tree import (
     occurrences,
     surely_bound_by,
 )
+from ..language.sequence_aggregates import Collector
 from .goal_evaluation import Evaluators, RuleGoal, Test, goal_test
 from .join_node import JoinNode
 from .kleene_node import KleeneNode

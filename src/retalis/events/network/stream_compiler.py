@@ -47,7 +47,7 @@ from ..streams.row_pattern import (
     StepNavigation,
     StepTest,
 )
-from ..streams.stream_elements import StreamElement, StreamOperator
+from ..streams.stream_operator import StreamElement, StreamOperator
 from ..streams.windows import (
     AnchoredTumblingWindow,
     EagerTumblingWindow,

@@ -37,7 +37,7 @@ from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.timestamps import WholeSeconds
 from ...prolog.terms.types import EventAction, Frame, Term, Values, Var
 from ..dispatch.dispatcher import Dispatcher
-from ..fused.fused_actions import Continuation
+from ..fused.fused_single_event import Continuation
 from ..fused.fused_window import FusedWindow, fused_window
 from ..language.pattern_tree import Pattern
 from ..matches.consumption_policy import Emit, emit_each, metered
@@ -53,7 +53,7 @@ from ..matches.partial_matches import (
 )
 from ..provenance.event_log import known_in
 from ..streams.row_pattern import MAX_WAYS_PER_START
-from ..streams.stream_elements import KeyBounds, KnownState, StreamElement, StreamOperator, StreamOutput
+from ..streams.stream_operator import KeyBounds, KnownState, StreamElement, StreamOperator, StreamOutput
 from ..streams.windows import KeyedWindow
 from .goal_evaluation import Buffer
 from .pattern_nodes import NetworkNode

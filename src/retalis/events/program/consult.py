@@ -14,8 +14,8 @@ from ...prolog.machine.errors import PrologError
 from ...prolog.machine.resource_limits import LimitError
 from ...prolog.syntax.term_reader import OF_FILES, Program, ReadTerm, read_program
 from ...prolog.terms.types import Atom, Term, Var, atom, deref, functor
-from ..language.goal_analysis import Unknown
-from ..language.rule_parser import Property
+from ..language.called_predicates import Unknown
+from ..language.rule_head_parser import Property
 from .event_file_checker import (
     DIRECTIVES,
     FileChecker,

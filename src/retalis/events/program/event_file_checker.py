@@ -33,13 +33,13 @@ from ...prolog.terms.types import (
     deref,
     functor,
 )
+from ..language.called_predicates import Subgoal, Unknown, calls
 from ..language.event_declarations import Declarations, head_event, made_by_goals, query_goals
 from ..language.event_operators import ARROWS, NO_FACTS, SPELLINGS
-from ..language.goal_analysis import Subgoal, Unknown, calls
 from ..language.likely_mistakes import gap_doubt
 from ..language.pattern_parser import PatternReader, Spot, check_aggregate, check_window
 from ..language.pattern_tree import Action, Pattern, RuleDefinition, bound_by, occurrences
-from ..language.rule_parser import (
+from ..language.rule_head_parser import (
     ALARMS,
     RULE,
     SYNCHRONIZED,

@@ -29,9 +29,9 @@ from ...prolog.syntax.operators import Operators
 from ...prolog.syntax.term_reader import OF_FILES, Program, ReadTerm, read_program
 from ...prolog.terms.term_traversal import copy
 from ...prolog.terms.types import Term, deref
-from ..language.goal_analysis import Unknown, unknown_calls
+from ..language.called_predicates import Unknown, unknown_calls
 from ..language.pattern_tree import RuleDefinition
-from ..language.rule_parser import Property
+from ..language.rule_head_parser import Property
 from ..network.event_rule import EventRule
 from .consult import Consultation, Consulted
 from .event_file_checker import (

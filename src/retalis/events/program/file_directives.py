@@ -8,6 +8,7 @@ from ...prolog.machine.machine import Machine
 from ...prolog.syntax.operators import DECLARE_EVENT
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.types import COMMA, TRUE, Atom, CompoundTerm, Term, Var, deref, functor
+from ..language.called_predicates import calls
 from ..language.event_declarations import (
     STRICTLY,
     UNDECLARED,
@@ -16,7 +17,6 @@ from ..language.event_declarations import (
     declared_in,
     has_branches,
 )
-from ..language.goal_analysis import calls
 from ..language.pattern_parser import EventTerm, Spot
 
 _GOAL = functor("$goal", 1)

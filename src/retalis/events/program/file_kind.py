@@ -13,7 +13,7 @@ from ...prolog.syntax.term_reader import OF_FILES, Program, read_program
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.list_terms import conjuncts, list_items
 from ...prolog.terms.types import Atom, Functor, Term, deref, functor
-from ..language.rule_parser import RULE, is_rule
+from ..language.rule_head_parser import RULE, is_rule
 from .event_file_checker import DIRECTIVES, PROPERTY_FACT, included
 
 _OP = functor("op", 3)

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from typing import Iterable, Iterator, List, Optional, Tuple, Union
 
 from ...foundation.errors import RetalisError, UsageError, shortened, undecodable
-from ...foundation.python_interpreter import O_PATH
+from ...foundation.interpreter_compatibility import O_PATH
 from ...prolog.machine.errors import (
     domain_error,
     existence_error,

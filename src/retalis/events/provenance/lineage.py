@@ -34,7 +34,7 @@ from ...prolog.terms.types import Frame, Term, Values, Var, functor
 from ..dispatch.listeners import CAUSE, END, PARENT, START, TERM, TOKEN, Context, Listener, ListenerPhase
 from ..matches.consumption_policy import metered
 from ..matches.partial_matches import PartialMatch, TrackedMatch, sources
-from ..matches.run_groups import Run
+from ..matches.shared_run_buffer import Run
 from .event_log import MatchOrPair, Occurrence, RetryNode, Suppressed, Tracked, following, known_in
 
 if TYPE_CHECKING:

@@ -20,10 +20,10 @@ from ...prolog.terms.types import Functor, Term, Trail, atom, deref
 from ...prolog.terms.unification import unify
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import TERM, ListenerPhase
+from ..language.called_predicates import called_by
 from ..language.event_declarations import UNDECLARED
-from ..language.goal_analysis import called_by
 from ..language.pattern_tree import RuleDefinition
-from ..language.rule_parser import Property, is_absolute, is_rule
+from ..language.rule_head_parser import Property, is_absolute, is_rule
 from ..matches.partial_matches import NetworkOptions, with_property
 from ..network.event_rule import EventRule
 from ..network.goal_evaluation import ConditionState, TimedNode
@@ -31,11 +31,11 @@ from ..program.event_file_checker import FileChecker, nowhere
 from ..program.event_file_loader import EventFileLoader
 from ..program.source_files import SourceFiles
 from ..provenance.event_log import EventLog, Occurrence
-from ..provenance.justification import Justifier
+from ..provenance.explanation_terms import Justifier
 from ..provenance.lineage import LineageTracker
 from .event_flags import Flags
+from .event_language_predicates import define_predicates
 from .event_types import EventTypes
-from .rule_predicates import define_predicates
 from .timer_service import NodeTimers, RuleAlarm, Timers
 
 if TYPE_CHECKING:

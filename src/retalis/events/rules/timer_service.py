@@ -38,7 +38,7 @@ from ...prolog.terms.term_traversal import copy, freeze, term_key
 from ...prolog.terms.timestamps import SECOND, WholeSeconds, shown
 from ...prolog.terms.types import Term, Var, atom, deref, functor
 from ...prolog.terms.unification import may_unify
-from ..language.rule_parser import TIMER, Schedule, schedule_of
+from ..language.rule_head_parser import TIMER, Schedule, schedule_of
 from ..network.goal_evaluation import TimedNode
 from ..provenance.event_log import Occurrence
 

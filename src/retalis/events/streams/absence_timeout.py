@@ -13,7 +13,7 @@ every pending element that it would cancel (see `_ForbiddenElements`).
 import heapq
 from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Optional, Tuple
 
-from .stream_elements import NEVER, KeyedOperator, KnownState, StreamElement, StreamOutput
+from .stream_operator import NEVER, KeyedOperator, KnownState, StreamElement, StreamOutput
 
 _SMALL_QUEUE = 32
 """Length up to which a list is compacted at every removal."""

@@ -38,7 +38,7 @@ from ...prolog.terms.list_terms import make_list
 from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.timestamps import SECOND
 from ...prolog.terms.types import Term, deref
-from .stream_elements import StreamElement
+from .stream_operator import StreamElement
 
 Number = Union[int, float]
 _SMALL, _LARGE = 1e-290, 1e290

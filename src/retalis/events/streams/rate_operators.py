@@ -10,7 +10,7 @@ from collections import OrderedDict
 from typing import Dict, Hashable, List, Tuple
 
 from ...prolog.terms.term_traversal import PLAIN, term_key
-from .stream_elements import NEVER, KeyedOperator, KnownState, StreamElement, StreamOutput
+from .stream_operator import NEVER, KeyedOperator, KnownState, StreamElement, StreamOutput
 
 
 class Throttle(KeyedOperator):

@@ -19,7 +19,7 @@ from typing import Any, Callable, Deque, Dict, Hashable, List, NamedTuple, Optio
 
 from ...prolog.terms.types import Values
 from .accumulators import Accumulator
-from .stream_elements import NEVER, KeyedOperator, KnownState, StreamElement, StreamOutput
+from .stream_operator import NEVER, KeyedOperator, KnownState, StreamElement, StreamOutput
 from .windows import MAX_TRACKED_ITEMS, measured
 
 LookedBack = Sequence[StreamElement]

@@ -23,7 +23,7 @@ from typing import Callable, Deque, Hashable, List, Optional, Sequence, Tuple
 from ...foundation.errors import RuleError
 from ...prolog.terms.types import Values
 from .accumulators import Accumulator, Lowest
-from .stream_elements import KeyedOperator, KnownState, StreamElement, StreamOutput
+from .stream_operator import KeyedOperator, KnownState, StreamElement, StreamOutput
 
 MAX_TRACKED_ITEMS = 100
 """Maximum number of elements in a tracked output, the newest ones, so that long windows stay cheap."""

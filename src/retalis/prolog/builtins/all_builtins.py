@@ -1,29 +1,29 @@
 """Import of all modules that register built-in predicates."""
 
-from . import (  # noqa: F401  (imported for what they register)
-    all_solutions,
-    argument_checks,
-    association_lists,
-    atoms_and_strings,
-    builtin_registry,
-    clause_predicates,
-    clause_translation,
-    file_names,
-    format_strings,
-    global_state,
-    input_predicates,
-    list_predicates,
-    message_printing,
-    meta_calls,
-    output_predicates,
-    pose_predicates,
-    recorded_database,
-    tabling,
-    term_comparison,
-    term_construction,
-    text_arguments,
-    text_streams,
-    time_predicates,
-    type_checks,
-    unit_tests,
+from . import (
+    all_solutions,  # noqa: F401  (imported for what they register)
+    argument_checks,  # noqa: F401  (imported for what they register)
+    association_lists,  # noqa: F401  (imported for what they register)
+    atoms_and_strings,  # noqa: F401  (imported for what they register)
+    builtin_registry,  # noqa: F401  (imported for what they register)
+    clause_predicates,  # noqa: F401  (imported for what they register)
+    clause_translation,  # noqa: F401  (imported for what they register)
+    file_names,  # noqa: F401  (imported for what they register)
+    format_strings,  # noqa: F401  (imported for what they register)
+    global_state,  # noqa: F401  (imported for what they register)
+    input_predicates,  # noqa: F401  (imported for what they register)
+    list_predicates,  # noqa: F401  (imported for what they register)
+    message_printing,  # noqa: F401  (imported for what they register)
+    meta_calls,  # noqa: F401  (imported for what they register)
+    output_predicates,  # noqa: F401  (imported for what they register)
+    pose_predicates,  # noqa: F401  (imported for what they register)
+    recorded_database,  # noqa: F401  (imported for what they register)
+    tabling,  # noqa: F401  (imported for what they register)
+    term_comparison,  # noqa: F401  (imported for what they register)
+    term_construction,  # noqa: F401  (imported for what they register)
+    text_arguments,  # noqa: F401  (imported for what they register)
+    text_streams,  # noqa: F401  (imported for what they register)
+    time_predicates,  # noqa: F401  (imported for what they register)
+    type_checks,  # noqa: F401  (imported for what they register)
+    unit_tests,  # noqa: F401  (imported for what they register)
 )

@@ -15,16 +15,7 @@ from typing import TYPE_CHECKING, Dict, Iterator, List, Optional, Sequence, Tupl
 from ..machine.machine import BAIL
 from ..terms.types import Functor, Term, Trail, functor
 from ..terms.unification import undo
-from .clause_nodes import (
-    BodyParser,
-    CallNode,
-    Cut,
-    Finder,
-    GoalNode,
-    Height,
-    IfThenElse,
-    PredicateResolver,
-)
+from .clause_nodes import BodyParser, CallNode, Cut, Finder, GoalNode, Height, IfThenElse, PredicateResolver
 from .code_scope import ClauseVariables, Scope, Unit
 from .inline_goals import write_sequence
 from .predicate_code import ClauseParts, PredicateGenerator, key_of, title_of

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Callable, Generator, List, Optional, Prot
 
 from ...foundation.cancellation import watched_by
 from ...foundation.errors import RetalisError, TermTooLarge
-from ...foundation.python_interpreter import SEEN_AT, releasing, seen_elsewhere
+from ...foundation.interpreter_compatibility import SEEN_AT, releasing, seen_elsewhere
 from ..terms.term_traversal import copy
 from ..terms.types import Frame, Functor, Step, Term, Trail, Values, Var
 from ..terms.unification import undo, unify

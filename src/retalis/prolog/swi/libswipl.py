@@ -36,7 +36,7 @@ from typing import TYPE_CHECKING, Any, Callable, Dict, Iterator, List, Optional,
 from weakref import ref
 
 from ...foundation.errors import UsageError
-from ...foundation.python_interpreter import PYPY
+from ...foundation.interpreter_compatibility import PYPY
 from ..machine.resource_limits import Left, resident_bytes
 
 if TYPE_CHECKING:

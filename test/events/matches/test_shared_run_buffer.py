@@ -3,7 +3,7 @@
 import pytest
 
 from retalis.events.matches.partial_matches import PartialMatch
-from retalis.events.matches.run_groups import BufferSlice, SharedLog, repetitions
+from retalis.events.matches.shared_run_buffer import BufferSlice, SharedLog, repetitions
 from retalis.prolog.terms.types import atom
 
 

@@ -18,8 +18,8 @@ from ...prolog.terms.list_terms import list_items, list_parts, make_list
 from ...prolog.terms.term_traversal import is_ground
 from ...prolog.terms.timestamps import DATIME6, DATIME7, SECOND, WholeSeconds, from_any, from_seconds
 from ...prolog.terms.types import COLON, CONS, NIL, Atom, CompoundTerm, Term, Var, atom, deref, functor
+from .called_predicates import calls
 from .event_operators import ARROWS, SPELLINGS
-from .goal_analysis import calls
 from .likely_mistakes import head_error, head_warning, near
 from .pattern_parser import Spot
 

@@ -11,6 +11,7 @@ from ...foundation.errors import Place, RuleError
 from ...messages.type_definition import functor_name
 from ...prolog.terms.types import SLASH, TRUE, Atom, Functor, Term, deref, functor
 from ..knowledge.knowledge_base import OWN_EVENTS
+from ..language.called_predicates import calls
 from ..language.event_declarations import (
     VariableKinds,
     has_branches,
@@ -20,12 +21,11 @@ from ..language.event_declarations import (
     slot_kind,
 )
 from ..language.event_operators import ARROWS, SPELLINGS
-from ..language.goal_analysis import calls
 from ..language.pattern_parser import EventTerm, PatternReader
 from ..language.pattern_tree import Action
-from ..language.rule_parser import made_by, makes_event
+from ..language.rule_head_parser import made_by, makes_event
 from ..language.state_parser import StateForm
-from ..program.program_folder import TOPICS
+from ..program.topic_configuration import TOPICS
 from .program_model import (
     EventConsumer,
     NearFunctors,

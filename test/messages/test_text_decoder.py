@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retalis.foundation.errors import MessageError
-from retalis.messages.message_to_text import text_without, text_writer
+from retalis.messages.text_decoder import text_without, text_writer
 from retalis.messages.type_registry import Definitions, Installed
 from retalis.prolog.syntax.event_text import EventReader, event_text, to_text
 from retalis.prolog.terms.term_traversal import freeze

@@ -4,7 +4,7 @@ import pytest
 
 from retalis.engine.engine import Engine
 from retalis.engine.engine_settings import Settings
-from retalis.events.program.program_folder import (
+from retalis.events.program.topic_configuration import (
     DIRECT,
     Topics,
     TopicType,

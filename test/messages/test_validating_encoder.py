@@ -2,8 +2,8 @@
 
 import pytest
 
-from retalis.messages.term_validation import fault_of
 from retalis.messages.type_registry import Definitions
+from retalis.messages.validating_encoder import fault_of
 from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.terms.types import Var, functor

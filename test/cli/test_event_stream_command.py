@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from retalis.cli.command_line import main
-from retalis.cli.events_command import is_left_unread
+from retalis.cli.event_stream_command import is_left_unread
 
 ROOT = Path(__file__).resolve().parents[2]
 RULES = "alarm(X) <- smoke(X) seq heat(X) where X \\= lab.\n"

@@ -43,9 +43,9 @@ from ..language.pattern_tree import (
     Windowed,
     Within,
 )
-from ..language.window_parser import shape_term, window_term
+from ..language.stream_parser import shape_term, window_term
 from ..matches.partial_matches import Found, PartialMatch, TrackedMatch
-from ..matches.run_groups import repetitions
+from ..matches.shared_run_buffer import repetitions
 from .event_log import Occurrence
 from .lineage import LineageTracker
 

@@ -2,7 +2,7 @@
 
 from io import StringIO
 
-from retalis.cli.error_report import Bar, progress
+from retalis.cli.stderr_report import Bar, progress
 
 
 class Clock:

@@ -11,7 +11,7 @@ from threading import Event
 from time import monotonic
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, TypeVar
 
-from ..events.language.rule_parser import RULE, is_rule, labelled
+from ..events.language.rule_head_parser import RULE, is_rule, labelled
 from ..foundation.errors import UsageError
 from ..prolog.machine.resource_limits import NO_LIMITS, Limits
 from ..prolog.syntax.term_reader import ReadTerm, read_term

@@ -21,7 +21,7 @@ from ..engine.runtime.clock import StreamClock
 from ..engine.runtime.gc_tuning import limit_gc_pauses
 from ..engine.runtime.problem_reports import Reports
 from ..events.program.goal_file import goal_of, read_goals
-from ..events.program.program_folder import read_text
+from ..events.program.topic_configuration import read_text
 from ..events.rules.event_predicates import event_of
 from ..explanation.explain import explain, record_origins
 from ..foundation.errors import (
@@ -41,9 +41,9 @@ from ..prolog.terms import timestamps
 from ..prolog.terms.term_traversal import rebuild, variables
 from ..prolog.terms.types import Frame, Term, deref
 from .command_options import add_folders, add_limits, allow_folders, limited
-from .error_report import Report, to_reader
 from .option_values import RELATIVE, RELATIVE_TIMES
 from .output import JSON, Printer
+from .stderr_report import Report, to_reader
 
 
 class ReadLine(NamedTuple):

@@ -17,7 +17,7 @@ from ...prolog.terms import timestamps
 from ...prolog.terms.term_traversal import copy
 from ...prolog.terms.types import Atom, Term, deref
 from .memory import Memory, MemoryInstance
-from .memory_instances import MemoryInstances
+from .memory_registry import MemoryInstances
 
 RECORDS_PER_CHECK = 1024
 """Records after which cancellation and limits of the goal are checked."""
