@@ -33,16 +33,13 @@ sys.path[:0] = [str(ROOT / "bench"), str(ROOT / "src")]
 from arguments import above_zero, existing, positive, target  # noqa: E402
 from corpus import chosen, closed, is_closed, kind  # noqa: E402
 
-from retalis.engine.engine import Engine  # noqa: E402
-from retalis.engine.engine_settings import Settings  # noqa: E402  # noqa: E402
-from retalis.foundation.errors import RetalisError, SyntaxFault, TermTooLarge  # noqa: E402
-from retalis.prolog.machine.errors import PrologError  # noqa: E402
-from retalis.prolog.machine.resource_limits import LimitError, Limits  # noqa: E402  # noqa: E402
+from retalis import Engine, Limits, PrologError, RetalisError, Settings, SyntaxFault, Term, deref, functor  # noqa: E402
+from retalis.foundation.errors import TermTooLarge  # noqa: E402
+from retalis.prolog.machine.resource_limits import LimitError  # noqa: E402
 from retalis.prolog.syntax.term_reader import read_term  # noqa: E402
-from retalis.prolog.syntax.term_writer import write_term  # noqa: E402  # noqa: E402
+from retalis.prolog.syntax.term_writer import write_term  # noqa: E402
 from retalis.prolog.system.prolog_system import PrologSystem  # noqa: E402
 from retalis.prolog.terms.term_traversal import copy, variables  # noqa: E402
-from retalis.prolog.terms.types import Term, deref, functor  # noqa: E402  # noqa: E402
 
 MOST_SOLUTIONS = 5
 PRINTED = 20_000

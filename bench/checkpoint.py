@@ -26,11 +26,8 @@ sys.path[:0] = [str(ROOT / "src"), str(ROOT / "test" / "engine")]
 
 from checkpoint_victim import GOALS, RULES  # noqa: E402
 
+from retalis import Engine, Reports, StreamClock, atom, functor  # noqa: E402
 from retalis.engine.checkpoints import Checkpointer, CheckpointStorage  # noqa: E402
-from retalis.engine.engine import Engine  # noqa: E402
-from retalis.engine.runtime.clock import StreamClock  # noqa: E402
-from retalis.engine.runtime.problem_reports import Reports  # noqa: E402  # noqa: E402
-from retalis.prolog.terms.types import atom, functor  # noqa: E402
 
 JOINTS = (
     ("/odom", "/base_link"),

@@ -33,10 +33,7 @@ sys.path[:0] = [str(ROOT / "bench"), str(ROOT / "src")]
 
 from arguments import above_zero, existing, positive, target  # noqa: E402
 
-from retalis.engine.engine import Engine  # noqa: E402
-from retalis.engine.engine_settings import Settings  # noqa: E402  # noqa: E402
-from retalis.foundation.errors import Omission, RetalisError  # noqa: E402
-from retalis.prolog.machine.resource_limits import Limits  # noqa: E402
+from retalis import Engine, Limits, Omission, RetalisError, Settings  # noqa: E402
 
 ENDINGS = (".pl", ".pro", ".prolog")
 LARGEST = 300_000

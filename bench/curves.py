@@ -23,10 +23,7 @@ from arguments import positive, target  # noqa: E402
 from fitting import exponent  # noqa: E402
 from processes import machine  # noqa: E402
 
-from retalis.engine.engine import Engine  # noqa: E402
-from retalis.engine.runtime.gc_tuning import limit_gc_pauses  # noqa: E402
-from retalis.prolog.terms.list_terms import make_list  # noqa: E402
-from retalis.prolog.terms.types import Var, functor  # noqa: E402  # noqa: E402
+from retalis import Engine, Var, functor, limit_gc_pauses, make_list  # noqa: E402
 
 SECOND = 10**9
 FEW = (1, 10, 40, 160, 640)

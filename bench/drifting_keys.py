@@ -13,9 +13,8 @@ import sys
 import time
 from typing import List
 
-from retalis.engine.engine import Engine
+from retalis import Engine, functor
 from retalis.prolog.machine.resource_limits import resident_bytes
-from retalis.prolog.terms.types import functor
 
 RULES = {
     "steps": "aggregate(count, q(K, V), X, steps([up where V == 0, later(down) where V == 2]))",

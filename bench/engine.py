@@ -21,10 +21,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "src"), str(HERE.parent / "examples
 import workload as work  # noqa: E402
 from arguments import existing, interpreter, positive, target  # noqa: E402
 
-from retalis.engine.engine import Engine  # noqa: E402
-from retalis.engine.runtime.clock import StreamClock  # noqa: E402
-from retalis.engine.runtime.gc_tuning import limit_gc_pauses  # noqa: E402  # noqa: E402
-from retalis.prolog.terms.types import functor  # noqa: E402
+from retalis import Engine, StreamClock, functor, limit_gc_pauses  # noqa: E402
 
 
 class Result(NamedTuple):
@@ -76,7 +73,7 @@ def nao_definitions() -> Any:
     """Return the message types of the NAO's streams."""
     import nao_messages
 
-    from retalis.messages.type_registry import Definitions
+    from retalis import Definitions
 
     definitions = Definitions()
     for name, definition in nao_messages.definitions().items():

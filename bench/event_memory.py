@@ -14,10 +14,8 @@ from typing import Any, Dict, Iterator, List
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "src"))
 
-from retalis.engine.engine import Engine  # noqa: E402
-from retalis.engine.runtime.clock import StreamClock  # noqa: E402
+from retalis import Engine, StreamClock, functor  # noqa: E402
 from retalis.prolog.terms.timestamps import SECOND  # noqa: E402
-from retalis.prolog.terms.types import functor  # noqa: E402
 
 SECONDS = 10_000
 """The length of the windows; one half match comes each second."""

@@ -10,12 +10,10 @@ import time
 from contextlib import contextmanager
 from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Tuple
 
-from retalis.engine.engine import Engine
-from retalis.engine.runtime.gc_tuning import limit_gc_pauses, restore_gc
+from retalis import Engine, Term, Var, atom, functor, limit_gc_pauses, restore_gc
 from retalis.events.dispatch.listeners import ListenerPhase
 from retalis.events.rules import timer_service
 from retalis.prolog.terms.timestamps import SECOND
-from retalis.prolog.terms.types import Term, Var, atom, functor
 
 MOST_STEPS = 100_000
 """How many steps a figure is of, where a row does not go in periods."""

@@ -39,11 +39,9 @@ import event_streams  # noqa: E402
 import event_tables  # noqa: E402
 from arguments import above_zero, existing, positive, target  # noqa: E402
 
-from retalis.engine.engine import Engine  # noqa: E402
-from retalis.engine.runtime.clock import StreamClock  # noqa: E402
+from retalis import Engine, StreamClock, Term, atom, functor  # noqa: E402
 from retalis.events.dispatch.listeners import ListenerPhase  # noqa: E402
 from retalis.prolog.terms.timestamps import SECOND  # noqa: E402
-from retalis.prolog.terms.types import Term, atom, functor  # noqa: E402
 
 POLICIES = ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")
 Interval = Tuple[int, int]

@@ -19,15 +19,10 @@ sys.path[:0] = [str(ROOT / "bench"), str(ROOT / "src")]
 
 from arguments import positive  # noqa: E402
 
-from retalis.engine.engine import Engine  # noqa: E402
-from retalis.engine.engine_settings import Settings  # noqa: E402  # noqa: E402
-from retalis.engine.runtime.problem_reports import Reports  # noqa: E402
-from retalis.foundation.errors import RetalisError  # noqa: E402
-from retalis.messages.type_registry import Definitions, Installed  # noqa: E402
+from retalis import Definitions, Engine, Operators, Reports, RetalisError, Settings, atom, functor  # noqa: E402
+from retalis.messages.type_registry import Installed  # noqa: E402
 from retalis.prolog.syntax.event_text import EventReader, event_text, to_text  # noqa: E402
-from retalis.prolog.syntax.operators import Operators  # noqa: E402
-from retalis.prolog.syntax.term_reader import read_term  # noqa: E402  # noqa: E402
-from retalis.prolog.terms.types import atom, functor  # noqa: E402
+from retalis.prolog.syntax.term_reader import read_term  # noqa: E402
 
 Round = Callable[[int], Any]
 CASES: Dict[str, Callable[[], Round]] = {}

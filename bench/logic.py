@@ -26,7 +26,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "src")]
 import others  # noqa: E402
 from arguments import interpreter, positive, target  # noqa: E402
 
-from retalis.engine.runtime.gc_tuning import limit_gc_pauses  # noqa: E402
+from retalis import limit_gc_pauses  # noqa: E402
 from retalis.prolog.syntax.term_reader import read_program, read_term  # noqa: E402
 from retalis.prolog.system.prolog_system import PrologSystem  # noqa: E402
 

@@ -22,9 +22,7 @@ import nao_messages  # noqa: E402
 from arguments import positive, target  # noqa: E402
 from nao_robot import Robot  # noqa: E402
 
-from retalis.messages.type_definition import Definition  # noqa: E402
-from retalis.messages.type_registry import Definitions  # noqa: E402  # noqa: E402
-from retalis.prolog.terms.types import deref  # noqa: E402
+from retalis import Definition, Definitions, deref  # noqa: E402
 
 BATCH = 2000
 

@@ -21,14 +21,12 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "src"), str(HERE.parent / "examples
 
 from arguments import above_zero, existing, interpreter, positive, target  # noqa: E402
 
-from retalis.foundation.errors import RetalisError  # noqa: E402
+from retalis import RetalisError  # noqa: E402
 
 
 def once(bag: Path) -> Dict[str, float]:
     """Run the program over a bag in this process; return the figures."""
-    from retalis.engine.runtime.gc_tuning import limit_gc_pauses
-    from retalis.playback.playback import Playback
-    from retalis.playback.rosbag1 import BagReader
+    from retalis import BagReader, Playback, limit_gc_pauses
 
     playback = Playback(HERE.parent / "application_source", report=print)
     limit_gc_pauses()

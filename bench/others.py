@@ -12,7 +12,7 @@ from typing import Any, Callable
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "src"))
 
-from retalis.engine.runtime.gc_tuning import limit_gc_pauses  # noqa: E402
+from retalis import limit_gc_pauses  # noqa: E402
 
 PROBLOG_CASES = [
     "nrev",

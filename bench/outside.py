@@ -31,7 +31,7 @@ from arguments import interpreter, positive, target  # noqa: E402
 from outside_sides import SIDES  # noqa: E402
 from outside_streams import STREAMS  # noqa: E402
 
-from retalis.engine.runtime.gc_tuning import limit_gc_pauses  # noqa: E402
+from retalis import limit_gc_pauses  # noqa: E402
 
 MISSING = 3
 """The exit status of a run whose side cannot do the work here."""

@@ -23,10 +23,8 @@ RULES = {
 
 def rules(work: str, events: List[StreamEvent], emit: Emit) -> Run:
     """The engine, with one rule. It gets terms, and its clock stands at the last of them: none is of the future."""
-    from retalis.engine.engine import Engine
-    from retalis.engine.runtime.clock import StreamClock
+    from retalis import Engine, StreamClock, Var, functor
     from retalis.events.dispatch.listeners import ListenerPhase
-    from retalis.prolog.terms.types import Var, functor
 
     engine = Engine(StreamClock(events[-1][2]))
     engine.load(rules=RULES[work])

@@ -22,9 +22,7 @@ sys.path[:0] = [str(ROOT / "bench"), str(ROOT / "src")]
 
 from arguments import positive  # noqa: E402
 
-from retalis.engine.engine import Engine  # noqa: E402
-from retalis.engine.runtime.gc_tuning import limit_gc_pauses  # noqa: E402
-from retalis.prolog.terms.types import Term, functor  # noqa: E402
+from retalis import Engine, Term, functor, limit_gc_pauses  # noqa: E402
 
 RULES = "o(X) <- (a(X) seq b(X)) cnot c(X).\n"
 STEP_NS = 1_000_000

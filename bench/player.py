@@ -25,7 +25,7 @@ class Player:
     def __init__(self, path: Path, seconds: float):
         from make_bag import make_bag
 
-        from retalis.playback.rosbag1 import BagReader
+        from retalis import BagReader
 
         self.truth = make_bag(path, seconds, 1)
         reader = BagReader(path)
@@ -110,9 +110,7 @@ class Player:
 
     def _stamped(self) -> Any:
         """Yield topic, frame, child frame and stamp of each message; blanks for those that have none."""
-        from retalis.messages.type_registry import Definitions
-        from retalis.prolog.terms.list_terms import list_items
-        from retalis.prolog.terms.types import deref
+        from retalis import Definitions, deref, list_items
 
         definitions = Definitions()
         for record in self.records:

@@ -30,10 +30,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "src")]
 import workload as work  # noqa: E402
 from arguments import positive  # noqa: E402
 
-from retalis.engine.engine import Engine  # noqa: E402
-from retalis.engine.runtime.gc_tuning import limit_gc_pauses  # noqa: E402
-from retalis.prolog.terms.list_terms import make_list  # noqa: E402
-from retalis.prolog.terms.types import functor  # noqa: E402  # noqa: E402
+from retalis import Engine, functor, limit_gc_pauses, make_list  # noqa: E402
 
 SAMPLES, QUESTIONS, PART = 2500, 10_000, 200
 LAST = ((1.0, 0.5, 0.2), (0.0, 0.0, math.sin(0.2), math.cos(0.2)))

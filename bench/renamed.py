@@ -3,10 +3,9 @@
 from typing import Dict, List, Tuple
 
 import retalis.events.language.event_operators  # noqa: F401 -- adds its operators to those of Prolog
-from retalis.prolog.syntax.operators import Operators
+from retalis import Operators, Term, deref, functor
 from retalis.prolog.syntax.term_reader import read_program
 from retalis.prolog.syntax.term_writer import write_term
-from retalis.prolog.terms.types import Term, deref, functor
 
 NAMES: Dict[Tuple[str, int], Tuple[str, Tuple[int, ...]]] = {
     ("tf__0__tfMessage", 1): ("robot__0__Links", (1,)),

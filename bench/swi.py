@@ -21,11 +21,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "src")]
 
 from arguments import positive  # noqa: E402
 
-from retalis.engine.engine import Engine  # noqa: E402
-from retalis.engine.engine_settings import Settings  # noqa: E402
-from retalis.engine.runtime.clock import StreamClock  # noqa: E402
-from retalis.engine.runtime.gc_tuning import limit_gc_pauses  # noqa: E402  # noqa: E402
-from retalis.prolog.machine.resource_limits import Limits  # noqa: E402  # noqa: E402
+from retalis import Engine, Limits, Settings, StreamClock, limit_gc_pauses  # noqa: E402
 
 CALLS, SOLUTIONS = 2_000, 20_000
 

@@ -6,13 +6,8 @@ from typing import Callable, Iterator, List, NamedTuple, Tuple
 
 from renamed import make_renamed, renamed_program
 
-from retalis.engine.engine import Engine
-from retalis.engine.runtime.clock import StreamClock
-from retalis.messages.type_registry import Definitions
-from retalis.prolog.syntax.operators import Operators
+from retalis import Definitions, Engine, Operators, StreamClock, Term, atom, functor, make_list
 from retalis.prolog.syntax.term_reader import read_term
-from retalis.prolog.terms.list_terms import make_list
-from retalis.prolog.terms.types import Term, atom, functor
 
 APPLICATION = Path(__file__).resolve().parent.parent / "application_source"
 BASE = 1_413_748_205

@@ -23,11 +23,9 @@ sys.path[:0] = [str(ROOT / folder) for folder in ("src", "test", "examples/nao")
 from browser import Browser  # noqa: E402
 from make_bag import make_bag  # noqa: E402
 
+from retalis import BagReader, Playback, record_origins  # noqa: E402
 from retalis.dashboard.page_server import Dashboard  # noqa: E402
-from retalis.dashboard.view_model import DashboardSource, TopicRow  # noqa: E402  # noqa: E402
-from retalis.explanation.explain import record_origins  # noqa: E402
-from retalis.playback.playback import Playback  # noqa: E402
-from retalis.playback.rosbag1 import BagReader  # noqa: E402  # noqa: E402
+from retalis.dashboard.view_model import DashboardSource, TopicRow  # noqa: E402
 
 TOPICS = (
     TopicRow("/tf", "tf/tfMessage"),

@@ -23,11 +23,8 @@ sys.path[:0] = [str(ROOT / folder) for folder in ("src", "examples/nao")]
 import matplotlib  # noqa: E402
 from nao_robot import Robot  # noqa: E402
 
+from retalis import BagReader, Engine, Playback, list_items  # noqa: E402
 from retalis.cli.command_line import main as retalis  # noqa: E402
-from retalis.engine.engine import Engine  # noqa: E402
-from retalis.playback.playback import Playback  # noqa: E402
-from retalis.playback.rosbag1 import BagReader  # noqa: E402
-from retalis.prolog.terms.list_terms import list_items  # noqa: E402  # noqa: E402
 from retalis.prolog.terms.term_traversal import resolve  # noqa: E402
 
 matplotlib.use("Agg")

@@ -13,8 +13,8 @@ import os
 import pytest
 
 import retalis.events.language.event_operators  # noqa: F401 -- adds its operators to those of Prolog
+from retalis import Definitions
 from retalis.foundation.interpreter_compatibility import PYPY
-from retalis.messages.type_registry import Definitions
 
 FAST = "not slow"
 MOST = 8

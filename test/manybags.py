@@ -2,8 +2,7 @@
 
 import struct
 
-from retalis.messages.type_registry import Definitions
-from retalis.playback.rosbag1 import BagWriter
+from retalis import BagWriter, Definitions
 
 SECOND = 10**9
 STRING = Definitions().add("std_msgs/String", "string data")

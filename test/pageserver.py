@@ -6,10 +6,9 @@ import socket
 import time
 from contextlib import contextmanager
 
+from retalis import Engine, record_origins
 from retalis.dashboard.page_server import Dashboard
 from retalis.dashboard.view_model import DashboardSource
-from retalis.engine.engine import Engine
-from retalis.explanation.explain import record_origins
 
 PATIENCE = 30.0
 RULES = "alarm(X) <- smoke(X) seq heat(X). synchronized(seen(X), true, [[fires, 100]]) <- marker(X)."

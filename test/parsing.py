@@ -1,6 +1,6 @@
 """Terms from text."""
 
-from retalis.prolog.syntax.operators import Operators
+from retalis import Operators
 from retalis.prolog.syntax.term_reader import read_term
 
 

@@ -1,7 +1,6 @@
 """An engine for tests that records its events and outputs."""
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
+from retalis import Engine, Settings
 
 
 class RecordingEngine(Engine):

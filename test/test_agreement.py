@@ -5,11 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from retalis.messages.type_registry import Definitions
-from retalis.playback.playback import Playback
-from retalis.playback.rosbag1 import BagReader
-from retalis.prolog.terms.list_terms import list_items
-from retalis.prolog.terms.types import deref
+from retalis import BagReader, Definitions, Playback, deref, list_items
 
 HERE = Path(__file__).resolve().parent
 NAO = HERE.parent / "examples" / "nao"

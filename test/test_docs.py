@@ -9,11 +9,10 @@ from xml.etree import ElementTree
 
 import pytest
 
-from retalis.engine.engine import Engine
+from retalis import Engine, Operators
 from retalis.events.checks.check_registry import look_through
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.program.topic_configuration import Topics
-from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_program
 from retalis.prolog.terms import timestamps
 

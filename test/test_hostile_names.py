@@ -9,21 +9,31 @@ import re
 import pytest
 from reachability import reachable
 
-from retalis.engine.engine import Engine
+from retalis import (
+    Definitions,
+    Engine,
+    MessageError,
+    Operators,
+    ProgramErrors,
+    PrologError,
+    SyntaxFault,
+    UsageError,
+    Var,
+    atom,
+    foreign,
+    functor,
+    list_items,
+    make_list,
+)
 from retalis.events.program.topic_configuration import read_topics, topic_type
 from retalis.foundation import codegen
 from retalis.foundation.bounded_caches import Cache
-from retalis.foundation.errors import MessageError, ProgramErrors, SyntaxFault, UsageError, printable
+from retalis.foundation.errors import printable
 from retalis.messages.ros2_types import ros2_type
 from retalis.messages.text_decoder import text_writer
-from retalis.messages.type_registry import Definitions, Installed
-from retalis.prolog.machine.errors import PrologError
-from retalis.prolog.syntax.operators import Operators
+from retalis.messages.type_registry import Installed
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import writeq
-from retalis.prolog.system.foreign_functions import foreign
-from retalis.prolog.terms.list_terms import list_items, make_list
-from retalis.prolog.terms.types import Var, atom, functor
 
 NAMES = [
     '__import__("os").system("harm")',

@@ -8,10 +8,9 @@ import re
 
 import pytest
 
-from retalis.engine.engine import Engine
+from retalis import Engine, ProgramErrors
 from retalis.events.dispatch import matcher_compiler
 from retalis.foundation import codegen
-from retalis.foundation.errors import ProgramErrors
 from retalis.prolog.compiler import goal_code
 from retalis.prolog.database import clause_index
 

@@ -2,12 +2,8 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
+from retalis import Engine, Limits, PrologError, Settings, functor
 from retalis.prolog.machine import resource_limits
-from retalis.prolog.machine.errors import PrologError
-from retalis.prolog.machine.resource_limits import Limits
-from retalis.prolog.terms.types import functor
 
 RULES = """
 loop :- loop.

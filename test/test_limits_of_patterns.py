@@ -5,11 +5,7 @@ import time
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.engine.runtime.problem_reports import Reports
-from retalis.prolog.machine.errors import PrologError
-from retalis.prolog.machine.resource_limits import Limits
+from retalis import Engine, Limits, PrologError, Reports, Settings
 
 UNRESTRICTED = ":- set_etalis_flag(event_consumption_policy, unrestricted).\n"
 CHAIN = UNRESTRICTED + "".join(f"e{at + 1}(X) <- e{at}(X) and e{at}(Y).\n" for at in range(30))

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from retalis import Engine, PrologError
 from retalis.cli.toplevel_io import bindings
-from retalis.engine.engine import Engine
-from retalis.prolog.machine.errors import PrologError
 from retalis.prolog.syntax.term_reader import read_program, read_term
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.system.prolog_system import PrologSystem

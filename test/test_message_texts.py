@@ -5,12 +5,9 @@ import struct
 
 import pytest
 
+from retalis import BagReader, BagWriter, Definitions, Engine, StreamClock
 from retalis.cli.command_line import main
 from retalis.dashboard.view_model import RecentEvents
-from retalis.engine.engine import Engine
-from retalis.engine.runtime.clock import StreamClock
-from retalis.messages.type_registry import Definitions
-from retalis.playback.rosbag1 import BagReader, BagWriter
 from retalis.prolog.syntax.event_text import to_text
 
 SECOND = 10**9

@@ -5,13 +5,11 @@ from pathlib import Path
 
 import pytest
 
+from retalis import Limits, PrologError, Var, functor
 from retalis.cli.toplevel_io import bindings
-from retalis.prolog.machine.errors import PrologError
-from retalis.prolog.machine.resource_limits import Limits
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.system.prolog_system import PrologSystem
-from retalis.prolog.terms.types import Var, functor
 
 pytestmark = pytest.mark.docs
 

@@ -5,9 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.foundation.errors import UsageError
+from retalis import Engine, Settings, UsageError
 from retalis.prolog.swi.libswipl import find_library
 
 pytestmark = pytest.mark.docs

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import pytest
 from source import ROOT, TREES
 
-from retalis.engine.engine_settings import Settings
+from retalis import Settings
 from retalis.engine.event_input import MAX_EVENT_TEXT_CHARACTERS
 from retalis.events.knowledge import event_states
 from retalis.events.language import state_parser

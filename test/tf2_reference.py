@@ -8,10 +8,7 @@ tf2_py = pytest.importorskip("tf2_py", reason="tf2 is not installed")
 genpy = pytest.importorskip("genpy")
 geometry_msgs = pytest.importorskip("geometry_msgs.msg")
 
-from retalis.messages.type_registry import Definitions  # noqa: E402
-from retalis.playback.rosbag1 import BagReader  # noqa: E402
-from retalis.prolog.terms.list_terms import list_items  # noqa: E402
-from retalis.prolog.terms.types import deref  # noqa: E402  # noqa: E402
+from retalis import BagReader, Definitions, deref, list_items  # noqa: E402
 
 
 def name(atom):

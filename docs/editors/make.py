@@ -11,8 +11,8 @@ import re
 from pathlib import Path
 from typing import Dict, List
 
+from retalis import Operators
 from retalis.events.language.event_operators import EVENT_OPERATORS, OperatorKind
-from retalis.prolog.syntax.operators import Operators
 
 HERE = Path(__file__).resolve().parent
 

@@ -18,12 +18,7 @@ _SOURCE = Path(__file__).resolve().parents[2] / "src"
 if _SOURCE.is_dir() and str(_SOURCE) not in sys.path:
     sys.path.append(str(_SOURCE))
 
-from retalis.foundation.errors import RetalisError  # noqa: E402
-from retalis.messages.type_definition import Definition  # noqa: E402
-from retalis.messages.type_registry import Definitions  # noqa: E402
-from retalis.playback.rosbag1 import BagWriter  # noqa: E402
-from retalis.prolog.terms.list_terms import make_list  # noqa: E402
-from retalis.prolog.terms.types import Term, atom, functor  # noqa: E402  # noqa: E402
+from retalis import BagWriter, Definition, Definitions, RetalisError, Term, atom, functor, make_list  # noqa: E402
 
 START = 1_700_000_000
 """When the bags begin, in seconds since the epoch."""

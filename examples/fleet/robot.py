@@ -2,9 +2,7 @@
 
 from pathlib import Path
 
-from retalis.engine.engine import Engine
-from retalis.engine.runtime.clock import StreamClock
-from retalis.foundation.errors import RetalisError
+from retalis import Engine, RetalisError, StreamClock
 
 PROGRAM = Path(__file__).resolve().parent
 

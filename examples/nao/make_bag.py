@@ -22,9 +22,7 @@ import nao_truth  # noqa: E402
 from nao_robot import MARKERS, Link, Robot  # noqa: E402
 from nao_truth import Observation, Truth  # noqa: E402
 
-from retalis.foundation.errors import RetalisError  # noqa: E402
-from retalis.playback.rosbag1 import BagWriter  # noqa: E402
-from retalis.prolog.terms.types import Term  # noqa: E402  # noqa: E402
+from retalis import BagWriter, RetalisError, Term  # noqa: E402
 
 START = 1413748205
 """When the bag starts, in seconds since the epoch."""

@@ -8,11 +8,8 @@ from typing import Dict, Sequence, Tuple
 
 from nao_robot import Pose
 
-from retalis.messages.encoder import Encoder
-from retalis.messages.type_definition import Definition
-from retalis.messages.type_registry import Definitions, Installed
-from retalis.prolog.terms.list_terms import make_list
-from retalis.prolog.terms.types import Term, atom, functor
+from retalis import Definition, Definitions, Encoder, Term, atom, functor, make_list
+from retalis.messages.type_registry import Installed
 
 HEADER = """\
 uint32 seq

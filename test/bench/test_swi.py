@@ -7,7 +7,7 @@ import sys
 import pytest
 from source import ROOT
 
-from retalis.foundation.errors import UsageError
+from retalis import UsageError
 from retalis.prolog.swi.libswipl import find_library
 
 

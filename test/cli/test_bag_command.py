@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from retalis import BagReader
 from retalis.cli.command_line import main
-from retalis.playback.rosbag1 import BagReader
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.append(str(ROOT / "examples" / "nao"))

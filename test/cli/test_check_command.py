@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 from source import ROOT
 
+from retalis import BagWriter, Definitions
 from retalis.cli.command_line import main
-from retalis.messages.type_registry import Definitions
-from retalis.playback.rosbag1 import BagWriter
 
 TOPICS = '<publish_subscribe><subscribe_to name="hot" msg_type="my_robot/Heat"/></publish_subscribe>'
 RULES = "hot(X) <- my_robot__0__Heat(X, _) seq hot(X).\nprint_trigger(hot/1).\n"

@@ -5,14 +5,11 @@ import sys
 
 import pytest
 
+from retalis import BagWriter, Definitions, Limits, Settings
 from retalis.cli.command_line import main
 from retalis.cli.console import Console
 from retalis.cli.stderr_report import Report
 from retalis.cli.toplevel_io import Lines
-from retalis.engine.engine_settings import Settings
-from retalis.messages.type_registry import Definitions
-from retalis.playback.rosbag1 import BagWriter
-from retalis.prolog.machine.resource_limits import Limits
 
 RULES = "loop :- loop.\nloop(X) <- in(X) where (X = 2, loop).\nout(X) <- in(X).\n"
 STREAM = "event(in(1),[1,1]).\nevent(in(2),[2,2]).\nloop.\nevent(in(3),[3,3]).\n"

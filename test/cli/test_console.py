@@ -12,13 +12,11 @@ from types import SimpleNamespace
 
 import pytest
 
+from retalis import Limits, Operators, Settings
 from retalis.cli.console import Console
 from retalis.cli.stderr_report import Report
 from retalis.cli.toplevel_io import Lines, Terminal, bindings, completions
-from retalis.engine.engine_settings import Settings
 from retalis.foundation.interpreter_compatibility import PYPY
-from retalis.prolog.machine.resource_limits import Limits
-from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_term
 
 SOURCE = Path(__file__).resolve().parents[2] / "src"

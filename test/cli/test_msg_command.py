@@ -3,9 +3,8 @@
 import pytest
 from rosbags import rosbag2
 
+from retalis import BagWriter, Definitions
 from retalis.cli.command_line import main
-from retalis.messages.type_registry import Definitions
-from retalis.playback.rosbag1 import BagWriter
 
 
 @pytest.fixture

@@ -8,9 +8,9 @@ import sys
 import pytest
 from manybags import SECOND, make_bag, make_program
 
+from retalis import BagReader
 from retalis.cli.bag_command import add_parser
 from retalis.cli.many_bags import _MAX_MESSAGE_CHARACTERS, _OPTIONS, BagTask, play_bag
-from retalis.playback.rosbag1 import BagReader
 
 
 @pytest.fixture(autouse=True)

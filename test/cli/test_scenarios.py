@@ -6,13 +6,10 @@ import pytest
 from events.running import text_of
 from events.test_scenarios import BASE, SCENARIOS, short, wanted_of
 
+from retalis import Operators, SyntaxFault, deref, list_items
 from retalis.cli.command_line import main
-from retalis.foundation.errors import SyntaxFault
-from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_program
-from retalis.prolog.terms.list_terms import list_items
 from retalis.prolog.terms.timestamps import from_term
-from retalis.prolog.terms.types import deref
 
 CLOCK = "datime(2001,1,1,1,0,0)"
 STAMPED = ("event1_same_second",)

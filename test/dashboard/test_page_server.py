@@ -11,10 +11,10 @@ pytest.importorskip("tornado", reason="tornado is not installed")
 
 from pageserver import PATIENCE, Visitor, engine, serving  # noqa: E402
 
+from retalis import UsageError  # noqa: E402
 from retalis.dashboard.page_server import Dashboard  # noqa: E402
 from retalis.dashboard.request_handlers import FILES, MAX_CONNECTIONS, PAGE  # noqa: E402
-from retalis.dashboard.view_model import MAX_OPEN_PAGES, DashboardSource, TopicRow  # noqa: E402  # noqa: E402
-from retalis.foundation.errors import UsageError  # noqa: E402
+from retalis.dashboard.view_model import MAX_OPEN_PAGES, DashboardSource, TopicRow  # noqa: E402
 
 
 @pytest.fixture

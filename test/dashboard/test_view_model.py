@@ -2,6 +2,7 @@
 
 import pytest
 
+from retalis import Engine, atom, explain, functor, make_list, record_origins
 from retalis.dashboard.view_model import (
     MAX_EVENT_CHARACTERS,
     MAX_FUNCTORS,
@@ -10,11 +11,8 @@ from retalis.dashboard.view_model import (
     RecentEvents,
     event_beginning,
 )
-from retalis.engine.engine import Engine
 from retalis.events.dispatch.listeners import NOT_READ
-from retalis.explanation.explain import explain, record_origins
-from retalis.prolog.terms.list_terms import make_list
-from retalis.prolog.terms.types import CONS, Lazy, atom, functor
+from retalis.prolog.terms.types import CONS, Lazy
 
 
 @pytest.fixture

@@ -8,11 +8,8 @@ import sys
 import time
 from pathlib import Path
 
+from retalis import Clock, Engine, Reports, Settings
 from retalis.engine.checkpoints import Checkpointer, CheckpointStorage, resume
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.engine.runtime.clock import Clock
-from retalis.engine.runtime.problem_reports import Reports
 
 RULES = """
 pair(X, Y) <- in(X) seq in(Y).

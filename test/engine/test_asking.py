@@ -4,13 +4,8 @@ import threading
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
+from retalis import Engine, Limits, PrologError, Settings, SyntaxFault, UsageError, atom
 from retalis.engine.external_requests import ask, await_memories
-from retalis.foundation.errors import SyntaxFault, UsageError
-from retalis.prolog.machine.errors import PrologError
-from retalis.prolog.machine.resource_limits import Limits
-from retalis.prolog.terms.types import atom
 
 
 def values(answer):

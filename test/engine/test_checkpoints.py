@@ -11,12 +11,8 @@ from zlib import crc32
 
 import pytest
 
+from retalis import Engine, Reports, Settings, StreamClock, UsageError
 from retalis.engine.checkpoints import Checkpointer, CheckpointStorage, put_aside, read_checkpoint, resume
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.engine.runtime.clock import StreamClock
-from retalis.engine.runtime.problem_reports import Reports
-from retalis.foundation.errors import UsageError
 from retalis.serialization.codec import from_bytes, to_bytes
 
 from .checkpoint_victim import GOALS, RULES

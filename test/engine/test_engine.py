@@ -6,18 +6,26 @@ import threading
 import pytest
 from recording_engine import RecordingEngine
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.engine.runtime.clock import Clock, StreamClock
-from retalis.engine.runtime.problem_reports import Reports
-from retalis.foundation.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError
-from retalis.prolog.machine.errors import PrologError
-from retalis.prolog.machine.resource_limits import Limits
-from retalis.prolog.system.foreign_functions import foreign
+from retalis import (
+    Clock,
+    Engine,
+    Limits,
+    ProgramErrors,
+    PrologError,
+    Reports,
+    RetalisError,
+    Settings,
+    StreamClock,
+    SyntaxFault,
+    UsageError,
+    atom,
+    deref,
+    foreign,
+    functor,
+    make_list,
+)
 from retalis.prolog.terms import timestamps
-from retalis.prolog.terms.list_terms import make_list
 from retalis.prolog.terms.timestamps import SECOND
-from retalis.prolog.terms.types import atom, deref, functor
 
 
 def test_a_rule_fires_and_a_subscriber_gets_it():

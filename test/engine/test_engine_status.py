@@ -5,11 +5,7 @@ import threading
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.engine.runtime.clock import StreamClock
-from retalis.prolog.machine.resource_limits import Limits
-from retalis.prolog.system.foreign_functions import foreign
+from retalis import Engine, Limits, Settings, StreamClock, foreign
 
 
 def rules_of(engine):

@@ -4,11 +4,9 @@ import logging
 
 import pytest
 
-from retalis.engine.engine import Engine
+from retalis import Definitions, Engine, RetalisError
 from retalis.engine.program_check import check_program
 from retalis.events.program.topic_configuration import TopicEvent, Topics, topic_type
-from retalis.foundation.errors import RetalisError
-from retalis.messages.type_registry import Definitions
 
 TOPICS = Topics(
     (topic_type("/left", "std_msgs/Bool"), topic_type("said", "std_msgs/String")),

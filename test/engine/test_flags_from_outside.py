@@ -2,12 +2,9 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
+from retalis import Engine, PrologError, Settings, atom
 from retalis.engine.external_requests import add_rule, ask, do_for_others
-from retalis.prolog.machine.errors import PrologError
 from retalis.prolog.syntax.term_reader import read_term
-from retalis.prolog.terms.types import atom
 
 SET = "set_etalis_flag(event_consumption_policy, unrestricted)"
 OWN = "null do set_etalis_flag(event_consumption_policy, chronological) <- own(_).\n"

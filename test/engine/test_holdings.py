@@ -2,9 +2,7 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.prolog.machine.errors import PrologError
-from retalis.prolog.terms.types import Var, atom, functor
+from retalis import Engine, PrologError, Var, atom, functor
 
 
 def test_memories_are_added_and_deleted_as_goals_do():

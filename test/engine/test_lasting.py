@@ -4,17 +4,19 @@ import random
 
 import pytest
 
-from retalis.engine.engine import Engine
+from retalis import (
+    Engine,
+    PrologError,
+    Settings,
+    StreamClock,
+    UsageError,
+    foreign,
+    functor,
+    make_list,
+    record_origins,
+)
 from retalis.engine.engine import Engine as Whole
-from retalis.engine.engine_settings import Settings
-from retalis.engine.runtime.clock import StreamClock
-from retalis.explanation.explain import record_origins
-from retalis.foundation.errors import UsageError
-from retalis.prolog.machine.errors import PrologError
-from retalis.prolog.system.foreign_functions import foreign
-from retalis.prolog.terms.list_terms import make_list
 from retalis.prolog.terms.term_traversal import variables
-from retalis.prolog.terms.types import functor
 
 ALARM = "exceptionAlarm(late(X), 5) <- start(X).\nwarned(X) <- late(X)."
 

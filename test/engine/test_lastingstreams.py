@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from retalis.engine.engine import Engine
+from retalis import Engine
 
 KINDS = "[count, sum(X), avg(X), median(X), min(X), max(X), stddev(X), list(X), distinct(X)]"
 OTHERS = "[count_distinct(X), quantile(0.9, X), first(X), last(X), rate]"

@@ -2,12 +2,9 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
+from retalis import Definitions, Engine, Operators, RetalisError
 from retalis.engine.program_check import check_program, never_comes, never_sent
 from retalis.events.program.topic_configuration import Topics, topic_type
-from retalis.foundation.errors import RetalisError
-from retalis.messages.type_registry import Definitions
-from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_term
 
 TOPICS = Topics((topic_type("said", "std_msgs/String"),))

@@ -4,13 +4,19 @@ import threading
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
+from retalis import (
+    Engine,
+    Limits,
+    ProgramErrors,
+    RetalisError,
+    Settings,
+    UsageError,
+    Var,
+    atom,
+    foreign,
+    functor,
+)
 from retalis.engine.external_requests import add_rule, delete_rule
-from retalis.foundation.errors import ProgramErrors, RetalisError, UsageError
-from retalis.prolog.machine.resource_limits import Limits
-from retalis.prolog.system.foreign_functions import foreign
-from retalis.prolog.terms.types import Var, atom, functor
 
 FIRE = functor("fire", 1)
 

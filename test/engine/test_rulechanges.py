@@ -2,9 +2,8 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
+from retalis import Engine, ProgramErrors, RetalisError, SyntaxFault, UsageError
 from retalis.engine.external_requests import add_rule, delete_rule
-from retalis.foundation.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError
 
 
 @pytest.fixture

@@ -4,12 +4,9 @@ import struct
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.runtime.problem_reports import Reports
+from retalis import Definitions, Engine, ProgramErrors, Reports, explain, record_origins
 from retalis.events.program.topic_configuration import read_topics
-from retalis.explanation.explain import explain, record_origins
-from retalis.foundation.errors import ProgramErrors
-from retalis.messages.type_registry import Definitions, Installed
+from retalis.messages.type_registry import Installed
 
 POINT = "my_msgs__0__Point"
 RULES = f"""

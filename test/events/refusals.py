@@ -3,7 +3,7 @@
 import pytest
 from events.running import Program
 
-from retalis.foundation.errors import ProgramErrors
+from retalis import ProgramErrors
 
 
 def errors_of(rules):

@@ -1,12 +1,9 @@
 """Programs over short streams, for tests: ``a@1 b(2)@3-5`` is a stream and an answer alike."""
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.engine.runtime.clock import StreamClock
+from retalis import Engine, Settings, StreamClock, functor
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.terms.term_traversal import copy, variables
 from retalis.prolog.terms.timestamps import SECOND
-from retalis.prolog.terms.types import functor
 
 FUTURE = 1_000_000 * SECOND
 

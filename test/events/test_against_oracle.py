@@ -18,9 +18,9 @@ from oracle.patterns import Check, Cnot, Fnot, Sub, walk
 from oracle.strategies import cases, drawn_cases
 from oracle.text import stream, write_rule
 
+from retalis import atom, functor
 from retalis.events.matches import interval_index, match_buffer
 from retalis.prolog.terms.timestamps import SECOND, datime, datime6, to_term
-from retalis.prolog.terms.types import atom, functor
 
 quick = settings(max_examples=60, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 

@@ -8,12 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.engine.runtime.clock import StreamClock
-from retalis.foundation.errors import ProgramErrors, RetalisError
-from retalis.prolog.terms.list_terms import make_list
-from retalis.prolog.terms.types import CONS, NIL, atom, functor
+from retalis import Engine, ProgramErrors, RetalisError, Settings, StreamClock, atom, functor, make_list
+from retalis.prolog.terms.types import CONS, NIL
 
 SRC = Path(__file__).resolve().parents[2] / "src"
 

@@ -5,7 +5,7 @@ import random
 import pytest
 from events.running import Program, fired, text_of
 
-from retalis.engine.engine import Engine
+from retalis import Engine
 from retalis.events.network.repeat_node import RepeatNode
 
 POLICIES = ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 from events.running import FUTURE, show, text_of
 
-from retalis.engine.engine import Engine
-from retalis.engine.runtime.clock import StreamClock
+from retalis import Engine, StreamClock
 from retalis.prolog.terms.timestamps import SECOND, to_term
 
 FILE = Path(__file__).parent.parent / "data" / "programs.txt"

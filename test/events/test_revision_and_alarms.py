@@ -3,7 +3,7 @@
 import pytest
 from events.running import Program, fired, show
 
-from retalis.engine.runtime.clock import StreamClock
+from retalis import StreamClock
 from retalis.events.matches import revived_matches
 from retalis.events.matches.partial_matches import TrackedMatch
 from retalis.events.provenance import lineage

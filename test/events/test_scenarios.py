@@ -12,15 +12,10 @@ from events.contradictions import CONTRADICTED, Contradiction
 from events.running import text_of
 from parsing import parse_term
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.engine.runtime.clock import StreamClock
-from retalis.foundation.errors import RetalisError
-from retalis.prolog.syntax.operators import Operators
+from retalis import Engine, Operators, RetalisError, Settings, StreamClock, atom, deref, functor
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.terms.timestamps import SECOND, from_term, to_term
-from retalis.prolog.terms.types import atom, deref, functor
 
 FOLDER = Path(__file__).parent.parent / "data" / "scenarios"
 SCENARIOS = sorted(FOLDER.glob("*.json"))

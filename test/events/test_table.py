@@ -5,13 +5,9 @@ from functools import partial
 import pytest
 from events import table
 
-from retalis.engine.engine import Engine
-from retalis.engine.runtime.clock import StreamClock
-from retalis.explanation.explain import explain
-from retalis.prolog.syntax.operators import Operators
+from retalis import Engine, Operators, StreamClock, atom, explain
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.terms.timestamps import SECOND
-from retalis.prolog.terms.types import atom
 
 POLICIES = ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")
 BEFORE = ("z", 0, 0.2)

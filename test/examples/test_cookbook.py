@@ -11,9 +11,8 @@ from pathlib import Path
 import pytest
 from examples.roboworld import BEGAN, SECOND, RobotWorld, to_slots
 
+from retalis import BagReader, Playback
 from retalis.cli.command_line import main
-from retalis.playback.playback import Playback
-from retalis.playback.rosbag1 import BagReader
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "cookbook"
 RECIPES = sorted(path.parent for path in FOLDER.glob("*/eventRules.txt"))

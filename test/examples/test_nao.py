@@ -17,10 +17,8 @@ import make_bag  # noqa: E402
 import nao_robot  # noqa: E402
 import nao_truth  # noqa: E402
 
-from retalis.messages.type_registry import Definitions, Installed  # noqa: E402
-from retalis.playback.rosbag1 import BagReader  # noqa: E402
-from retalis.prolog.terms.list_terms import list_items  # noqa: E402
-from retalis.prolog.terms.types import deref  # noqa: E402  # noqa: E402
+from retalis import BagReader, Definitions, deref, list_items  # noqa: E402
+from retalis.messages.type_registry import Installed  # noqa: E402
 
 pytestmark = pytest.mark.slow
 

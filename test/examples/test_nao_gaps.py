@@ -6,12 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from retalis import BagReader, BagWriter, Playback, Settings, deref, list_items
 from retalis.cli.command_line import main
-from retalis.engine.engine_settings import Settings
-from retalis.playback.playback import Playback
-from retalis.playback.rosbag1 import BagReader, BagWriter
-from retalis.prolog.terms.list_terms import list_items
-from retalis.prolog.terms.types import deref
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 PROGRAM = ROOT / "application_source"

@@ -2,8 +2,7 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.explanation.explain import explain, record_origins
+from retalis import Engine, explain, record_origins
 
 
 @pytest.fixture

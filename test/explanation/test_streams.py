@@ -2,9 +2,7 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.explanation.explain import explain, record_origins
-from retalis.prolog.syntax.operators import Operators
+from retalis import Engine, Operators, explain, record_origins
 from retalis.prolog.syntax.term_reader import read_term
 
 STREAM = (("in(1)", 1), ("in(2)", 2), ("no", 3), ("tick", 4))

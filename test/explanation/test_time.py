@@ -2,9 +2,7 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.explanation.explain import explain, record_origins
-from retalis.foundation.errors import UsageError
+from retalis import Engine, UsageError, explain, record_origins
 
 
 @pytest.fixture

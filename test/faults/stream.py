@@ -10,8 +10,7 @@ from geometry_msgs.msg import PoseStamped
 from harness import DEFINITIONS, RawPublisher
 from make_bag import START, make_bag
 
-from retalis.playback.playback import Playback
-from retalis.playback.rosbag1 import BagReader
+from retalis import BagReader, Playback
 
 SECONDS = 20
 """Length of the bag."""

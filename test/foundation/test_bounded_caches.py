@@ -14,12 +14,12 @@ DECORATED = {
         "events/matches/interval_index.py",
         "interval_bounds",
     ): "1000 entries of an operator's name and two numbers",
-    ("prolog/builtins/message_printing.py", "_laid_out_operators"): "one entry",
+    ("prolog/builtins/message_printing.py", "_layout_operators"): "one entry",
     ("prolog/system/predicate_resolution.py", "library_index"): "one entry",
     ("prolog/swi/libswipl.py", "find_library"): "one entry",
     ("prolog/swi/swi_startup.py", "_started"): "one entry",
     ("prolog/syntax/event_text.py", "_second_text"): "64 seconds, of the years 1 to 9999",
-    ("prolog/syntax/operators.py", "_standard"): "one entry",
+    ("prolog/syntax/operators.py", "standard_operators"): "one entry",
     ("prolog/terms/timestamps.py", "first_reaching"): "64 floats",
     ("prolog/terms/timestamps.py", "_day_fields"): "64 numbers",
     ("prolog/terms/timestamps.py", "_day_number"): "64 dates",
@@ -27,7 +27,7 @@ DECORATED = {
 """Functions with a cache of their own, which counts entries and not bytes: why that is a bound of bytes."""
 
 HELD = {
-    ("ros/ros_interface.py", "self._links"): (1000, 16 << 20),
+    ("ros/ros_interface.py", "self._cached_handlers"): (1000, 16 << 20),
     ("engine/runtime/clock_skew.py", "times"): (5000, 4 << 20),  # for each topic
     ("ros/internal_topics.py", "self._seen"): (1000, 1 << 20),
     ("ros/text_topics.py", "self._names"): (1000, 1 << 20),

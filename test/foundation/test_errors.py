@@ -5,17 +5,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-from retalis.foundation.errors import (
-    SHOWN,
-    Place,
-    beginning,
-    counted,
-    place_at,
-    place_in,
-    printable,
-    printable_json,
-)
-from retalis.prolog.syntax.operators import Operators
+from retalis import Operators, Place
+from retalis.foundation.errors import SHOWN, beginning, counted, place_at, place_in, printable, printable_json
 from retalis.prolog.syntax.term_reader import read_program
 
 

@@ -3,7 +3,7 @@
 import json
 import random
 
-from retalis.messages.type_registry import Definitions
+from retalis import Definitions
 
 from .kinds.base import ARGUMENTS, corpus
 from .kinds.messages import valid

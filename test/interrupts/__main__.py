@@ -22,8 +22,7 @@ import time
 from collections import Counter
 from difflib import ndiff
 
-from retalis.foundation.errors import RetalisError
-from retalis.prolog.terms.types import functor
+from retalis import RetalisError, functor
 
 from .checks import faults
 from .injection import AtBytecode, Interrupt, by_signal, looking_often, time_runs_out

@@ -7,8 +7,8 @@ from itertools import count
 from pathlib import Path
 
 import retalis
+from retalis import Limits
 from retalis.prolog.machine import machine, resource_limits
-from retalis.prolog.machine.resource_limits import Limits
 
 _SOURCE = str(Path(retalis.__file__).parent)
 

@@ -8,16 +8,10 @@ from functools import lru_cache
 
 from events.running import text_of
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.engine.runtime.clock import StreamClock
-from retalis.prolog.machine.errors import PrologError
-from retalis.prolog.machine.resource_limits import Limits
-from retalis.prolog.syntax.operators import Operators
+from retalis import Engine, Limits, Operators, PrologError, Settings, StreamClock, atom
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.terms.term_traversal import copy
 from retalis.prolog.terms.timestamps import SECOND
-from retalis.prolog.terms.types import atom
 
 RULES = """
 :- table path/2.

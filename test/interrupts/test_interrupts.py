@@ -6,10 +6,8 @@ from itertools import count
 import pytest
 from parsing import parse_term
 
-from retalis.engine.engine import Engine
-from retalis.engine.runtime.clock import StreamClock
+from retalis import Engine, StreamClock, atom, functor
 from retalis.events.knowledge.memory import Memory
-from retalis.prolog.terms.types import atom, functor
 
 from .__main__ import Campaign
 from .checks import faults

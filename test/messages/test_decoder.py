@@ -2,11 +2,10 @@ import struct
 
 import pytest
 
-from retalis.foundation.errors import MessageError
+from retalis import Definitions, MessageError, atom, deref, functor, list_items, make_list
 from retalis.messages import field_values
-from retalis.messages.type_registry import Definitions, Installed
-from retalis.prolog.terms.list_terms import list_items, make_list
-from retalis.prolog.terms.types import Lazy, atom, deref, functor
+from retalis.messages.type_registry import Installed
+from retalis.prolog.terms.types import Lazy
 
 HEADER = "\n".join(["=" * 80, "MSG: std_msgs/Header", "uint32 seq", "time stamp", "string frame_id", ""])
 

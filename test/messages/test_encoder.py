@@ -5,15 +5,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from messages.wire import messages, serialize
-from retalis.foundation.errors import MessageError
-from retalis.messages.decoder import Decoder
-from retalis.messages.encoder import Encoder
-from retalis.messages.type_registry import Definitions, Installed
+from retalis import Decoder, Definitions, Encoder, MessageError, String, Var, atom, functor, make_list
+from retalis.messages.type_registry import Installed
 from retalis.messages.validating_encoder import CheckingEncoder
 from retalis.prolog.terms import timestamps
-from retalis.prolog.terms.list_terms import make_list
 from retalis.prolog.terms.term_traversal import copy
-from retalis.prolog.terms.types import CONS, NIL, Lazy, String, Var, atom, functor
+from retalis.prolog.terms.types import CONS, NIL, Lazy
 
 STAMPED = """\
 Header header

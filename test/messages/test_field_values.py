@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retalis.foundation.errors import MessageError
+from retalis import MessageError, String, atom
 from retalis.messages.field_values import blob_atom, text_atom, text_bytes
-from retalis.prolog.terms.types import NIL, String, atom
+from retalis.prolog.terms.types import NIL
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from messages.wire import messages, serialize
-from retalis.foundation.errors import MessageError
+from retalis import Definitions, MessageError
 from retalis.messages.ros2_types import ros2_type
-from retalis.messages.type_registry import Definitions
 from retalis.prolog.syntax.event_text import to_text
 
 STORE = get_typestore(Stores.LATEST)

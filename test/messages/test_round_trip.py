@@ -10,11 +10,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from messages.wire import CODES, messages, serialize, to_term
+from retalis import Definitions, Operators
 from retalis.messages import encoder
 from retalis.messages.text_decoder import text_writer
-from retalis.messages.type_registry import Definitions, Installed
+from retalis.messages.type_registry import Installed
 from retalis.prolog.syntax.event_text import EventReader, to_text
-from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.tokenizer import ReadFlags
 from retalis.prolog.terms.term_traversal import freeze

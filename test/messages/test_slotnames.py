@@ -4,11 +4,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retalis.foundation.errors import SyntaxFault, UsageError
+from retalis import Definitions, Operators, SyntaxFault, UsageError
 from retalis.messages.named_slots import SlotNames
-from retalis.messages.type_registry import Definitions, Installed
+from retalis.messages.type_registry import Installed
 from retalis.prolog.syntax.event_text import to_text
-from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.tokenizer import ReadFlags
 from retalis.prolog.system.prolog_system import PrologSystem

@@ -3,13 +3,10 @@
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from retalis.foundation.errors import MessageError
+from retalis import Definitions, MessageError, Operators, Var, deref
 from retalis.messages.named_slots import SlotNames, by_names, positional, zero
-from retalis.messages.type_registry import Definitions
-from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.terms.term_traversal import term_key
-from retalis.prolog.terms.types import Var, deref
 
 DEFINITIONS = Definitions()
 OPERATORS = Operators.prolog()

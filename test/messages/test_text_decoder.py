@@ -4,13 +4,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retalis.foundation.errors import MessageError
+from retalis import Definitions, MessageError, atom
 from retalis.messages.text_decoder import text_without, text_writer
-from retalis.messages.type_registry import Definitions, Installed
+from retalis.messages.type_registry import Installed
 from retalis.prolog.syntax.event_text import EventReader, event_text, to_text
 from retalis.prolog.terms.term_traversal import freeze
 from retalis.prolog.terms.timestamps import datime
-from retalis.prolog.terms.types import atom
 
 HEADER = "\n".join(["=" * 80, "MSG: std_msgs/Header", "uint32 seq", "time stamp", "string frame_id", ""])
 POSE = "Header header\nstring name\nfloat64 x\nfloat32 y\nint64 n\n" + HEADER

@@ -1,7 +1,7 @@
 import pytest
 from reachability import reachable
 
-from retalis.foundation.errors import MessageError
+from retalis import Definitions, MessageError
 from retalis.messages.type_definition import (
     MAX_MESSAGE_BYTES,
     MAX_SLOTS,
@@ -13,7 +13,7 @@ from retalis.messages.type_definition import (
     split_sections,
     type_name,
 )
-from retalis.messages.type_registry import Definitions, Installed
+from retalis.messages.type_registry import Installed
 
 HEADER = "uint32 seq\ntime stamp\nstring frame_id\n"
 

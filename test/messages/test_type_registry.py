@@ -5,8 +5,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from retalis.foundation.errors import MessageError
-from retalis.messages.type_registry import Definitions, Installed
+from retalis import Definitions, MessageError
+from retalis.messages.type_registry import Installed
 
 STAMPED = """Header header
 Inner inner

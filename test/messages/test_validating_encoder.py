@@ -2,11 +2,9 @@
 
 import pytest
 
-from retalis.messages.type_registry import Definitions
+from retalis import Definitions, Operators, Var, functor
 from retalis.messages.validating_encoder import fault_of
-from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_term
-from retalis.prolog.terms.types import Var, functor
 
 
 def definition(text):

@@ -7,8 +7,8 @@ import struct
 
 from hypothesis import strategies as st
 
-from retalis.messages.type_definition import Definition
-from retalis.prolog.terms.types import CONS, NIL, atom, functor
+from retalis import Definition, atom, functor
+from retalis.prolog.terms.types import CONS, NIL
 
 CODES = {
     "bool": "?",

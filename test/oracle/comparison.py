@@ -12,12 +12,9 @@ from dataclasses import fields, replace
 from itertools import count
 from typing import Any, Callable, Collection, Iterable, Iterator, List, Optional, Sequence, Tuple
 
-from retalis.engine.engine import Engine
-from retalis.engine.runtime.clock import StreamClock
+from retalis import Engine, RetalisError, StreamClock, Term, atom, functor
 from retalis.events.matches import interval_index, match_buffer
-from retalis.foundation.errors import RetalisError
 from retalis.prolog.terms.timestamps import SECOND
-from retalis.prolog.terms.types import Term, atom, functor
 
 from . import revision
 from .goals import show

@@ -6,8 +6,8 @@ Comments name the sentence of the language's definition that the code next to th
 from dataclasses import replace
 from typing import Any, Callable, Dict, Iterable, List, Optional, Set
 
+from retalis import Term, Var
 from retalis.prolog.terms.term_traversal import copy, variables
-from retalis.prolog.terms.types import Term, Var
 
 from .goals import Bindings, GoalError, first, instance, merge, show, solve, unbound, unify
 from .matches import Event, Gap, Match, Pending

@@ -7,7 +7,7 @@ import sys
 import time
 from typing import Any, Collection, List, Optional, Tuple
 
-from retalis.foundation.errors import RetalisError
+from retalis import RetalisError
 
 from .comparison import add_options, engine_steps, shrink
 from .strategies import Case, random_case

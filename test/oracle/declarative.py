@@ -13,8 +13,8 @@ from itertools import accumulate
 from typing import Any, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 from typing import Counter as CounterOf
 
+from retalis import Term
 from retalis.prolog.terms.term_traversal import copy
-from retalis.prolog.terms.types import Term
 
 from .conditions import Conditions, all_solutions
 from .goals import first, instance, show

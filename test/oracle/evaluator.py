@@ -7,8 +7,8 @@ operand place. Comments name the sentence of the language's definition that the 
 from dataclasses import replace
 from typing import Any, Callable, Dict, FrozenSet, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
+from retalis import Term, functor
 from retalis.prolog.terms.term_traversal import copy
-from retalis.prolog.terms.types import Term, functor
 
 from .conditions import Test, all_solutions
 from .goals import first, instance, show

@@ -6,8 +6,8 @@ A substitution maps variables to terms and is never changed, only extended by ma
 from fractions import Fraction
 from typing import Any, Dict, Iterator, Optional, Set
 
-from retalis.prolog.terms.list_terms import list_items, make_list
-from retalis.prolog.terms.types import CONS, NIL, Atom, Lazy, String, Term, Var, atom, functor
+from retalis import Atom, String, Term, Var, atom, functor, list_items, make_list
+from retalis.prolog.terms.types import CONS, NIL, Lazy
 
 Bindings = Dict[Var, Term]
 

@@ -6,8 +6,7 @@ Times are any exact numbers, in seconds.
 from dataclasses import dataclass, field
 from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, Tuple
 
-from retalis.prolog.terms.list_terms import make_list
-from retalis.prolog.terms.types import Term
+from retalis import Term, make_list
 
 from .goals import Bindings, quotient, show
 

@@ -22,8 +22,7 @@ from events.network.test_replaying import RULES, standing
 from events.network.test_replaying import stream as events_to_take_back
 from events.streams.test_row_pattern import VALUE, expected, fired, rule_of
 
-from retalis.engine.engine import Engine
-from retalis.engine.runtime.clock import Clock
+from retalis import Clock, Engine, list_items, make_list
 from retalis.events.knowledge.event_states import DeclaredState
 from retalis.events.network import stream_compiler
 from retalis.events.network.stream_node import StreamNode
@@ -41,7 +40,6 @@ from retalis.events.streams.windows import (
     SlidingTimeWindow,
     TumblingCountWindow,
 )
-from retalis.prolog.terms.list_terms import list_items, make_list
 from retalis.prolog.terms.timestamps import SECOND
 
 from .comparison import difference

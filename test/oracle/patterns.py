@@ -8,8 +8,9 @@ from collections import Counter
 from dataclasses import dataclass, fields, replace
 from typing import Any, Dict, Iterable, Iterator, List, Optional, Tuple
 
+from retalis import Term, Var
 from retalis.prolog.terms.term_traversal import rebuild, variables
-from retalis.prolog.terms.types import NIL, Term, Var
+from retalis.prolog.terms.types import NIL
 
 
 @dataclass(frozen=True, eq=False)

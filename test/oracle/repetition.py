@@ -3,8 +3,8 @@
 from dataclasses import replace
 from typing import Any, Dict, List, Optional, Set, Tuple
 
+from retalis import Var
 from retalis.prolog.terms.term_traversal import variables
-from retalis.prolog.terms.types import Var
 
 from .conditions import Conditions
 from .goals import Bindings, GoalError, instance, number, unbound, unify

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from typing import Any, Dict, FrozenSet, Iterable, Iterator, List, Optional, Sequence, Set, Tuple
 from typing import Counter as CounterOf
 
+from retalis import Term, functor
 from retalis.prolog.terms.term_traversal import copy
-from retalis.prolog.terms.types import Term, functor
 
 from .conditions import Test
 from .declarative import Combinations, Found, has_outer_absence

@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
 
 import retalis.events.language.event_operators  # noqa: F401 -- adds its operators to those of Prolog
-from retalis.prolog.syntax.operators import Operators
+from retalis import Operators, Term, deref, list_items
 from retalis.prolog.syntax.term_reader import read_program, read_term
-from retalis.prolog.terms.list_terms import conjuncts, list_items
+from retalis.prolog.terms.list_terms import conjuncts
 from retalis.prolog.terms.timestamps import SECOND, from_term
-from retalis.prolog.terms.types import Term, deref
 
 from .goals import show
 from .patterns import Check, Do, Multiply, Rule, Where, walk

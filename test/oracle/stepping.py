@@ -6,8 +6,7 @@ A step is the term ``step(Name, Least, Most, Mode, Where, Goal, Until)``: Most i
 
 from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple
 
-from retalis.prolog.terms.list_terms import list_items
-from retalis.prolog.terms.types import Atom, Term, Var
+from retalis import Atom, Term, Var, list_items
 
 from .goals import Bindings, first, instance, value_of
 

@@ -11,9 +11,9 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Set, Tuple
 
 from hypothesis import strategies as st
 
-from retalis.prolog.terms.list_terms import list_items, make_list
+from retalis import Term, Var, atom, functor, list_items, make_list
 from retalis.prolog.terms.term_traversal import variables
-from retalis.prolog.terms.types import NIL, Term, Var, atom, functor
+from retalis.prolog.terms.types import NIL
 
 from .evaluator import run
 from .goals import show

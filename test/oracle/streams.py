@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
-from retalis.prolog.terms.list_terms import list_items, make_list
+from retalis import Term, Var, list_items, make_list
 from retalis.prolog.terms.term_traversal import variables
-from retalis.prolog.terms.types import NIL, Term, Var
+from retalis.prolog.terms.types import NIL
 
 from .conditions import may_bind
 from .goals import Bindings, GoalError, instance, number, quotient, show, unbound, unify

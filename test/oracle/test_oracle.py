@@ -11,7 +11,7 @@ from oracle.goals import GoalError, number
 from oracle.matches import POLICIES
 from oracle.text import brief, rule, stream
 
-from retalis.prolog.syntax.operators import Operators
+from retalis import Operators
 from retalis.prolog.syntax.term_reader import read_term
 
 

@@ -9,8 +9,7 @@ import re
 from fractions import Fraction
 from typing import Any, Dict, Iterable, Iterator, List, Tuple
 
-from retalis.prolog.terms.list_terms import list_items, make_list
-from retalis.prolog.terms.types import Term, Var, atom, functor
+from retalis import Term, Var, atom, functor, list_items, make_list
 
 from .goals import show
 from .patterns import (

@@ -7,10 +7,8 @@ pytest.importorskip("rosbags")
 
 from hostilebags import ros1_bag  # noqa: E402
 
-from retalis.foundation.errors import RetalisError  # noqa: E402
-from retalis.messages.type_registry import Definitions, Installed  # noqa: E402
-from retalis.playback.rosbag1 import BagError, BagReader, BagWriter, Topic  # noqa: E402  # noqa: E402
-from retalis.prolog.terms.types import atom  # noqa: E402
+from retalis import BagError, BagReader, BagWriter, Definitions, RetalisError, Topic, atom  # noqa: E402
+from retalis.messages.type_registry import Installed  # noqa: E402
 
 BAGS = Path(__file__).parents[3] / "shared" / "bags"
 REAL = sorted(BAGS.glob("*.bag")) if BAGS.is_dir() else []

@@ -6,9 +6,10 @@ from io import BytesIO
 
 import pytest
 
+from retalis import BagReader
 from retalis.playback import rosbag1 as module
 from retalis.playback.decompression import ChunkLimit
-from retalis.playback.rosbag1 import MAX_CHUNKS_AHEAD, MAX_REPEATS, BagReader, Chunk, chunks
+from retalis.playback.rosbag1 import MAX_CHUNKS_AHEAD, MAX_REPEATS, Chunk, chunks
 
 LIMIT = ChunkLimit(1)
 TEXTS = [bytes([number]) * (number * 1000) for number in range(1, 9)]

@@ -2,9 +2,8 @@
 
 from types import SimpleNamespace
 
-from retalis.engine.engine import Engine
+from retalis import Engine, atom
 from retalis.playback.run_recorder import MAX_RECORDED_QUERIES, RunRecorder
-from retalis.prolog.terms.types import atom
 
 
 class Waiting:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from retalis import BagError
 from retalis.playback.bag_locations import (
     FoundBag,
     fetched,
@@ -14,7 +15,6 @@ from retalis.playback.bag_locations import (
     remove_parts,
     result_file,
 )
-from retalis.playback.rosbag1 import BagError
 
 
 @pytest.fixture

@@ -5,14 +5,9 @@ import logging
 import pytest
 from parsing import parse_term
 
-from retalis.engine.engine import Engine
-from retalis.events.program.topic_configuration import TopicType
+from retalis import BagError, BagReader, BagWriter, Definitions, Engine, Playback, TopicType, deref
 from retalis.events.rules import timer_service
-from retalis.messages.type_registry import Definitions
-from retalis.playback.playback import Playback
-from retalis.playback.rosbag1 import BagError, BagReader, BagWriter
 from retalis.prolog.syntax.event_text import to_text
-from retalis.prolog.terms.types import deref
 
 SECOND = 10**9
 POINT = "float64 x\n"

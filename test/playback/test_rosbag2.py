@@ -14,9 +14,9 @@ rosbag2 = pytest.importorskip("rosbags.rosbag2")
 from hostilebags import HELLO, ROWS, TABLES, folder_bag, mcap, mcap_message, sqlite_bag  # noqa: E402
 from rosbags.typesys import Stores, get_typestore  # noqa: E402
 
+from retalis import BagError  # noqa: E402
 from retalis.playback.bag_locations import MergedBag  # noqa: E402
 from retalis.playback.decompression import ChunkLimit  # noqa: E402
-from retalis.playback.rosbag1 import BagError  # noqa: E402  # noqa: E402
 from retalis.playback.rosbag2 import McapFile, SqliteFile  # noqa: E402
 
 SECOND = 10**9

@@ -10,11 +10,8 @@ from hostilebags import packed_zeros, zstd
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from retalis.foundation.errors import UsageError
-from retalis.messages.type_registry import Definitions
+from retalis import BagError, BagWriter, Definitions, Playback, UsageError
 from retalis.playback.bag_locations import MergedBag
-from retalis.playback.playback import Playback
-from retalis.playback.rosbag1 import BagError, BagWriter
 from retalis.playback.run_recorder import RunRecorder
 from retalis.prolog.syntax.event_text import to_text
 

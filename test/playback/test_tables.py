@@ -4,8 +4,8 @@ import sys
 
 import pytest
 
+from retalis import BagError
 from retalis.playback import run_recorder
-from retalis.playback.rosbag1 import BagError
 from retalis.playback.run_recorder import RunTable
 
 OUTPUT = {"output": "x(1)", "topic": "t", "id": None, "time": 1_500_000_000_000_000_001}

@@ -8,7 +8,7 @@ import pytest
 from source import ROOT
 from worker_tasks import run_task, run_task_in_folder
 
-from retalis.foundation.errors import UsageError
+from retalis import UsageError
 from retalis.playback.worker_pool import MAX_WORKER_DEATHS, Unfinished, in_processes, on_cluster
 
 pytestmark = pytest.mark.slow
@@ -73,7 +73,7 @@ def test_a_cluster_does_again_what_a_lost_worker_was_at(cluster, tmp_path):
 
 def test_a_scheduler_that_does_not_answer_is_an_error(monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("retalis.playback.worker_pool._CONNECT", 0.2)
+    monkeypatch.setattr("retalis.playback.worker_pool._CONNECT_TIMEOUT_SECONDS", 0.2)
     with pytest.raises(UsageError, match="--scheduler tcp://127.0.0.1:1: no scheduler answers: "):
         list(on_cluster(run_task, ["pid"], "tcp://127.0.0.1:1"))
     with pytest.raises(UsageError, match="--scheduler nonsense://: no scheduler answers: "):

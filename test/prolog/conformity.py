@@ -7,16 +7,13 @@ import functools
 from pathlib import Path
 from typing import Any, Iterator, List, NamedTuple, Tuple
 
-from retalis.foundation.errors import SyntaxFault
-from retalis.prolog.machine.errors import PrologError
-from retalis.prolog.machine.resource_limits import Limits
+from retalis import Limits, PrologError, SyntaxFault, Term, atom, deref, functor, list_items, make_list
 from retalis.prolog.syntax.term_reader import read_program, read_term
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.syntax.tokenizer import ReadFlags
 from retalis.prolog.system.prolog_system import PrologSystem
-from retalis.prolog.terms.list_terms import conjuncts, list_items, make_list
+from retalis.prolog.terms.list_terms import conjuncts
 from retalis.prolog.terms.term_traversal import copy, rebuild, variables
-from retalis.prolog.terms.types import Term, atom, deref, functor
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "conformity"
 ISO = ReadFlags(double_quotes="codes", iso=True)

@@ -17,14 +17,12 @@ from generated import Generator  # noqa: E402
 from reasons import REASONS, reason  # noqa: E402, F401
 from swipl import ask  # noqa: E402
 
-from retalis.foundation.errors import SyntaxFault, TermTooLarge  # noqa: E402
-from retalis.prolog.machine.errors import PrologError  # noqa: E402
-from retalis.prolog.machine.resource_limits import Limits  # noqa: E402  # noqa: E402
+from retalis import Limits, PrologError, String, SyntaxFault, functor  # noqa: E402
+from retalis.foundation.errors import TermTooLarge  # noqa: E402
 from retalis.prolog.syntax.term_reader import read_term  # noqa: E402
-from retalis.prolog.syntax.term_writer import write_term  # noqa: E402  # noqa: E402
+from retalis.prolog.syntax.term_writer import write_term  # noqa: E402
 from retalis.prolog.system.prolog_system import PrologSystem  # noqa: E402
 from retalis.prolog.terms.term_traversal import copy, variables  # noqa: E402
-from retalis.prolog.terms.types import String, functor  # noqa: E402  # noqa: E402
 
 RECORD = Path(__file__).with_name("goals_kinds.tsv")
 MOST = 5

@@ -2,12 +2,11 @@
 
 from typing import Any, Dict, List
 
-from retalis.prolog.machine.errors import PrologError
+from retalis import PrologError, Term, functor
 from retalis.prolog.syntax.term_reader import read_program, read_term
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.system.prolog_system import PrologSystem
 from retalis.prolog.terms.term_traversal import copy, variables
-from retalis.prolog.terms.types import Term, functor
 
 NEVER = 1 << 60
 

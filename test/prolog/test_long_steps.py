@@ -5,20 +5,19 @@ import random
 import pytest
 from prolog.support import prolog
 
+from retalis import Limits, PrologError, String, Var, atom, functor, make_list
 from retalis.foundation.cancellation import watched_by
 from retalis.prolog.builtins import list_predicates
 from retalis.prolog.builtins.atoms_and_strings import _split, _words
 from retalis.prolog.builtins.list_predicates import order_of
 from retalis.prolog.builtins.text_arguments import convert_each
 from retalis.prolog.compiler.clause_nodes import CALL
-from retalis.prolog.machine.errors import PrologError, type_error
-from retalis.prolog.machine.resource_limits import NO_LIMITS, Limits
+from retalis.prolog.machine.errors import type_error
+from retalis.prolog.machine.resource_limits import NO_LIMITS
 from retalis.prolog.syntax.literals import integer, integer_text
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import writeq
-from retalis.prolog.terms.list_terms import make_list
 from retalis.prolog.terms.term_traversal import copy, is_ground
-from retalis.prolog.terms.types import String, Var, atom, functor
 from retalis.prolog.terms.unification import compare, unify
 
 PROGRAM = """

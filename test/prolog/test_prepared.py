@@ -2,9 +2,9 @@
 
 from prolog.support import answers, first, prolog
 
+from retalis import Var, functor
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.system.prolog_system import PrologSystem
-from retalis.prolog.terms.types import Var, functor
 
 PROGRAM = """
 go(X) :- helper(X, Y), facts(Y).

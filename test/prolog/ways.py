@@ -17,17 +17,15 @@ from typing import Any, Dict, Iterator, List, Tuple
 
 import pytest
 
-from retalis.engine.engine import Engine
+from retalis import Engine, PrologError, functor
 from retalis.foundation.errors import TermTooLarge
 from retalis.prolog.database.clause_index import NEVER
 from retalis.prolog.database.database import Database
 from retalis.prolog.database.predicate import COMPILE_AFTER
-from retalis.prolog.machine.errors import PrologError
 from retalis.prolog.syntax.term_reader import read_program, read_term
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.system.prolog_system import PrologSystem
 from retalis.prolog.terms.term_traversal import copy, variables
-from retalis.prolog.terms.types import functor
 
 WAYS = {"never": NEVER, "at once": 0, "default": COMPILE_AFTER}
 SUITES = (

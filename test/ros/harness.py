@@ -8,7 +8,7 @@ from xmlrpc.client import Error, ServerProxy
 import rospy
 from std_msgs.msg import String
 
-from retalis.messages.type_registry import Definitions
+from retalis import Definitions
 from retalis.ros.connection_writer import raw_class
 from retalis.srv import AddInputSubscription, AddOutputSubscription
 

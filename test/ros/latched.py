@@ -19,8 +19,8 @@ from std_msgs.msg import Int32, String
 sys.path.append(str(Path(__file__).resolve().parent))
 from harness import DEFINITIONS, PATIENCE, Collector, RawPublisher, wait_until  # noqa: E402
 
-from retalis.prolog.syntax.operators import Operators  # noqa: E402
-from retalis.prolog.syntax.term_reader import read_term  # noqa: E402  # noqa: E402
+from retalis import Operators  # noqa: E402
+from retalis.prolog.syntax.term_reader import read_term  # noqa: E402
 
 PROGRAM = Path(__file__).resolve().parent / "latched"
 NODES = {"retalis": "retalis_node", "retalis_ros_interface": "retalis_ros_converter.py"}

@@ -17,9 +17,11 @@ sys.path.append(str(Path(__file__).resolve().parents[2] / "examples" / "nao"))
 from harness import DEFINITIONS, Collector, RawPublisher, open_the_way, service, wait_until  # noqa: E402
 from make_bag import make_bag  # noqa: E402
 
-from retalis import srv  # noqa: E402
-from retalis.playback.playback import Playback  # noqa: E402
-from retalis.playback.rosbag1 import BagReader  # noqa: E402  # noqa: E402
+from retalis import (  # noqa: E402
+    BagReader,
+    Playback,
+    srv,  # noqa: E402
+)
 
 PROGRAM = Path(__file__).resolve().parents[2] / "application_source"
 MARKERS = [f"marker{number}" for number in range(1, 9)]

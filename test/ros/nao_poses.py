@@ -17,7 +17,7 @@ sys.path.append(str(Path(__file__).resolve().parents[2] / "examples" / "nao"))
 from harness import DEFINITIONS, Collector, RawPublisher, open_the_way, wait_until  # noqa: E402
 from make_bag import make_bag  # noqa: E402
 
-from retalis.playback.rosbag1 import BagReader  # noqa: E402
+from retalis import BagReader  # noqa: E402
 
 SPEED = 2.0
 """How many times faster than it was recorded the bag is played."""

@@ -13,8 +13,8 @@ from std_msgs.msg import String
 sys.path.append(str(Path(__file__).resolve().parent))
 from harness import DEFINITIONS, Collector, RawPublisher, wait_until  # noqa: E402
 
-from retalis.prolog.syntax.operators import Operators  # noqa: E402
-from retalis.prolog.syntax.term_reader import read_term  # noqa: E402  # noqa: E402
+from retalis import Operators  # noqa: E402
+from retalis.prolog.syntax.term_reader import read_term  # noqa: E402
 
 THING = DEFINITIONS.add(
     "nowhere_msgs/Thing", "float64 x\nPart part\n" + "=" * 80 + "\nMSG: nowhere_msgs/Part\nstring name"

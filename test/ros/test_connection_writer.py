@@ -13,7 +13,7 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 from reachability import reachable  # noqa: E402
 from rospy.exceptions import TransportTerminated  # noqa: E402
 
-from retalis.engine.runtime.problem_reports import Reports  # noqa: E402
+from retalis import Reports  # noqa: E402
 from retalis.ros import connection_writer, late_joiners, text_topics  # noqa: E402
 from retalis.ros.connection_writer import Outlet  # noqa: E402
 from retalis.ros.text_topics import OutputTexts, TextPublisher, text_frame  # noqa: E402

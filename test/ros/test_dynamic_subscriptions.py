@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("rospy")
 
-from retalis.foundation.errors import MessageError  # noqa: E402
+from retalis import MessageError  # noqa: E402
 from retalis.ros.dynamic_subscriptions import read_subscriptions  # noqa: E402
 from retalis.ros.internal_topics import MAX_CONTROL_CHARACTERS  # noqa: E402
 

@@ -2,8 +2,7 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_status import Work
+from retalis import Engine, Work
 from retalis.ros.diagnostics import (
     LISTED,
     MAX_REPORTED_TOPICS,

@@ -6,8 +6,8 @@ import pytest
 
 pytest.importorskip("rospy", reason="ROS is not installed")
 
+from retalis import Reports  # noqa: E402
 from retalis.engine.runtime.clock_epochs import ClockEpochs  # noqa: E402
-from retalis.engine.runtime.problem_reports import Reports  # noqa: E402  # noqa: E402
 from retalis.ros import latched_inputs  # noqa: E402
 from retalis.ros.latched_inputs import LatchedConnection, LatchedInputs, latched_message  # noqa: E402
 from retalis.ros.text_topics import mark_of, text_handler_factory  # noqa: E402

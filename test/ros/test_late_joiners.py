@@ -7,8 +7,7 @@ import pytest
 
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
-from retalis.engine.runtime.problem_reports import Reports  # noqa: E402
-from retalis.foundation.errors import RuleError  # noqa: E402
+from retalis import Reports, RuleError  # noqa: E402
 from retalis.ros import late_joiners  # noqa: E402
 from retalis.ros.late_joiners import ENGINE, INTERFACE, MAX_IDENTIFICATION_ATTEMPTS, LateJoinerBuffer  # noqa: E402
 

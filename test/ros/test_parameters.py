@@ -7,11 +7,9 @@ import rospkg
 
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
+from retalis import Limits, Settings, TopicType, UsageError  # noqa: E402
 from retalis.dashboard.page_server import DASHBOARD_PORT  # noqa: E402
-from retalis.engine.engine_settings import Settings  # noqa: E402
-from retalis.events.program.topic_configuration import TopicType  # noqa: E402
-from retalis.foundation.errors import UsageError  # noqa: E402
-from retalis.prolog.machine.resource_limits import NO_LIMITS, Limits  # noqa: E402
+from retalis.prolog.machine.resource_limits import NO_LIMITS  # noqa: E402
 from retalis.ros.parameters import read_parameters  # noqa: E402
 
 

@@ -6,7 +6,7 @@ import pytest
 
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
-from retalis.prolog.terms.types import functor  # noqa: E402
+from retalis import functor  # noqa: E402
 from retalis.ros import projection_sync  # noqa: E402
 from retalis.ros.projection_sync import ProjectionReceiver  # noqa: E402
 

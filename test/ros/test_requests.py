@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("rospy", reason="ROS is not installed")
 
-from retalis.engine.engine import Engine  # noqa: E402
+from retalis import Engine  # noqa: E402
 from retalis.ros import services  # noqa: E402
 
 

@@ -7,10 +7,8 @@ import pytest
 
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
+from retalis import Definitions, MessageError, Reports  # noqa: E402
 from retalis.engine.runtime.clock_skew import ClockSkewMonitor  # noqa: E402
-from retalis.engine.runtime.problem_reports import Reports  # noqa: E402  # noqa: E402
-from retalis.foundation.errors import MessageError  # noqa: E402
-from retalis.messages.type_registry import Definitions  # noqa: E402
 from retalis.ros import ros_interface  # noqa: E402
 from retalis.ros.ros_interface import InputTopic  # noqa: E402
 

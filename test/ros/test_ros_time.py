@@ -7,10 +7,8 @@ import pytest
 
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
-from retalis.engine.engine import Engine  # noqa: E402
-from retalis.engine.runtime.problem_reports import Reports  # noqa: E402
+from retalis import Engine, Reports, functor  # noqa: E402
 from retalis.prolog.terms.timestamps import SECOND  # noqa: E402
-from retalis.prolog.terms.types import functor  # noqa: E402
 from retalis.ros import retalis_node, ros_time  # noqa: E402
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.foundation.errors import UsageError
+from retalis import UsageError
 from retalis.prolog.swi.libswipl import find_library
 
 KB = """\

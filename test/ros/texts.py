@@ -23,9 +23,11 @@ from harness import (  # noqa: E402
     wait_until,
 )
 
-from retalis import srv  # noqa: E402
-from retalis.prolog.syntax.operators import Operators  # noqa: E402
-from retalis.prolog.syntax.term_reader import read_term  # noqa: E402  # noqa: E402
+from retalis import (
+    Operators,  # noqa: E402
+    srv,  # noqa: E402
+)
+from retalis.prolog.syntax.term_reader import read_term  # noqa: E402
 
 POSE = (
     "geometry_msgs__0__PoseStamped(std_msgs__0__Header(0,[5,7],{name}),"

@@ -5,8 +5,7 @@ from typing import NamedTuple, Tuple
 
 from harness import DEFINITIONS
 
-from retalis.playback.rosbag1 import BagWriter
-from retalis.prolog.syntax.operators import Operators
+from retalis import BagWriter, Operators
 from retalis.prolog.syntax.term_reader import read_term
 
 SECOND = 10**9

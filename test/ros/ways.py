@@ -16,11 +16,9 @@ sys.path.append(str(Path(__file__).resolve().parent))
 from harness import Collector, RawPublisher, wait_until  # noqa: E402
 from waybags import BAGS, KINDS, write_bag  # noqa: E402
 
-from retalis.playback.playback import Playback  # noqa: E402
-from retalis.playback.rosbag1 import BagReader  # noqa: E402  # noqa: E402
+from retalis import BagReader, Playback, atom, functor  # noqa: E402
 from retalis.prolog.syntax.event_text import to_text  # noqa: E402
 from retalis.prolog.terms.timestamps import datime  # noqa: E402
-from retalis.prolog.terms.types import atom, functor  # noqa: E402  # noqa: E402
 
 PROGRAM = Path(__file__).resolve().parent / "ways"
 OUTPUT = functor("event", 3)

@@ -7,11 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retalis.foundation.errors import UsageError
-from retalis.prolog.terms.list_terms import make_list
+from retalis import String, UsageError, Var, atom, functor, make_list
 from retalis.prolog.terms.term_traversal import term_key
 from retalis.prolog.terms.timestamps import Stamp, WholeSeconds
-from retalis.prolog.terms.types import Lazy, String, Var, atom, functor
+from retalis.prolog.terms.types import Lazy
 from retalis.serialization.codec import from_bytes, to_bytes
 from retalis.serialization.schema import FlatKey, key
 

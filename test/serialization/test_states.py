@@ -2,12 +2,8 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.runtime.clock import StreamClock
-from retalis.foundation.errors import UsageError
-from retalis.prolog.terms.list_terms import make_list
+from retalis import Engine, StreamClock, UsageError, atom, functor, make_list
 from retalis.prolog.terms.timestamps import Stamp, WholeSeconds
-from retalis.prolog.terms.types import atom, functor
 from retalis.serialization.codec import Ref, from_bytes, to_bytes
 from retalis.serialization.state_sections import pack, unpack
 

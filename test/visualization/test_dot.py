@@ -11,8 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 
-from retalis.engine.engine import Engine
-from retalis.foundation.errors import UsageError
+from retalis import Engine, UsageError
 from retalis.visualization.program_graph import (
     KINDS,
     Graph,

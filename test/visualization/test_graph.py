@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from retalis.engine.engine import Engine
+from retalis import Engine
 from retalis.visualization.program_graph import MAX_NODES, GraphEdge, GraphTopic, graph_key, program_graph
 
 NAO = Path(__file__).resolve().parents[2] / "application_source"

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as some
 
-from retalis.foundation.errors import UsageError
+from retalis import UsageError
 from retalis.visualization.timeline import (
     MAX_LANES,
     MAX_MARKS,

@@ -1,9 +1,7 @@
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.runtime.clock import Clock, StreamClock
+from retalis import Clock, Engine, StreamClock, atom
 from retalis.prolog.terms.timestamps import SECOND
-from retalis.prolog.terms.types import atom
 
 
 def test_stamps_never_repeat_and_never_go_back():

@@ -8,11 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from retalis import Definitions, Reports
 from retalis.engine.runtime import clock_epochs
 from retalis.engine.runtime.clock_epochs import ClockEpochs
 from retalis.engine.runtime.clock_skew import ClockSkewMonitor, Early, Refused
-from retalis.engine.runtime.problem_reports import Reports
-from retalis.messages.type_registry import Definitions
 
 SECOND = 10**9
 HEADER = "\n" + "=" * 80 + "\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"

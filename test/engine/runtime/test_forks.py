@@ -7,10 +7,7 @@ import threading
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.foundation.errors import UsageError
-from retalis.prolog.machine.resource_limits import Limits
+from retalis import Engine, Limits, Settings, UsageError
 
 pytestmark = [
     pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork"),

@@ -4,8 +4,7 @@ import weakref
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.runtime.gc_tuning import collect_when_idle, limit_gc_pauses, restore_gc
+from retalis import Engine, collect_when_idle, limit_gc_pauses, restore_gc
 from retalis.events.matches.interval_index import gc_paused
 from retalis.foundation.interpreter_compatibility import PYPY, YoungCollector
 

@@ -3,8 +3,8 @@ import logging
 import pytest
 from reachability import reachable
 
-from retalis.engine.runtime.problem_reports import Reports
-from retalis.foundation.errors import Place, RetalisError, RuleError, place_at
+from retalis import Place, Reports, RetalisError, RuleError
+from retalis.foundation.errors import place_at
 
 
 @pytest.fixture

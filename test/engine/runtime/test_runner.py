@@ -3,8 +3,8 @@ import time
 
 import pytest
 
+from retalis import UsageError
 from retalis.engine.runtime.serial_executor import Recovery, SerialExecutor
-from retalis.foundation.errors import UsageError
 
 
 def make(size=100, **options):

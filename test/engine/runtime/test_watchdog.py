@@ -5,12 +5,10 @@ import threading
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
+from retalis import Engine, Limits, Settings, atom, functor
 from retalis.engine.runtime import watchdog as _watchdog
 from retalis.engine.runtime.watchdog import AtWork, Watchdog, at_work
-from retalis.prolog.machine.resource_limits import Budget, LimitError, Limits
-from retalis.prolog.terms.types import atom, functor
+from retalis.prolog.machine.resource_limits import Budget, LimitError
 
 
 class Turn:

@@ -4,9 +4,9 @@ import re
 
 import pytest
 
+from retalis import Definitions
 from retalis.engine.program_check import check_program
 from retalis.events.checks.check_registry import CHECKS, LOAD_CODES
-from retalis.messages.type_registry import Definitions
 
 
 def codes_of(folder, text):

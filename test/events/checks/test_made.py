@@ -2,12 +2,11 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
+from retalis import Definitions, Engine, TopicType
 from retalis.events.checks.event_flow_checks import never_made, never_taken
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.knowledge.knowledge_base import OWN_EVENTS
-from retalis.events.program.topic_configuration import Topics, TopicType
-from retalis.messages.type_registry import Definitions
+from retalis.events.program.topic_configuration import Topics
 
 TOPICS = Topics((TopicType("said", "std_msgs/String"),))
 

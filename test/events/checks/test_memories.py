@@ -2,8 +2,7 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.messages.type_registry import Definitions
+from retalis import Definitions, Engine
 
 
 def warnings(folder, rules):

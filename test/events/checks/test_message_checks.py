@@ -2,12 +2,11 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
+from retalis import Definitions, Engine
 from retalis.engine.program_check import check_program
 from retalis.events.checks.message_checks import wrong_messages
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.program.topic_configuration import TopicEvent, Topics, topic_type
-from retalis.messages.type_registry import Definitions
 
 HEADER = "uint32 seq\ntime stamp\nstring frame_id\n"
 WARM = f"Header header\nfloat64 warmth\n{'=' * 80}\nMSG: std_msgs/Header\n{HEADER}"

@@ -5,9 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.foundation.errors import ProgramErrors
-from retalis.messages.type_registry import Definitions
+from retalis import Definitions, Engine, ProgramErrors
 
 
 def unread(engine, folder):

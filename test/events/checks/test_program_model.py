@@ -1,8 +1,8 @@
 """What is probably meant is looked for in bounded time."""
 
+from retalis import functor
 from retalis.events.checks import program_model
 from retalis.events.checks.program_model import NearFunctors
-from retalis.prolog.terms.types import functor
 
 
 def test_of_the_same_name_is_taken_before_others_that_are_like_it():

@@ -2,8 +2,8 @@
 
 import pytest
 
+from retalis import Definitions
 from retalis.engine.program_check import check_program
-from retalis.messages.type_registry import Definitions
 
 MEMORY = "memorize(pos(P), [], pos(P), pos, 5)\n"
 RULES = """

@@ -2,11 +2,10 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
+from retalis import Definitions, Engine, TopicType
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.checks.time_checks import cycles, missed_pairs, never_meet, unbounded_keys
-from retalis.events.program.topic_configuration import Topics, TopicType
-from retalis.messages.type_registry import Definitions
+from retalis.events.program.topic_configuration import Topics
 
 TOPICS = Topics((TopicType("said", "std_msgs/String"),))
 FIRST = "e0 <- std_msgs__0__String(_) where true."

@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
+from retalis import Engine
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.checks.value_type_checks import numerals
 from retalis.events.program.topic_configuration import Topics, topic_type

@@ -6,14 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from reachability import count_entries, reachable
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
+from retalis import Engine, Settings, String, UsageError, Var, atom, functor, make_list
 from retalis.events.dispatch.dispatcher import Dispatcher
 from retalis.events.dispatch.listeners import TERM, Listener, ListenerPhase
-from retalis.foundation.errors import UsageError
-from retalis.prolog.terms.list_terms import make_list
 from retalis.prolog.terms.term_traversal import copy, variables
-from retalis.prolog.terms.types import NIL, Lazy, String, Var, atom, functor
+from retalis.prolog.terms.types import NIL, Lazy
 from retalis.prolog.terms.unification import undo, unify
 
 A, B, F = functor("a", 1), functor("b", 2), functor("f", 1)

@@ -6,14 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.engine.runtime.clock import StreamClock
+from retalis import Engine, Limits, Settings, StreamClock, Var, atom, functor, make_list
 from retalis.events.dispatch.dispatcher import Dispatcher
 from retalis.events.dispatch.listeners import ListenerPhase
-from retalis.prolog.machine.resource_limits import Limits
-from retalis.prolog.terms.list_terms import make_list
-from retalis.prolog.terms.types import Var, atom, functor
 
 TF, A, PACK = functor("tf", 2), functor("a", 1), functor("pack", 1)
 X, Y = atom("x"), atom("y")

@@ -4,10 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retalis.engine.engine import Engine
+from retalis import Engine, Var, atom, functor
 from retalis.events.dispatch import listeners as room
 from retalis.events.dispatch.listeners import NOT_READ, ListenerPhase
-from retalis.prolog.terms.types import Var, atom, functor
 
 IMAGE = functor("image", 3)
 SEEN = "subscribe(seen(_,_), [], _, t, seen)"

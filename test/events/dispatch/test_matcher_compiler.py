@@ -5,12 +5,11 @@ from events.running import text_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from retalis import String, Var, atom, functor, make_list
 from retalis.events.dispatch import matcher_compiler
 from retalis.events.dispatch.matcher_compiler import compile_builder
 from retalis.foundation.codegen import MAX_TERM_ARGUMENTS
-from retalis.prolog.terms.list_terms import make_list
 from retalis.prolog.terms.term_traversal import copy, variables
-from retalis.prolog.terms.types import String, Var, atom, functor
 
 F, G = functor("f", 1), functor("g", 2)
 VARS = [Var() for _ in range(4)]

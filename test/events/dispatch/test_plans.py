@@ -2,9 +2,8 @@
 
 import pytest
 
+from retalis import Var, functor, make_list
 from retalis.events.dispatch.discrimination_tree import make_plan, takes_all
-from retalis.prolog.terms.list_terms import make_list
-from retalis.prolog.terms.types import Var, functor
 
 P = functor("p", 2)
 

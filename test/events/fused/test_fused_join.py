@@ -7,13 +7,10 @@ from unittest.mock import patch
 import pytest
 from events.fused.switching import PATHS
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.engine.runtime.clock import StreamClock
+from retalis import Engine, Settings, StreamClock, Var, atom, functor
 from retalis.events.dispatch.listeners import ListenerPhase
 from retalis.prolog.terms.term_traversal import is_ground
 from retalis.prolog.terms.timestamps import SECOND
-from retalis.prolog.terms.types import Var, atom, functor
 
 POLICIES = ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")
 RULES = (

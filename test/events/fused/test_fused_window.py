@@ -6,12 +6,10 @@ from hypothesis import example, given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
+from retalis import Engine, Settings, String, atom, functor
 from retalis.events.network import stream_node
 from retalis.events.streams.accumulators import ExactSum
 from retalis.prolog.terms.timestamps import SECOND
-from retalis.prolog.terms.types import String, atom, functor
 
 KINDS = st.lists(
     st.sampled_from(["count", "sum(X)", "avg(X)", "min(X)", "max(Y)", "avg(Y)"]), min_size=1, max_size=3

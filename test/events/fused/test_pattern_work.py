@@ -3,9 +3,7 @@
 import pytest
 from events.fused.switching import PATHS
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.prolog.machine.resource_limits import Limits
+from retalis import Engine, Limits, Settings
 
 RULES = {
     "windows": "o(K, N, A) <- aggregate([count, avg(X)], e(K, X), [N, A], last(10)).",

@@ -9,12 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retalis.engine.engine import Engine
-from retalis.engine.runtime.clock import StreamClock
-from retalis.engine.runtime.problem_reports import Reports
-from retalis.prolog.machine.errors import PrologError
+from retalis import Engine, PrologError, Reports, StreamClock, functor
 from retalis.prolog.terms.timestamps import SECOND
-from retalis.prolog.terms.types import functor
 
 sys.path.append(str(Path(__file__).resolve().parents[2]))
 

@@ -6,11 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retalis.engine.engine import Engine
-from retalis.engine.runtime.clock import StreamClock
-from retalis.explanation.explain import explain, record_origins
-from retalis.foundation.errors import ProgramErrors
-from retalis.prolog.machine.errors import PrologError
+from retalis import Engine, ProgramErrors, PrologError, StreamClock, explain, record_origins
 from retalis.prolog.terms.timestamps import SECOND
 
 DOCKED = ":- state(docked(R), from(dock(R)), until(undock(R))).\n"

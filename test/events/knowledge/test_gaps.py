@@ -4,10 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.engine.runtime.clock import StreamClock
-from retalis.engine.runtime.problem_reports import Reports
+from retalis import Engine, Reports, Settings, StreamClock
 from retalis.events.knowledge.interpolation import MAX_NOTED_GAPS
 from retalis.prolog.terms.timestamps import SECOND
 

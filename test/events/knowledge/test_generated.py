@@ -9,10 +9,8 @@ import re
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
+from retalis import Engine, Settings, Var, functor
 from retalis.events.dispatch.listeners import ListenerPhase
-from retalis.prolog.terms.types import Var, functor
 
 KINDS = (("done", 2), ("ask", 3), ("v", 2), ("seen", 1))
 GOALS = (

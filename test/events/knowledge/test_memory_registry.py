@@ -6,12 +6,8 @@ import re
 import pytest
 from recording_engine import RecordingEngine
 
-from retalis.engine.engine import Engine
-from retalis.foundation.errors import UsageError
-from retalis.prolog.machine.errors import PrologError
-from retalis.prolog.terms.list_terms import list_items
+from retalis import Engine, PrologError, UsageError, atom, deref, list_items
 from retalis.prolog.terms.timestamps import SECOND
-from retalis.prolog.terms.types import atom, deref
 
 
 def records(engine, name="m"):

@@ -10,12 +10,9 @@ import re
 import pytest
 from recording_engine import RecordingEngine
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
+from retalis import Engine, Limits, Settings, Var, atom, functor
 from retalis.events.dispatch.dispatcher import Dispatcher
 from retalis.events.dispatch.listeners import DEPTH, ListenerPhase
-from retalis.prolog.machine.resource_limits import Limits
-from retalis.prolog.terms.types import Var, atom, functor
 
 ASK = "syncronized(answer(X, V), (prev(m, v(V), _, _, T)), [[m, T]]) <- ask(X, T).\n"
 MEMORY = "memorize(v(_), [], _, m, 10)\n"

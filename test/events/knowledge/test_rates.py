@@ -3,9 +3,7 @@
 import pytest
 from recording_engine import RecordingEngine
 
-from retalis.engine.engine import Engine
-from retalis.engine.runtime.clock import Clock
-from retalis.prolog.machine.errors import PrologError
+from retalis import Clock, Engine, PrologError
 from retalis.prolog.terms.timestamps import SECOND
 
 STREAM = "1:1:a 2:2:a 2:2.5:b 2:3:a 3:4:a 3:6:a 4:6.5:b 4:7:a 4:7.2:a 5:12:a"

@@ -5,9 +5,7 @@ import random
 import pytest
 from recording_engine import RecordingEngine
 
-from retalis.prolog.machine.errors import PrologError
-from retalis.prolog.machine.resource_limits import Limits
-from retalis.prolog.terms.types import atom, deref, functor
+from retalis import Limits, PrologError, atom, deref, functor
 
 
 def memory_of(engine):

@@ -5,11 +5,9 @@ import logging
 import pytest
 from recording_engine import RecordingEngine
 
-from retalis.engine.engine import Engine
+from retalis import Engine, PrologError, atom
 from retalis.events.dispatch.listeners import ListenerPhase
 from retalis.events.knowledge import memory
-from retalis.prolog.machine.errors import PrologError
-from retalis.prolog.terms.types import atom
 
 
 def test_delivers_what_its_conditions_let_through_in_its_own_form():

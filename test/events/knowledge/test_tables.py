@@ -4,8 +4,7 @@ import random
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.foundation.errors import RetalisError
+from retalis import Engine, RetalisError
 
 POSITIONS = "memorize(pos(P), [], pos(P), pos, 5)"
 RULES = """

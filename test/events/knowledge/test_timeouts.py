@@ -2,9 +2,7 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.runtime.clock import StreamClock
-from retalis.foundation.errors import ProgramErrors
+from retalis import Engine, ProgramErrors, StreamClock
 
 ASK = "synchronized(answer(X), access_mem(m, v(X), _), [[m, T], [n, T]], [timeout(2)]) <- ask(T).\n"
 MEMORIES = "memorize(v(_), [], _, m, 10)\nmemorize(w(_), [], _, n, 10)"

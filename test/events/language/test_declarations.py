@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from retalis import Operators, RuleError, UsageError, atom, functor
 from retalis.events.language.event_declarations import (
     KINDS,
     Argument,
@@ -13,11 +14,8 @@ from retalis.events.language.event_declarations import (
     read_kind,
 )
 from retalis.events.program.event_file_checker import FileChecker
-from retalis.foundation.errors import RuleError, UsageError
-from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_program, read_term
 from retalis.prolog.syntax.term_writer import writeq
-from retalis.prolog.terms.types import atom, functor
 
 OPERATORS = Operators.prolog()
 NAMES = st.sampled_from(["left", "motor", "T one", "a:b", "don't", "list"])

@@ -143,7 +143,7 @@ def test_a_two_sided_operator_is_one_entry(tmp_path):
     """Nothing else of the package changes: it is read, joined and limited in time, under every policy, and named."""
     copied = tmp_path / "retalis"
     shutil.copytree(str(SOURCE), str(copied), ignore=shutil.ignore_patterns("__pycache__"))
-    path = copied / "prolog" / "syntax" / "eventoperators.py"
+    path = copied / "events" / "language" / "event_operators.py"
     text = path.read_text(encoding="utf-8")
     assert text.count(AFTER) == 1
     path.write_text(text.replace(AFTER, ENTRY + AFTER), encoding="utf-8")

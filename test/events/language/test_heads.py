@@ -4,7 +4,7 @@ import pytest
 from events.refusals import assert_refused, warnings_of
 from events.running import Program
 
-from retalis.engine.runtime.clock import StreamClock
+from retalis import StreamClock
 
 
 @pytest.mark.parametrize(

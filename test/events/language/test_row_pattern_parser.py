@@ -3,7 +3,7 @@
 import pytest
 from events.running import Program, fired
 
-from retalis.foundation.errors import ProgramErrors
+from retalis import ProgramErrors
 
 RISING = "up(M) <- aggregate(count, r(M,V), _, steps([low where V < 3, high where V >= 3]))."
 STARS = "s(L) <- aggregate(list(X), e(X), L, steps([{}]))."

@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from parsing import parse_term
 
+from retalis import UsageError
 from retalis.events.language.rule_head_parser import schedule_fault, schedule_of, sets_timer
-from retalis.foundation.errors import UsageError
 from retalis.prolog.terms.timestamps import SECOND
 
 DAY = 86_400

@@ -3,8 +3,8 @@
 import pytest
 from parsing import parse_term
 
+from retalis import UsageError
 from retalis.events.language.state_parser import asked_state, declares_state, state_form
-from retalis.foundation.errors import UsageError
 from retalis.prolog.terms.timestamps import SECOND
 
 

@@ -3,8 +3,8 @@
 import pytest
 from parsing import parse_term
 
+from retalis import UsageError
 from retalis.events.language.event_declarations import KINDS, SLOT_KINDS, form_of, read_kind
-from retalis.foundation.errors import UsageError
 
 VALUES = {
     "left": "any atom event",

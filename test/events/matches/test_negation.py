@@ -5,7 +5,7 @@ import random
 import pytest
 from events.running import Program, fired
 
-from retalis.engine.engine import Engine
+from retalis import Engine
 from retalis.events.matches.expiration import SLICE
 from retalis.events.matches.negation import NegationBuffer
 

@@ -4,8 +4,8 @@ import sys
 
 import pytest
 
+from retalis import atom
 from retalis.events.matches.partial_matches import EventMatch, Identity, PartialMatch, arrival, identity
-from retalis.prolog.terms.types import atom
 
 
 @pytest.mark.parametrize(

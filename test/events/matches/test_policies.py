@@ -5,9 +5,8 @@ from enum import Enum
 import pytest
 from events.running import Program, fired, show
 
-from retalis.engine.engine import Engine
+from retalis import Engine, UsageError
 from retalis.events.matches.partial_matches import ConsumptionPolicy, check_policy
-from retalis.foundation.errors import UsageError
 
 STREAM = "a(1)@1 a(2)@2 b@3 b@4"
 TWICE = "a@1 a@2 b@3 b@4"

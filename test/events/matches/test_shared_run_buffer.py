@@ -2,9 +2,9 @@
 
 import pytest
 
+from retalis import atom
 from retalis.events.matches.partial_matches import PartialMatch
 from retalis.events.matches.shared_run_buffer import BufferSlice, SharedLog, repetitions
-from retalis.prolog.terms.types import atom
 
 
 def events(names):

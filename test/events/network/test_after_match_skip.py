@@ -3,7 +3,7 @@
 import pytest
 from events.running import Program, fired, show
 
-from retalis.engine.engine import Engine
+from retalis import Engine
 
 PAST, NEXT, KEEP = "skip_past_last", "skip_to_next", "keep"
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
+from retalis import Engine
 from retalis.events.dispatch.dispatcher import Dispatcher
 from retalis.events.network.stream_node import ReentrancyQueue
 

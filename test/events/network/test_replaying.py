@@ -5,7 +5,7 @@ from collections import Counter
 
 import pytest
 
-from retalis.engine.engine import Engine
+from retalis import Engine
 from retalis.events.network import stream_node
 
 RULES = {

@@ -6,8 +6,7 @@ import pytest
 from events.running import fired
 from events.streams.feeding import entries
 
-from retalis.engine.engine import Engine
-from retalis.engine.runtime.clock import Clock, StreamClock
+from retalis import Clock, Engine, StreamClock
 from retalis.prolog.terms.timestamps import SECOND
 
 

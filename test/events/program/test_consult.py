@@ -3,14 +3,9 @@
 import pytest
 from events.running import Program
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
+from retalis import Definitions, Engine, Limits, Omission, ProgramErrors, PrologError, Settings
 from retalis.engine.program_check import check_program
 from retalis.events.program.file_kind import _EVENT_PREDICATES
-from retalis.foundation.errors import Omission, ProgramErrors
-from retalis.messages.type_registry import Definitions
-from retalis.prolog.machine.errors import PrologError
-from retalis.prolog.machine.resource_limits import Limits
 
 
 def answers(program, goal):

@@ -3,7 +3,7 @@
 import pytest
 from events.refusals import errors_of
 
-from retalis.engine.engine import Engine
+from retalis import Engine
 
 DECLARED = ":- event temperature(motor:atom, value:number).\n"
 FORM = "temperature(motor:atom,value:number)"

@@ -3,8 +3,7 @@
 import pytest
 from events.refusals import warnings_of
 
-from retalis.engine.engine import Engine
-from retalis.foundation.errors import ProgramErrors
+from retalis import Engine, ProgramErrors
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,8 @@ import pytest
 from events.refusals import assert_refused, errors_of
 from events.running import Program, fired
 
-from retalis.engine.engine import Engine
-from retalis.foundation.errors import ProgramErrors
+from retalis import Engine, ProgramErrors, atom, functor
 from retalis.prolog.database.predicate import Predicate
-from retalis.prolog.terms.types import atom, functor
 
 
 @pytest.mark.parametrize(

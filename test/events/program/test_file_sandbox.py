@@ -5,10 +5,9 @@ import os
 
 import pytest
 
+from retalis import PrologError, RetalisError, UsageError
 from retalis.events.program.file_sandbox import FileSandbox, check_name
-from retalis.foundation.errors import RetalisError, UsageError
 from retalis.foundation.interpreter_compatibility import O_PATH
-from retalis.prolog.machine.errors import PrologError
 
 
 @pytest.fixture

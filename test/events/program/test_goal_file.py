@@ -1,8 +1,7 @@
 import pytest
 
+from retalis import Operators, SyntaxFault
 from retalis.events.program.goal_file import read_goals
-from retalis.foundation.errors import SyntaxFault
-from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import writeq
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
+from retalis import Engine
 
 FILES = {
     "a.pl": ":- module(a, [a/1, shared/1]).\n:- use_module(b).\n:- dynamic shared/1.\n"

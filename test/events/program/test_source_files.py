@@ -5,13 +5,8 @@ import os
 import pytest
 from events.running import Program, show
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.engine.runtime.clock import StreamClock
+from retalis import Engine, ProgramErrors, PrologError, Settings, StreamClock, atom
 from retalis.events.program.source_files import SourceFiles
-from retalis.foundation.errors import ProgramErrors
-from retalis.prolog.machine.errors import PrologError
-from retalis.prolog.terms.types import atom
 
 
 def write(folder, **texts):

@@ -2,19 +2,15 @@ from pathlib import Path
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
+from retalis import Engine, ProgramErrors, PrologError, Settings, TopicType, UsageError
 from retalis.events.program.topic_configuration import (
     DIRECT,
     Topics,
-    TopicType,
     direct_topics,
     read_direct,
     read_text,
     read_topics,
 )
-from retalis.foundation.errors import ProgramErrors, UsageError
-from retalis.prolog.machine.errors import PrologError
 
 APPLICATION = Path(__file__).parents[3] / "application_source"
 

@@ -7,7 +7,7 @@ from events.running import Program, show
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retalis.engine.runtime.clock import StreamClock
+from retalis import StreamClock
 from retalis.events.rules.timer_service import NodeTimers
 
 

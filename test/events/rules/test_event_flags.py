@@ -2,12 +2,8 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.engine.runtime.clock import StreamClock
+from retalis import Engine, ProgramErrors, PrologError, Settings, StreamClock, UsageError
 from retalis.events.rules.event_flags import FLAGS
-from retalis.foundation.errors import ProgramErrors, UsageError
-from retalis.prolog.machine.errors import PrologError
 from retalis.prolog.terms.timestamps import SECOND
 
 SEQ = "out(X) <- a(X) seq b(X)."

@@ -1,13 +1,11 @@
 import pytest
 from reachability import count_entries
 
+from retalis import Operators, RetalisError, functor
 from retalis.events.rules.event_predicates import InputReader, event_of
-from retalis.foundation.errors import RetalisError
 from retalis.prolog.syntax.event_text import EventReader
-from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.terms.term_traversal import freeze
 from retalis.prolog.terms.timestamps import SECOND, WholeSeconds
-from retalis.prolog.terms.types import functor
 
 STAMP = "datime(2014,10,19,19,50,5,981209993)"
 TEXTS = [

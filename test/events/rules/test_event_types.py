@@ -2,11 +2,9 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
+from retalis import Engine, ProgramErrors, PrologError, UsageError
 from retalis.engine.external_requests import add_rule
 from retalis.events.rules import event_types
-from retalis.foundation.errors import ProgramErrors, UsageError
-from retalis.prolog.machine.errors import PrologError
 
 DECLARED = ":- event temperature(motor:atom, value:number).\n"
 FORM = "temperature(motor:atom,value:number)"

@@ -6,11 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retalis.engine.engine import Engine
-from retalis.engine.runtime.clock import StreamClock
+from retalis import Engine, ProgramErrors, PrologError, RetalisError, StreamClock
 from retalis.events.rules import timer_service
-from retalis.foundation.errors import ProgramErrors, RetalisError
-from retalis.prolog.machine.errors import PrologError
 from retalis.prolog.terms.timestamps import SECOND
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
+from retalis import Engine
 
 STEPS = "aggregate(list(V), q(K, V), L, steps([up where V == up, down where V == down]))"
 LAST = "aggregate(list(V), q(K, V), L, last(3, events))"

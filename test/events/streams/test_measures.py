@@ -10,13 +10,11 @@ from hypothesis import example, given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
 
+from retalis import RuleError, atom, list_items
 from retalis.events.streams.accumulators import MEASURES
 from retalis.events.streams.stream_operator import StreamElement
 from retalis.events.streams.windows import SlidingTimeWindow
-from retalis.foundation.errors import RuleError
-from retalis.prolog.terms.list_terms import list_items
 from retalis.prolog.terms.term_traversal import term_key
-from retalis.prolog.terms.types import atom
 
 SPAN = 6
 PARTS = (0, 0.1, 0.25, 0.5, 0.9, 1)

@@ -11,9 +11,7 @@ from oracle.stepping import steps_of, whole_matches
 from oracle.strategies import Generator
 from oracle.text import write_rule
 
-from retalis.engine.engine import Engine
-from retalis.prolog.terms.list_terms import make_list
-from retalis.prolog.terms.types import Var, functor
+from retalis import Engine, Var, functor, make_list
 
 KEY, VALUE, RESULT = Var(), Var(), Var()
 READING, FOUND = functor("reading", 2), functor("found", 2)

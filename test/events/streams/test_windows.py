@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
 
+from retalis import RuleError
 from retalis.events.streams.accumulators import MEASURES
 from retalis.events.streams.windows import (
     AnchoredTumblingWindow,
@@ -15,7 +16,6 @@ from retalis.events.streams.windows import (
     SlidingTimeWindow,
     TumblingCountWindow,
 )
-from retalis.foundation.errors import RuleError
 
 ARRIVALS = stream(st.sampled_from([1, 2.5]))
 CUTS = st.integers(0, 20)

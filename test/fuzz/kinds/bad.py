@@ -7,7 +7,7 @@ import sys
 import tempfile
 from itertools import repeat
 
-from retalis.foundation.errors import UsageError
+from retalis import UsageError
 
 from .base import Kind
 

@@ -2,8 +2,8 @@
 
 import os
 
+from retalis import Playback
 from retalis.playback.bag_locations import MergedBag
-from retalis.playback.playback import Playback
 
 from ..mutate import changed_bytes
 from .base import LOGGED, SETTINGS, Kind

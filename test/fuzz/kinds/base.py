@@ -3,10 +3,7 @@
 import logging
 from pathlib import Path
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.foundation.errors import RetalisError
-from retalis.prolog.machine.resource_limits import Limits
+from retalis import Engine, Limits, RetalisError, Settings
 
 from ..mutate import to_text
 from ..watch import GROWTH, SECONDS, Finding

@@ -3,9 +3,8 @@
 import sqlite3
 from zlib import crc32
 
+from retalis import Reports, StreamClock
 from retalis.engine.checkpoints import Checkpointer, CheckpointStorage, read_checkpoint, resume
-from retalis.engine.runtime.clock import StreamClock
-from retalis.engine.runtime.problem_reports import Reports
 from retalis.serialization.codec import from_bytes, to_bytes
 
 from ..mutate import changed_bytes

@@ -3,8 +3,8 @@
 import re
 from pathlib import Path
 
+from retalis import atom
 from retalis.prolog.syntax.term_writer import write_term
-from retalis.prolog.terms.types import atom
 
 from ..mutate import changed_text, to_bytes, to_text
 from .base import ARGUMENTS, LOGGED, Kind, silent_engine

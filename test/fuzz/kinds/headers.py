@@ -2,7 +2,8 @@
 
 import json
 
-from retalis.messages.type_registry import Definitions, Installed
+from retalis import Definitions
+from retalis.messages.type_registry import Installed
 
 from ..mutate import changed_text, to_bytes, to_text
 from .base import Kind

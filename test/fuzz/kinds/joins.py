@@ -2,8 +2,7 @@
 
 from time import process_time
 
-from retalis.engine.engine_settings import Settings
-from retalis.prolog.machine.resource_limits import Limits
+from retalis import Limits, Settings
 
 from ..mutate import changed_text, to_bytes, to_text
 from ..watch import Finding

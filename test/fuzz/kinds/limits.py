@@ -9,11 +9,9 @@ import os
 import random
 import re
 
-from retalis.engine.engine_settings import Settings
-from retalis.prolog.machine.resource_limits import Limits
+from retalis import Limits, Settings, String, Var, atom, functor, make_list
 from retalis.prolog.syntax.term_writer import write_term
-from retalis.prolog.terms.list_terms import make_list
-from retalis.prolog.terms.types import MINUS, NIL, String, Var, atom, functor
+from retalis.prolog.terms.types import MINUS, NIL
 
 from ..mutate import to_bytes, to_text
 from .base import LOGGED, Kind, silent_engine

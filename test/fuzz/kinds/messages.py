@@ -3,8 +3,8 @@
 import random
 import struct
 
+from retalis import Definitions
 from retalis.messages.text_decoder import text_writer
-from retalis.messages.type_registry import Definitions
 from retalis.prolog.syntax.event_text import EventReader
 from retalis.prolog.syntax.event_text import to_text as text_of
 

@@ -7,14 +7,14 @@ mark for that.
 import json
 import re
 
+from retalis import Definitions, atom, functor
 from retalis.messages.text_decoder import text_writer
 from retalis.messages.type_definition import functor_name
-from retalis.messages.type_registry import Definitions, Installed
+from retalis.messages.type_registry import Installed
 from retalis.prolog.syntax.event_text import EventReader
 from retalis.prolog.syntax.event_text import to_text as text_of
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import writeq
-from retalis.prolog.terms.types import atom, functor
 
 from ..mutate import soup, to_bytes, to_text
 from ..watch import Finding

@@ -2,9 +2,9 @@
 
 import struct
 
+from retalis import Definitions
 from retalis.messages.ros2_types import ros2_type
 from retalis.messages.text_decoder import text_writer
-from retalis.messages.type_registry import Definitions
 from retalis.prolog.syntax.event_text import to_text as text_of
 
 from ..mutate import changed_text, soup, to_bytes, to_text

@@ -1,9 +1,7 @@
 """States with changed values, references, and lengths and right checksums, changed bytes, and pieces left out."""
 
-from retalis.engine.engine import Engine
-from retalis.foundation.errors import RetalisError, UsageError
+from retalis import Engine, Functor, RetalisError, String, UsageError, Var, atom, functor
 from retalis.prolog.terms.timestamps import WholeSeconds
-from retalis.prolog.terms.types import Functor, String, Var, atom, functor
 from retalis.serialization.codec import Ref, from_bytes, to_bytes
 from retalis.serialization.state_sections import pack, unpack
 

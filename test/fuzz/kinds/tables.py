@@ -2,9 +2,7 @@
 
 import json
 
-from retalis.engine.engine_settings import Settings
-from retalis.foundation.errors import RetalisError
-from retalis.prolog.machine.resource_limits import Limits
+from retalis import Limits, RetalisError, Settings
 
 from ..mutate import to_bytes, to_text
 from ..watch import Finding

@@ -1,9 +1,8 @@
 """Texts for the reader: a term or a syntax fault."""
 
 import retalis.events.language.event_operators  # noqa: F401 -- adds its operators to those of Prolog
-from retalis.foundation.errors import SyntaxFault
+from retalis import Operators, SyntaxFault
 from retalis.prolog.syntax.event_text import EventReader
-from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_program, read_term
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.syntax.tokenizer import ReadFlags

@@ -3,8 +3,7 @@
 import pytest
 from prolog.support import answers, first, prolog
 
-from retalis.prolog.machine.errors import PrologError
-from retalis.prolog.machine.resource_limits import Limits
+from retalis import Limits, PrologError
 from retalis.prolog.syntax.term_reader import read_term
 
 

@@ -2,8 +2,7 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.prolog.machine.errors import PrologError
+from retalis import Engine, PrologError
 
 RULES = """
 p(a, X) => X = 1.

@@ -3,8 +3,7 @@
 import pytest
 from prolog.support import answers, first, prolog
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
+from retalis import Engine, Settings
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
+from retalis import Engine
 
 
 @pytest.mark.parametrize(

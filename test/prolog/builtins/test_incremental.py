@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from prolog.support import NEVER, answers, first, prolog
 
+from retalis import Limits
 from retalis.prolog.builtins.tabling import Table, tables_of
-from retalis.prolog.machine.resource_limits import Limits
 from retalis.prolog.syntax.term_reader import read_term
 
 PROGRAM = """

@@ -6,10 +6,10 @@ from functools import cmp_to_key
 import pytest
 from prolog.support import answers, first, prolog
 
+from retalis import String, Var, atom, functor, make_list
 from retalis.prolog.builtins.list_predicates import sort_by, sort_terms, sort_unique
-from retalis.prolog.terms.list_terms import make_list
 from retalis.prolog.terms.term_traversal import copy, rebuild, variables
-from retalis.prolog.terms.types import NIL, String, Var, atom, functor
+from retalis.prolog.terms.types import NIL
 from retalis.prolog.terms.unification import compare
 
 CONSTANTS = [

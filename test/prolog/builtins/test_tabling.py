@@ -6,8 +6,8 @@ from collections import Counter
 import pytest
 from prolog.support import answers, first, prolog
 
+from retalis import Limits
 from retalis.prolog.builtins.tabling import tables_of
-from retalis.prolog.machine.resource_limits import Limits
 from retalis.prolog.syntax.term_reader import read_term
 
 PROGRAM = """

@@ -5,16 +5,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from prolog.support import answers, first, prolog
 
-from retalis.foundation.errors import SyntaxFault
+from retalis import Operators, String, SyntaxFault, atom
 from retalis.prolog.builtins import text_streams
 from retalis.prolog.builtins.text_streams import MAX_OPEN_STREAMS, InputStream, streams_of
 from retalis.prolog.machine.errors import existence_error, permission_error
-from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_program
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.syntax.tokenizer import ReadFlags
 from retalis.prolog.system.prolog_system import mend
-from retalis.prolog.terms.types import String, atom
 
 
 class Folder:

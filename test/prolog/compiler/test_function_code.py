@@ -6,10 +6,9 @@ import pytest
 from prolog.compiler.test_compiled import term
 from prolog.support import NEVER, prolog, show
 
-from retalis.prolog.machine.errors import PrologError
+from retalis import PrologError, Var, functor
 from retalis.prolog.machine.machine import BAIL
 from retalis.prolog.syntax.term_reader import read_term
-from retalis.prolog.terms.types import Var, functor
 
 PROGRAM = """
 inc(X, Y) :- Y is X + 1.

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from retalis import Var, atom, functor
 from retalis.prolog.system.prolog_system import PrologSystem
 from retalis.prolog.terms.term_traversal import copy, resolve, variables
-from retalis.prolog.terms.types import Var, atom, functor
 from retalis.prolog.terms.unification import compare, undo, unify
 
 ATOMS = st.sampled_from([atom("a"), atom("[]"), atom("b")])

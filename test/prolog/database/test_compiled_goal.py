@@ -5,12 +5,11 @@ import traceback
 import pytest
 from prolog.support import answers, first, prolog
 
-from retalis.prolog.machine.errors import PrologError, type_error
+from retalis import Limits, PrologError, Var, atom, deref, functor
+from retalis.prolog.machine.errors import type_error
 from retalis.prolog.machine.machine import LAST, Code
-from retalis.prolog.machine.resource_limits import Limits
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.system.prolog_system import PrologSystem
-from retalis.prolog.terms.types import Var, atom, deref, functor
 
 
 def goal(logic, text, inputs, outputs):

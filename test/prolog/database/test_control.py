@@ -3,8 +3,8 @@
 import pytest
 from prolog.support import NEVER, answers, first, prolog
 
+from retalis import PrologError
 from retalis.prolog.machine import machine
-from retalis.prolog.machine.errors import PrologError
 from retalis.prolog.syntax.term_reader import read_term
 
 PROGRAM = """

@@ -3,8 +3,8 @@
 import pytest
 from prolog.support import NEVER, answers, prolog
 
-from retalis.prolog.machine.errors import PrologError, type_error
-from retalis.prolog.terms.types import atom, deref, functor
+from retalis import PrologError, atom, deref, functor
+from retalis.prolog.machine.errors import type_error
 
 PROGRAM = """
 half(X, Y) :- half_of(X, Y).

@@ -3,13 +3,10 @@
 import pytest
 from prolog.support import answers, first, prolog
 
-from retalis.engine.engine import Engine
-from retalis.foundation.errors import ProgramErrors
+from retalis import Engine, ProgramErrors, PrologError, Var, atom, functor
 from retalis.prolog.builtins.builtin_registry import ENTRIES
 from retalis.prolog.compiler.clause_nodes import FIXED
 from retalis.prolog.database.clause_index import NEVER
-from retalis.prolog.machine.errors import PrologError
-from retalis.prolog.terms.types import Var, atom, functor
 
 
 def rule_for(key):

@@ -5,12 +5,10 @@ from pathlib import Path
 import pytest
 from prolog.support import show
 
-from retalis.prolog.machine.errors import PrologError
+from retalis import PrologError, atom, functor, make_list
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.system.prolog_system import PrologSystem
-from retalis.prolog.terms.list_terms import make_list
 from retalis.prolog.terms.term_traversal import copy
-from retalis.prolog.terms.types import atom, functor
 
 ROWS = [
     line.split("\t")

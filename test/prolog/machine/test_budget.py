@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from retalis import Limits, atom
 from retalis.prolog.machine import resource_limits as _budget
 from retalis.prolog.machine.resource_limits import (
     LOOP,
@@ -16,9 +17,7 @@ from retalis.prolog.machine.resource_limits import (
     Left,
     LimitError,
     LimitPassed,
-    Limits,
 )
-from retalis.prolog.terms.types import atom
 
 
 class Turn:

@@ -5,14 +5,9 @@ import pickle
 import pytest
 from prolog.support import first, prolog
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
+from retalis import Engine, Limits, ProgramErrors, PrologError, Settings, UsageError, Var, atom, functor
 from retalis.foundation.cancellation import look
-from retalis.foundation.errors import ProgramErrors, UsageError
-from retalis.prolog.machine.errors import PrologError
-from retalis.prolog.machine.resource_limits import Limits
 from retalis.prolog.syntax.term_writer import writeq
-from retalis.prolog.terms.types import Var, atom, functor
 
 PROGRAM = """
 loop :- loop.

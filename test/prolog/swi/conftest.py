@@ -4,10 +4,7 @@ import os
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.foundation.errors import UsageError
-from retalis.prolog.machine.resource_limits import Limits
+from retalis import Engine, Limits, Settings, UsageError
 from retalis.prolog.swi.libswipl import find_library
 
 ASKED = "RETALIS_TEST_SWI"

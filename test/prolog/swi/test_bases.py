@@ -4,9 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.prolog.machine.errors import PrologError
+from retalis import Engine, PrologError, Settings
 
 FOLDER = Path(__file__).resolve().parent / "bases"
 

@@ -5,10 +5,8 @@ import threading
 
 import pytest
 
-from retalis.foundation.errors import RetalisError
-from retalis.prolog.machine.errors import PrologError
-from retalis.prolog.machine.resource_limits import LimitError, Limits
-from retalis.prolog.terms.types import Var, deref, functor
+from retalis import Limits, PrologError, RetalisError, Var, deref, functor
+from retalis.prolog.machine.resource_limits import LimitError
 
 
 def shown(engine, goal):

@@ -4,11 +4,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from retalis import String, Var, atom, deref, functor, make_list
 from retalis.prolog.swi.use_swi import SwiFile, use_swi
 from retalis.prolog.system.prolog_system import PrologSystem
-from retalis.prolog.terms.list_terms import make_list
 from retalis.prolog.terms.term_traversal import variant_key
-from retalis.prolog.terms.types import NIL, String, Var, atom, deref, functor
+from retalis.prolog.terms.types import NIL
 
 TEXTS = st.text(max_size=12)
 CONSTANTS = st.one_of(

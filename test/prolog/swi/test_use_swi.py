@@ -8,9 +8,7 @@ import sys
 import pytest
 from source import ROOT
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.foundation.errors import ProgramErrors, RetalisError, UsageError
+from retalis import Engine, ProgramErrors, RetalisError, Settings, UsageError
 from retalis.foundation.interpreter_compatibility import PYPY
 from retalis.prolog.swi import libswipl
 

@@ -4,7 +4,8 @@ import struct
 
 from hypothesis import strategies as st
 
-from retalis.prolog.terms.types import CONS, NIL, Atom, String, Var, atom, deref, functor
+from retalis import Atom, String, Var, atom, deref, functor
+from retalis.prolog.terms.types import CONS, NIL
 
 
 def shape(term):

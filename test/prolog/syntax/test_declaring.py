@@ -2,8 +2,7 @@
 
 import pytest
 
-from retalis.foundation.errors import SyntaxFault
-from retalis.prolog.syntax.operators import Operators
+from retalis import Operators, SyntaxFault
 from retalis.prolog.syntax.term_reader import read_program, read_term
 from retalis.prolog.syntax.term_writer import writeq
 from retalis.prolog.syntax.tokenizer import ReadFlags

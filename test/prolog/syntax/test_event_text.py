@@ -6,15 +6,13 @@ from hypothesis import strategies as st
 from reachability import count_entries, reachable
 from sample_terms import shape, terms
 
+from retalis import Operators, SyntaxFault, Var, atom, list_items
 from retalis.foundation.bounded_caches import Cache
-from retalis.foundation.errors import SyntaxFault
 from retalis.prolog.syntax.event_text import EventReader, to_text
-from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.syntax.tokenizer import ReadFlags
-from retalis.prolog.terms.list_terms import list_items
-from retalis.prolog.terms.types import FALSE, TRUE, Var, atom
+from retalis.prolog.terms.types import FALSE, TRUE
 
 OPERATORS = Operators.prolog()
 TF = (

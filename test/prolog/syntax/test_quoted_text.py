@@ -2,9 +2,8 @@
 
 import pytest
 
-from retalis.foundation.errors import SyntaxFault
+from retalis import Operators, SyntaxFault
 from retalis.prolog.syntax.event_text import EventReader
-from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.quoted_text import closing, unclosed_end
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.tokenizer import ReadFlags

@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.prolog.syntax.operators import Operators
+from retalis import Operators
 from retalis.prolog.syntax.term_reader import read_program, read_term
 from retalis.prolog.syntax.term_writer import write_term
 

@@ -2,9 +2,8 @@
 
 import pytest
 
-from retalis.foundation.errors import SyntaxFault
+from retalis import Operators, SyntaxFault
 from retalis.prolog.syntax import term_reader
-from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import ReadTerm, read_program
 from retalis.prolog.syntax.term_writer import writeq
 

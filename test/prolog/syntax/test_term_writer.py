@@ -4,12 +4,11 @@ import math
 
 import pytest
 
+from retalis import Operators, String, Var, atom, functor, make_list
 from retalis.prolog.syntax.event_text import to_text
-from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import write_term, writeq
-from retalis.prolog.terms.list_terms import make_list
-from retalis.prolog.terms.types import CONS, NIL, Lazy, String, Var, atom, functor, serial
+from retalis.prolog.terms.types import CONS, NIL, Lazy, serial
 
 OPERATORS = Operators.prolog()
 for _entry in (

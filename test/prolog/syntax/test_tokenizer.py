@@ -4,15 +4,13 @@ import math
 
 import pytest
 
-from retalis.foundation.errors import SyntaxFault
+from retalis import Operators, String, SyntaxFault, atom, make_list
 from retalis.prolog.syntax import literals
 from retalis.prolog.syntax.event_text import to_text
-from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.syntax.tokenizer import ReadFlags
-from retalis.prolog.terms.list_terms import make_list
-from retalis.prolog.terms.types import NIL, String, atom
+from retalis.prolog.terms.types import NIL
 
 OPERATORS = Operators.prolog()
 

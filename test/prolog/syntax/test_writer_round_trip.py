@@ -3,14 +3,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sample_terms import names, shape, terms
 
+from retalis import Functor, Operators, atom, functor
 from retalis.events.language.event_operators import EVENT_OPERATORS
 from retalis.prolog.syntax.event_text import to_text
-from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_program, read_term
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.syntax.tokenizer import ReadFlags
 from retalis.prolog.system.prolog_system import PrologSystem
-from retalis.prolog.terms.types import Functor, atom, functor
 
 EVENT = ReadFlags(event_text=True)
 

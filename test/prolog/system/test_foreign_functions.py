@@ -8,15 +8,21 @@ from typing import Any, Iterator, List
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.foundation.errors import ProgramErrors, RetalisError, UsageError
-from retalis.prolog.machine.errors import PrologError
-from retalis.prolog.machine.resource_limits import Limits
+from retalis import (
+    Compound,
+    Engine,
+    Limits,
+    ProgramErrors,
+    PrologError,
+    RetalisError,
+    Settings,
+    Term,
+    UsageError,
+    atom,
+    foreign,
+    functor,
+)
 from retalis.prolog.syntax.term_writer import writeq
-from retalis.prolog.system.foreign_functions import foreign
-from retalis.prolog.system.value_conversion import Compound
-from retalis.prolog.terms.types import Term, atom, functor
 
 
 @foreign

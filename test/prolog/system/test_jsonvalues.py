@@ -6,12 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retalis.foundation.errors import UsageError
-from retalis.prolog.syntax.operators import Operators
+from retalis import Operators, UsageError, Var, functor, make_list, to_term
 from retalis.prolog.syntax.term_reader import read_term
-from retalis.prolog.system.value_conversion import to_json, to_term
-from retalis.prolog.terms.list_terms import make_list
-from retalis.prolog.terms.types import Var, functor
+from retalis.prolog.system.value_conversion import to_json
 
 VALUES = st.recursive(
     st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),

@@ -2,10 +2,7 @@
 
 import pytest
 
-from retalis.engine.engine import Engine
-from retalis.engine.engine_settings import Settings
-from retalis.prolog.machine.errors import PrologError
-from retalis.prolog.machine.resource_limits import Limits
+from retalis import Engine, Limits, PrologError, Settings
 
 
 @pytest.fixture

@@ -2,12 +2,9 @@
 
 import pytest
 
-from retalis.foundation.errors import UsageError
-from retalis.prolog.syntax.operators import Operators
+from retalis import Compound, Operators, String, UsageError, atom, to_python, to_term
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import writeq
-from retalis.prolog.system.value_conversion import Compound, to_python, to_term
-from retalis.prolog.terms.types import String, atom
 
 
 @pytest.mark.parametrize(

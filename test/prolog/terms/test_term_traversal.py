@@ -3,10 +3,9 @@
 import pytest
 from prolog.support import answers, prolog
 
-from retalis.prolog.machine.resource_limits import Limits
-from retalis.prolog.terms.list_terms import make_list
+from retalis import Limits, Var, functor, make_list
 from retalis.prolog.terms.term_traversal import contains_itself
-from retalis.prolog.terms.types import CONS, Var, functor
+from retalis.prolog.terms.types import CONS
 from retalis.prolog.terms.unification import unify
 
 REFUSED = ["resource_error(term_size)"]

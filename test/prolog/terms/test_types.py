@@ -7,8 +7,8 @@ import threading
 import pytest
 from reachability import reachable
 
+from retalis import atom, functor
 from retalis.prolog.terms import types
-from retalis.prolog.terms.types import atom, functor
 
 
 def test_one_atom_for_a_name():

@@ -1,7 +1,6 @@
 """Unification goes to where terms differ, and no further than it has to."""
 
-from retalis.prolog.terms.list_terms import make_list
-from retalis.prolog.terms.types import Var, atom, functor
+from retalis import Var, atom, functor, make_list
 from retalis.prolog.terms.unification import unify
 
 F = functor("f", 1)
