@@ -48,13 +48,13 @@ from .runtime.problem_reports import Reports
 APPLICATION = 0x72746C73
 """``PRAGMA application_id`` of a checkpoint file, the letters ``rtls``."""
 
-_TABLES = """
+_TABLE_DEFINITIONS = """
 CREATE TABLE IF NOT EXISTS sections (name TEXT PRIMARY KEY, data BLOB NOT NULL, checked INTEGER NOT NULL);
 CREATE TABLE IF NOT EXISTS records (memory INTEGER, first INTEGER, number INTEGER NOT NULL, data BLOB NOT NULL,
     checked INTEGER NOT NULL, PRIMARY KEY (memory, first));
 """
 
-_ASIDE = ".aside"
+_REFUSED_FILE_SUFFIX = ".aside"
 """Suffix of a file that `resume` has refused."""
 
 ProgramFiles = List[Tuple[str, str]]
@@ -62,7 +62,7 @@ ProgramFiles = List[Tuple[str, str]]
 
 
 MAX_REFUSED_FILES = 9
-"""Refused files that are kept; the last one is overwritten by the next."""
+"""Maximum number of refused files; when it is reached, a new one replaces the last one."""
 
 MAX_FILE_BYTES = (1 << 31) - 1
 """Maximum size of a checkpoint in bytes. SQLite accepts no higher length limit."""
@@ -73,7 +73,7 @@ _INSTRUCTIONS_PER_STEP, _MIN_STEPS, _BYTES_PER_STEP = 1000, 200, 250
 A crafted file cannot make a query run forever.
 """
 
-_PICKLED = b"\x80\x04"
+_PICKLE_PREFIX = b"\x80\x04"
 """First bytes of a section in files of format 5 and older, which were pickles."""
 
 
@@ -130,15 +130,17 @@ class CheckpointStorage:
         self.path = path
         try:
             self._base = sqlite3.connect(str(path), isolation_level=None, check_same_thread=False)
-            _value(self._base, "PRAGMA journal_mode = WAL")
+            _query_value(self._base, "PRAGMA journal_mode = WAL")
             self._base.execute("PRAGMA synchronous = NORMAL")
             # The schema of an existing file is not trusted: functions in its views and triggers must not run.
             self._base.execute("PRAGMA trusted_schema = OFF")
             # One transaction creates all tables and the application id, so that a reader, also after a kill, finds
             # either an empty database or a complete schema.
-            self._base.executescript(f"BEGIN; PRAGMA application_id = {APPLICATION}; {_TABLES} COMMIT;")
+            self._base.executescript(
+                f"BEGIN; PRAGMA application_id = {APPLICATION}; {_TABLE_DEFINITIONS} COMMIT;"
+            )
             _check_schema(self._base)
-            newest = _value(self._base, "SELECT max(memory) FROM records")
+            newest = _query_value(self._base, "SELECT max(memory) FROM records")
             self.next_number: int = 0 if newest is None else newest + 1
             # The last process that opens the file owns it. `write` compares the number, so that a second engine that
             # starts with the same file does not mix its records with those of the first one.
@@ -165,7 +167,7 @@ class CheckpointStorage:
         base = self._base
         try:
             base.execute("BEGIN IMMEDIATE")
-            if _value(base, "PRAGMA user_version") != self._owner:
+            if _query_value(base, "PRAGMA user_version") != self._owner:
                 raise FileTaken(f"{self.path}: another process writes to this file: this one writes no more")
             base.executemany(
                 "INSERT OR REPLACE INTO sections VALUES (?, ?, ?)",
@@ -178,7 +180,7 @@ class CheckpointStorage:
                     "DELETE FROM records WHERE memory = ? AND first >= ?", (batch.memory, batch.first)
                 )
                 base.execute("INSERT INTO records VALUES (?, ?, ?, ?, ?)", (*batch, crc32(batch.data)))
-            # A batch is deleted when all of its records have left the memory; batches are never split.
+            # A batch is deleted when the memory has evicted all records of it; batches are never split.
             base.executemany(
                 "DELETE FROM records WHERE memory = ? AND first + number <= ?", list(oldest.items())
             )
@@ -194,13 +196,14 @@ class CheckpointStorage:
         try:
             if self._base.in_transaction:
                 self._base.execute("ROLLBACK")
-        # The error that made the rollback necessary is already being raised; the next write starts a transaction.
         except sqlite3.Error:
+            # The error that made the rollback necessary is already being raised. The next write begins a new
+            # transaction.
             return
 
-    def _delete_missing(self, kept: Dict[int, int]) -> None:
+    def _delete_missing(self, existing: Dict[int, int]) -> None:
         stored = [memory for (memory,) in self._base.execute("SELECT DISTINCT memory FROM records")]
-        deleted = [(memory,) for memory in stored if memory not in kept]
+        deleted = [(memory,) for memory in stored if memory not in existing]
         if deleted:
             self._base.executemany("DELETE FROM records WHERE memory = ?", deleted)
 
@@ -228,7 +231,7 @@ def read_checkpoint(path: Path) -> Optional[Checkpoint]:
     except sqlite3.Error as error:
         raise UsageError(f"it cannot be opened: {error}") from error
     try:
-        return _read(base, size)
+        return _read_contents(base, size)
     except sqlite3.Error as error:
         raise UsageError(f"it is not a checkpoint, or is damaged: {error}") from error
     finally:
@@ -245,7 +248,7 @@ def _limit_reading(base: sqlite3.Connection, size: int) -> None:
     base.execute("PRAGMA cell_size_check = ON")
 
 
-def _schema(base: sqlite3.Connection) -> List[Tuple[Any, ...]]:
+def _read_schema(base: sqlite3.Connection) -> List[Tuple[Any, ...]]:
     return base.execute("SELECT type, name, tbl_name, sql FROM sqlite_master ORDER BY name").fetchall()
 
 
@@ -256,13 +259,13 @@ def _check_schema(base: sqlite3.Connection) -> None:
         UsageError: if the schema differs.
     """
     # SQLite stores the text of CREATE statements, so equal schemas have equal rows in ``sqlite_master``.
-    ours = sqlite3.connect(":memory:")
+    expected_database = sqlite3.connect(":memory:")
     try:
-        ours.executescript(_TABLES)
-        if _schema(ours) != _schema(base):
+        expected_database.executescript(_TABLE_DEFINITIONS)
+        if _read_schema(expected_database) != _read_schema(base):
             raise UsageError("it is a database of something else: its tables are not those of a checkpoint")
     finally:
-        ours.close()
+        expected_database.close()
 
 
 def _check_lengths(base: sqlite3.Connection, size: int) -> None:
@@ -271,51 +274,51 @@ def _check_lengths(base: sqlite3.Connection, size: int) -> None:
     for table, *columns in (("sections", "name", "data"), ("records", "data")):
         # ``total`` returns a float and does not overflow, as ``sum`` would for crafted lengths.
         for column in columns:
-            total += _value(base, f"SELECT total(length({column})) FROM {table}")
-        if _value(base, f"SELECT count(*) FROM {table} WHERE typeof(data) <> 'blob'"):
+            total += _query_value(base, f"SELECT total(length({column})) FROM {table}")
+        if _query_value(base, f"SELECT count(*) FROM {table} WHERE typeof(data) <> 'blob'"):
             raise UsageError(f"it is damaged: the table {table} has data of another type")
     # Written as `not <=` because the total can be NaN for a crafted file.
     if not total <= size:
         raise UsageError("it is damaged: it says that it contains more than the file has")
 
 
-def _read(base: sqlite3.Connection, size: int) -> Optional[Checkpoint]:
+def _read_contents(base: sqlite3.Connection, size: int) -> Optional[Checkpoint]:
     _limit_reading(base, size)
     # A transaction, so that all queries see the same checkpoint even if another process writes meanwhile.
     base.execute("BEGIN")
-    if not _value(base, "SELECT count(*) FROM sqlite_master"):
+    if not _query_value(base, "SELECT count(*) FROM sqlite_master"):
         # The file was created, and its tables are not committed yet.
         return None
-    if _value(base, "PRAGMA application_id") != APPLICATION:
+    if _query_value(base, "PRAGMA application_id") != APPLICATION:
         raise UsageError("it is a database of something else")
     _check_schema(base)
     _check_lengths(base, size)
     data_by_name = {
-        name: _verified(data, check)
+        name: _verify_checksum(data, check)
         for name, data, check in base.execute("SELECT name, data, checked FROM sections")
     }
     if not data_by_name:
         return None
     if "about" not in data_by_name:
         raise UsageError("it is damaged: it does not say what it is")
-    header = _about(data_by_name.pop("about"))
+    header = _read_header(data_by_name.pop("about"))
     missing = SECTIONS.keys() - data_by_name.keys()
     if missing:
         raise UsageError(f"it is damaged: it has no section {', '.join(sorted(missing))}")
     sections = {name: read_section(name, data) for name, data in data_by_name.items()}
     if len({number for number, _, _ in header["memories"]}) != len(header["memories"]):
         raise UsageError("it is damaged: two memories have the same records")
-    records = [_records(base, *memory) for memory in header["memories"]]
+    records = [_read_batches(base, *memory) for memory in header["memories"]]
     return Checkpoint(sections, records, header["files"], header["made"])
 
 
-def _about(data: bytes) -> Dict[str, Any]:
+def _read_header(data: bytes) -> Dict[str, Any]:
     """Return the decoded section ``about`` of a file.
 
     Raises:
         UsageError: if the file has another format version or is damaged.
     """
-    if data.startswith(_PICKLED):
+    if data.startswith(_PICKLE_PREFIX):
         raise UsageError(
             "it was written by an older version of the package: it has format 5 or older, a pickle, which is never "
             f"read; this version reads format {FORMAT}"
@@ -328,7 +331,7 @@ def _about(data: bytes) -> Dict[str, Any]:
     return checked
 
 
-def _value(base: sqlite3.Connection, query: str) -> Any:
+def _query_value(base: sqlite3.Connection, query: str) -> Any:
     """Return the single value of a query.
 
     All rows are fetched, because a statement that is not exhausted keeps a read lock and blocks the commit.
@@ -337,24 +340,24 @@ def _value(base: sqlite3.Connection, query: str) -> Any:
     return value
 
 
-def _records(base: sqlite3.Connection, number: int, oldest: int, end: Any) -> List[Any]:
+def _read_batches(base: sqlite3.Connection, number: int, oldest: int, end_batch: Any) -> List[Any]:
     """Return the batches of records of a memory.
 
     Args:
         base: the open file.
         number: number of the memory in the file.
         oldest: number of records that were stored before the oldest one of the memory.
-        end: an empty batch, positioned after the newest record.
+        end_batch: an empty batch, positioned after the newest record.
     """
     query = "SELECT data, checked FROM records WHERE memory = ? ORDER BY first"
-    parts = [read_records(_verified(*row)) for row in base.execute(query, (number,))]
-    first = parts[0][0] if parts else end[0]
+    batches = [read_records(_verify_checksum(*row)) for row in base.execute(query, (number,))]
+    first = batches[0][0] if batches else end_batch[0]
     if first > oldest:
         raise UsageError("it is damaged: records of a memory are missing")
-    return [*parts, end]
+    return [*batches, end_batch]
 
 
-def _verified(data: bytes, check: int) -> bytes:
+def _verify_checksum(data: bytes, check: int) -> bytes:
     if not isinstance(data, bytes) or crc32(data) != check:
         raise UsageError("it is damaged: a part of it is not what was written")
     return data
@@ -381,31 +384,29 @@ def put_aside(path: Path) -> Path:
     """
     if not path.is_file():
         raise UsageError(f"{path} is not a file")
-    names = [
-        Path(f"{path}{_ASIDE}{number if number > 1 else ''}") for number in range(1, MAX_REFUSED_FILES + 1)
+    candidates = [
+        Path(f"{path}{_REFUSED_FILE_SUFFIX}{number if number > 1 else ''}")
+        for number in range(1, MAX_REFUSED_FILES + 1)
     ]
-    aside = next((name for name in names if not name.exists()), names[-1])
+    aside_path = next((candidate for candidate in candidates if not candidate.exists()), candidates[-1])
     try:
         # The main file is renamed last: after a crash in between, the next start finds and refuses it again.
         for ending in ("-wal", "-shm", ""):
-            source, target = Path(f"{path}{ending}"), Path(f"{aside}{ending}")
+            source, target = Path(f"{path}{ending}"), Path(f"{aside_path}{ending}")
             if source.exists():
                 os.replace(source, target)
             elif target.exists():
                 target.unlink()
     except OSError as error:
         raise UsageError(f"cannot put {path} aside: {error.strerror}") from error
-    return aside
+    return aside_path
 
 
 MIN_INTERVAL_SECONDS = 0.5
 """Minimum interval between two checkpoints, in seconds."""
 
 MIN_PAUSE_FACTOR = 20
-"""The pause after a checkpoint is at least this multiple of the time that it took, so writing uses at most 5 % of the
-
-time.
-"""
+"""Minimum pause after a checkpoint, as a multiple of its duration: writing uses at most 5 % of the time."""
 
 RECORDS_PER_STEP = 200
 """Records that are encoded in one step; other Python threads wait for the duration of a step."""
@@ -472,8 +473,8 @@ class Checkpointer:
     def end(self) -> None:
         """Write a last checkpoint and stop; wait at most `FINAL_WRITE_SECONDS` for a busy engine."""
         self._ending.set()
-        # Never started: a node that ends at once still leaves a checkpoint.
         if self._thread.ident is None:
+            # The thread was never started: a node that ends immediately still writes a checkpoint.
             self._finish()
         else:
             self._thread.join(FINAL_WRITE_SECONDS)
@@ -497,10 +498,9 @@ class Checkpointer:
         """Write a checkpoint and report errors; return whether to continue."""
         try:
             self.write()
-        # Any exception is reported here and does not end the thread: the next attempt may succeed, for example when
-        # the disk has space again. The failed attempt has consumed the change marks, so the next one writes
-        # everything.
         except Exception as error:
+            # The thread continues, because the next attempt may succeed, for example when the disk has space again.
+            # The failed attempt has consumed the change marks, so the next one writes the complete state.
             self._snapshot = EngineSnapshot(self._engine)
             self._memories = {}
             self._reports.error(error)
@@ -520,10 +520,12 @@ class Checkpointer:
         if clauses is not None:
             sections["clauses"] = to_bytes(clauses)
         self._update_digests()
-        batches = [batch for number, new in records for batch in _batches(number, new)]
-        memories = [(number, new.oldest, keep_records(new.end())) for number, new in records]
+        batches = [batch for number, unwritten in records for batch in _encode_batches(number, unwritten)]
+        memories = [
+            (number, unwritten.oldest, keep_records(unwritten.end())) for number, unwritten in records
+        ]
         sections["about"] = to_bytes(about_state(list(self._files.items()), memories, time.time()))
-        self._file.write(sections, batches, {number: new.oldest for number, new in records})
+        self._file.write(sections, batches, {number: unwritten.oldest for number, unwritten in records})
         self.written += 1
 
     def _update_digests(self) -> None:
@@ -534,7 +536,8 @@ class Checkpointer:
         engine = self._engine
         deployments = list(engine.deployments.values())
         if len(deployments) != len(self._deployments) or any(
-            new is not old for new, old in zip(deployments, self._deployments)
+            deployment is not known_deployment
+            for deployment, known_deployment in zip(deployments, self._deployments)
         ):
             self._deployments, self._files = deployments, {}
         names = own_files(self._program, [str(path) for path in list(engine.rules.files.loaded)])
@@ -552,25 +555,25 @@ class Checkpointer:
         memories: Dict[MemoryInstance, _FilePosition] = {}
         records = []
         for instance in self._engine.knowledge.memories:
-            known = self._memories.get(instance)
+            file_position = self._memories.get(instance)
             memory = instance.memory
             # `memory.changed` is the lowest position that an insertion out of order has moved since the previous
             # checkpoint; everything from there on is written again.
-            since = 0 if known is None else min(known.added, memory.changed)
+            first_changed = 0 if file_position is None else min(file_position.added, memory.changed)
             memory.changed = NEVER
-            number = next(self._numbers) if known is None else known.number
+            number = next(self._numbers) if file_position is None else file_position.number
             memories[instance] = _FilePosition(number, memory.added)
-            records.append((number, new_records(instance, since)))
+            records.append((number, new_records(instance, first_changed)))
         self._memories = memories
         self.longest = max(self.longest, time.monotonic() - begin)
         return sections, clauses, records
 
 
-def _batches(number: int, new: NewRecords) -> Iterator[RecordBatch]:
+def _encode_batches(number: int, unwritten: NewRecords) -> Iterator[RecordBatch]:
     """Yield records in encoded batches, and let other Python threads run between two batches."""
-    for position in range(0, len(new.records), RECORDS_PER_STEP):
-        part = new.part(position, position + RECORDS_PER_STEP)
-        yield RecordBatch(number, part.first, len(part.records), to_bytes(keep_records(part)))
+    for position in range(0, len(unwritten.records), RECORDS_PER_STEP):
+        batch = unwritten.part(position, position + RECORDS_PER_STEP)
+        yield RecordBatch(number, batch.first, len(batch.records), to_bytes(keep_records(batch)))
         time.sleep(0)
 
 
@@ -581,8 +584,8 @@ def own_files(folder: Path, loaded: Sequence[str]) -> List[str]:
         folder: folder of the program.
         loaded: paths of the event files that it has loaded.
     """
-    own = [str(folder.absolute() / name) for name in (GOALS, TOPICS)]
-    return [*own, *(path for path in sorted(loaded) if path not in own)]
+    fixed_files = [str(folder.absolute() / name) for name in (GOALS, TOPICS)]
+    return [*fixed_files, *(path for path in sorted(loaded) if path not in fixed_files)]
 
 
 def digest(name: str) -> str:
@@ -637,6 +640,6 @@ def _check_files(files: ProgramFiles, folder: Path) -> None:
     """
     if not files or files[0][0] != str(folder.absolute() / GOALS):
         raise UsageError(f"it is of another program: {files[0][0] if files else 'none'}")
-    for name, known in files:
-        if digest(name) != known:
+    for name, expected_digest in files:
+        if digest(name) != expected_digest:
             raise UsageError(f"{name} has changed since it was read")

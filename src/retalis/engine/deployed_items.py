@@ -24,7 +24,7 @@ from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.term_traversal import term_key
 from ..prolog.terms.types import Functor, Term, functor
 
-_CLAUSE = functor(":-", 2)
+_CLAUSE_FUNCTOR = functor(":-", 2)
 
 ItemKey = TypeVar("ItemKey", bound=Hashable)
 Clauses = Dict[Predicate, List[Clause]]
@@ -64,7 +64,7 @@ class Deployment(NamedTuple):
         # Items are compared by identity, not by equality: an item that was deleted and defined again is a new one.
         rules, files = set(before.rules), before.files
         clauses = {
-            predicate: _without(clause_list, before.clauses.get(predicate, ()))
+            predicate: _exclude(clause_list, before.clauses.get(predicate, ()))
             for predicate, clause_list in self.clauses.items()
         }
         properties = {
@@ -74,15 +74,15 @@ class Deployment(NamedTuple):
         return Deployment(
             [rule for rule in self.rules if rule not in rules],
             {predicate: clause_list for predicate, clause_list in clauses.items() if clause_list},
-            _new_in(self.memories, before.memories),
-            _new_in(self.subscriptions, before.subscriptions),
+            _select_new(self.memories, before.memories),
+            _select_new(self.subscriptions, before.subscriptions),
             {key: items for key, items in properties.items() if items},
             {name: value for name, value in self.flags.items() if value != before.flags[name]},
             self.dynamic - before.dynamic,
             self.replaced - before.replaced,
             self.files - files,
-            _new_in(self.timers, before.timers),
-            _new_in(self.states, before.states),
+            _select_new(self.timers, before.timers),
+            _select_new(self.states, before.states),
         )
 
     def and_then(self, later: "Deployment") -> "Deployment":
@@ -116,10 +116,12 @@ def current_deployment(logic: PrologSystem, rules: RuleBase, knowledge: Knowledg
     database = logic.database
     # A tabled predicate is wrapped; its clauses belong to the inner predicate.
     predicates = [predicate.tabled or predicate for predicate in list(database.predicates.values())]
-    own = [predicate for predicate in predicates if predicate.kind == "user" and not predicate.library]
+    own_predicates = [
+        predicate for predicate in predicates if predicate.kind == "user" and not predicate.library
+    ]
     return Deployment(
         rules.rules,
-        {predicate: list(predicate.live()) for predicate in own},
+        {predicate: list(predicate.live()) for predicate in own_predicates},
         dict(knowledge.memories.instances),
         dict(knowledge.subscriptions.items()),
         rules.all_properties(),
@@ -134,34 +136,34 @@ def current_deployment(logic: PrologSystem, rules: RuleBase, knowledge: Knowledg
 
 def clause_key(clause: Clause) -> Hashable:
     """Return a key that is equal for clauses that differ only in the names of variables."""
-    return term_key((_CLAUSE, clause.head, clause.body))
+    return term_key((_CLAUSE_FUNCTOR, clause.head, clause.body))
 
 
 def paired(
     old: Sequence[EventRule], new: Sequence[EventRule], key: Callable[[EventRule], Hashable]
 ) -> Dict[EventRule, EventRule]:
     """Pair new rules with equal old rules, in order; each old rule is used once."""
-    waiting: Dict[Hashable, List[EventRule]] = {}
+    rules_by_key: Dict[Hashable, List[EventRule]] = {}
     # In reverse order, so that `pop` returns the first of several equal rules.
     for rule in reversed(old):
-        waiting.setdefault(key(rule), []).append(rule)
+        rules_by_key.setdefault(key(rule), []).append(rule)
     pairs: List[Tuple[EventRule, EventRule]] = []
     for rule in new:
-        equal_rules = waiting.get(key(rule))
+        equal_rules = rules_by_key.get(key(rule))
         if equal_rules:
             pairs.append((rule, equal_rules.pop()))
     return dict(pairs)
 
 
-def _without(clauses: List[Clause], excluded: Sequence[Clause]) -> List[Clause]:
-    known = set(excluded)
-    return [clause for clause in clauses if clause not in known]
+def _exclude(clauses: List[Clause], excluded: Sequence[Clause]) -> List[Clause]:
+    excluded_clauses = set(excluded)
+    return [clause for clause in clauses if clause not in excluded_clauses]
 
 
 Item = TypeVar("Item")
 
 
-def _new_in(items: Dict[ItemKey, Item], before: Dict[ItemKey, Item]) -> Dict[ItemKey, Item]:
+def _select_new(items: Dict[ItemKey, Item], before: Dict[ItemKey, Item]) -> Dict[ItemKey, Item]:
     return {key: item for key, item in items.items() if before.get(key) is not item}
 
 
@@ -185,10 +187,10 @@ def save_deployments(
             "rules": [rules[id(rule)] for rule in deployment.rules if id(rule) in rules],
             "clauses": [
                 (predicate.functor, [clauses[id(clause)] for clause in clause_list if id(clause) in clauses])
-                # A retracted clause has no position any more. It is saved in full, because a reload compares the
-                # clauses that it has loaded with those that still exist, see `ReloadTransaction._leave_retracted`.
                 for predicate, clause_list in deployment.clauses.items()
             ],
+            # A retracted clause has no position in its predicate. It is saved in full, because a reload needs it to
+            # omit the same clauses, see `ReloadTransaction._remove_retracted`.
             "retracted": [
                 (
                     predicate.functor,
@@ -242,12 +244,12 @@ def restore_deployments(
             properties.setdefault(term_key(item.label), []).append(item)
         deployments[folder] = Deployment(
             [named[position] for position in saved["rules"]],
-            _clauses(logic, saved),
+            _restore_clauses(logic, saved),
             dict(memories[position] for position in saved["memories"]),
             dict(subscriptions[position] for position in saved["subscriptions"]),
             properties,
             saved["flags"],
-            {_predicate(logic, functor) for functor in saved["dynamic"]},
+            {_find_predicate(logic, functor) for functor in saved["dynamic"]},
             set(saved["replaced"]),
             set(map(Path, saved["files"])),
             {
@@ -260,23 +262,23 @@ def restore_deployments(
     return deployments
 
 
-def _predicate(logic: PrologSystem, functor: Functor) -> Predicate:
+def _find_predicate(logic: PrologSystem, functor: Functor) -> Predicate:
     predicate = logic.database.predicate(functor)
     return predicate.tabled or predicate
 
 
-def _clauses(logic: PrologSystem, saved: Dict[str, Any]) -> Dict[Predicate, List[Clause]]:
+def _restore_clauses(logic: PrologSystem, saved: Dict[str, Any]) -> Dict[Predicate, List[Clause]]:
     """Return a deployment's clauses by predicate: existing clauses first, then retracted ones."""
     clauses: Dict[Predicate, List[Clause]] = {}
-    for key, positions in saved["clauses"]:
-        predicate = _predicate(logic, key)
-        live = list(predicate.live())
-        clauses[predicate] = [live[position] for position in positions]
-    for key, retracted in saved["retracted"]:
-        predicate = _predicate(logic, key)
-        for head, body, place in retracted:
+    for predicate_functor, positions in saved["clauses"]:
+        predicate = _find_predicate(logic, predicate_functor)
+        live_clauses = list(predicate.live())
+        clauses[predicate] = [live_clauses[position] for position in positions]
+    for predicate_functor, retracted_clauses in saved["retracted"]:
+        predicate = _find_predicate(logic, predicate_functor)
+        for head, body, place in retracted_clauses:
             clause = Clause(predicate, head, body, place)
-            # Marked as dead from the beginning, so that no goal sees the clause.
+            # Marked as retracted before any goal can call it.
             clause.died = 0
             clauses.setdefault(predicate, []).append(clause)
     return clauses

@@ -252,8 +252,8 @@ class Engine:
                 folder, paths start in the working directory and later goals may not read files.
 
         Raises:
-            ProgramErrors: all errors. Goals before a failed one have been called; if a rule is wrong, no rule is
-                active.
+            ProgramErrors: all errors. Goals before a failed one have been called. If a rule is wrong, no rule of the
+                text is active.
         """
         self.loader.load(rules, goals, source, folder)
 
@@ -300,9 +300,9 @@ class Engine:
             ProgramErrors: all errors; the program is unchanged.
             UsageError: if a file cannot be read, or if a goal or callback of this engine calls this method.
         """
-        return reload_folder(self, Path(folder), self._trial)
+        return reload_folder(self, Path(folder), self._create_trial_engine)
 
-    def _trial(self) -> "Engine":
+    def _create_trial_engine(self) -> "Engine":
         """Return a second engine with the same settings, the same time and the same foreign predicates."""
         trial = Engine(
             clock_at(self.clock.now()), trial_settings(self.settings), NullReports(), self.slots.definitions
@@ -693,13 +693,13 @@ class Engine:
             UsageError: if a goal or callback of this engine calls this method.
         """
 
-        def work() -> Dict[str, bytes]:
+        def encode() -> Dict[str, bytes]:
             # The state is encoded within the exclusive call, because the variables of rules may be bound to other
             # values as soon as the engine continues.
-            keeper = EngineSnapshot(self)
-            return coded(keeper.take(), keeper.records())
+            engine_snapshot = EngineSnapshot(self)
+            return coded(engine_snapshot.take(), engine_snapshot.records())
 
-        return pack(self.executor.call(lambda: self.dispatcher.undisturbed(work), (REQUEST,)))
+        return pack(self.executor.call(lambda: self.dispatcher.undisturbed(encode), (REQUEST,)))
 
     @classmethod
     def restore(
@@ -738,7 +738,7 @@ class Engine:
         encoded = checked(lambda: unpack(data))
         sections = checked(lambda: decoded(encoded))
 
-        def work() -> Made:
+        def create() -> Made:
             engine = cls(clock or clock_for(sections["run"]), settings, reports, definitions)
             if foreign:
                 engine.add_foreign(*foreign)
@@ -746,7 +746,7 @@ class Engine:
             EngineSnapshot(engine).restore(sections, records, folder)
             return engine
 
-        return checked(work)
+        return checked(create)
 
     def add_foreign(self, *sources: object) -> List[Functor]:
         """Define decorated Python functions, or all decorated functions of modules, as predicates (see `foreign`).
@@ -777,9 +777,9 @@ class Engine:
             UsageError: if it does not match its declaration.
         """
         declared = self.rules.declared
-        wrong = declared.refusal(term) if declared.in_use else ""
-        if wrong:
-            raise UsageError(f"event refused: {wrong}")
+        refusal_reason = declared.refusal(term) if declared.in_use else ""
+        if refusal_reason:
+            raise UsageError(f"event refused: {refusal_reason}")
         self._take(term, start, end)
 
     def _read(self, term: Union[str, Term], flags: ReadFlags = READ) -> Term:
@@ -811,17 +811,17 @@ class Engine:
         for callback in self._outputs:
             self._call_back("a callback of on_output", callback, term, topic, name)
 
-    def _call_back(self, what: str, callback: Callable[..., object], *arguments: object) -> None:
+    def _call_back(self, callback_name: str, callback: Callable[..., object], *arguments: object) -> None:
         # The executor names this callback in the error of a thread that waits for it; see `patience`.
-        runner = self.executor
-        outer = runner.callback
-        runner.callback = (what,)
+        executor = self.executor
+        outer_callback = executor.callback
+        executor.callback = (callback_name,)
         try:
             callback(*arguments)
-        # An error in a callback of one subscriber must not prevent the remaining consequences of the event.
         except Exception as error:
+            # An error in a callback must not prevent the remaining consequences of the event.
             self.reports.error(error)
-        runner.callback = outer
+        executor.callback = outer_callback
 
     def _report_drop(self, dropped: int) -> None:
         self.reports.warning(

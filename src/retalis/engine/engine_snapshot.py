@@ -67,7 +67,7 @@ class EngineSnapshot:
         # In the middle of a goal, choice points and bindings on the trail would belong to the state.
         if engine.dispatcher.current is not None or logic.machine.choices:
             raise UsageError("a goal or callback of an engine cannot take a snapshot of it")
-        matches, named = keep_matches(rules, knowledge, engine.clock, rules.rules)
+        matches, named_rules = keep_matches(rules, knowledge, engine.clock, rules.rules)
         run = {
             "clock": engine.clock.kept(),
             "followed": engine.event_input.followed is not None,
@@ -78,15 +78,15 @@ class EngineSnapshot:
         }
         sections = {"values": tuple(keep_values(logic)), "matches": matches, "run": run}
         # The program rarely changes, so checkpoints omit it while its signature stays the same.
-        signature = self._sign(named)
+        signature = self._sign(named_rules)
         if whole or signature != self._signature:
             self._signature = signature
-            sections["program"] = self._program(named)
+            sections["program"] = self._collect_program(named_rules)
             # A section of its own, because it is large and its variables are never bound: it can be encoded later.
             sections["clauses"] = tuple(keep_logic(logic))
         return sections
 
-    def _sign(self, named: List[EventRule]) -> object:
+    def _sign(self, named_rules: List[EventRule]) -> object:
         """Return a value that changes whenever the program changes."""
         engine = self._engine
         rules, knowledge = engine.rules, engine.knowledge
@@ -96,7 +96,7 @@ class EngineSnapshot:
             engine.logic.database.changes,
             len(engine.logic.database.predicates),
             list(engine.logic.operators),
-            [rule.serial for rule in named],
+            [rule.serial for rule in named_rules],
             len(rules.rules),
             rules.all_properties(),
             [rules.flags.get(name) for name in rules.flags.names()],
@@ -113,15 +113,15 @@ class EngineSnapshot:
             list(engine.deployments.values()),
         )
 
-    def _program(self, named: List[EventRule]) -> Sections:
+    def _collect_program(self, named_rules: List[EventRule]) -> Sections:
         engine = self._engine
         knowledge = engine.knowledge
         return {
-            "network": keep_rules(engine.rules, named),
+            "network": keep_rules(engine.rules, named_rules),
             "memories": keep_memories(knowledge),
             "subscriptions": keep_subscriptions(knowledge),
             "declared": [state.form.term for state in knowledge.states],
-            "standings": save_deployments(engine.deployments, engine.logic, knowledge, named),
+            "standings": save_deployments(engine.deployments, engine.logic, knowledge, named_rules),
             "topics": [tuple(item) for item in engine.input_topics.kept()],
             "events": dict(engine.slots.events),
             "foreign": list(engine.logic.foreign_modules),
@@ -150,15 +150,15 @@ class EngineSnapshot:
         logic, rules, knowledge = engine.logic, engine.rules, engine.knowledge
         program, run = sections["program"], sections["run"]
         # The order matters: event types and foreign predicates are needed to compile clauses, clauses to compile
-        # rules, rules and memories to restore partial matches and records, and all of them to refer to items by
-        # position.
+        # rules, and rules and memories to restore partial matches and records. The deployments follow, because they
+        # refer to all items by position.
         engine.slots.events.update(program["events"])
         self._load_foreign(program["foreign"], folder)
         self._load_swi([SwiFile(*item) for item in program.get("swi", ())], folder)
         restore_logic(logic, KeptLogic(*sections["clauses"]))
         restore_values(logic, KeptValues(*sections["values"]))
         with logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
-            named = restore_rules(rules, program["network"])
+            named_rules = restore_rules(rules, program["network"])
             memories = restore_memories(knowledge, program["memories"])
             restore_subscriptions(knowledge, program["subscriptions"], run["sent"])
             for definition in program["declared"]:
@@ -169,12 +169,12 @@ class EngineSnapshot:
             raise UsageError("there are not as many memories as records of them")
         for instance, batches in zip(memories, records):
             restore_records(instance, batches)
-        restore_matches(rules, knowledge, engine.clock, sections["matches"], named)
+        restore_matches(rules, knowledge, engine.clock, sections["matches"], named_rules)
         rules.files.loaded = set(map(Path, program["network"]["loaded"]))
         # Each event checks the flag before it looks up a declaration; here it is not known whether there are any.
         rules.declared.in_use = True
         engine.deployments.update(
-            restore_deployments(program["standings"], logic, knowledge, rules.timers, named)
+            restore_deployments(program["standings"], logic, knowledge, rules.timers, named_rules)
         )
         engine.input_topics.restore(AskedTopic(*item) for item in program["topics"])
         # Last, because adding rules and timers above may read the clock or set alarms.
@@ -251,7 +251,7 @@ def checked(work: Callable[[], Result]) -> Result:
         return work()
     except RetalisError as error:
         raise UsageError(error.message) from error
-    # A damaged state can raise any exception in the functions that use its values. The engine that was begun is
-    # discarded, so nothing inconsistent remains.
     except Exception as error:
+        # A damaged state can raise any exception in the functions that use its values. The new engine is discarded,
+        # so no inconsistent state remains.
         raise UsageError(f"the state is damaged ({type(error).__name__}: {error})") from error

@@ -323,10 +323,10 @@ class StatusReader:
         texts: _ShownTexts = {}
         text = self._writer(texts)
         show = seen.logic.brief
-        rules, more_rules = _rules(seen.rules, text, show, most)
-        memories, more_memories = _memories(seen.knowledge, text, show, most)
-        subscriptions, more_subscriptions = _subscriptions(seen.knowledge, text, show, most)
-        waiting, more_waiting = _waiting(seen.knowledge, show, most)
+        rules, more_rules = _list_rules(seen.rules, text, show, most)
+        memories, more_memories = _list_memories(seen.knowledge, text, show, most)
+        subscriptions, more_subscriptions = _list_subscriptions(seen.knowledge, text, show, most)
+        waiting, more_waiting = _list_queries(seen.knowledge, show, most)
         # Replaced and not extended, so that texts of deleted rules are not kept.
         self._texts = texts
         return Status(
@@ -341,7 +341,7 @@ class StatusReader:
             warnings=seen.reports.warnings,
             matches=seen.rules.waiting,
             alarms=len(seen.clock.alarms),
-            next_alarm=_next_alarm(seen.clock),
+            next_alarm=_find_next_alarm(seen.clock),
             work=self._work(),
             rules=rules,
             memories=memories,
@@ -376,20 +376,20 @@ class StatusReader:
             key = id(term)
             entry = known.get(key)
             if entry is None:
-                entry = term, show(term, {**_variable_names(term), **(names or {})})
+                entry = term, show(term, {**_name_variables(term), **(names or {})})
             texts[key] = entry
             return entry[1]
 
         return write
 
 
-def _next_alarm(clock: Clock) -> Optional[int]:
+def _find_next_alarm(clock: Clock) -> Optional[int]:
     """Return the time of the next alarm; None if there is none, or only alarms for the start of the clock."""
     instant = clock.next_alarm()
     return None if instant is None or instant <= BEGIN else instant
 
 
-def _variable_names(term: Term) -> Dict[Var, str]:
+def _name_variables(term: Term) -> Dict[Var, str]:
     """Return names for the variables of a term: ``_`` for those that occur once, else ``X1``, ``X2`` and so on."""
     counts: Dict[Var, int] = {}
     # An explicit stack, because a term that is built at run time can be deeper than Python's recursion limit.
@@ -404,7 +404,7 @@ def _variable_names(term: Term) -> Dict[Var, str]:
     return {**dict.fromkeys(counts, "_"), **{var: f"X{position}" for position, var in enumerate(shared, 1)}}
 
 
-def _rules(
+def _list_rules(
     rules: RuleBase, text: _Text, show: Callable[[Term], str], most: int
 ) -> Tuple[Tuple[RuleStatus, ...], int]:
     """Return the status of rules, and the number of rules that are not listed: those with the fewest errors."""
@@ -414,7 +414,7 @@ def _rules(
         chosen = set(sorted(listed, key=lambda rule: -rule.firings.errors)[: max(0, most)])
         listed = [rule for rule in listed if rule in chosen]
 
-    def status_of(rule: Any) -> RuleStatus:
+    def convert(rule: Any) -> RuleStatus:
         firings = rule.firings
         return RuleStatus(
             "" if rule.label is None else show(rule.label),
@@ -429,15 +429,15 @@ def _rules(
             rule.bytes,
         )
 
-    return tuple([status_of(rule) for rule in listed]), len(rules.rules) - len(listed)
+    return tuple([convert(rule) for rule in listed]), len(rules.rules) - len(listed)
 
 
-def _memories(
+def _list_memories(
     knowledge: KnowledgeBase, text: _Text, show: Callable[[Term], str], most: int
 ) -> Tuple[Tuple[MemoryStatus, ...], int]:
     """Return the status of memories, and the number of memories that are not listed."""
 
-    def status_of(instance: Any) -> MemoryStatus:
+    def convert(instance: Any) -> MemoryStatus:
         memory = instance.memory
         # The list only grows; removal of records replaces it. So `ends` and the length read here belong together even
         # while the engine adds records.
@@ -454,15 +454,15 @@ def _memories(
             ends[number - 1] if number else None,
         )
 
-    return _first_items(list(knowledge.memories), status_of, most)
+    return _convert_first(list(knowledge.memories), convert, most)
 
 
-def _subscriptions(
+def _list_subscriptions(
     knowledge: KnowledgeBase, text: _Text, show: Callable[[Term], str], most: int
 ) -> Tuple[Tuple[SubscriptionStatus, ...], int]:
     """Return the status of subscriptions, and the number of subscriptions that are not listed."""
 
-    def status_of(item: Any) -> SubscriptionStatus:
+    def convert(item: Any) -> SubscriptionStatus:
         (topic, _), subscription = item
         pattern, rate = subscription.definition[1], subscription.rate
         late, dropped = (0, 0) if rate is None else (rate.late, rate.dropped)
@@ -475,33 +475,33 @@ def _subscriptions(
             dropped,
         )
 
-    return _first_items(knowledge.subscriptions.items(), status_of, most)
+    return _convert_first(knowledge.subscriptions.items(), convert, most)
 
 
-def _waiting(
+def _list_queries(
     knowledge: KnowledgeBase, show: Callable[[Term], str], most: int
 ) -> Tuple[Tuple[WaitingStatus, ...], int]:
     """Return the status of pending queries, and the number of queries that are not listed."""
 
-    def status_of(query: Any) -> WaitingStatus:
-        _, asked, values, _, end, missing = query
+    def convert(query: Any) -> WaitingStatus:
+        _, definition, values, _, end, missing = query
         awaited = [
-            AwaitedMemory(show(instance.id), int(instant), _behind(instance, instant))
+            AwaitedMemory(show(instance.id), int(instant), _compute_lag(instance, instant))
             for instance, instant in tuple(missing)
             if not instance.has(instant)
         ]
         listed = tuple(awaited[:MAX_AWAITED_LISTED])
-        return WaitingStatus(show(asked.event(values)), int(end), listed, len(awaited) - len(listed))
+        return WaitingStatus(show(definition.event(values)), int(end), listed, len(awaited) - len(listed))
 
-    return _first_items(knowledge.waiting.all(), status_of, most)
+    return _convert_first(knowledge.waiting.all(), convert, most)
 
 
-def _behind(instance: Any, instant: int) -> Optional[int]:
+def _compute_lag(instance: Any, instant: int) -> Optional[int]:
     newest = instance.memory.latest
     return None if newest is None else max(0, int(instant) - newest)
 
 
-def _first_items(
+def _convert_first(
     items: Sequence[_Item], convert: Callable[[_Item], _ItemStatus], most: int
 ) -> Tuple[Tuple[_ItemStatus, ...], int]:
     """Return the status of the first items, and the number of items that are not listed."""

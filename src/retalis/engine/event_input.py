@@ -208,7 +208,7 @@ class InputTopics:
         self._subscribed: Dict[str, AskedTopic] = {}
         self._requests: List[AskedTopic] = []
         for arity in (2, 3):
-            logic.define("subscribe_to", arity, self._goal)
+            logic.define("subscribe_to", arity, self._subscribe_to)
 
     def begin(
         self,
@@ -227,7 +227,7 @@ class InputTopics:
         """
         self._subscribe = subscribe
         self._plain = plain
-        # Goals of a program that was restored or loaded before may have asked for topics.
+        # If the program was loaded or restored before this call, its goals may already have requested topics.
         self._subscribed = {plain(request.topic): request for request in self._requests}
         # Direct topics precede those of `pub_sub.xml`, because a node subscribes to them with these names.
         for topic, message_type in (*direct, *topics.subscribed):
@@ -235,8 +235,8 @@ class InputTopics:
                 self._subscribed.setdefault(
                     plain(topic), AskedTopic(topic, message_type, topics.event_of(topic, plain))
                 )
-            # An invalid name is reported by the function that subscribes to the topic.
             except UsageError:
+                # The function that subscribes to the topic reports the invalid name.
                 continue
         for request in self._requests:
             subscribe(request)
@@ -253,7 +253,7 @@ class InputTopics:
 
     def try_out(self, other_topics: "InputTopics") -> None:
         """Copy the topics of another engine for a trial of its program; subscribe to nothing."""
-        self._subscribed = dict(other_topics._subscribed)  # noqa: SLF001 - its own kind
+        self._subscribed = dict(other_topics._subscribed)  # noqa: SLF001 - the same class
         self._requests = list(other_topics._requests)  # noqa: SLF001
         self._plain = other_topics._plain  # noqa: SLF001
         self._subscribe = lambda request: None
@@ -275,8 +275,8 @@ class InputTopics:
         """Return the message types by the event names that goals have given."""
         return {request.event: request.kind for request in reversed(self._requests) if request.event}
 
-    def _goal(self, machine: Machine, topic: Term, kind: Term, *event: Term) -> bool:
-        request = AskedTopic(_text(topic), plain_type(_text(kind)), *map(_text, event))
+    def _subscribe_to(self, machine: Machine, topic: Term, kind: Term, *event: Term) -> bool:
+        request = AskedTopic(_get_text(topic), plain_type(_get_text(kind)), *map(_get_text, event))
         self._check("topic", topic, topic_fault(request.topic))
         self._check("message_type", kind, type_fault(request.kind))
         if event:
@@ -286,12 +286,12 @@ class InputTopics:
         except UsageError as error:
             raise domain_error("topic", deref(topic), error.message) from error
         # A second identical request is not an error: a reload calls the goals of a program again.
-        before = self._subscribed.get(key)
-        if before is None:
+        earlier_request = self._subscribed.get(key)
+        if earlier_request is None:
             self._add(key, request)
-        elif before[1:] != request[1:]:
+        elif earlier_request[1:] != request[1:]:
             raise permission_error(
-                "subscribe", "topic", deref(topic), f"it is subscribed already as {before}"
+                "subscribe", "topic", deref(topic), f"it is subscribed already as {earlier_request}"
             )
         return True
 
@@ -317,7 +317,7 @@ class InputTopics:
         )
 
 
-def _text(term: Term) -> str:
+def _get_text(term: Term) -> str:
     """Return the text of an argument."""
     value: Any = deref(term)
     if value.__class__ is Var:
@@ -373,9 +373,9 @@ class TextInput:
             self._refuse(error if error.place else f"{beginning(text)}: {error}")
             return
         if event is not None:
-            wrong = self._declared.refusal(event.term) if self._declared.in_use else ""
-            if wrong:
-                self._refuse(f"{beginning(text)}: {wrong}")
+            refusal_reason = self._declared.refusal(event.term) if self._declared.in_use else ""
+            if refusal_reason:
+                self._refuse(f"{beginning(text)}: {refusal_reason}")
             else:
                 self._take(*event)
         elif self._call is not None:

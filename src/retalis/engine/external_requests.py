@@ -69,72 +69,72 @@ def ask(
         PrologError: the error that the goal raised.
         UsageError: if the first solution alone is too long.
     """
-    read = read_term(goal, engine.operators, "goal")
-    names = {name: var for name, var in read.names.items() if not name.startswith("_")}
+    parsed_goal = read_term(goal, engine.operators, "goal")
+    names = {name: var for name, var in parsed_goal.names.items() if not name.startswith("_")}
     logic = engine.logic
 
     def work() -> Answer:
-        answers: List[List[Binding]] = []
+        solution_bindings: List[List[Binding]] = []
         characters_left = largest
-        before = logic.limits
-        logic.limits = _stricter(before, limits or NO_LIMITS)
+        engine_limits = logic.limits
+        logic.limits = _combine_limits(engine_limits, limits or NO_LIMITS)
         try:
-            with closing(logic.solutions(read.term)) as solutions:
+            with closing(logic.solutions(parsed_goal.term)) as solutions:
                 for _ in solutions:
                     # The loop asks for one solution more than is wanted, only to know whether the answer is complete.
-                    if len(answers) >= most:
-                        return Answer(answers, False)
+                    if len(solution_bindings) >= most:
+                        return Answer(solution_bindings, False)
                     try:
                         # Conversion to text counts against the limits of the goal: a small term can have a huge text.
                         with logic.machine.budget.watching():
-                            values = _values(engine, names, characters_left)
+                            bindings = _read_bindings(engine, names, characters_left)
                     except UsageError:
-                        if not answers:
+                        if not solution_bindings:
                             raise
-                        return Answer(answers, False)
-                    characters_left -= sum(len(value.json) for value in values)
-                    answers.append(values)
+                        return Answer(solution_bindings, False)
+                    characters_left -= sum(len(value.json) for value in bindings)
+                    solution_bindings.append(bindings)
         finally:
-            logic.limits = before
-        return Answer(answers, True)
+            logic.limits = engine_limits
+        return Answer(solution_bindings, True)
 
     # Executed exclusively, so the changed limits of the logic apply to this goal only.
-    return do_for_others(engine, work, read.term)
+    return do_for_others(engine, work, parsed_goal.term)
 
 
 def do_for_others(engine: Engine, work: Callable[[], T], what: Term = REQUEST) -> T:
     """Execute a function as `Engine.do`; its goals, and those of rules that it adds, may not change flags."""
 
-    def locked() -> T:
+    def work_for_others() -> T:
         with engine.logic.for_others():
             return work()
 
-    return engine.do(locked, what)
+    return engine.do(work_for_others, what)
 
 
-def _values(engine: Engine, names: Dict[str, Var], most: int) -> List[Binding]:
+def _read_bindings(engine: Engine, names: Dict[str, Var], characters_left: int) -> List[Binding]:
     """Return the values of variables in the current solution."""
     logic = engine.logic
     # One dictionary for all variables, so that a variable in two values gets the same name.
-    unbound: Dict[Var, str] = {}
-    values = []
+    variable_names: Dict[Var, str] = {}
+    bindings = []
     for name, var in names.items():
-        as_json = to_json(var, unbound, most)
-        most -= len(as_json)
-        values.append(Binding(name, logic.show(var, names=unbound), as_json))
-    return values
+        as_json = to_json(var, variable_names, characters_left)
+        characters_left -= len(as_json)
+        bindings.append(Binding(name, logic.show(var, names=variable_names), as_json))
+    return bindings
 
 
-def _stricter(first: Limits, second: Limits) -> Limits:
+def _combine_limits(first: Limits, second: Limits) -> Limits:
     return Limits(
-        _least(first.seconds, second.seconds),
-        _least(first.inferences, second.inferences),
-        _least(first.megabytes, second.megabytes),
-        _least(first.output_megabytes, second.output_megabytes),
+        _find_minimum(first.seconds, second.seconds),
+        _find_minimum(first.inferences, second.inferences),
+        _find_minimum(first.megabytes, second.megabytes),
+        _find_minimum(first.output_megabytes, second.output_megabytes),
     )
 
 
-def _least(first: Optional[_Number], second: Optional[_Number]) -> Optional[_Number]:
+def _find_minimum(first: Optional[_Number], second: Optional[_Number]) -> Optional[_Number]:
     return first if second is None else second if first is None else min(first, second)
 
 
@@ -155,33 +155,33 @@ def await_memories(engine: Engine, names: Sequence[Term], instant: int, seconds:
     knowledge = engine.knowledge
     arrived = Event()
 
-    def begin() -> Optional[int]:
+    def register() -> Optional[int]:
         missing = knowledge.behind(names, instant)
-        named = WAITING(make_list(names))
+        waiting_goal = WAITING(make_list(names))
         now = engine.clock.now()
-        return knowledge.waiting.await_all(missing, named, now, arrived.set) if missing else None
+        return knowledge.waiting.await_all(missing, waiting_goal, now, arrived.set) if missing else None
 
-    order = engine.do(begin)
-    if order is None:
+    request_number = engine.do(register)
+    if request_number is None:
         return
-    end = monotonic() + seconds
+    deadline = monotonic() + seconds
     try:
         # A deleted memory never sets the event, so the loop checks regularly whether the request still exists.
-        while not arrived.wait(min(_POLL_SECONDS, max(0.0, end - monotonic()))):
-            if not knowledge.waiting.waits(order) and not arrived.is_set():
+        while not arrived.wait(min(_POLL_SECONDS, max(0.0, deadline - monotonic()))):
+            if not knowledge.waiting.waits(request_number) and not arrived.is_set():
                 raise UsageError("a memory was deleted, or time went back, while the query waited for it")
-            if monotonic() >= end:
-                raise UsageError(f"{_missing_text(engine, names, instant)} after {seconds:g} s")
-    # Also after an interrupt: an entry that is not withdrawn would keep its memory's index growing.
+            if monotonic() >= deadline:
+                raise UsageError(f"{_describe_missing(engine, names, instant)} after {seconds:g} s")
     finally:
-        engine.do(lambda: knowledge.waiting.withdraw(order))
+        # This includes interrupts: requests that are never withdrawn would accumulate in the index of the memory.
+        engine.do(lambda: knowledge.waiting.withdraw(request_number))
 
 
-def _missing_text(engine: Engine, names: Sequence[Term], instant: int) -> str:
+def _describe_missing(engine: Engine, names: Sequence[Term], instant: int) -> str:
     """Return a description of the memories that have not reached a time, with the missing time."""
-    late = engine.do(lambda: engine.knowledge.behind(names, instant))
+    behind_memories = engine.do(lambda: engine.knowledge.behind(names, instant))
     descriptions = []
-    for instance, time in late:
+    for instance, time in behind_memories:
         latest = instance.memory.latest
         delay = "nothing yet" if latest is None else f"{(time - latest) / 1e9:g} s too early"
         descriptions.append(f"{engine.brief(instance.id)} ({delay})")
@@ -205,37 +205,41 @@ def add_rule(engine: Engine, text: str, label: str = "") -> str:
         ProgramErrors: all other errors in the rule, with their places.
         UsageError: if the text is not an event rule, or the label is in use.
     """
-    read = read_term(text, engine.operators, "rule")
-    term: Any = deref(read.term)
-    if not is_rule(term):
+    parsed_rule = read_term(text, engine.operators, "rule")
+    rule_term: Any = deref(parsed_rule.term)
+    if not is_rule(rule_term):
         raise UsageError("expected one event rule, as in Head <- Pattern")
 
     # The label is chosen within the exclusive call: another request could use it in between.
-    def work() -> str:
-        name = _label(engine, read, label)
-        engine.rules.loader.load_read(read)
-        return engine.show(name)
+    def add() -> str:
+        rule_label = _choose_label(engine, parsed_rule, label)
+        engine.rules.loader.load_read(parsed_rule)
+        return engine.show(rule_label)
 
-    return do_for_others(engine, work)
+    return do_for_others(engine, add)
 
 
-def _label(engine: Engine, read: ReadTerm, requested: str) -> Term:
+def _choose_label(engine: Engine, parsed_rule: ReadTerm, requested: str) -> Term:
     """Return the label of a parsed rule; add one to the rule if it has none."""
-    term: Any = deref(read.term)
-    own, _ = labelled(term)
-    name = _parsed_label(engine, requested) if requested.strip() else own
-    if own is not None and requested.strip() and _plain_label(own) is not name:
-        raise UsageError(f"label: the rule has the label {engine.brief(_plain_label(own))} already")
-    used = {term_key(_plain_label(rule.label)) for rule in engine.rules.rules if rule.label is not None}
-    if name is None:
-        name = next(
-            candidate for candidate in map(_numbered_label, count(1)) if term_key(candidate) not in used
+    term: Any = deref(parsed_rule.term)
+    own_label, _ = labelled(term)
+    label = _parse_label(engine, requested) if requested.strip() else own_label
+    if own_label is not None and requested.strip() and _strip_properties(own_label) is not label:
+        raise UsageError(
+            f"label: the rule has the label {engine.brief(_strip_properties(own_label))} already"
         )
-    if term_key(_plain_label(name)) in used:
-        raise UsageError(f"a rule {engine.brief(_plain_label(name))} already exists")
-    if own is None:
-        read.term = RULE(name, term)
-    return _plain_label(name)
+    used_keys = {
+        term_key(_strip_properties(rule.label)) for rule in engine.rules.rules if rule.label is not None
+    }
+    if label is None:
+        label = next(
+            candidate for candidate in map(_make_label, count(1)) if term_key(candidate) not in used_keys
+        )
+    if term_key(_strip_properties(label)) in used_keys:
+        raise UsageError(f"a rule {engine.brief(_strip_properties(label))} already exists")
+    if own_label is None:
+        parsed_rule.term = RULE(label, term)
+    return _strip_properties(label)
 
 
 def delete_rule(engine: Engine, label: str) -> None:
@@ -244,12 +248,12 @@ def delete_rule(engine: Engine, label: str) -> None:
     Raises:
         UsageError: if there are none.
     """
-    name = _parsed_label(engine, label)
+    name = _parse_label(engine, label)
     if not engine.do(lambda: engine.rules.delete(name), REQUEST):
         raise UsageError(f"there is no rule {engine.brief(name)}")
 
 
-def _parsed_label(engine: Engine, text: str) -> Term:
+def _parse_label(engine: Engine, text: str) -> Term:
     """Parse a label."""
     if not text.strip():
         raise UsageError("label is empty")
@@ -259,10 +263,10 @@ def _parsed_label(engine: Engine, text: str) -> Term:
     return name
 
 
-def _numbered_label(number: int) -> Term:
+def _make_label(number: int) -> Term:
     return atom(f"{_LABEL_PREFIX}{number}")
 
 
-def _plain_label(label: Any) -> Term:
+def _strip_properties(label: Any) -> Term:
     """Return a label without its properties."""
     return label if isinstance(label, Atom) else atom(label[0].name)

@@ -55,37 +55,39 @@ def changes(
         clauses: all clauses of the earlier loads, including those that have been retracted since.
     """
     return [
-        *_rules(old.rules, new.rules, kept),
-        *_memories(logic, old, new),
-        *_subscriptions(logic, old, new),
-        *_timers(logic, old, new),
-        *_states(old, new),
-        *_predicates(clauses, new.clauses),
+        *_describe_rules(old.rules, new.rules, kept),
+        *_describe_memories(logic, old, new),
+        *_describe_subscriptions(logic, old, new),
+        *_describe_timers(logic, old, new),
+        *_describe_states(old, new),
+        *_describe_predicates(clauses, new.clauses),
     ]
 
 
-def _rules(old: Sequence[EventRule], new: Sequence[EventRule], kept: Dict[EventRule, EventRule]) -> List[str]:
+def _describe_rules(
+    old: Sequence[EventRule], new: Sequence[EventRule], kept: Dict[EventRule, EventRule]
+) -> List[str]:
     staying = set(kept.values())
-    removed = [f"{rule.name}{_lost_matches(rule)}" for rule in old if rule not in staying]
-    added = [f"{rule.name}{_position_text(rule.place)}" for rule in new if rule not in kept]
-    waiting = sum(rule.held for rule in staying)
-    with_matches = f", with {_match_count(waiting)}" if waiting else ""
-    return _section_lines("rules", added, removed, [], f"{len(staying)} kept{with_matches}")
+    removed = [f"{rule.name}{_format_lost_matches(rule)}" for rule in old if rule not in staying]
+    added = [f"{rule.name}{_format_position(rule.place)}" for rule in new if rule not in kept]
+    match_count = sum(rule.held for rule in staying)
+    with_matches = f", with {_format_match_count(match_count)}" if match_count else ""
+    return _format_section("rules", added, removed, [], f"{len(staying)} kept{with_matches}")
 
 
-def _lost_matches(rule: EventRule) -> str:
-    return f", with {_match_count(rule.held)}" if rule.held else ""
+def _format_lost_matches(rule: EventRule) -> str:
+    return f", with {_format_match_count(rule.held)}" if rule.held else ""
 
 
-def _match_count(number: int) -> str:
+def _format_match_count(number: int) -> str:
     return counted(number, "partial match", "partial matches")
 
 
-def _position_text(place: object) -> str:
+def _format_position(place: object) -> str:
     return f" ({place.source}:{place.line})" if isinstance(place, Place) else ""
 
 
-def _memories(logic: PrologSystem, old: Deployment, new: Deployment) -> List[str]:
+def _describe_memories(logic: PrologSystem, old: Deployment, new: Deployment) -> List[str]:
     kept, changed, added = [], [], []
     for key, instance in new.memories.items():
         before = old.memories.get(key)
@@ -101,12 +103,12 @@ def _memories(logic: PrologSystem, old: Deployment, new: Deployment) -> List[str
         if key not in new.memories
     ]
     records = sum(len(instance.memory) for instance in kept)
-    return _section_lines(
+    return _format_section(
         "memories", added, removed, changed, f"{len(kept)} kept, with {counted(records, 'record')}"
     )
 
 
-def _subscriptions(logic: PrologSystem, old: Deployment, new: Deployment) -> List[str]:
+def _describe_subscriptions(logic: PrologSystem, old: Deployment, new: Deployment) -> List[str]:
     kept, changed, added = 0, [], []
     for key, subscription in new.subscriptions.items():
         before = old.subscriptions.get(key)
@@ -122,15 +124,15 @@ def _subscriptions(logic: PrologSystem, old: Deployment, new: Deployment) -> Lis
         for key, subscription in old.subscriptions.items()
         if key not in new.subscriptions
     ]
-    return _section_lines("subscriptions", added, removed, changed, f"{kept} kept")
+    return _format_section("subscriptions", added, removed, changed, f"{kept} kept")
 
 
-def _timers(logic: PrologSystem, old: Deployment, new: Deployment) -> List[str]:
+def _describe_timers(logic: PrologSystem, old: Deployment, new: Deployment) -> List[str]:
     if not (old.timers or new.timers):
         return []
     show = logic.brief
 
-    def named(timers: Timed, excluded: Timed) -> List[str]:
+    def describe_missing(timers: Timed, excluded: Timed) -> List[str]:
         return [
             f"timer {show(timer.event)}, {show(timer.schedule.term)}"
             for key, timer in timers.items()
@@ -138,64 +140,70 @@ def _timers(logic: PrologSystem, old: Deployment, new: Deployment) -> List[str]:
         ]
 
     kept = sum(key in old.timers for key in new.timers)
-    return _section_lines(
-        "timers", named(new.timers, old.timers), named(old.timers, new.timers), [], f"{kept} kept"
+    return _format_section(
+        "timers",
+        describe_missing(new.timers, old.timers),
+        describe_missing(old.timers, new.timers),
+        [],
+        f"{kept} kept",
     )
 
 
-def _states(old: Deployment, new: Deployment) -> List[str]:
+def _describe_states(old: Deployment, new: Deployment) -> List[str]:
     if not (old.states or new.states):
         return []
     kept = [state for key, state in new.states.items() if old.states.get(key) is state]
     changed = [state for key, state in new.states.items() if key in old.states and state not in kept]
     added = [state.name for key, state in new.states.items() if key not in old.states]
     removed = [state.name for key, state in old.states.items() if key not in new.states]
-    hold = sum(len(state.open) for state in kept)
+    open_count = sum(len(state.open) for state in kept)
     changes_text = [f"{state.name}: it is declared otherwise, and nothing holds" for state in changed]
-    return _section_lines("states", added, removed, changes_text, f"{len(kept)} kept, {hold} open")
+    return _format_section("states", added, removed, changes_text, f"{len(kept)} kept, {open_count} open")
 
 
-def _predicates(old: Clauses, new: Clauses) -> List[str]:
-    before = {predicate: [clause_key(clause) for clause in keys] for predicate, keys in old.items() if keys}
-    now: Dict[Hashable, List[Hashable]] = {
+def _describe_predicates(old: Clauses, new: Clauses) -> List[str]:
+    old_keys = {predicate: [clause_key(clause) for clause in keys] for predicate, keys in old.items() if keys}
+    new_keys: Dict[Hashable, List[Hashable]] = {
         predicate: [clause_key(clause) for clause in keys] for predicate, keys in new.items() if keys
     }
     added = [
-        f"predicate {predicate.functor}" for predicate in new if predicate in now and predicate not in before
+        f"predicate {predicate.functor}"
+        for predicate in new
+        if predicate in new_keys and predicate not in old_keys
     ]
-    removed = [f"predicate {predicate.functor}" for predicate in before if predicate not in now]
+    removed = [f"predicate {predicate.functor}" for predicate in old_keys if predicate not in new_keys]
     changed = [
         f"predicate {predicate.functor}"
-        for predicate in before
-        if predicate in now and now[predicate] != before[predicate]
+        for predicate in old_keys
+        if predicate in new_keys and new_keys[predicate] != old_keys[predicate]
     ]
-    unchanged = sum(now.get(predicate) == keys for predicate, keys in before.items())
-    return _section_lines("predicates", added, removed, changed, f"{unchanged} kept")
+    unchanged = sum(new_keys.get(predicate) == keys for predicate, keys in old_keys.items())
+    return _format_section("predicates", added, removed, changed, f"{unchanged} kept")
 
 
-def _section_lines(
+def _format_section(
     section: str, added: List[str], removed: List[str], changed: List[str], kept: str
 ) -> List[str]:
     """Return a line with counts, and a line for each item that is new, changed or gone."""
     changed_count = f"{len(changed)} changed, " if changed else ""
     return [
         f"{section}: {len(added)} new, {changed_count}{len(removed)} gone, {kept}",
-        *_change_lines("new", added),
-        *_change_lines("changed", changed),
-        *_change_lines("gone", removed),
+        *_format_changes("new", added),
+        *_format_changes("changed", changed),
+        *_format_changes("gone", removed),
     ]
 
 
-def _change_lines(change: str, names: Sequence[str]) -> Iterable[str]:
+def _format_changes(change: str, names: Sequence[str]) -> Iterable[str]:
     for name in names[:_MAX_NAMED_CHANGES]:
         yield f"  {change}: {name}"
     if len(names) > _MAX_NAMED_CHANGES:
         yield f"  {change}: {len(names) - _MAX_NAMED_CHANGES} more"
 
 
-_UNDOING = atom("putting the old program back")
-_FORGET_TABLES = atom("abolish_all_tables")
-_LOADING = atom("the program's folder")
+_ROLLBACK_WORK = atom("putting the old program back")
+_ABOLISH_TABLES_GOAL = atom("abolish_all_tables")
+_LOADING_WORK = atom("the program's folder")
 
 
 class NullReports(Reports):
@@ -206,7 +214,7 @@ class NullReports(Reports):
 
 
 def deployment_of(engine: "Engine") -> Deployment:
-    """Return everything that the engine's program consists of now."""
+    """Return all items of the engine's current program."""
     return current_deployment(engine.logic, engine.rules, engine.knowledge)
 
 
@@ -224,57 +232,57 @@ def trial_settings(settings: Settings) -> Settings:
 
 def load_folder(engine: "Engine", folder: Path) -> None:
     """Load a program's folder or an event file, and record its deployment; see `Engine.load_program`."""
-    programs, key = engine.deployments, _real_path(folder)
+    deployments, key = engine.deployments, _resolve_path(folder)
     before = deployment_of(engine)
     try:
         _load(engine, folder)
     finally:
         # Also after an error: what was loaded before the error belongs to the folder, and a reload replaces it.
-        programs[key] = programs.get(key, NOTHING).and_then(deployment_of(engine).since(before))
+        deployments[key] = deployments.get(key, NOTHING).and_then(deployment_of(engine).since(before))
 
 
-def _real_path(folder: Path) -> str:
+def _resolve_path(folder: Path) -> str:
     try:
         return os.path.realpath(folder)
-    # `realpath` raises ValueError for a name with a NUL character or with surrogates.
     except ValueError as error:
+        # The name contains a NUL character or surrogates.
         raise UsageError(f"cannot read {str(folder)!r}: {error}") from error
 
 
 def _load(engine: "Engine", folder: Path) -> None:
-    own_files = engine.loader
+    loader = engine.loader
     if os.path.isfile(folder):
-        own_files.load_rules(read_text(folder), str(folder), folder.parent)
+        loader.load_rules(read_text(folder), str(folder), folder.parent)
         return
     if not os.path.isdir(folder):
         raise UsageError(f"cannot read {folder}: there is no such file or folder")
     path = folder / GOALS
     # Types of event names must be known before the goals run: rules in the folder are checked against them.
     engine.slots.events = {**engine.input_topics.event_types(), **event_types(folder)}
-    own_files.call_goals(read_text(path), str(path), folder)
+    loader.call_goals(read_text(path), str(path), folder)
 
 
 def reload_folder(engine: "Engine", folder: Path, new_engine: Callable[[], "Engine"]) -> List[str]:
     """Load a program's folder again; see `Engine.reload`."""
-    key = _real_path(folder)
+    key = _resolve_path(folder)
     # The executor would run the reload inside the goal that requests it, whose own clauses would be removed.
     if engine.executor.thread == get_ident():
         raise UsageError("a goal or callback of an engine cannot reload its program")
     # An event file may need definitions of other files, so it is not loaded alone into a trial engine.
     if os.path.isfile(folder):
-        tried = deployment_of(new_engine())
+        trial_deployment = deployment_of(new_engine())
     else:
-        tried = try_program(engine, new_engine(), engine.deployments.get(key, NOTHING), folder)
+        trial_deployment = try_program(engine, new_engine(), engine.deployments.get(key, NOTHING), folder)
 
-    def work() -> List[str]:
-        exchange = ReloadTransaction(engine, engine.deployments.get(key, NOTHING), tried)
+    def replace() -> List[str]:
+        transaction = ReloadTransaction(engine, engine.deployments.get(key, NOTHING), trial_deployment)
         try:
             with engine.rules.files.loading_again(engine.rules.files.omitted):
-                return exchange.run(lambda: _load(engine, folder))
+                return transaction.run(lambda: _load(engine, folder))
         finally:
-            engine.deployments[key] = exchange.made
+            engine.deployments[key] = transaction.made
 
-    return engine.executor.call(lambda: engine.dispatcher.undisturbed(work), (REQUEST,))
+    return engine.executor.call(lambda: engine.dispatcher.undisturbed(replace), (REQUEST,))
 
 
 def try_program(engine: "Engine", trial: "Engine", deployed: Deployment, folder: Path) -> Deployment:
@@ -292,20 +300,20 @@ def try_program(engine: "Engine", trial: "Engine", deployed: Deployment, folder:
     logic = trial.logic
     logic.output = logic.error_output = lambda text: None
     with trial.rules.files.loading_again(engine.rules.files.omitted):
-        trial.executor.call(lambda: _load(trial, folder), (_LOADING,))
+        trial.executor.call(lambda: _load(trial, folder), (_LOADING_WORK,))
     trial_deployment = deployment_of(trial)
     # An id that exists in the running engine but not in the deployment was added by a service. Loading the folder
     # would fail on it only after the old program has been set aside, so it is reported here.
-    now = engine.executor.call(lambda: deployment_of(engine))
+    present = engine.executor.call(lambda: deployment_of(engine))
     conflicts = Errors()
     show = engine.logic.brief
     for key, instance in trial_deployment.memories.items():
-        if key in now.memories and key not in deployed.memories:
+        if key in present.memories and key not in deployed.memories:
             conflicts.append(
                 RuleError(f"memory {show(instance.id)} of the program has been added meanwhile by others")
             )
     for key, subscription in trial_deployment.subscriptions.items():
-        if key in now.subscriptions and key not in deployed.subscriptions:
+        if key in present.subscriptions and key not in deployed.subscriptions:
             name = show(subscription.id)
             text = f"subscription {name} of topic {key[0]} of the program has been added meanwhile by others"
             conflicts.append(RuleError(text))
@@ -326,8 +334,8 @@ class ReloadTransaction:
     def __init__(self, engine: "Engine", made: Deployment, trial: Deployment):
         self._engine = engine
         self._before = deployment_of(engine)
-        self._old = self._still_there(made)
-        self._made = made
+        self._old = self._select_remaining(made)
+        self._loaded_before = made
         self._trial = trial
         self.made = made
         """Deployment of the folder at present."""
@@ -341,47 +349,50 @@ class ReloadTransaction:
         budget = self._engine.logic.machine.budget
         try:
             self._set_aside()
-            # `rest` is the program without the folder. The difference to it after the load is the new deployment.
+            # The program without the folder. The difference to it after the load is the new deployment.
             rest = deployment_of(self._engine)
-            budget.apart((_LOADING,), load)
+            budget.apart((_LOADING_WORK,), load)
             # Answers of tabled predicates may depend on clauses that were replaced.
-            self._engine.logic.once(_FORGET_TABLES)
+            self._engine.logic.once(_ABOLISH_TABLES_GOAL)
             self.made = deployment_of(self._engine).since(rest)
             description = changes(
-                self._engine.logic, self._old, self.made, self._kept_rules(), self._made.clauses
+                self._engine.logic,
+                self._old,
+                self.made,
+                self._pair_unchanged_rules(),
+                self._loaded_before.clauses,
             )
             self._restore_unchanged(rest)
-        # Also for an interrupt: a program that is loaded half-way must not receive events.
         except BaseException as error:
+            # This includes interrupts: a partly loaded program must not receive events.
             self._undo_after(error)
             raise
         self._delete_unused()
         return description
 
-    def _still_there(self, deployment: Deployment) -> Deployment:
+    def _select_remaining(self, deployment: Deployment) -> Deployment:
         """Return the part of a deployment that has not been deleted or replaced since."""
-        now = self._before
-        rules, memories, subscriptions = set(now.rules), now.memories, now.subscriptions
+        present = self._before
+        rules, memories, subscriptions = set(present.rules), present.memories, present.subscriptions
         clauses: Clauses = {}
         for predicate, clause_list in deployment.clauses.items():
-            live = set(now.clauses.get(predicate, ()))
+            live = set(present.clauses.get(predicate, ()))
             clauses[predicate] = [clause for clause in clause_list if clause in live]
         return deployment._replace(
             rules=[rule for rule in deployment.rules if rule in rules],
             clauses=clauses,
             memories={key: item for key, item in deployment.memories.items() if memories.get(key) is item},
             subscriptions={
-                k: item for k, item in deployment.subscriptions.items() if subscriptions.get(k) is item
+                key: item for key, item in deployment.subscriptions.items() if subscriptions.get(key) is item
             },
-            timers={k: item for k, item in deployment.timers.items() if now.timers.get(k) is item},
-            states={k: item for k, item in deployment.states.items() if now.states.get(k) is item},
+            timers={key: item for key, item in deployment.timers.items() if present.timers.get(key) is item},
+            states={key: item for key, item in deployment.states.items() if present.states.get(key) is item},
         )
 
     # ---- deactivation of the old deployment ----------------------------------------------------------
 
     def _set_aside(self) -> None:
-        # Items are set aside, not deleted: the load finds equal definitions there and reactivates them with their
-        # state.
+        # Items are set aside, not deleted: the load reactivates those with an equal definition, with their state.
         rules, knowledge, old = self._engine.rules, self._engine.knowledge, self._old
         for rule in old.rules:
             rules.set_aside(rule)
@@ -397,8 +408,7 @@ class ReloadTransaction:
         }
         rules.restore_properties({key: items for key, items in properties.items() if items})
         rules.files.loaded -= old.files
-        # A flag is reset only if it still has the folder's value; otherwise the program or a service has changed it
-        # later.
+        # A flag is reset only if it still has the folder's value. Otherwise a goal or a service has changed it since.
         for name, value in old.flags.items():
             new_value = self._trial.flags[name]
             if new_value is not None and rules.flags.get(name) == value:
@@ -416,44 +426,42 @@ class ReloadTransaction:
         key = predicate.functor
         library = self._engine.logic.database.library.kept.get(key)
         if key in self._old.replaced and library is not None:
+            # The library predicate that the folder had redefined becomes visible again.
             self._engine.logic.database.give_back(library)
-        # A predicate of the library that the folder had redefined becomes visible again.
         elif not predicate.dynamic:
             predicate.kind = "undefined"
 
     # ---- reactivation of unchanged items -------------------------------------------------------------
 
-    def _kept_rules(self) -> Dict[EventRule, EventRule]:
+    def _pair_unchanged_rules(self) -> Dict[EventRule, EventRule]:
         """Return the old rule for each new rule that is equal to it.
 
-        No rule continues if the folder has started or stopped redefining a library predicate: compiled goals of the
-            old
-        rules call the predicate that was there before.
+        If the folder redefines other library predicates than before, no rule continues, because compiled goals of the
+        old rules call the previous predicates.
         """
         if self.made.replaced != self._old.replaced:
             return {}
-        return paired(self._old.rules, self.made.rules, _rule_key)
+        return paired(self._old.rules, self.made.rules, _make_rule_key)
 
     def _restore_unchanged(self, rest: Deployment) -> None:
         rules = self._engine.rules
-        kept = self._kept_rules()
+        old_rules = self._pair_unchanged_rules()
         own_rules = []
         for rule in self.made.rules:
-            old = kept.get(rule)
-            if old is not None:
-                # The partial matches refer to the old rule object, so the old object continues and takes the new
-                # position.
-                old.place = rule.place
-            own_rules.append(old or rule)
+            old_rule = old_rules.get(rule)
+            if old_rule is not None:
+                # Partial matches refer to the old rule object, so this object is kept and gets the new position.
+                old_rule.place = rule.place
+            own_rules.append(old_rule or rule)
         new_rules = set(self.made.rules)
         other_rules = [rule for rule in rules.rules if rule not in new_rules]
         staying = set(own_rules)
         rules.arrange([*own_rules, *other_rules], [rule for rule in self._old.rules if rule not in staying])
         self.made = self.made._replace(rules=own_rules)
         for predicate, clauses in self.made.clauses.items():
-            self._leave_retracted(predicate, clauses, rest.clauses.get(predicate, []))
+            self._remove_retracted(predicate, clauses, rest.clauses.get(predicate, []))
 
-    def _leave_retracted(
+    def _remove_retracted(
         self, predicate: Predicate, clauses: List[Clause], base_clauses: List[Clause]
     ) -> None:
         """Remove clauses of a dynamic predicate that the old program had loaded and retracted at run time.
@@ -464,7 +472,7 @@ class ReloadTransaction:
         if not predicate.dynamic or not live.issuperset(base_clauses):
             return
         remaining = set(self._old.clauses.get(predicate, ()))
-        loaded = self._made.clauses.get(predicate, ())
+        loaded = self._loaded_before.clauses.get(predicate, ())
         # Clauses are compared by content and counted, because the load has created new clause objects.
         retracted = Counter(
             clause_key(loaded_clause) for loaded_clause in loaded if loaded_clause not in remaining
@@ -487,8 +495,8 @@ class ReloadTransaction:
     def _report_deleted(self, instance: MemoryInstance) -> None:
         knowledge, machine = self._engine.knowledge, self._engine.logic.machine
         if knowledge.memories.find(instance.id) is None:
-            tell = knowledge.memories.tell_deleted
-            self._engine.dispatcher.apart(lambda: machine.run(tell(instance, machine.done)))
+            tell_deleted = knowledge.memories.tell_deleted
+            self._engine.dispatcher.apart(lambda: machine.run(tell_deleted(instance, machine.done)))
 
     # ---- rollback ------------------------------------------------------------------------------------
 
@@ -500,10 +508,11 @@ class ReloadTransaction:
         """
         try:
             # The restoration has limits of its own: the failed load may have used up those of the request.
-            self._engine.logic.machine.budget.apart((_UNDOING,), self._undo)
-        except Exception as second:
+            self._engine.logic.machine.budget.apart((_ROLLBACK_WORK,), self._undo)
+        except Exception as undo_error:
             raise UsageError(
-                f"the program does not load ({error}), and the old one could not be restored ({second}): restart it"
+                f"the program does not load ({error}), "
+                f"and the old one could not be restored ({undo_error}): restart it"
             ) from error
 
     def _undo(self) -> None:
@@ -520,7 +529,7 @@ class ReloadTransaction:
         rules.timers.restore_all(before.timers)
         knowledge.states.restore_standing(before.states)
         self._undo_clauses()
-        self._engine.logic.once(_FORGET_TABLES)
+        self._engine.logic.once(_ABOLISH_TABLES_GOAL)
 
     def _undo_clauses(self) -> None:
         """Restore the clauses of all predicates; removed clause objects cannot be added again, so they are copied."""
@@ -537,17 +546,17 @@ class ReloadTransaction:
             database.take_back(predicate)
             predicate.dynamic = predicate in self._before.dynamic
             for clause in clauses:
-                new = copies[clause] = Clause(predicate, clause.head, clause.body, clause.place)
-                predicate.add(new)
+                clause_copy = copies[clause] = Clause(predicate, clause.head, clause.body, clause.place)
+                predicate.add(clause_copy)
         # The deployment must refer to the copies, or the next reload would not find its clauses.
-        restored = {
+        restored_clauses = {
             key: [copies.get(clause, clause) for clause in clause_list]
-            for key, clause_list in self._made.clauses.items()
+            for key, clause_list in self._loaded_before.clauses.items()
         }
-        present = dict(self._engine.knowledge.subscriptions.items())
-        subscriptions = {key: present[key] for key in self._old.subscriptions}
-        self.made = self._made._replace(clauses=restored, subscriptions=subscriptions)
+        present_subscriptions = dict(self._engine.knowledge.subscriptions.items())
+        subscriptions = {key: present_subscriptions[key] for key in self._old.subscriptions}
+        self.made = self._loaded_before._replace(clauses=restored_clauses, subscriptions=subscriptions)
 
 
-def _rule_key(rule: EventRule) -> Hashable:
+def _make_rule_key(rule: EventRule) -> Hashable:
     return rule.definition.key, None if rule.label is None else term_key(rule.label)

@@ -39,15 +39,15 @@ class Problems(Reports):
     def error(self, error: Exception, kind: object = None) -> None:
         """Collect an error."""
         self.errors += 1
-        self._keep(ERROR, error)
+        self._add_finding(ERROR, error)
 
     def warning(self, problem: object, kind: object = None, texts: int = 1, once: bool = False) -> None:
         """Collect a warning."""
         self.warnings += 1
         # A clause that is omitted makes the loaded program differ from the file, which is an error for a check.
-        self._keep(ERROR if isinstance(problem, Omission) else WARNING, problem)
+        self._add_finding(ERROR if isinstance(problem, Omission) else WARNING, problem)
 
-    def _keep(self, severity: str, problem: object) -> None:
+    def _add_finding(self, severity: str, problem: object) -> None:
         error = problem if isinstance(problem, RetalisError) else RuleError(str(problem))
         error.code = load_code(error)
         if severity == ERROR or not self._suppressions.suppresses(error):
@@ -55,8 +55,8 @@ class Problems(Reports):
 
     def all_of(self, error: RetalisError) -> None:
         """Collect all errors of a program."""
-        for single in error.errors if isinstance(error, ProgramErrors) else [error]:
-            self._keep(ERROR, single)
+        for single_error in error.errors if isinstance(error, ProgramErrors) else [error]:
+            self._add_finding(ERROR, single_error)
 
 
 def check_program(
@@ -77,7 +77,7 @@ def check_program(
     """
     problems = Problems()
     topics = Topics()
-    alone = os.path.isfile(folder)
+    is_single_file = os.path.isfile(folder)
     try:
         topics = read_topics(folder / TOPICS) if os.path.isdir(folder) else topics
     except RetalisError as error:
@@ -85,21 +85,24 @@ def check_program(
     # The computer's clock, as in a node, so that goals which need the time succeed.
     engine = Engine(Clock(time.time_ns), settings, problems, definitions)
     engine.logic.output = engine.logic.error_output = lambda text: None
-    own = direct_topics(direct, topics, by_name)
-    engine.input_topics.begin(lambda wanted: None, topics, own)
+    direct_types = direct_topics(direct, topics, by_name)
+    engine.input_topics.begin(lambda topic: None, topics, direct_types)
     try:
         engine.load_program(folder)
     except RetalisError as error:
         problems.all_of(error)
     topics = engine.input_topics.joined(topics)
-    program = ProgramModel(engine.rules, engine.knowledge, definitions, topics, own, folder, observed=alone)
-    # After an error part of the program is missing, and checks of the whole program would report consequences of
-    # that.
-    sound = not any(finding.severity == ERROR for finding in problems.found)
+    program = ProgramModel(
+        engine.rules, engine.knowledge, definitions, topics, direct_types, folder, observed=is_single_file
+    )
+    # After an error a part of the program is missing, and checks of the whole program would report its absence.
+    is_loaded = not any(finding.severity == ERROR for finding in problems.found)
     reported = {finding.problem.place for finding in problems.found if finding.problem.place is not None}
     # A mistake that loading has already reported is not reported again by a check of the same place.
-    new = [finding for finding in look_through(program, sound) if finding.problem.place not in reported]
-    return _in_order([*problems.found, *new])
+    new_findings = [
+        finding for finding in look_through(program, is_loaded) if finding.problem.place not in reported
+    ]
+    return _sort_findings([*problems.found, *new_findings])
 
 
 def never_comes(
@@ -132,22 +135,22 @@ def never_sent(subscription: CompoundTerm, topic: str, kind: str, definitions: D
     return output_fault(definition, subscription, topic) or ""
 
 
-def _in_order(findings: List[Finding]) -> List[Finding]:
+def _sort_findings(findings: List[Finding]) -> List[Finding]:
     """Sort findings by file, in the order in which the files first occur, then by line and column."""
-    files: Dict[Optional[str], int] = {}
+    file_positions: Dict[Optional[str], int] = {}
     for finding in findings:
-        files.setdefault(_source(finding.problem.place), len(files))
+        file_positions.setdefault(_normalize_source(finding.problem.place), len(file_positions))
 
-    def where(finding: Finding) -> Tuple[int, int, int]:
+    def position_key(finding: Finding) -> Tuple[int, int, int]:
         place = finding.problem.place
         return (
-            (files[_source(place)], 0, 0)
+            (file_positions[_normalize_source(place)], 0, 0)
             if place is None
-            else (files[_source(place)], place.line, place.column)
+            else (file_positions[_normalize_source(place)], place.line, place.column)
         )
 
-    return sorted(findings, key=where)
+    return sorted(findings, key=position_key)
 
 
-def _source(place: Optional[Place]) -> Optional[str]:
+def _normalize_source(place: Optional[Place]) -> Optional[str]:
     return None if place is None else os.path.normpath(place.source)

@@ -49,9 +49,9 @@ class ProgramLoader:
 
     def load(self, rules: str, goals: str, source: str, folder: Optional[Path]) -> None:
         """Load the texts of a program; see `Engine.load`."""
-        together = bool(rules and goals)
+        has_both = bool(rules and goals)
         # Goals and rules may refer to each other, so warnings about unknown predicates wait until both are loaded.
-        if together:
+        if has_both:
             self._rules.loader.defer_warnings()
         try:
             if goals:
@@ -59,7 +59,7 @@ class ProgramLoader:
             if rules:
                 self.load_rules(rules, source, folder)
         finally:
-            if together:
+            if has_both:
                 self._runner.call(self._rules.loader.log_deferred_warnings, (REQUEST,))
 
     def load_rules(self, text: str, source: str, folder: Optional[Path]) -> None:
@@ -71,21 +71,20 @@ class ProgramLoader:
         """Call the goals of a goal file; see `Engine.call_goals`."""
         self._register_own(folder)
         errors = Errors()
-        # Each goal is read after the previous one has run, because a goal may define operators for the rest of the
-        # file.
+        # Each goal is read after the previous one has run, because a goal may define operators for later goals.
         for goal in goals_of(text, source, folder, self._logic.operators, self._files, self._load):
             if isinstance(goal, RetalisError):
                 errors.append(goal)
                 continue
             try:
-                if not self._load(goal.folder, lambda: self._start(goal)):  # noqa: B023
+                if not self._load(goal.folder, lambda: self._call_file_goal(goal)):  # noqa: B023
                     errors.append(RuleError("this goal fails", goal.place))
             except RetalisError as error:
                 errors.extend(errors_in(error, goal.place))
         if errors:
             raise ProgramErrors(errors)
 
-    def _start(self, goal: FileGoal) -> bool:
+    def _call_file_goal(self, goal: FileGoal) -> bool:
         """Call a goal of a goal file."""
         budget = self._logic.machine.budget
         # The watchdog names this entry, with its place in the file, if the goal takes long.
@@ -106,8 +105,8 @@ class ProgramLoader:
     def _load(self, folder: Optional[Path], work: Callable[[], Result]) -> Result:
         """Execute a function with the permission to read any file; relative paths start in ``folder``."""
 
-        def run() -> Result:
+        def run_with_files() -> Result:
             with self._files.loading(folder):
                 return work()
 
-        return self._runner.call(lambda: self._dispatcher.undisturbed(run), (REQUEST,))
+        return self._runner.call(lambda: self._dispatcher.undisturbed(run_with_files), (REQUEST,))

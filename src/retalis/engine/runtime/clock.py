@@ -223,7 +223,7 @@ class Clock:
         >>> clock.alarms
         []
         """
-        # In place, because the list is known elsewhere.
+        # In place, because `alarms` is public and callers may hold a reference to the list.
         self.alarms[:] = [entry for entry in self.alarms if not is_dead(entry[2])]
         heapq.heapify(self.alarms)
 

@@ -46,19 +46,20 @@ CLOCK_WAIT_SECONDS = 1.0
 """Time limit for a reset of the clock after an early message, and for reports of other senders."""
 
 PAUSE = 10.0
-"""Seconds after a timeout in which no message counts as early."""
+"""Duration in seconds after a timeout in which no message counts as early."""
 
 MAX_HELD_MESSAGES = 20_000
 MAX_HELD_BYTES = 64_000_000
+"""Limits of the buffer; above them the oldest messages are dropped."""
 
 SENDERS = 100
-"""Senders of event texts whose epochs are stored."""
+"""Maximum number of senders of event texts whose epochs are stored."""
 
 Began = Callable[[int], object]
 """Callback at the start of an epoch; its argument is the end of the previous epoch, in ns."""
 
 
-class _Ahead(NamedTuple):
+class _HeldBatch(NamedTuple):
     """Messages that wait for the next epoch.
 
     Attributes:
@@ -109,10 +110,10 @@ class ClockEpochs:
         self._senders: Dict[object, Tuple[int, int]] = {}
         """For each sender of texts: its epoch, and the offset between its count of epochs and ours."""
         self._early: Set[str] = set()
-        self._held: Deque[_Ahead] = deque()
-        self._number = self._bytes = 0
+        self._held: Deque[_HeldBatch] = deque()
+        self._message_count = self._byte_count = 0
         self._until = self._not_before = 0.0
-        self._turns: Sequence[ContextManager[object]] = ()
+        self._locks: Sequence[ContextManager[object]] = ()
         self._began: Sequence[Began] = ()
         self.run = 0
         self.since = wall()
@@ -121,44 +122,43 @@ class ClockEpochs:
 
     def begin(self, turns: Sequence[ContextManager[object]], *began: Began) -> None:
         """Set the locks of message processing, and the callbacks at the start of an epoch, which run under them."""
-        self._turns = turns
+        self._locks = turns
         self._began = began
 
     def now(self, run: Optional[int] = None) -> int:
         """Return the time of an epoch (the current one by default), in ns; its last time if it is over."""
-        times, instant, end = self._time
-        if times != (self.run if run is None else run):
+        resets, instant, end = self._time
+        if resets != (self.run if run is None else run):
             return end
         return instant or self._source()
 
     def clock_at(self, instant: int) -> None:
         """Store the time of the clock, in ns; detect a reset."""
-        times, _, end = self._time
+        resets, _, end = self._time
         if instant >= self._newest - JUMP:
             self._newest = max(instant, self._newest)
-            self._time = times, instant, end
+            self._time = resets, instant, end
             return
-        if times == self.run:
+        if resets == self.run:
             end = self._newest
         self._newest = instant
         with self._lock:
             self._until = self._wall() + CLOCK_WAIT_SECONDS
             self.holding = True
-            self._time = times + 1, instant, end
+            self._time = resets + 1, instant, end
         self._wake()
 
     def tell(self, sender: object, number: int) -> None:
         """Store that all further texts of a sender belong to an epoch, given by the count of the sender."""
-        times = self._time[0]
+        resets = self._time[0]
         with self._lock:
-            _, offset = self._senders.get(
-                sender, (0, times - number)
-            )  # the first report defines the offset of the two counts
+            # The first report of a sender defines the offset between the two counts.
+            _, offset = self._senders.get(sender, (0, resets - number))
             if sender not in self._senders and len(self._senders) >= SENDERS:
                 del self._senders[next(iter(self._senders))]
             self._senders[sender] = number + offset, offset
             if number + offset > self.run:
-                self._await()
+                self._start_waiting()
         self._wake()
 
     def may_wait(self) -> bool:
@@ -171,10 +171,10 @@ class ClockEpochs:
 
     def holds_texts(self, sender: object) -> bool:
         """Tell whether texts of a sender must be buffered: it is ahead, or has not reported a pending reset."""
-        known = self._senders.get(sender)
-        if known is None:
+        sender_state = self._senders.get(sender)
+        if sender_state is None:
             return self._time[0] != self.run
-        return known[0] > self.run
+        return sender_state[0] > self.run
 
     def keep_early(
         self, publisher: str, take: Callable[[List[bytes]], object], messages: List[bytes]
@@ -187,15 +187,17 @@ class ClockEpochs:
         """Buffer messages or texts until the next epoch begins or the wait times out, then pass them to ``take``."""
         with self._lock:
             is_first = not self.holding
-            self._await()
+            self._start_waiting()
             size = sum(map(len, messages))
-            self._held.append(_Ahead(take, messages, size))
-            self._number += len(messages)
-            self._bytes += size
-            while self._held and (self._number > MAX_HELD_MESSAGES or self._bytes > MAX_HELD_BYTES):
+            self._held.append(_HeldBatch(take, messages, size))
+            self._message_count += len(messages)
+            self._byte_count += size
+            while self._held and (
+                self._message_count > MAX_HELD_MESSAGES or self._byte_count > MAX_HELD_BYTES
+            ):
                 oldest = self._held.popleft()
-                self._number -= len(oldest.messages)
-                self._bytes -= oldest.size
+                self._message_count -= len(oldest.messages)
+                self._byte_count -= oldest.size
                 self.dropped += len(oldest.messages)
                 self._reports.warning(
                     f"{counted(self.dropped, 'message')} dropped: too many arrived before the clock went back",
@@ -205,52 +207,53 @@ class ClockEpochs:
             self._wake()
 
     def step(self) -> Optional[float]:
-        """Do what is due.
+        """Begin the next epoch, or stop buffering, if the condition for it is fulfilled.
 
         Returns:
             Seconds until the next call is needed; None if nothing is pending.
         """
         with ExitStack() as stack:
             # All locks of message processing are held: no message is split between two epochs.
-            for turn in self._turns:
-                stack.enter_context(turn)
+            for lock in self._locks:
+                stack.enter_context(lock)
             now = self._wall()
-            times, _, end = self._time
-            if times == self.run:
-                # The clock did not go back in time: the buffered messages were not early.
+            resets, _, end = self._time
+            if resets == self.run:
                 if self.holding and now >= self._until:
+                    # The clock did not go back within the time limit, so the buffered messages were not early.
                     if self._held:
                         self._not_before = now + PAUSE
                     self._release()
-            # The clock went back, and all senders have reported, or some have not in time and are forgotten.
-            elif now >= self._until or not self._behind(times):
-                self._forget(self._behind(times))
-                self.run = times
+            # The clock went back. Senders that have not reported within the time limit are removed.
+            elif now >= self._until or not self._find_late_senders(resets):
+                self._forget(self._find_late_senders(resets))
+                self.run = resets
                 self.since = self._wall()
                 self._not_before = 0.0
-                self._tell(end)
+                self._call_callbacks(end)
                 self._release()
             return max(0.0, self._until - now) if self.holding else None
 
-    def _tell(self, end: int) -> None:
+    def _call_callbacks(self, end: int) -> None:
         """Call the callbacks of a new epoch; an error in one of them affects neither the others nor messages."""
-        for began in self._began:
+        for callback in self._began:
             try:
-                began(end)
-            except Exception as error:  # a callback may raise anything
+                callback(end)
+            except Exception as error:
+                # A callback may raise any exception.
                 self._reports.error(error)
 
-    def _behind(self, times: int) -> List[object]:
+    def _find_late_senders(self, resets: int) -> List[object]:
         """Return the senders of texts that have not reported an epoch yet."""
         with self._lock:
-            return [sender for sender, (told, _) in self._senders.items() if told < times]
+            return [sender for sender, (epoch, _) in self._senders.items() if epoch < resets]
 
     def _forget(self, senders: List[object]) -> None:
         with self._lock:
             for sender in senders:
                 del self._senders[sender]
 
-    def _await(self) -> None:
+    def _start_waiting(self) -> None:
         if not self.holding:
             self._until = self._wall() + CLOCK_WAIT_SECONDS
             self.holding = True
@@ -258,9 +261,10 @@ class ClockEpochs:
     def _release(self) -> None:
         with self._lock:
             held, self._held = self._held, deque()
-            self._number = self._bytes = 0
+            self._message_count = self._byte_count = 0
             self._early.clear()
-            self.holding = self._time[0] != self.run  # true if the clock went back again in the meantime
+            # True if the clock went back again in the meantime.
+            self.holding = self._time[0] != self.run
             if self.holding:
                 self._until = self._wall() + CLOCK_WAIT_SECONDS
         # Outside of the lock: the consumers may buffer messages again.

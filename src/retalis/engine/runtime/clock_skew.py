@@ -46,8 +46,10 @@ MAX_FRAME_BYTES = 16 << 20
 """Maximum memory in bytes for the frames of all topics, and separately for those of the previous epoch."""
 
 MAX_TOPICS = 1000
+"""Maximum number of topics; when it is reached, all frames are removed."""
 
-_UNKNOWN = -1
+_UNKNOWN_SECOND = -1
+"""Value of `FrameClock.second` if the next message must be checked."""
 
 
 class Refused(Exception):
@@ -100,7 +102,7 @@ class FrameClock:
     )
 
     def __init__(self, stamp: int, now: int, wall: int, progress: int):
-        self.second = _UNKNOWN
+        self.second = _UNKNOWN_SECOND
         self.stamp = stamp
         self.now = now
         self.wall = wall
@@ -120,21 +122,20 @@ class FrameClock:
         or on other topics. A bag may be paused and may be played at another rate, so any timestamp up to the passed
         real time times the highest measured pace fits; times `MAX_UNKNOWN_PACE` if a pause may have hidden the pace.
         """
-        step, passed = stamp - self.stamp, wall - self.wall
-        if 0 <= step <= passed * (MAX_UNKNOWN_PACE if passed >= SECOND or self.pace is None else self.pace):
+        step, elapsed = stamp - self.stamp, wall - self.wall
+        if 0 <= step <= elapsed * (MAX_UNKNOWN_PACE if elapsed >= SECOND or self.pace is None else self.pace):
             return 0
         return min(
-            (step - prediction for prediction in (0, passed, now - self.now, progress - self.progress)),
+            (step - prediction for prediction in (0, elapsed, now - self.now, progress - self.progress)),
             key=abs,
         )
 
     def move_to(self, stamp: int, now: int, wall: int, exact: bool) -> None:
         """Record a timestamp that fits."""
-        # The pace is measured over at least half a second, because single intervals vary with the load of the
-        # machine.
-        passed = wall - self.since[1]
-        if passed >= SECOND // 2:
-            self.pace = max(self.pace or 1.0, min((stamp - self.since[0]) / passed, MAX_UNKNOWN_PACE))
+        # The pace is measured over at least half a second, because single intervals vary with the machine's load.
+        elapsed = wall - self.since[1]
+        if elapsed >= SECOND // 2:
+            self.pace = max(self.pace or 1.0, min((stamp - self.since[0]) / elapsed, MAX_UNKNOWN_PACE))
             self.since = stamp, wall
         self._compare(stamp, now)
         self.progress += stamp - self.stamp
@@ -142,7 +143,7 @@ class FrameClock:
         self.looks += 1
         # The decoder skips messages of the same second as the last one, once enough is known about the frame.
         self.second = (
-            _UNKNOWN
+            _UNKNOWN_SECOND
             if exact or not (self.followed or self.looks > FULLY_CHECKED_MESSAGES)
             else stamp // SECOND
         )
@@ -160,15 +161,15 @@ class FrameClock:
         if not self.begun:
             self.begun = now
             self.least = self.most = self.ahead = ahead
-        passed = now - self.begun
+        elapsed = now - self.begun
         self.least, self.most = min(self.least, ahead), max(self.most, ahead)
         # The message was accepted although it goes back, so the publisher's clock was set, and time did not go back.
         if stamp < self.stamp - JUMP:
             self.begun, self.ahead, self.followed = now, ahead, False
-        elif not self.followed and ahead > self.ahead + passed / 4:
+        elif not self.followed and ahead > self.ahead + elapsed / 4:
             self.begun, self.ahead = now, ahead
-        elif not self.followed and passed >= MIN_FOLLOW_NS:
-            self.followed = ahead >= self.ahead - passed / 4
+        elif not self.followed and elapsed >= MIN_FOLLOW_NS:
+            self.followed = ahead >= self.ahead - elapsed / 4
 
     def is_early(self, stamp: int, now: int) -> bool:
         """Return whether a timestamp goes back so far that it fits an earlier time only."""
@@ -176,8 +177,8 @@ class FrameClock:
 
     def is_left_over(self, stamp: int, end: int, now: int) -> bool:
         """Return whether a timestamp continues the epoch that ended at ``end``, and is ahead of the present."""
-        goes_on = self.stamp <= stamp <= end + self.most + JUMP + (self.most - self.least)
-        return goes_on and stamp - now > self.most + JUMP and self.followed
+        is_continuation = self.stamp <= stamp <= end + self.most + JUMP + (self.most - self.least)
+        return is_continuation and stamp - now > self.most + JUMP and self.followed
 
     def agree(self, stamp: int, now: int, wall: int, progress: int, max_distance: int) -> bool:
         """Record a distant timestamp; return whether enough consecutive ones agree."""
@@ -187,7 +188,7 @@ class FrameClock:
             reference.move_to(stamp, now, wall, True)
         else:
             self.other, self.agreeing = FrameClock(stamp, now, wall, progress), 1
-        self.second = _UNKNOWN
+        self.second = _UNKNOWN_SECOND
         return self.agreeing >= AGREEING_STAMPS
 
 
@@ -217,17 +218,16 @@ class TopicTimes(Cache[bytes, FrameClock]):
 
     def clear(self) -> None:
         """Remove all frames, and invalidate references to them."""
-        for known in list(self.values()):
-            known.second = _UNKNOWN
+        for frame in list(self.values()):
+            frame.second = _UNKNOWN_SECOND
         super().clear()
 
 
 class ClockSkewMonitor:
     """Checks the timestamps of messages against those of the same topic and frame.
 
-    Neither the time of receipt nor other frames are a reference: bags are old, and the clocks of a robot differ. The
-        first
-    timestamp of a frame defines its reference.
+    The first timestamp of a frame defines its reference. The time of receipt and other frames are no reference,
+    because bags are old and the clocks of a robot differ.
 
     Args:
         reports: receives a warning per topic and frame.
@@ -248,14 +248,18 @@ class ClockSkewMonitor:
         self._reports = reports
         self._now = now
         self._wall = wall
-        self._most = None if most is None else round(most * SECOND)
-        self._far = MAX_UNREPORTED_SKEW_NS if self._most is None else min(MAX_UNREPORTED_SKEW_NS, self._most)
-        self._exact = self._far < MAX_UNREPORTED_SKEW_NS
+        self._max_distance = None if most is None else round(most * SECOND)
+        self._max_skew = (
+            MAX_UNREPORTED_SKEW_NS
+            if self._max_distance is None
+            else min(MAX_UNREPORTED_SKEW_NS, self._max_distance)
+        )
+        self._checks_all = self._max_skew < MAX_UNREPORTED_SKEW_NS
         self._topics: Dict[str, TopicTimes] = {}
         self._progress = 0
         self._may_wait = may_wait
-        self._ended = 0
-        self._held = 0
+        self._previous_end = 0
+        self._held_bytes = 0
 
     def __iter__(self) -> Iterator[TopicTimes]:
         return iter(list(self._topics.values()))
@@ -277,8 +281,10 @@ class ClockSkewMonitor:
                 self.forget()
                 self._topics.clear()
             times = self._topics[topic] = TopicTimes(topic)
-        known = times
-        return watched(decoder, known, lambda found: self._check_message(known, publisher, found))
+        topic_times = times
+        return watched(
+            decoder, topic_times, lambda stamps: self._check_message(topic_times, publisher, stamps)
+        )
 
     def forget(self) -> None:
         """Remove all frames, because another stream begins."""
@@ -292,7 +298,7 @@ class ClockSkewMonitor:
         Args:
             ended: last instant of the previous epoch; messages that continue it are refused.
         """
-        self._ended = ended
+        self._previous_end = ended
         for times in self:
             times.before = dict(times)
         self._clear()
@@ -300,7 +306,7 @@ class ClockSkewMonitor:
     def _clear(self) -> None:
         for times in self:
             times.clear()
-        self._held = 0
+        self._held_bytes = 0
 
     def sum_up(self) -> None:
         """Log the number of messages with distant timestamps per topic, if more than one."""
@@ -322,28 +328,28 @@ class ClockSkewMonitor:
         farthest = 0
         self._check_epoch(times, stamps, now)
         for key, stamp in stamps:
-            known = times.get(key)
-            if known is None:
-                self._keep(times, key, FrameClock(stamp, now, wall, self._progress))
+            frame = times.get(key)
+            if frame is None:
+                self._store_frame(times, key, FrameClock(stamp, now, wall, self._progress))
                 continue
             # Most timestamps are near the last one, which saves the full prediction.
-            far, distance = self._far, stamp - known.stamp
-            if not -far <= distance <= far:
-                distance = known.distance(stamp, now, wall, self._progress)
-            if not -far <= distance <= far:
-                if not known.agree(stamp, now, wall, self._progress, self._far):
+            max_skew, distance = self._max_skew, stamp - frame.stamp
+            if not -max_skew <= distance <= max_skew:
+                distance = frame.distance(stamp, now, wall, self._progress)
+            if not -max_skew <= distance <= max_skew:
+                if not frame.agree(stamp, now, wall, self._progress, self._max_skew):
                     farthest = max(farthest, abs(distance))
-                    self._warn(times, known, key, distance, publisher)
+                    self._warn(times, frame, key, distance, publisher)
                     continue
-                self._warn_of_set_clock(times, key, stamp - known.stamp)
+                self._warn_of_set_clock(times, key, stamp - frame.stamp)
                 # A set clock is a step and not progress, so the common progress must not follow it.
-                known.stamp, known.since = stamp, (stamp, wall)
-            known.move_to(stamp, now, wall, self._exact)
-            if known.progress > self._progress:
-                self._progress = known.progress
+                frame.stamp, frame.since = stamp, (stamp, wall)
+            frame.move_to(stamp, now, wall, self._checks_all)
+            if frame.progress > self._progress:
+                self._progress = frame.progress
         if farthest:
             times.far += 1
-            if self._most is not None and farthest > self._most:
+            if self._max_distance is not None and farthest > self._max_distance:
                 times.refused += 1
                 raise Refused
 
@@ -354,37 +360,37 @@ class ClockSkewMonitor:
             Refused: if it belongs to the previous epoch.
             Early: if it may belong to the next epoch.
         """
-        before = times.before
+        previous_frames = times.before
         for key, stamp in stamps:
-            known = times.get(key)
-            if known is not None and known.is_early(stamp, now) and self._may_wait():
+            frame = times.get(key)
+            if frame is not None and frame.is_early(stamp, now) and self._may_wait():
                 raise Early
-            last = before.get(key) if before else None
-            if last is None:
+            previous_frame = previous_frames.get(key) if previous_frames else None
+            if previous_frame is None:
                 continue
-            if last.is_left_over(stamp, self._ended, now):
+            if previous_frame.is_left_over(stamp, self._previous_end, now):
                 self._reports.warning(
                     f"a message on {times.name} is dropped: it is of the time before the clock went back",
                     ("left over", times.name),
                 )
                 raise Refused
             # The frame has occurred in the present epoch.
-            del before[key]
+            del previous_frames[key]
 
-    def _keep(self, times: TopicTimes, key: bytes, known: FrameClock) -> None:
+    def _store_frame(self, times: TopicTimes, key: bytes, frame: FrameClock) -> None:
         """Store a frame. If the frames of all topics exceed the limit together, all are removed."""
         bytes_before = times.held
-        times.keep(key, known, 2 * len(key) + 500)
-        self._held += times.held - bytes_before
-        if self._held > MAX_FRAME_BYTES:
+        times.keep(key, frame, 2 * len(key) + 500)
+        self._held_bytes += times.held - bytes_before
+        if self._held_bytes > MAX_FRAME_BYTES:
             self._clear()
-            times.keep(key, known, 2 * len(key) + 500)
-            self._held = times.held
+            times.keep(key, frame, 2 * len(key) + 500)
+            self._held_bytes = times.held
 
-    def _warn(self, times: TopicTimes, known: FrameClock, key: bytes, distance: int, publisher: str) -> None:
-        if known.told:
+    def _warn(self, times: TopicTimes, frame: FrameClock, key: bytes, distance: int, publisher: str) -> None:
+        if frame.told:
             return
-        known.told = True
+        frame.told = True
         topic = times.name
         if times.step is None:
             times.step = distance
@@ -392,13 +398,15 @@ class ClockSkewMonitor:
         elif abs(times.step - distance) <= MAX_UNREPORTED_SKEW_NS:
             self._warn_of_all_frames(times, distance)
             return
-        place = f"topic {topic}, frame {_frame_name(key)}"
+        place = f"topic {topic}, frame {_format_frame_name(key)}"
         origin = f" from {printable(beginning(publisher))}" if publisher else ""
         consequence = (
-            "" if self._most is None or abs(distance) <= self._most else "; such messages are dropped"
+            ""
+            if self._max_distance is None or abs(distance) <= self._max_distance
+            else "; such messages are dropped"
         )
         self._reports.warning(
-            f"{place}: a stamp{origin} is {_distance_text(distance)} the stamps before it{consequence}",
+            f"{place}: a stamp{origin} is {_format_distance(distance)} the stamps before it{consequence}",
             ("skew", topic),
             texts=MAX_NAMED_FRAMES,
         )
@@ -407,10 +415,10 @@ class ClockSkewMonitor:
         if times.together:
             return
         times.together = True
-        why = "a bag that is played again without /clock, or a clock" if distance < 0 else "a clock"
+        cause = "a bag that is played again without /clock, or a clock" if distance < 0 else "a clock"
         self._reports.warning(
-            f"topic {times.name}: the stamps of other frames are {_distance_text(distance)} those before them too, "
-            f"as by {why} that was set; such frames are not named"
+            f"topic {times.name}: the stamps of other frames are {_format_distance(distance)} those before them too, "
+            f"as by {cause} that was set; such frames are not named"
         )
 
     def _warn_of_set_clock(self, times: TopicTimes, key: bytes, step: int) -> None:
@@ -419,8 +427,8 @@ class ClockSkewMonitor:
         times.clock = step
         topic = times.name
         self._reports.warning(
-            f"topic {topic}, frame {_frame_name(key)}: the last {AGREEING_STAMPS} stamps agree and are "
-            f"{_distance_text(step)} those before them; they count as correct from now on",
+            f"topic {topic}, frame {_format_frame_name(key)}: the last {AGREEING_STAMPS} stamps agree and are "
+            f"{_format_distance(step)} those before them; they count as correct from now on",
             ("set clock", topic),
             texts=MAX_NAMED_FRAMES,
         )
@@ -430,9 +438,9 @@ MAX_NAMED_FRAMES = 20
 """Maximum number of frames of a topic that are named in warnings."""
 
 
-def _frame_name(key: bytes) -> str:
+def _format_frame_name(key: bytes) -> str:
     return printable(beginning(frame_text(key))) or "without a name"
 
 
-def _distance_text(distance: int) -> str:
+def _format_distance(distance: int) -> str:
     return f"{abs(distance) / SECOND:.10g} s {'ahead of' if distance > 0 else 'behind'}"

@@ -12,11 +12,11 @@ if TYPE_CHECKING:
 _holders: "WeakSet[StatusReader]" = WeakSet()
 
 
-def _records() -> int:
+def _count_records() -> int:
     return sum(holder.held_records() for holder in list(_holders))
 
 
-_collector = YoungCollector(_records)
+_collector = YoungCollector(_count_records)
 
 
 def count_records_of(engine: "StatusReader") -> None:
@@ -30,12 +30,12 @@ def limit_gc_pauses() -> None:
     By default CPython walks all live objects again and again, about 100 ns each: with a million partial matches,
     single events wait for some 400 ms. From this call on, only new objects are walked, some 8,000 at a time. An
     object is freed as before when its last reference goes; only objects in a reference cycle need the collector.
-    Cycles that become garbage late are collected by `collect_when_idle`, or at the latest when the heap has grown to
-    three times its size plus 4,000,000 blocks of memory (of some 60 bytes), without what the records of engines
-    explain.
+    Cycles that become garbage later are collected by `collect_when_idle`. At the latest they are collected when the
+    heap has grown to three times its size plus 4,000,000 blocks of memory of about 60 bytes. Memory that the records
+    of engines use does not count as growth.
 
-    It changes the settings of the whole process: thresholds, frozen objects, and one callback in `gc.callbacks`. No
-    `Engine` does that on its own; the nodes and the commands do. `restore_gc` undoes it.
+    This function changes settings of the whole process: thresholds, frozen objects, and one callback in
+    `gc.callbacks`. The nodes and the commands call it; an `Engine` does not. `restore_gc` undoes it.
 
     >>> limit_gc_pauses()
     >>> restore_gc()
@@ -44,10 +44,10 @@ def limit_gc_pauses() -> None:
 
 
 def collect_when_idle() -> bool:
-    """Collect all garbage if enough may have gathered; call it where nothing waits for the next milliseconds.
+    """Collect all garbage if enough may have accumulated; call this when a pause does not delay any event.
 
-    The pause is as long as without `limit_gc_pauses`, which has to be called before. Memory that the records of
-    engines explain does not count as garbage, so that most calls only compare two numbers.
+    The pause is as long as without `limit_gc_pauses`, which must be called before. Memory that the records of engines
+    use does not count as garbage, so most calls only compare two numbers.
 
     >>> collect_when_idle()
     False
@@ -59,7 +59,7 @@ def collect_when_idle() -> bool:
 
 
 def restore_gc() -> None:
-    """Undo `limit_gc_pauses` and collect all garbage; for a process that goes on with another program.
+    """Undo `limit_gc_pauses` and collect all garbage, for a process that continues with another program.
 
     >>> restore_gc()
     """

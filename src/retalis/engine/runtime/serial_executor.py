@@ -213,13 +213,13 @@ class SerialExecutor:
         use the executor, and an error that it raises ends this method.
         """
         me = _this_thread()
-        left = iter(entries)
+        remaining = iter(entries)
         if self._running == me and self._is_inside():
-            for first, second in left:
+            for first, second in remaining:
                 self._append(work, (first, second))
             return
         try:
-            while self._post_some(work, left):
+            while self._post_some(work, remaining):
                 pass
         except Exception as error:  # raised by the iterator: all entries before it are done
             self._end(error, lambda error: None)
@@ -228,7 +228,9 @@ class SerialExecutor:
             self._give_up()
             raise
 
-    def _post_some(self, work: Callable[[_One, _Two], object], left: Iterator[Tuple[_One, _Two]]) -> bool:
+    def _post_some(
+        self, work: Callable[[_One, _Two], object], remaining: Iterator[Tuple[_One, _Two]]
+    ) -> bool:
         """Do entries until another thread posts or calls, or queue one if another thread works.
 
         Returns:
@@ -236,7 +238,7 @@ class SerialExecutor:
         """
         queue, calls = self._queue, self._calls
         if queue or calls or not self._lock.acquire(False):
-            entry = next(left, None)
+            entry = next(remaining, None)
             if entry is not None:
                 first, second = entry
                 self._append(work, (first, second))
@@ -246,12 +248,12 @@ class SerialExecutor:
             self._restore(True)
         self._running = _this_thread()
         more = False
-        for first, second in left:
+        for first, second in remaining:
             self.entry = first, second  # a new tuple for each entry: the limits compare by identity
             try:
                 work(first, second)
             except Exception as error:  # a failing event must not affect the others
-                self._failed(error)
+                self._handle_error(error)
             if queue or calls:
                 more = True
                 break
@@ -366,19 +368,19 @@ class SerialExecutor:
         """
         if self._patient and self._running != _this_thread():
             while len(self._queue) >= self._size:
-                oldest = self._oldest()
+                oldest = self._get_oldest()
                 if self._lock.acquire(timeout=FULL_QUEUE_WAIT_SECONDS):
                     self._work_off()
                     return
                 # A whole queue can take longer on a busy machine; progress means a new oldest entry.
-                self._patient = self._oldest() is not oldest
+                self._patient = self._get_oldest() is not oldest
                 if not self._patient:
                     break
             else:
                 return
         self._drop()
 
-    def _oldest(self) -> object:
+    def _get_oldest(self) -> object:
         """Return the next entry of the queue, or None."""
         try:
             return self._queue[0]
@@ -429,12 +431,12 @@ class SerialExecutor:
             try:
                 work(*arguments)
             except Exception as error:  # a failing event must not affect the others
-                self._failed(error)
+                self._handle_error(error)
         self._patient = True
         self._running = None
         self._lock.release()
 
-    def _failed(self, error: Exception) -> None:
+    def _handle_error(self, error: Exception) -> None:
         self._restore(is_unexpected(error))
         self._on_error(error)
 
@@ -479,18 +481,18 @@ class _Unusable(SerialExecutor):
 
     def post(self, work: Callable[..., object], *arguments: object) -> None:
         """Refuse the work."""
-        raise _refusal()
+        raise _make_refusal()
 
     def post_each(self, work: Callable[[_One, _Two], object], entries: Iterable[Tuple[_One, _Two]]) -> None:
         """Refuse the work."""
-        raise _refusal()
+        raise _make_refusal()
 
     def call(self, work: Callable[[], _Result], entry: object = None) -> _Result:
         """Refuse the work."""
-        raise _refusal()
+        raise _make_refusal()
 
 
-def _refusal() -> UsageError:
+def _make_refusal() -> UsageError:
     return UsageError(
         "the engine cannot be used in this process, which was forked while another thread was at work in it:"
         " make an engine in the forked process, or fork while the engine is idle"

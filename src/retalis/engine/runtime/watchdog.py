@@ -23,7 +23,7 @@ from .problem_reports import Reports
 Warn = Callable[[float, object], None]
 
 _SAMPLES_PER_LIMIT = 5
-"""Samples within the shortest of the configured times."""
+"""Minimum number of samples within the shortest of the configured times."""
 
 _MAX_CONJUNCTION_DEPTH = 1000
 """Maximum depth of conjunctions for finding the first goal."""
@@ -77,14 +77,14 @@ class Watchdog:
             self._since = now
             self._next = self._patience
             return
-        ran = now - self._since
+        elapsed = now - self._since
         seconds = budget.limits.seconds
         # `rounds` counts the limits that were granted so far: a goal may catch the first resource error and continue.
-        if seconds is not None and ran >= seconds * budget.rounds:
+        if seconds is not None and elapsed >= seconds * budget.rounds:
             budget.expire(entry)
-        if self._next is not None and ran >= self._next:
+        if self._next is not None and elapsed >= self._next:
             self._next *= 2
-            self._warn(ran, entry)
+            self._warn(elapsed, entry)
 
     def held(self, now: float) -> Optional[Tuple[object, float]]:
         """Return the running entry and its sampled duration in seconds; None if nothing is running."""
@@ -99,45 +99,47 @@ class Watchdog:
 
     def pause(self) -> float:
         """Return the time until the next sample in seconds."""
-        times = [time for time in (self._patience, self._budget.limits.seconds) if time is not None]
+        limits = [limit for limit in (self._patience, self._budget.limits.seconds) if limit is not None]
         return max(
             _MIN_SAMPLE_SECONDS,
-            min(_MAX_SAMPLE_SECONDS, min(times, default=_MAX_SAMPLE_SECONDS) / _SAMPLES_PER_LIMIT),
+            min(_MAX_SAMPLE_SECONDS, min(limits, default=_MAX_SAMPLE_SECONDS) / _SAMPLES_PER_LIMIT),
         )
 
 
 def watch(
     turn: Turn, logic: PrologSystem, dispatcher: Dispatcher, reports: Reports, patience: Optional[float]
 ) -> Watchdog:
-    """Create the watchdog of an engine and start its thread; it reports what it finds."""
+    """Create the watchdog of an engine, and start its thread if it has a time to check."""
     budget = logic.machine.budget
 
     def warn(seconds: float, entry: object) -> None:
         try:
             reports.warning(*_slow_work_warning(logic, dispatcher, entry, seconds))
-        # Reads data of another thread that may change meanwhile; the watchdog must survive errors from that.
         except Exception as error:
+            # The engine's thread may change the data while it is read here. Such an error must not end the watchdog.
             reports.error(error)
 
-    def refused(number: int, what: str, entry: object) -> None:
-        text = f"{_name(entry)} has exceeded its limit of {what}; goals refused: {number}"
-        reports.warning(text, ("refused goals", _name(entry)))
+    def warn_of_refusal(number: int, limit: str, entry: object) -> None:
+        text = f"{_format_entry(entry)} has exceeded its limit of {limit}; goals refused: {number}"
+        reports.warning(text, ("refused goals", _format_entry(entry)))
 
-    def stopped(rule: Any, what: str, steps: int, entry: object) -> None:
+    def warn_of_stop(rule: Any, limit: str, steps: int, entry: object) -> None:
         name = "taking events back" if rule is None else rule.name
         text = (
-            f"{name}: {_name(entry)} has exceeded its limit of {what} while patterns were matched:"
+            f"{name}: {_format_entry(entry)} has exceeded its limit of {limit} while patterns were matched:"
             f" {steps} pairs, items or derived events were left out, with all that would have followed from them"
         )
-        reports.warning(RuleError(text, getattr(rule, "place", None)), ("pattern work", name, _name(entry)))
+        reports.warning(
+            RuleError(text, getattr(rule, "place", None)), ("pattern work", name, _format_entry(entry))
+        )
 
-    budget.on_refused = refused
-    budget.on_stopped = stopped
+    budget.on_refused = warn_of_refusal
+    budget.on_stopped = warn_of_stop
     watchdog = Watchdog(turn, budget, patience, warn)
+    # Without a warning and a time limit there is nothing to sample, so no thread is started.
     if patience is not None or budget.limits.seconds is not None:
-        # Without a warning and a time limit there is nothing to sample, so no thread is started.
         _start_thread(watchdog)
-        _STARTED.add(watchdog)
+        _STARTED_WATCHDOGS.add(watchdog)
     return watchdog
 
 
@@ -145,11 +147,11 @@ def _start_thread(watchdog: Watchdog) -> None:
     threading.Thread(target=_run, args=(ref(watchdog),), name="retalis watchdog", daemon=True).start()
 
 
-_STARTED: "WeakSet[Watchdog]" = WeakSet()
+_STARTED_WATCHDOGS: "WeakSet[Watchdog]" = WeakSet()
 
 
 def _start_in_child() -> None:
-    for watchdog in tuple(_STARTED):
+    for watchdog in tuple(_STARTED_WATCHDOGS):
         _start_thread(watchdog)
 
 
@@ -158,10 +160,10 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_start_in_child)
 
 
-def _run(known: "ref[Watchdog]") -> None:
+def _run(reference: "ref[Watchdog]") -> None:
     while True:
         # A weak reference, so that the thread ends when the engine is deleted.
-        watchdog = known()
+        watchdog = reference()
         if watchdog is None:
             return
         watchdog.look(time.monotonic())
@@ -194,8 +196,10 @@ def at_work(logic: PrologSystem, dispatcher: Dispatcher, entry: object) -> AtWor
         place = goal.place
         goal_text = f"{goal.name}: goal {beginning(logic.show(goal.term))}"
     elif goal is not None:
-        goal_text = f"goal {_name((_first_goal(goal),))}"
-    return AtWork(_name(entry), goal_text, "" if current is None else _name((current[TERM],)), place)
+        goal_text = f"goal {_format_entry((_first_goal(goal),))}"
+    return AtWork(
+        _format_entry(entry), goal_text, "" if current is None else _format_entry((current[TERM],)), place
+    )
 
 
 def _first_goal(term: Any) -> Any:
@@ -208,11 +212,11 @@ def _first_goal(term: Any) -> Any:
     return term
 
 
-def _name(entry: object) -> str:
+def _format_entry(entry: object) -> str:
     """Return a name of an entry: the functor of a term or the beginning of a text."""
-    what = _first_goal(entry[0]) if isinstance(entry, tuple) and entry else None
-    if isinstance(what, str):
-        return beginning(what)
-    if isinstance(what, Atom):
-        return beginning(what.name)
-    return beginning(str(what[0])) if isinstance(what, tuple) else "a request"
+    name = _first_goal(entry[0]) if isinstance(entry, tuple) and entry else None
+    if isinstance(name, str):
+        return beginning(name)
+    if isinstance(name, Atom):
+        return beginning(name.name)
+    return beginning(str(name[0])) if isinstance(name, tuple) else "a request"
