@@ -124,9 +124,10 @@ class RecentEvents:
     def _apply_observation(self) -> None:
         if self._is_requested and self._listener is None:
             event = Var()
+            # The variable is declared unused, so sources need not send arguments that no rule reads.
             self._listener = self._dispatcher.listen(
                 ListenerPhase.TRACE, event, self._count_event, unused={event}
-            )  # what is not read stays out of the texts between the nodes
+            )
         elif not self._is_requested and self._listener is not None:
             self._dispatcher.remove(self._listener)
             self._listener = None

@@ -35,11 +35,11 @@ class FusedPair(NamedTuple):
         whole: for the left and the right operand, whether the values of a match are the arguments of the event.
         operator: the operator; it determines which intervals fit, and the interval of a pair.
         span: maximum interval of a pair in ns; None for no limit.
-        taken: the variables of a pair, and the source of each: ``lv[0]`` is the first value of the left match.
+        taken: variables of a pair, each with the source of its value: ``lv[0]`` is the first value of the left match.
         blocks: for each absence a function that returns whether it prevents the pair.
         tests: conditions of a pair.
         tested: additional variables that the conditions bind.
-        found: selects those of these values that are not passed on with the match.
+        found: returns the values of a pair that belong to its identity but are not passed on; see `Found`.
         complete: action for the values of a complete match; None if pairs are emitted as partial matches.
     """
 
@@ -149,7 +149,9 @@ def _common_names(rule: Any, own: MatchBuffer, plain: EventAction) -> Dict[str, 
 
 
 class _ActionGenerator:
-    """Generator for the action of an event that may wait. Of the program, sources contain only times and sizes.
+    """Generator for the action of an event that may be stored as a match.
+
+    The generated source contains time limits and sizes of the program, but none of its names and texts.
 
     Args:
         own: the buffer in which the event waits.
