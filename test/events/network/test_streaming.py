@@ -166,7 +166,7 @@ def test_what_comes_too_late_is_counted_and_said_seldom():
         "4 so far",
         "8 so far",
     ]
-    assert "window that it belongs to was over" in engine.reports[0]
+    assert "its window has ended" in engine.reports[0]
 
 
 def test_a_value_that_cannot_be_measured_is_reported_and_the_rest_is_measured():
@@ -384,7 +384,7 @@ def test_a_window_that_would_be_over_by_the_clock_does_not_begin(window, said):
     engine = Run(f"w(N) <- aggregate(count, in(_), N, {window}).")
     assert engine.feed("in(1)@1 tick@10 in(2)@6 in(3)@7 tick@10.5") == said
     assert [rule.late for rule in engine.event_rules] == [2]
-    assert "was over" in engine.reports[0]
+    assert "its window has ended" in engine.reports[0]
     assert engine.feed("in(4)@8 tick@20").startswith("w(1)@8-")
 
 
