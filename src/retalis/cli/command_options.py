@@ -9,9 +9,9 @@ from ..foundation.errors import UsageError
 from ..prolog.machine.resource_limits import Limits
 from .option_values import from_one, from_zero
 
-_MEGABYTES = 2000
+_DEFAULT_MAX_MEGABYTES = 2000
 
-_OPTIONS: Tuple[Tuple[str, Callable[[str], float], Optional[int], str, str], ...] = (
+_LIMIT_OPTIONS: Tuple[Tuple[str, Callable[[str], float], Optional[int], str, str], ...] = (
     (
         "--max-seconds",
         float,
@@ -20,7 +20,13 @@ _OPTIONS: Tuple[Tuple[str, Callable[[str], float], Optional[int], str, str], ...
         "seconds that an event, goal or query may take, with everything that it starts (0)",
     ),
     ("--max-inferences", int, None, "N", "inferences that it may take (0)"),
-    ("--max-megabytes", float, _MEGABYTES, "N", f"memory that it may take, in megabytes ({_MEGABYTES})"),
+    (
+        "--max-megabytes",
+        float,
+        _DEFAULT_MAX_MEGABYTES,
+        "N",
+        f"memory that it may take, in megabytes ({_DEFAULT_MAX_MEGABYTES})",
+    ),
     (
         "--max-output-megabytes",
         float,
@@ -47,8 +53,8 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
         "A megabyte is 1,000,000 bytes. "
         "Defaults are in brackets.",
     )
-    for name, kind, default, metavar, text in _OPTIONS:
-        group.add_argument(name, type=from_zero(kind), default=default, metavar=metavar, help=text)
+    for name, number_type, default, metavar, text in _LIMIT_OPTIONS:
+        group.add_argument(name, type=from_zero(number_type), default=default, metavar=metavar, help=text)
     group.add_argument(
         "--max-depth",
         type=from_one,
@@ -107,7 +113,7 @@ def add_direct(parser: argparse.ArgumentParser) -> None:
     """Add the option that corresponds to parameter ``~direct`` of a node."""
     parser.add_argument(
         "--direct",
-        type=_direct,
+        type=_parse_direct,
         default=AUTO,
         metavar="TOPICS",
         help="the topics that a node subscribes by itself, as its parameter ~direct says: auto (tf and "
@@ -115,7 +121,7 @@ def add_direct(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _direct(text: str) -> DirectTopics:
+def _parse_direct(text: str) -> DirectTopics:
     try:
         return read_direct(text)
     except UsageError as error:

@@ -54,7 +54,7 @@ class _PredicateRow(NamedTuple):
 
     keys: List[str]
     call: str
-    what: str
+    description: str
 
 
 def help_lines(name: str, defined: Iterable[str]) -> List[str]:
@@ -64,23 +64,25 @@ def help_lines(name: str, defined: Iterable[str]) -> List[str]:
         name: name of predicates, or an indicator such as ``append/3``.
         defined: indicators of all predicates, including those of the program.
     """
-    rows = [row for row in _rows() if any(_is_of(name, key) for key in row.keys)]
-    lines = [f"{row.call}\n    {row.what}" for row in rows]
+    rows = [row for row in _read_rows() if any(_matches_name(name, key) for key in row.keys)]
+    lines = [f"{row.call}\n    {row.description}" for row in rows]
     documented = {key for row in rows for key in row.keys}
-    return [*lines, *(key for key in sorted(defined) if _is_of(name, key) and key not in documented)][
+    return [*lines, *(key for key in sorted(defined) if _matches_name(name, key) and key not in documented)][
         :MAX_HELP_LINES
     ]
 
 
 def apropos_lines(word: str, defined: Iterable[str]) -> List[str]:
     """Return a line for each predicate whose name or description contains a word; see `help_lines`."""
-    low, documented, lines = word.lower(), set(), []
-    for row in _rows():
-        if low in row.what.lower() or any(low in key.lower() for key in row.keys):
+    lower_word, documented, lines = word.lower(), set(), []
+    for row in _read_rows():
+        if lower_word in row.description.lower() or any(lower_word in key.lower() for key in row.keys):
             documented.update(row.keys)
-            lines.append(f"{', '.join(row.keys)}: {row.what}")
+            lines.append(f"{', '.join(row.keys)}: {row.description}")
     undocumented = [
-        key for key in sorted(defined) if low in key.lower() and key not in documented and key[0] != "$"
+        key
+        for key in sorted(defined)
+        if lower_word in key.lower() and key not in documented and key[0] != "$"
     ]
     lines += undocumented
     return (
@@ -90,12 +92,12 @@ def apropos_lines(word: str, defined: Iterable[str]) -> List[str]:
     )
 
 
-def _is_of(name: str, key: str) -> bool:
+def _matches_name(name: str, key: str) -> bool:
     return name in (key, key.rpartition("/")[0])
 
 
-def _rows() -> Iterator[_PredicateRow]:
-    for line in _page().read_text(encoding="utf-8").split("\n"):
+def _read_rows() -> Iterator[_PredicateRow]:
+    for line in _find_page().read_text(encoding="utf-8").split("\n"):
         # Rows of the tables begin with the indicator in code font. A vertical bar inside a cell is escaped, and
         # replaced by a zero byte while the row is split.
         if line.startswith("| ``"):
@@ -104,7 +106,7 @@ def _rows() -> Iterator[_PredicateRow]:
             yield _PredicateRow(keys, cells[1].replace("``", "").strip(), cells[2].strip())
 
 
-def _page() -> Path:
+def _find_page() -> Path:
     """Return the page of predicates in the source tree or the installed package.
 
     Raises:
@@ -130,7 +132,7 @@ class LoadedFiles:
 
     def __init__(self, engine: Engine):
         self._engine = engine
-        self._stamps: Dict[Path, _FileStates] = {}
+        self._file_states: Dict[Path, _FileStates] = {}
 
     def load(self, path: Path) -> List[str]:
         """Load a file, or the program in a folder, in place of its former version; return the changes.
@@ -138,7 +140,7 @@ class LoadedFiles:
         Raises:
             RetalisError: if the file has errors; the former version remains loaded.
         """
-        is_reload = path in self._stamps
+        is_reload = path in self._file_states
         try:
             if is_reload:
                 return [f"{path} again", *(f"  {line}" for line in self._engine.reload(path))]
@@ -147,21 +149,21 @@ class LoadedFiles:
         finally:
             # Also after an error, so that `make` tries again only after the file has changed.
             if is_reload or path.exists():
-                self._stamps[path] = self._stamp(path)
+                self._file_states[path] = self._read_file_states(path)
 
     def changed(self) -> List[Path]:
         """Return the loaded files and folders with changed files."""
-        return [path for path, stamp in self._stamps.items() if self._stamp(path) != stamp]
+        return [path for path, states in self._file_states.items() if self._read_file_states(path) != states]
 
-    def _stamp(self, path: Path) -> _FileStates:
+    def _read_file_states(self, path: Path) -> _FileStates:
         # A program may include further files, and a folder may get new ones: all of them count.
         deployment = self._engine.deployments.get(os.path.realpath(path))
         files = set() if deployment is None else {Path(file) for file in deployment.files}
         files |= set(path.iterdir()) if path.is_dir() else {path}
-        return tuple(_stat(file) for file in sorted(files))
+        return tuple(_read_file_state(file) for file in sorted(files))
 
 
-def _stat(path: Path) -> Tuple[str, int, int]:
+def _read_file_state(path: Path) -> Tuple[str, int, int]:
     try:
         status = path.stat()
     except OSError:
@@ -170,11 +172,11 @@ def _stat(path: Path) -> Tuple[str, int, int]:
     return str(path), status.st_mtime_ns, status.st_size
 
 
-_QUERY = frozenset((functor("?-", 1), functor(":-", 1)))
-_TRACE = functor("trace", 1)
-_CONSULT = functor("consult", 1)
-_HELP = functor("help", 1)
-_APROPOS = functor("apropos", 1)
+_QUERY_FUNCTORS = frozenset((functor("?-", 1), functor(":-", 1)))
+_TRACE_FUNCTOR = functor("trace", 1)
+_CONSULT_FUNCTOR = functor("consult", 1)
+_HELP_FUNCTOR = functor("help", 1)
+_APROPOS_FUNCTOR = functor("apropos", 1)
 
 DEFAULT_SHOWN_SOLUTIONS = 10
 """Limit for the solutions of a goal if the input is not a terminal."""
@@ -242,12 +244,12 @@ def run(options: argparse.Namespace) -> int:
     return 1 if report.errors else 0
 
 
-def _show(text: str) -> None:
+def _write_output(text: str) -> None:
     """Print the output of a goal without buffering, because the goal may run for long afterwards."""
     print(text, end="", flush=True)
 
 
-def _show_error(text: str) -> None:
+def _write_error(text: str) -> None:
     print(text, end="", file=sys.stderr, flush=True)
 
 
@@ -271,13 +273,13 @@ class Console:
         # As in other top levels, singleton variables of loaded clauses are reported.
         self._rules.warn_singletons = True
         self._files = LoadedFiles(self.engine)
-        self.engine.on_output(to_reader(self._output))
+        self.engine.on_output(to_reader(self._print_output))
         self.logic = self.engine.logic
-        self.logic.print_to(_show, _show_error)
+        self.logic.print_to(_write_output, _write_error)
         self._report = report
-        self._most = most
+        self._max_solutions = most
         self._tracing = False
-        self._lines: Union[Lines, Terminal] = Lines(sys.stdin)
+        self._input_lines: Union[Lines, Terminal] = Lines(sys.stdin)
 
     def names(self) -> List[str]:
         """Return the names of all predicates, for completion."""
@@ -305,17 +307,17 @@ class Console:
 
     def goals(self, lines: Union[Lines, Terminal]) -> None:
         """Read and solve goals until the end of the input or ``halt``."""
-        self._lines = lines
+        self._input_lines = lines
         if lines.is_terminal:
             self.logic.ask = self._read_line
         while True:
             try:
-                read = read_clause(lines, self.logic, "?- ")
-                if read is None:
+                clause = read_clause(lines, self.logic, "?- ")
+                if clause is None:
                     return
-                if isinstance(read, SyntaxFault):
-                    self._report(read)
-                elif not self._goal(read):
+                if isinstance(clause, SyntaxFault):
+                    self._report(clause)
+                elif not self._solve_goal(clause):
                     return
             except KeyboardInterrupt:
                 lines.rest = ""
@@ -325,35 +327,35 @@ class Console:
         """Return a line of input for a goal that reads; None at the end."""
         self.logic.column = 0
         with self.logic.machine.budget.paused():
-            return self._lines.line("|: ")
+            return self._input_lines.line("|: ")
 
-    def _goal(self, read: ReadTerm) -> bool:
+    def _solve_goal(self, read_goal: ReadTerm) -> bool:
         """Solve a goal; return False if it ends the console."""
-        goal = deref(read.term)
+        goal = deref(read_goal.term)
         # `?- Goal.` and `:- Goal.` are accepted, as text is often pasted from a file.
-        if goal.__class__ is tuple and goal[0] in _QUERY:
+        if goal.__class__ is tuple and goal[0] in _QUERY_FUNCTORS:
             goal = deref(goal[1])
         if goal.__class__ is Atom and goal.name in LEAVE and not self._defines(goal):
             return False
         # Alarms that became due while the user was typing precede the goal.
         self.engine.advance()
         # Commands and events are executed outside of `Engine.do`, as they call the engine themselves.
-        if self._is_command(goal) or self._is_event(goal):
+        if self._try_command(goal) or self._try_event(goal):
             return True
         traced = self._tracing
-        if goal.__class__ is tuple and goal[0] is _TRACE:
+        if goal.__class__ is tuple and goal[0] is _TRACE_FUNCTOR:
             goal, traced = deref(goal[1]), True
         elif goal.__class__ is tuple and goal[0] is COMMA and _is_atom(goal[1], "trace"):
             goal, traced = deref(goal[2]), True
-        self.engine.do(lambda: self._answer(goal, read, traced), goal)
+        self.engine.do(lambda: self._print_answers(goal, read_goal, traced), goal)
         return True
 
-    def _is_command(self, goal: Term) -> bool:
+    def _try_command(self, goal: Term) -> bool:
         """Execute a goal that is a command of the console; return False if it is not one.
 
         The commands are help, apropos, make, lists of files, consult, trace and notrace.
         """
-        if self._is_console_command(goal):
+        if self._try_console_command(goal):
             return True
         if goal.__class__ is Atom and goal.name in ("trace", "notrace", "nodebug"):
             self._tracing = goal.name == "trace"
@@ -362,34 +364,37 @@ class Console:
         files: Optional[List[Term]] = None
         if goal.__class__ is tuple:
             files = list_items(goal)
-            if files is None and goal[0] is _CONSULT:
+            if files is None and goal[0] is _CONSULT_FUNCTOR:
                 files = list_items(goal[1]) or [deref(goal[1])]
         # File names may be atoms or strings.
-        names = [_text(name) for name in files] if files else []
+        names = [_get_text(name) for name in files] if files else []
         # A list with anything but names is a goal, not a list of files.
         if not names or None in names:
             return False
-        loaded = [self._user() if name == "user" else self.load(Path(cast(str, name))) for name in names]
+        loaded = [
+            self._read_user_clauses() if name == "user" else self.load(Path(cast(str, name)))
+            for name in names
+        ]
         print("true." if all(loaded) else "false.")
         return True
 
-    def _is_console_command(self, goal: Term) -> bool:
+    def _try_console_command(self, goal: Term) -> bool:
         """Execute help, apropos or make, unless the program defines a predicate with this name."""
         if self._defines(goal):
             return False
         name = goal.name if goal.__class__ is Atom else ""
         if name == "make":
-            print("true." if self._make() else "false.")
+            print("true." if self._reload_changed_files() else "false.")
             return True
-        query = goal if goal.__class__ is tuple and goal[0] in (_HELP, _APROPOS) else None
-        word = None if query is None else _text(query[1])
+        query = goal if goal.__class__ is tuple and goal[0] in (_HELP_FUNCTOR, _APROPOS_FUNCTOR) else None
+        word = None if query is None else _get_text(query[1])
         if name == "help":
             lines = [CONSOLE]
         elif query is None or word is None:
             return False
         else:
             try:
-                lines = (help_lines if query[0] is _HELP else apropos_lines)(
+                lines = (help_lines if query[0] is _HELP_FUNCTOR else apropos_lines)(
                     word, map(str, self.logic.names())
                 )
             except UsageError as error:
@@ -399,7 +404,7 @@ class Console:
         print("\n".join(lines or [f"% nothing is known of {word}"]))
         return True
 
-    def _make(self) -> bool:
+    def _reload_changed_files(self) -> bool:
         """Load all changed files again; return whether all were loaded."""
         loaded = [self.load(path) for path in self._files.changed()]
         return all(loaded)
@@ -410,7 +415,7 @@ class Console:
         predicate = None if key is None else self.logic.database.predicates.get(key)
         return predicate is not None and predicate.kind == "user" and not predicate.library
 
-    def _is_event(self, goal: Term) -> bool:
+    def _try_event(self, goal: Term) -> bool:
         """Process ``event(E)`` and ``event(E,[T1,T2])`` as events; return False for another goal."""
         try:
             event = event_of(goal) if goal.__class__ is tuple and goal[0].name == "event" else None
@@ -422,36 +427,38 @@ class Console:
             self._report(error)
         return True
 
-    def _user(self) -> bool:
+    def _read_user_clauses(self) -> bool:
         """Read clauses up to the end of the input or ``end_of_file``, and add them."""
         while True:
-            read = read_clause(self._lines, self.logic, "|: ")
-            if read is None or (not isinstance(read, SyntaxFault) and _is_atom(read.term, "end_of_file")):
+            clause = read_clause(self._input_lines, self.logic, "|: ")
+            if clause is None or (
+                not isinstance(clause, SyntaxFault) and _is_atom(clause.term, "end_of_file")
+            ):
                 return True
-            if isinstance(read, SyntaxFault):
-                self._report(read)
+            if isinstance(clause, SyntaxFault):
+                self._report(clause)
                 continue
             try:
-                if read.singletons:
-                    self._warn(f"singleton variables: {', '.join(read.singletons)}", read)
-                self.engine.do(lambda: self._rules.load_terms([(read.term, read.place)]))  # noqa: B023
+                if clause.singletons:
+                    self._warn(f"singleton variables: {', '.join(clause.singletons)}", clause)
+                self.engine.do(lambda: self._rules.load_terms([(clause.term, clause.place)]))  # noqa: B023
             except ProgramErrors as errors:
                 for error in errors.errors:
                     self._report(error)
             except RetalisError as error:
                 self._report(error)
 
-    def _warn(self, text: str, read: ReadTerm) -> None:
-        print(f"warning: {RuleError(text, read.place)}", file=sys.stderr)
+    def _warn(self, text: str, clause: ReadTerm) -> None:
+        print(f"warning: {RuleError(text, clause.place)}", file=sys.stderr)
 
-    def _answer(self, goal: Term, read: ReadTerm, traced: bool) -> None:
+    def _print_answers(self, goal: Term, read_goal: ReadTerm, traced: bool) -> None:
         logic = self.logic
         outputs = logic.output, logic.error_output
         # The trace goes to stderr, so that the answers can be piped.
         tracer = Tracer(logic, lambda line: print(line, file=sys.stderr))
         try:
             with tracer.on() if traced else nullcontext():
-                self._solutions(goal, read.names)
+                self._print_solutions(goal, read_goal.names)
         except RetalisError as error:
             self._start_new_line()
             self._report(error if error.place else RuleError(error.message))
@@ -462,7 +469,7 @@ class Console:
             self._start_new_line()
             sys.stdout.flush()
 
-    def _solutions(self, goal: Term, names: Dict[str, Var]) -> None:
+    def _print_solutions(self, goal: Term, names: Dict[str, Var]) -> None:
         choices = self.logic.machine.choices
         # A deterministic goal leaves only the choice point of the query itself. Its last solution ends with a full
         # stop, and the user is not asked.
@@ -478,11 +485,11 @@ class Console:
                     # No choice point is left, so there is no further solution.
                     print(".")
                     return
-                if shown == self._most and not self._lines.is_terminal:
+                if shown == self._max_solutions and not self._input_lines.is_terminal:
                     print(" .\n% there may be more (see --most)")
                     return
                 with self.logic.machine.budget.paused():
-                    wants_more = self._lines.wants_more()
+                    wants_more = self._input_lines.wants_more()
                 if not wants_more:
                     print(" .")
                     return
@@ -497,7 +504,7 @@ class Console:
             print()
             self.logic.column = 0
 
-    def _output(self, term: Term, topic: str, name: Term) -> None:
+    def _print_output(self, term: Term, topic: str, name: Term) -> None:
         print(f"% {printable(topic)}: {self.engine.show(term)}", flush=True)
 
 
@@ -506,7 +513,7 @@ def _is_atom(term: Term, name: str) -> bool:
     return term.__class__ is Atom and term.name == name
 
 
-def _text(term: Term) -> Optional[str]:
+def _get_text(term: Term) -> Optional[str]:
     term = deref(term)
     if term.__class__ is Atom:
         return str(term.name)

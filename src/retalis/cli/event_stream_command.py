@@ -55,7 +55,7 @@ class ReadLine(NamedTuple):
 
 Read = Union[ReadTerm, ReadLine, SyntaxFault]
 
-_DIFFERENT = re.compile(r"[\"`]|\b(?:inf|nan|True|False)\b")
+_AMBIGUOUS_TEXT = re.compile(r"[\"`]|\b(?:inf|nan|True|False)\b")
 
 
 def read_stream(file: IO[str], operators: Operators, source: str) -> Iterator[Read]:
@@ -65,7 +65,7 @@ def read_stream(file: IO[str], operators: Operators, source: str) -> Iterator[Re
     reader = EventReader(operators)
     for line, text in enumerate(file, 1):
         if not incomplete and text.startswith("event("):
-            event = _event(reader, text.rstrip(), place_in(source, line, 1, text.rstrip("\n")))
+            event = _parse_event_line(reader, text.rstrip(), place_in(source, line, 1, text.rstrip("\n")))
             if event is not None:
                 yield event
                 start_line = line + 1
@@ -83,14 +83,14 @@ def read_stream(file: IO[str], operators: Operators, source: str) -> Iterator[Re
     yield from read_program(incomplete, operators, source, first_line=start_line)
 
 
-def _event(reader: EventReader, text: str, place: Place) -> Optional[ReadLine]:
+def _parse_event_line(reader: EventReader, text: str, place: Place) -> Optional[ReadLine]:
     """Return the event of a line that contains nothing else, or None.
 
     This is the usual case, and much faster than the full parser. Text that the two parsers read differently is left
     to the full parser.
     """
     # The two parsers read strings, back quotes and special numbers differently.
-    if not text.endswith(").") or _DIFFERENT.search(text):
+    if not text.endswith(").") or _AMBIGUOUS_TEXT.search(text):
         return None
     try:
         return ReadLine(reader.read(text[:-1]), place)
@@ -104,10 +104,10 @@ def _is_unfinished(terms: Sequence[Read], text: str, line: int) -> bool:
     for term in terms:
         if isinstance(term, SyntaxFault) and term.message.startswith("this comment is never closed"):
             return True
-    last = terms[-1]
-    if not isinstance(last, SyntaxFault) or last.place is None or text.rstrip().endswith("."):
+    last_term = terms[-1]
+    if not isinstance(last_term, SyntaxFault) or last_term.place is None or text.rstrip().endswith("."):
         return False
-    return last.place.line >= line
+    return last_term.place.line >= line
 
 
 def is_left_unread(number: int = 0) -> bool:
@@ -129,12 +129,12 @@ def is_left_unread(number: int = 0) -> bool:
             return mode.st_size > os.lseek(number, 0, os.SEEK_CUR)
         if not stat.S_ISFIFO(mode.st_mode):
             return False
-        waiting = array("i", [0])
-        fcntl.ioctl(number, termios.FIONREAD, waiting)
+        unread_bytes = array("i", [0])
+        fcntl.ioctl(number, termios.FIONREAD, unread_bytes)
     except OSError:
         # Closed.
         return False
-    return waiting[0] > 0
+    return unread_bytes[0] > 0
 
 
 DESCRIPTION = """\
@@ -207,7 +207,7 @@ def run(options: argparse.Namespace) -> int:
         options.wrong("nothing to do: give --rules, --goals, --stream, --queries or --explain")
     report = Report().listen()
     with ExitStack() as stack:
-        printer = Printer(options.json, options.memory_events, _opened(options.outputs, stack))
+        printer = Printer(options.json, options.memory_events, _open_output(options.outputs, stack))
         session = Session(options, report, printer)
         session.load()
         limit_gc_pauses()
@@ -220,7 +220,7 @@ def run(options: argparse.Namespace) -> int:
     return 1 if report.errors else 0
 
 
-def _opened(name: Optional[str], stack: ExitStack) -> Optional[IO[str]]:
+def _open_output(name: Optional[str], stack: ExitStack) -> Optional[IO[str]]:
     if name is None:
         return None
     if name == "-":
@@ -243,33 +243,33 @@ class Session:
         self.engine = Engine(self._clock, limited(allow_folders(Settings(), options), options), self.reports)
         # Registered before goals are called, because goals may cause events.
         self.engine.on_event(to_reader(printer.event))
-        self.engine.on_output(to_reader(self._output))
-        self._first: Optional[int] = None
+        self.engine.on_output(to_reader(self._print_output))
+        self._first_start: Optional[int] = None
         if options.times == RELATIVE:
-            self.engine.on_event(self._note_first)
+            self.engine.on_event(self._update_first_start)
         self.engine.logic.define_control("sleep", 1, self._sleep)
         # Before any event: the causes of earlier events cannot be recovered.
         if options.explain:
             record_origins(self.engine)
         if options.clock:
-            stamp = read_term(options.clock, Operators.prolog(), "--clock").term
+            clock_term = read_term(options.clock, Operators.prolog(), "--clock").term
             try:
-                self._clock.pin(timestamps.from_term(stamp))
+                self._clock.pin(timestamps.from_term(clock_term))
             except UsageError as error:
                 raise UsageError(f"--clock {options.clock}: {error.message}") from error
 
-    def _output(self, term: Term, topic: str, name: Term) -> None:
+    def _print_output(self, term: Term, topic: str, name: Term) -> None:
         self._printer.output(term, topic, name, self._clock.now())
 
     def load(self) -> None:
         """Call the goals and load the rules; a file with an error is skipped, and the others are loaded."""
         for path in self._options.goals:
-            self._try(self._load, self.engine.call_goals, path)
+            self._call_reporting_errors(self._load_file, self.engine.call_goals, path)
         for path in self._options.rules:
-            self._try(self._load, self.engine.load_rules, path)
+            self._call_reporting_errors(self._load_file, self.engine.load_rules, path)
 
-    def _load(self, take: Callable[[str, str, Path], None], path: Path) -> None:
-        take(read_text(path), str(path), path.parent)
+    def _load_file(self, load: Callable[[str, str, Path], None], path: Path) -> None:
+        load(read_text(path), str(path), path.parent)
 
     def feed(self) -> None:
         """Process the stream."""
@@ -278,32 +278,32 @@ class Session:
             return
         operators = self.engine.operators
         if name == "-":
-            self._feed(read_stream(sys.stdin, operators, "standard input"))
+            self._process_stream(read_stream(sys.stdin, operators, "standard input"))
             return
         with ExitStack() as stack:
             try:
                 file = stack.enter_context(open(name, encoding="utf-8"))
             except OSError as error:
                 raise UsageError(f"cannot read {name}: {error.strerror}") from error
-            self._feed(read_stream(file, operators, name))
+            self._process_stream(read_stream(file, operators, name))
 
-    def _feed(self, stream: Iterable[Read]) -> None:
+    def _process_stream(self, stream: Iterable[Read]) -> None:
         try:
-            for item in stream:
-                if isinstance(item, SyntaxFault):
-                    self._report(item)
+            for read in stream:
+                if isinstance(read, SyntaxFault):
+                    self._report(read)
                 else:
-                    self._try(self._step, item)
+                    self._call_reporting_errors(self._process_term, read)
         except UnicodeDecodeError as error:
             raise UsageError(f"the stream is not UTF-8 text: {error}") from error
 
-    def _step(self, item: Union[ReadLine, ReadTerm]) -> None:
+    def _process_term(self, read: Union[ReadLine, ReadTerm]) -> None:
         try:
-            self._do(goal_of(item.term))
+            self._execute(goal_of(read.term))
         except RetalisError as error:
-            raise (error if error.place else RuleError(error.message, item.place)) from error
+            raise (error if error.place else RuleError(error.message, read.place)) from error
 
-    def _do(self, goal: Term) -> None:
+    def _execute(self, goal: Term) -> None:
         event = event_of(goal)
         if event is None:
             # A goal of the stream is a command, so its failure is an error.
@@ -323,18 +323,18 @@ class Session:
                 if isinstance(goal, SyntaxFault):
                     self._report(goal)
                 else:
-                    self._try(self._query, goal)
+                    self._call_reporting_errors(self._print_solutions, goal)
         for term in self._options.explain:
-            self._try(self._explain, term)
+            self._call_reporting_errors(self._print_explanation, term)
 
-    def _note_first(self, term: Term, start: int, end: int) -> None:
-        self._first = int(start) if self._first is None else min(self._first, int(start))
+    def _update_first_start(self, term: Term, start: int, end: int) -> None:
+        self._first_start = int(start) if self._first_start is None else min(self._first_start, int(start))
 
-    def _explain(self, text: str) -> None:
+    def _print_explanation(self, text: str) -> None:
         term = read_term(text, self.engine.operators, "--explain").term
-        self._printer.explanation(term, explain(self.engine, term, origin=self._first))
+        self._printer.explanation(term, explain(self.engine, term, origin=self._first_start))
 
-    def _query(self, goal: ReadTerm) -> None:
+    def _print_solutions(self, goal: ReadTerm) -> None:
         instances: List[Term] = []
         term = goal_of(goal.term)
         try:
@@ -356,10 +356,10 @@ class Session:
         self.engine.advance()
         return after
 
-    def _try(self, work: Callable[..., object], *arguments: object) -> None:
+    def _call_reporting_errors(self, function: Callable[..., object], *arguments: object) -> None:
         """Call ``work`` with the arguments, and report its errors."""
         try:
-            work(*arguments)
+            function(*arguments)
         except ProgramErrors as errors:
             for error in errors.errors:
                 self._report(error)

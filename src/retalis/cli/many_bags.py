@@ -79,7 +79,7 @@ class Played(NamedTuple):
     state: Optional[bytes] = None
 
 
-_PROCESS = threading.Lock()
+_PROCESS_LOCK = threading.Lock()
 """Lock of standard output and the reports, which exist once per process: a Dask worker may have several threads."""
 
 
@@ -91,7 +91,7 @@ def play_bag(task: BagTask, scratch: str) -> Played:
         scratch: folder for temporary files.
     """
     stderr, failure, bag, state = _LimitedOutput(), "", task.place, None
-    with _PROCESS, redirect_stderr(stderr):
+    with _PROCESS_LOCK, redirect_stderr(stderr):
         report = Report().listen(events=True)
         try:
             with fetched(task.place, scratch) as bag, result_file(task.target, scratch) as result:
@@ -112,7 +112,7 @@ def play_bag(task: BagTask, scratch: str) -> Played:
 def _play_into(result: str, bag: str, task: BagTask, report: Report) -> Optional[bytes]:
     """Play a bag into a file; return the program's snapshot if a part follows."""
     options = argparse.Namespace(**task.options, bags=[bag], output=None, overwrite=True)
-    tell = print_line
+    write_record = print_line
     with ExitStack() as stack:
         if task.format == "bag":
             # The recording has the outputs, so they are not printed.
@@ -120,29 +120,29 @@ def _play_into(result: str, bag: str, task: BagTask, report: Report) -> Optional
         elif task.format is not None:
             options.json = True
         if task.format == "parquet":
-            tell = stack.enter_context(RunTable(result, options.events)).write
+            write_record = stack.enter_context(RunTable(result, options.events)).write
         # Printed output becomes the result of the formats that consist of lines, and is discarded otherwise.
         printed = result if task.format in (None, "jsonl") else os.devnull
         file = stack.enter_context(open(printed, "w", encoding="utf-8"))
         stack.enter_context(redirect_stdout(file))
-        playback = play(options, report, tell, task.state)
+        playback = play(options, report, write_record, task.state)
         return playback.engine.snapshot() if task.goes_on else None
 
 
 class _LimitedOutput(io.StringIO):
     """Standard error of a bag, cut after `_MAX_MESSAGE_CHARACTERS` characters."""
 
-    _more = 0
+    _dropped_characters = 0
 
     def write(self, text: str) -> int:
         # A bag with an error per message must not fill the memory of the process that collects the messages.
-        kept = text[: max(0, _MAX_MESSAGE_CHARACTERS - self.tell())]
-        self._more += len(text) - len(kept)
-        super().write(kept)
+        written = text[: max(0, _MAX_MESSAGE_CHARACTERS - self.tell())]
+        self._dropped_characters += len(text) - len(written)
+        super().write(written)
         return len(text)
 
     def getvalue(self) -> str:
-        more = f"\n... and {self._more} more characters\n" if self._more else ""
+        more = f"\n... and {self._dropped_characters} more characters\n" if self._dropped_characters else ""
         return super().getvalue() + more
 
 
@@ -231,22 +231,22 @@ def play_many(options: argparse.Namespace) -> int:
     _check_options(options)
     with ExitStack() as stack:
         scratch = stack.enter_context(TemporaryDirectory(prefix="retalis-"))
-        tasks, ready = _tasks(options, _recordings(options), scratch)
+        tasks, ready = _create_tasks(options, _find_recordings(options), scratch)
         stack.callback(remove_parts, [task.target for task in tasks])
         results = _Results(tasks, to_print=options.output is None)
         bar = stack.enter_context(progress("bags", lambda: results.done / len(tasks)))
-        clear = bar.clear if bar is not None else lambda: None
+        clear_bar = bar.clear if bar is not None else lambda: None
 
-        def lost(number: int, how: str) -> None:
-            clear()
+        def warn_worker_death(number: int, how: str) -> None:
+            clear_bar()
             print(
                 f"warning: {tasks[number].place}: its worker died {how}; it is played again",
                 file=sys.stderr,
             )
 
-        played = stack.enter_context(closing(_played(options, tasks, ready, scratch, lost)))
-        for number, outcome in played:
-            clear()
+        outcomes = stack.enter_context(closing(_run_tasks(options, tasks, ready, scratch, warn_worker_death)))
+        for number, outcome in outcomes:
+            clear_bar()
             if isinstance(outcome, Played) and outcome.state is not None:
                 # The next part runs before other bags, so that few snapshots exist at a time: they are large.
                 tasks[number + 1] = tasks[number + 1]._replace(state=outcome.state)
@@ -260,16 +260,16 @@ def play_many(options: argparse.Namespace) -> int:
         return results.finish()
 
 
-def _played(
+def _run_tasks(
     options: argparse.Namespace,
     tasks: List[BagTask],
     ready: Deque[int],
     scratch: str,
-    lost: Callable[[int, str], object],
+    on_worker_death: Callable[[int, str], object],
 ) -> Generator[Tuple[int, _Outcome], None, None]:
     if options.scheduler:
         return on_cluster(play_bag, tasks, options.scheduler, ready)
-    return in_processes(play_bag, tasks, options.jobs, scratch, lost, ready)
+    return in_processes(play_bag, tasks, options.jobs, scratch, on_worker_death, ready)
 
 
 def _check_options(options: argparse.Namespace) -> None:
@@ -278,7 +278,7 @@ def _check_options(options: argparse.Namespace) -> None:
     Raises:
         UsageError: if there are any.
     """
-    kind = _format(options)
+    result_format = _select_format(options)
     if options.jobs and options.scheduler:
         raise UsageError("--jobs and --scheduler: give one of them; a cluster has as many workers as it has")
     # The results of other machines have to be written to a folder or URL that both sides can read.
@@ -290,10 +290,10 @@ def _check_options(options: argparse.Namespace) -> None:
         raise UsageError(
             "--write-folder: bags that are played at the same time would write over each other's files"
         )
-    if kind == "bag" and options.events:
+    if result_format == "bag" and options.events:
         raise UsageError("--events: a bag contains only published messages; use --format jsonl or parquet")
-    if kind in ("bag", "parquet") and options.explain:
-        raise UsageError(f"--explain: --format {kind} has no place for it, jsonl has")
+    if result_format in ("bag", "parquet") and options.explain:
+        raise UsageError(f"--explain: --format {result_format} has no place for it, jsonl has")
     if options.output and not is_url(options.output):
         target = Path(options.output).resolve()
         for place in options.bags:
@@ -303,18 +303,18 @@ def _check_options(options: argparse.Namespace) -> None:
                 )
 
 
-def _format(options: argparse.Namespace) -> Optional[str]:
+def _select_format(options: argparse.Namespace) -> Optional[str]:
     if not options.output:
         return None
     return str(options.format or ("jsonl" if options.json else "bag"))
 
 
-def _recordings(options: argparse.Namespace) -> List[List[FoundBag]]:
+def _find_recordings(options: argparse.Namespace) -> List[List[FoundBag]]:
     bags = find_bags(options.bags)
     return in_parts(bags) if options.parts else [[bag] for bag in bags]
 
 
-def _tasks(
+def _create_tasks(
     options: argparse.Namespace, recordings: List[List[FoundBag]], scratch: str
 ) -> Tuple[List[BagTask], Deque[int]]:
     """Return all tasks in order, and the numbers of the tasks that can start: the first parts of recordings.
@@ -322,7 +322,7 @@ def _tasks(
     Raises:
         UsageError: if two results would have the same name, or a result exists already.
     """
-    kind = _format(options)
+    result_format = _select_format(options)
     # The processes of a cluster may have other working directories.
     absolute = os.path.abspath if options.scheduler else str
 
@@ -338,16 +338,18 @@ def _tasks(
     for bags in recordings:
         ready.append(len(tasks))
         for bag in bags:
-            if kind is None:
+            if result_format is None:
                 # Printed output is collected in temporary files, so that it can be printed in the order of the
                 # bags.
                 target = os.path.join(scratch, str(len(tasks)))
             else:
-                target = shared_path(f"{options.output.rstrip('/')}/{bag.name}.{kind}")
+                target = shared_path(f"{options.output.rstrip('/')}/{bag.name}.{result_format}")
                 _check_target(target, bag, targets, options.overwrite)
             targets[target] = bag.place
             tasks.append(
-                BagTask(shared_path(bag.place), target, kind, bag_options, goes_on=bag is not bags[-1])
+                BagTask(
+                    shared_path(bag.place), target, result_format, bag_options, goes_on=bag is not bags[-1]
+                )
             )
     return tasks, ready
 
@@ -384,7 +386,7 @@ class _Results:
         self.done += 1
         self._outcomes[number] = outcome
         # All later parts of a recording fail with one of its parts, because they would lack its state.
-        while self._tasks[number].goes_on and _failure(self._outcomes[number]) is not None:
+        while self._tasks[number].goes_on and _get_failure(self._outcomes[number]) is not None:
             number, place = number + 1, self._tasks[number].place
             self.done += 1
             self._outcomes[number] = Unfinished(f"not played: it goes on from {place}, which failed")
@@ -393,7 +395,7 @@ class _Results:
             self._next_to_report += 1
 
     def _report(self, task: BagTask, outcome: _Outcome) -> None:
-        failure = _failure(outcome)
+        failure = _get_failure(outcome)
         if isinstance(outcome, Played):
             self._errors += outcome.errors
             self._report_messages(task, outcome.said)
@@ -402,7 +404,7 @@ class _Results:
             failure = f"{task.target} is not seen here: this machine and the workers need to share its folder"
         if failure is not None:
             self._failed += 1
-            print(f"error: {_with_place(task.place, failure)}", file=sys.stderr)
+            print(f"error: {_add_place(task.place, failure)}", file=sys.stderr)
         elif self._to_print:
             with open(task.target, encoding="utf-8") as file:
                 shutil.copyfileobj(file, sys.stdout)
@@ -426,9 +428,9 @@ class _Results:
         return 1 if self._failed or self._errors else 0
 
 
-def _failure(outcome: _Outcome) -> Optional[str]:
+def _get_failure(outcome: _Outcome) -> Optional[str]:
     return outcome.cause if isinstance(outcome, Unfinished) else outcome.failure
 
 
-def _with_place(place: str, failure: str) -> str:
+def _add_place(place: str, failure: str) -> str:
     return failure if failure.startswith(place) else f"{place}: {failure}"

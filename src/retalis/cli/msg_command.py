@@ -13,8 +13,8 @@ from ..playback.bag_locations import open_bag
 from .bag_run import add_chunk_limit
 
 FORMATS: Dict[str, Callable[[Definition, Definitions], str]] = {
-    "term": lambda found, known: positional(found),
-    "names": lambda found, known: by_names(found),
+    "term": lambda definition, definitions: positional(definition),
+    "names": lambda definition, definitions: by_names(definition),
     "zero": zero,
 }
 
@@ -44,36 +44,36 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     # Functors in programs have `__0__` in place of the slash; both forms are accepted.
-    kind = plain_type(options.type.replace("__0__", "/"))
+    type_name = plain_type(options.type.replace("__0__", "/"))
     definitions = Definitions()
-    fault = type_fault(kind)
+    fault = type_fault(type_name)
     if fault is not None:
-        raise UsageError(f"{fault}{_suggestion(definitions, kind)}")
+        raise UsageError(f"{fault}{_suggest_type(definitions, type_name)}")
     if options.bag is not None:
-        _learn(definitions, options.bag, kind, options.max_chunk_megabytes)
+        _learn_type(definitions, options.bag, type_name, options.max_chunk_megabytes)
     try:
-        definition = definitions.find(kind)
+        definition = definitions.find(type_name)
     except MessageError as error:
         hint = "" if options.bag is not None else "; --bag BAG takes it from a bag"
-        raise UsageError(f"{error.message}{_suggestion(definitions, kind) or hint}") from error
+        raise UsageError(f"{error.message}{_suggest_type(definitions, type_name) or hint}") from error
     print(FORMATS[options.format](definition, definitions), end="")
     return 0
 
 
-def _suggestion(definitions: Definitions, kind: str) -> str:
+def _suggest_type(definitions: Definitions, type_name: str) -> str:
     """Return a suggestion of a similar type, to append to an error; "" if there is none."""
-    similar = definitions.misspelt(kind)
+    similar = definitions.misspelt(type_name)
     return f"; did you mean {similar}?" if similar else ""
 
 
-def _learn(definitions: Definitions, path: Path, kind: str, max_chunk_megabytes: int) -> None:
+def _learn_type(definitions: Definitions, path: Path, type_name: str, max_chunk_megabytes: int) -> None:
     """Learn a type, with the types of its fields, from the connections of a bag."""
     with open_bag(path, max_chunk_megabytes) as bag:
         # Topics of the type first. The definitions of other topics may contain it as the type of a field.
-        topics = sorted(bag.topics, key=lambda topic: topic.type != kind)
+        topics = sorted(bag.topics, key=lambda topic: topic.type != type_name)
         for topic in topics:
             try:
                 definitions.add(topic.type, topic.definition, topic.md5sum)
             except MessageError as error:
-                if topic.type == kind:
+                if topic.type == type_name:
                     raise UsageError(f"{path}: {error.message}") from error

@@ -15,18 +15,18 @@ AddCommand = Callable[..., argparse.ArgumentParser]
 
 DESCRIPTION = "The node is that of --node, or the only one that runs in the namespace of ROS_NAMESPACE."
 
-STATUS = "The exit status is 0 with a solution, 1 without one or with an error."
+EXIT_STATUS_HELP = "The exit status is 0 with a solution, 1 without one or with an error."
 
 
 def add_parser(add_command: AddCommand) -> None:
     """Add the commands."""
     _add_query(add_command)
-    explain = _command(add_command, "explain", "explain why an event happened in a node, or why not")
+    explain = _add_node_command(add_command, "explain", "explain why an event happened in a node, or why not")
     explain.add_argument(
         "event", metavar="EVENT", help="a term, in which _ stands for any value, such as fever(bob,_)"
     )
-    _command(add_command, "list", "list the rules, memories, subscriptions and queries of a node")
-    status = _command(add_command, "status", "show the status of a node, updated periodically")
+    _add_node_command(add_command, "list", "list the rules, memories, subscriptions and queries of a node")
+    status = _add_node_command(add_command, "status", "show the status of a node, updated periodically")
     status.add_argument(
         "--every",
         type=any_number,
@@ -40,12 +40,12 @@ def add_parser(add_command: AddCommand) -> None:
         help="show it once, after --every seconds; default if the output is not a terminal",
     )
     _add_watch(add_command)
-    _command(add_command, "reload", "make a node read its program again, completely or not at all")
+    _add_node_command(add_command, "reload", "make a node read its program again, completely or not at all")
 
 
 def _add_query(add_command: AddCommand) -> None:
-    query = _command(add_command, "query", "ask a goal of a node")
-    query.description = f"{query.description} {STATUS}"
+    query = _add_node_command(add_command, "query", "ask a goal of a node")
+    query.description = f"{query.description} {EXIT_STATUS_HELP}"
     add = query.add_argument
     add("goal", metavar="GOAL", help="as in 'access_mem(odom,P,[T1,T2])'")
     add("--most", type=from_zero(int), metavar="N", default=100, help="solutions at most (100)")
@@ -75,7 +75,7 @@ def _add_query(add_command: AddCommand) -> None:
 
 
 def _add_watch(add_command: AddCommand) -> None:
-    watch = _command(add_command, "watch", "print the outputs of a node as they come")
+    watch = _add_node_command(add_command, "watch", "print the outputs of a node as they come")
     add = watch.add_argument
     add(
         "--event",
@@ -88,7 +88,7 @@ def _add_watch(add_command: AddCommand) -> None:
     add("--count", type=from_zero(int), metavar="N", default=0, help="stop after N lines; 0: never (0)")
 
 
-def _command(add_command: AddCommand, name: str, summary: str) -> argparse.ArgumentParser:
+def _add_node_command(add_command: AddCommand, name: str, summary: str) -> argparse.ArgumentParser:
     parser = add_command(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}. {DESCRIPTION}")
     parser.add_argument("--node", metavar="/NAME", help="the node, if several are running")
     parser.add_argument("--json", action="store_true", help="print JSON, one value a line")

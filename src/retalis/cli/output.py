@@ -11,9 +11,9 @@ from ..prolog.syntax.term_writer import canonical_text as text
 from ..prolog.terms import timestamps
 from ..prolog.terms.types import Term, atom, functor
 
-EVENT = functor("event", 2)
-MEMORY_EVENT = functor("memory_event", 2)
-OUTPUT = functor("output", 3)
+EVENT_FUNCTOR = functor("event", 2)
+MEMORY_EVENT_FUNCTOR = functor("memory_event", 2)
+OUTPUT_FUNCTOR = functor("output", 3)
 JSON = """\
 with --json each line is one object. Terms are strings that read back; T, T1 and T2 are whole nanoseconds since
 the epoch, whatever form the stamps have in terms:
@@ -36,16 +36,23 @@ class Printer:
 
     def event(self, term: Term, start: int, end: int) -> None:
         """Print an event."""
-        memory = term.__class__ is tuple and term[0] in MEMORY_EVENTS
-        if memory and not self._memory_events:
+        is_memory_event = term.__class__ is tuple and term[0] in MEMORY_EVENTS
+        if is_memory_event and not self._memory_events:
             return
         if self._json:
             self.line(
-                {"memory_event" if memory else "event": text(term), "start": int(start), "end": int(end)}
+                {
+                    "memory_event" if is_memory_event else "event": text(term),
+                    "start": int(start),
+                    "end": int(end),
+                }
             )
         else:
             interval = timestamps.interval_term(start, end)
-            print(f"{text((MEMORY_EVENT if memory else EVENT, term, interval))}.", flush=True)
+            print(
+                f"{text((MEMORY_EVENT_FUNCTOR if is_memory_event else EVENT_FUNCTOR, term, interval))}.",
+                flush=True,
+            )
 
     def output(self, term: Term, topic: str, name: Term, instant: int) -> None:
         """Print an output to a subscriber."""
@@ -55,7 +62,7 @@ class Printer:
             content = {"output": text(term), "topic": topic, "id": text(name), "time": int(instant)}
             self.line(content, self._outputs)
         else:
-            print(f"{text((OUTPUT, term, atom(topic), name))}.", file=self._outputs, flush=True)
+            print(f"{text((OUTPUT_FUNCTOR, term, atom(topic), name))}.", file=self._outputs, flush=True)
 
     def solutions(self, goal: Term, instances: List[Term]) -> None:
         """Print the solutions of a query, each as an instance of the goal."""
@@ -68,7 +75,7 @@ class Printer:
     def explanation(self, term: Term, answer: Explanation) -> None:
         """Print the explanation of an event that happened or did not happen."""
         if self._json:
-            because = [_as_json(line) for line in answer.lines]
+            because = [_line_to_json(line) for line in answer.lines]
             self.line({"explain": text(term), "happened": answer.happened, "because": because})
             return
         print(f"% {text(term)} {'happened' if answer.happened else 'did not happen'}")
@@ -81,5 +88,5 @@ class Printer:
         print(json.dumps(content, ensure_ascii=False), file=file or sys.stdout, flush=True)
 
 
-def _as_json(line: ExplanationLine) -> Dict[str, object]:
-    return {"text": line.text, "below": [_as_json(part) for part in line.below]}
+def _line_to_json(line: ExplanationLine) -> Dict[str, object]:
+    return {"text": line.text, "below": [_line_to_json(part) for part in line.below]}

@@ -13,7 +13,7 @@ from .bag_run import bags_of, playback_of, share_of
 from .command_options import add_folders, add_limits
 from .stderr_report import Report, progress
 
-PAGES = ("html", "htm")
+PAGE_SUFFIXES = ("html", "htm")
 
 DESCRIPTION = """\
 Run a program over bags, or read a run that "bag --events --json" has written, and draw its timeline: a row for each
@@ -49,28 +49,28 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    path, kind = options.output, options.output.suffix[1:].lower()
-    if kind not in (*PAGES, *PICTURES):
-        endings = ", ".join(f".{ending}" for ending in (*PAGES, *PICTURES))
+    path, suffix = options.output, options.output.suffix[1:].lower()
+    if suffix not in (*PAGE_SUFFIXES, *PICTURES):
+        endings = ", ".join(f".{ending}" for ending in (*PAGE_SUFFIXES, *PICTURES))
         raise UsageError(f"--output {path}: expected a name that ends in one of {endings}")
     report = Report().listen()
     if options.run_file is not None:
         if options.bags:
             options.wrong("give bags or --from, not both")
-        timeline, title = _read(options.run_file), options.run_file.name
+        timeline, title = _read_timeline(options.run_file), options.run_file.name
     else:
         if not options.bags or options.program is None:
             options.wrong("give bags with --program, or --from")
-        timeline = _played(options, report).timeline()
+        timeline = _record_timeline(options, report).timeline()
         title = f"{options.program.resolve().name} over {', '.join(Path(bag).name for bag in options.bags)}"
-    if kind in PAGES:
-        _write(path, page(timeline, title))
+    if suffix in PAGE_SUFFIXES:
+        _write_page(path, page(timeline, title))
     else:
         draw_timeline(timeline, title, path)
     return 1 if report.errors else 0
 
 
-def _read(path: Path) -> Timeline:
+def _read_timeline(path: Path) -> Timeline:
     try:
         with open(path, encoding="utf-8") as file:
             return read_run(file, str(path))
@@ -80,7 +80,7 @@ def _read(path: Path) -> Timeline:
         raise UsageError(f"{path} is not UTF-8 text: {error}") from error
 
 
-def _played(options: argparse.Namespace, report: Report) -> TimelineBuilder:
+def _record_timeline(options: argparse.Namespace, report: Report) -> TimelineBuilder:
     """Run the program over the bags, and record its timeline."""
     builder = TimelineBuilder()
     with bags_of(options) as bags:
@@ -101,7 +101,7 @@ def _played(options: argparse.Namespace, report: Report) -> TimelineBuilder:
     return builder
 
 
-def _write(path: Path, text: str) -> None:
+def _write_page(path: Path, text: str) -> None:
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:

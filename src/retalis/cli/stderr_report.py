@@ -8,8 +8,8 @@ from typing import IO, Callable, Iterator, Optional
 
 from ..foundation.errors import RetalisError, printable
 
-_log = logging.getLogger("retalis")
-_shown = logging.getLogger("retalis.events")
+_package_logger = logging.getLogger("retalis")
+_event_logger = logging.getLogger("retalis.events")
 """Logger of the events that a program requests to be shown."""
 
 
@@ -23,13 +23,13 @@ class NobodyReads(BaseException):
 def to_reader(callback: Callable[..., None]) -> Callable[..., None]:
     """Wrap a printing callback of the engine, so that a closed pipe ends the run."""
 
-    def printing(*arguments: object) -> None:
+    def print_or_end_run(*arguments: object) -> None:
         try:
             callback(*arguments)
         except BrokenPipeError:
             raise NobodyReads from None
 
-    return printing
+    return print_or_end_run
 
 
 class Report(logging.Handler):
@@ -52,7 +52,7 @@ class Report(logging.Handler):
         """Print a log record, and count it if it is an error."""
         text = printable(self.format(record))
         # Events that the program requests to be shown are output, not problems: no level, and no count.
-        if record.name == _shown.name:
+        if record.name == _event_logger.name:
             print(text, file=sys.stderr)
             return
         if record.levelno < logging.WARNING:
@@ -64,27 +64,27 @@ class Report(logging.Handler):
     def listen(self, events: bool = False) -> "Report":
         """Report the log records of the package until `leave`, on request also the events that a program shows."""
         if events:
-            _shown.setLevel(logging.INFO)
-        _log.addHandler(self)
-        _log.propagate = False
+            _event_logger.setLevel(logging.INFO)
+        _package_logger.addHandler(self)
+        _package_logger.propagate = False
         return self
 
 
 def leave() -> None:
     """End all reports, and restore the loggers."""
-    for handler in [candidate for candidate in _log.handlers if isinstance(candidate, Report)]:
-        _log.removeHandler(handler)
-    _shown.setLevel(logging.NOTSET)
-    _log.propagate = True
+    for handler in [candidate for candidate in _package_logger.handlers if isinstance(candidate, Report)]:
+        _package_logger.removeHandler(handler)
+    _event_logger.setLevel(logging.NOTSET)
+    _package_logger.propagate = True
 
 
-EVERY = 0.1
+UPDATE_INTERVAL_SECONDS = 0.1
 """Seconds between two updates of the bar."""
 
-WIDTH = 30
+BAR_WIDTH = 30
 """Width of the bar in characters, without text."""
 
-_CLEAR = "\r\033[K"
+_CLEAR_LINE = "\r\033[K"
 
 
 class Bar:
@@ -104,32 +104,32 @@ class Bar:
         file: IO[str],
         clock: Callable[[], float] = time.monotonic,
     ):
-        self._what = what
+        self._item_name = what
         self._share = share
         self._file = file
         self._clock = clock
-        self._begun = self._drawn = clock()
+        self._start_time = self._last_draw_time = clock()
 
     def __call__(self, done: int) -> None:
-        """Draw the bar with the number of completed items, at most every `EVERY` seconds."""
+        """Draw the bar with the number of completed items, at most every `UPDATE_INTERVAL_SECONDS` seconds."""
         now = self._clock()
-        if now - self._drawn >= EVERY:
-            self._drawn = now
-            self._file.write(_CLEAR + self.line(done, now - self._begun))
+        if now - self._last_draw_time >= UPDATE_INTERVAL_SECONDS:
+            self._last_draw_time = now
+            self._file.write(_CLEAR_LINE + self.line(done, now - self._start_time))
             self._file.flush()
 
     def line(self, done: int, seconds: float) -> str:
         """Return the line to show after some seconds."""
         share = min(1.0, max(0.0, self._share()))
-        filled = round(share * WIDTH)
-        remaining = f", {_duration(seconds * (1 - share) / share)} left" if share else ""
-        rate = _rate(done / seconds) if seconds else "-"
-        bar = "#" * filled + "." * (WIDTH - filled)
-        return f"{share:4.0%} [{bar}] {done:,} {self._what}, {rate}/s{remaining}"
+        filled = round(share * BAR_WIDTH)
+        remaining = f", {_format_duration(seconds * (1 - share) / share)} left" if share else ""
+        rate = _format_rate(done / seconds) if seconds else "-"
+        bar = "#" * filled + "." * (BAR_WIDTH - filled)
+        return f"{share:4.0%} [{bar}] {done:,} {self._item_name}, {rate}/s{remaining}"
 
     def clear(self) -> None:
         """Erase the bar, so that other text may be printed; the next update draws it again."""
-        self._file.write(_CLEAR)
+        self._file.write(_CLEAR_LINE)
         self._file.flush()
 
 
@@ -146,11 +146,11 @@ def progress(what: str, share: Callable[[], float]) -> Iterator[Optional[Bar]]:
         bar.clear()
 
 
-def _rate(rate: float) -> str:
+def _format_rate(rate: float) -> str:
     return f"{rate:,.0f}" if rate >= 10 or not rate else f"{rate:.1f}"
 
 
-def _duration(seconds: float) -> str:
+def _format_duration(seconds: float) -> str:
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"

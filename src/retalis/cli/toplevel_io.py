@@ -20,13 +20,13 @@ from ..prolog.terms.term_traversal import variables
 from ..prolog.terms.types import Atom, Term, Var, deref, functor
 from ..prolog.terms.unification import compare
 
-_BINDING = 699
+_BINDING_PRIORITY = 699
 """The highest priority that the right side of ``=`` may have."""
 
-_MAX_NODES = 1_000_000
+_MAX_SUBTERMS = 1_000_000
 
 
-class _Group(NamedTuple):
+class _VariableGroup(NamedTuple):
     """Variables of a goal with the same value."""
 
     names: List[str]
@@ -39,11 +39,11 @@ def bindings(names: Dict[str, Var], operators: Operators) -> str:
     Variables whose names begin with ``_`` are not shown. Variables with the same value share a line. Variables in
     values that have no name in the goal are written ``_`` if they occur once, otherwise ``_A``, ``_B`` and so on.
     """
-    groups = _grouped(names)
+    groups = _group_variables(names)
     # Checked before writing: the writer would not terminate for a cyclic term.
     if any(_is_too_large(group.value) for group in groups):
         return "% the answer is a cyclic term, or too large to be shown"
-    named = _variable_names(groups)
+    variable_names = _name_variables(groups)
     lines = []
     for group in groups:
         chain = [f"{name} = {next_name}" for name, next_name in zip(group.names, group.names[1:])]
@@ -54,8 +54,8 @@ def bindings(names: Dict[str, Var], operators: Operators) -> str:
                 quoted=True,
                 numbervars=True,
                 spacing=True,
-                variable_names=named,
-                priority=_BINDING,
+                variable_names=variable_names,
+                priority=_BINDING_PRIORITY,
             )
             chain.append(f"{group.names[-1]} = {text}")
         if chain:
@@ -63,8 +63,8 @@ def bindings(names: Dict[str, Var], operators: Operators) -> str:
     return ",\n".join(lines)
 
 
-def _grouped(names: Dict[str, Var]) -> List[_Group]:
-    groups: List[_Group] = []
+def _group_variables(names: Dict[str, Var]) -> List[_VariableGroup]:
+    groups: List[_VariableGroup] = []
     for name, var in names.items():
         if name.startswith("_"):
             continue
@@ -76,49 +76,49 @@ def _grouped(names: Dict[str, Var]) -> List[_Group]:
                 group.names.append(name)
                 break
         else:
-            groups.append(_Group([name], value))
+            groups.append(_VariableGroup([name], value))
     return groups
 
 
-def _variable_names(groups: List[_Group]) -> Dict[Var, str]:
+def _name_variables(groups: List[_VariableGroup]) -> Dict[Var, str]:
     """Return the names of the variables inside the values."""
-    named = {group.value: group.names[-1] for group in groups if group.value.__class__ is Var}
+    names_by_variable = {group.value: group.names[-1] for group in groups if group.value.__class__ is Var}
     counts: Dict[Var, int] = {}
-    _count((functor("", len(groups)), *[group.value for group in groups]), counts)
+    _count_occurrences((functor("", len(groups)), *[group.value for group in groups]), counts)
     # Generated names must not coincide with names of the goal.
     goal_names = {name for group in groups for name in group.names}
-    letters = (f"_{letter}" for letter in _letters() if f"_{letter}" not in goal_names)
+    letters = (f"_{letter}" for letter in _generate_letters() if f"_{letter}" not in goal_names)
     for var, count in counts.items():
-        if var not in named:
-            named[var] = "_" if count == 1 else next(letters)
-    return named
+        if var not in names_by_variable:
+            names_by_variable[var] = "_" if count == 1 else next(letters)
+    return names_by_variable
 
 
-def _letters() -> Iterator[str]:
+def _generate_letters() -> Iterator[str]:
     number = 0
     while True:
         yield f"{chr(65 + number % 26)}{number // 26 or ''}"
         number += 1
 
 
-def _walk(term: Term, visit: Callable[[Term], None]) -> bool:
-    """Visit the leaves of a term from left to right; return False if it has more than `_MAX_NODES` subterms."""
+def _visit_leaves(term: Term, visit: Callable[[Term], None]) -> bool:
+    """Visit the leaves of a term from left to right; return False if it has more than `_MAX_SUBTERMS` subterms."""
     # Iterative, because a term may be deeper than Python's recursion limit.
     stack = [term]
-    nodes = 0
+    count = 0
     while stack:
-        item = deref(stack.pop())
-        nodes += 1
-        if nodes > _MAX_NODES:
+        subterm = deref(stack.pop())
+        count += 1
+        if count > _MAX_SUBTERMS:
             return False
-        if item.__class__ is tuple:
-            stack.extend(reversed(item[1:]))
+        if subterm.__class__ is tuple:
+            stack.extend(reversed(subterm[1:]))
         else:
-            visit(item)
+            visit(subterm)
     return True
 
 
-def _count(term: Term, counts: Dict[Var, int]) -> None:
+def _count_occurrences(term: Term, counts: Dict[Var, int]) -> None:
     for var in variables(term):
         counts[var] = 0
 
@@ -126,19 +126,19 @@ def _count(term: Term, counts: Dict[Var, int]) -> None:
         if leaf.__class__ is Var:
             counts[leaf] += 1
 
-    _walk(term, visit)
+    _visit_leaves(term, visit)
 
 
 def _is_too_large(term: Term) -> bool:
-    return not _walk(term, lambda leaf: None)
+    return not _visit_leaves(term, lambda leaf: None)
 
 
-HISTORY = Path.home() / ".retalis_history"
+HISTORY_PATH = Path.home() / ".retalis_history"
 
 LEAVE = ("halt", "quit", "exit", "end_of_file")
 """Goals that end a top level."""
 
-_WORD = re.compile(r"[a-z]\w*\Z")
+_PLAIN_ATOM = re.compile(r"[a-z]\w*\Z")
 
 Read = Union[ReadTerm, SyntaxFault]
 
@@ -168,12 +168,12 @@ class Terminal:
     is_terminal = True
 
     def __init__(self, names: Callable[[], Iterable[str]]):
-        self._names = names
+        self._list_names = names
         self.rest = ""
         self._candidates: List[str] = []
-        self._set_up()
+        self._set_up_readline()
 
-    def _set_up(self) -> None:
+    def _set_up_readline(self) -> None:
         try:
             import readline  # noqa: PLC0415 - not every Python has it
         except ImportError:
@@ -184,7 +184,7 @@ class Terminal:
         readline.set_completer_delims(" \t\n()[]{}|,;:.!&'\"`+-*/\\<>=")
         readline.parse_and_bind("tab: complete")
         try:
-            readline.read_history_file(str(HISTORY))
+            readline.read_history_file(str(HISTORY_PATH))
         except OSError:
             # There is no history yet.
             pass
@@ -196,7 +196,7 @@ class Terminal:
 
     def _complete(self, text: str, number: int) -> Optional[str]:
         if number == 0:
-            self._candidates = completions(text, self._names())
+            self._candidates = completions(text, self._list_names())
         return self._candidates[number] if number < len(self._candidates) else None
 
     def line(self, prompt: str) -> Optional[str]:
@@ -210,7 +210,7 @@ class Terminal:
     def wants_more(self) -> bool:
         """Wait for a key; return whether it is ``;``, space, tab, ``n`` or ``r``, which request another solution."""
         while True:
-            key = _key()
+            key = _read_key()
             if key in ("h", "?"):
                 print("\n; or blank: more solutions, return or . : enough")
             else:
@@ -221,12 +221,12 @@ def _save_history() -> None:
     import readline  # noqa: PLC0415 - not every Python has it
 
     try:
-        readline.write_history_file(str(HISTORY))
+        readline.write_history_file(str(HISTORY_PATH))
     except OSError as error:
         print(f"% the history is not kept: {error.strerror}", file=sys.stderr)
 
 
-def _key() -> str:
+def _read_key() -> str:
     """Return the next key that is pressed."""
     try:
         import termios  # noqa: PLC0415 - not every system has it
@@ -247,7 +247,7 @@ def _key() -> str:
 
 def completions(text: str, names: Iterable[str]) -> List[str]:
     """Return the names that begin with a text."""
-    if not _WORD.match(text):
+    if not _PLAIN_ATOM.match(text):
         return []
     return sorted({name for name in names if name.startswith(text) and re.match(r"[a-z]\w*\Z", name)})
 
@@ -261,7 +261,7 @@ def read_clause(lines: Union[Lines, Terminal], logic: PrologSystem, prompt: str)
     while True:
         # Only a full stop can complete a term.
         if "." in incomplete:
-            program = read_program(incomplete, logic.operators, "user", _flags(logic))
+            program = read_program(incomplete, logic.operators, "user", _get_read_flags(logic))
             term = next(iter(program), None)
             if term is None:
                 # Comments only.
@@ -274,7 +274,7 @@ def read_clause(lines: Union[Lines, Terminal], logic: PrologSystem, prompt: str)
             incomplete = ""
         line = lines.line("|    " if incomplete.strip() else prompt)
         if line is None:
-            return next(iter(read_program(incomplete, logic.operators, "user", _flags(logic))), None)
+            return next(iter(read_program(incomplete, logic.operators, "user", _get_read_flags(logic))), None)
         incomplete += line
 
 
@@ -285,15 +285,15 @@ def _is_incomplete(term: Read, text: str) -> bool:
     return term.place is None or term.place.line > text.rstrip("\n").count("\n")
 
 
-def _flags(logic: PrologSystem) -> ReadFlags:
+def _get_read_flags(logic: PrologSystem) -> ReadFlags:
     return ReadFlags(
-        double_quotes=_atom_name(logic.flags["double_quotes"]),
-        back_quotes=_atom_name(logic.flags["back_quotes"]),
-        iso=_atom_name(logic.flags["iso"]) == "true",
+        double_quotes=_get_atom_name(logic.flags["double_quotes"]),
+        back_quotes=_get_atom_name(logic.flags["back_quotes"]),
+        iso=_get_atom_name(logic.flags["iso"]) == "true",
     )
 
 
-def _atom_name(value: Term) -> str:
+def _get_atom_name(value: Term) -> str:
     """Return the name of a flag's value, which must be an atom."""
     assert isinstance(value, Atom)
     return value.name

@@ -20,9 +20,9 @@ from ..prolog.terms.types import String as PrologString
 from .field_values import text_bytes
 from .type_definition import PRIMITIVES, TIMES, VARIABLE, Definition, Field, integer_range
 
-_BOOLS: Dict[Atom, bool] = {TRUE: True, atom("True"): True, FALSE: False, atom("False"): False}
-_SPECIAL = {atom("nan"): float("nan"), atom("inf"): float("inf"), atom("infinite"): float("inf")}
-_NEGATIVE = functor("-", 1)
+_BOOL_ATOMS: Dict[Atom, bool] = {TRUE: True, atom("True"): True, FALSE: False, atom("False"): False}
+_SPECIAL_FLOATS = {atom("nan"): float("nan"), atom("inf"): float("inf"), atom("infinite"): float("inf")}
+_MINUS_FUNCTOR = functor("-", 1)
 _MAX_SHOWN_CHARACTERS = 60
 
 
@@ -40,13 +40,13 @@ class CheckingEncoder:
         """
         chunks: List[bytes] = []
         try:
-            _message(self.definition, term, "", chunks)
+            _encode_message(self.definition, term, "", chunks)
         except _Misfit as misfit:
-            where = [f"topic {topic}"] if topic else []
-            where.append(self.definition.name)
+            location = [f"topic {topic}"] if topic else []
+            location.append(self.definition.name)
             if misfit.path:
-                where.append(f"slot {misfit.path}")
-            raise MessageError(f"{', '.join(where)}: {misfit.reason}") from None
+                location.append(f"slot {misfit.path}")
+            raise MessageError(f"{', '.join(location)}: {misfit.reason}") from None
         return b"".join(chunks)
 
 
@@ -57,21 +57,21 @@ class _Misfit(Exception):
         self.reason = reason
 
 
-def _expected(path: str, what: str, term: Term) -> _Misfit:
-    return _Misfit(path, f"expected {what}, got {describe(term)}")
+def _create_misfit(path: str, expected: str, term: Term) -> _Misfit:
+    return _Misfit(path, f"expected {expected}, got {describe(term)}")
 
 
-def _message(definition: Definition, term: Term, path: str, chunks: List[bytes]) -> None:
+def _encode_message(definition: Definition, term: Term, path: str, chunks: List[bytes]) -> None:
     term = deref(term)
     slots = definition.fields
     if not slots:
         if not _is_empty(term, definition.functor_name):
-            raise _expected(path, f"the atom {definition.functor_name}", term)
+            raise _create_misfit(path, f"the atom {definition.functor_name}", term)
         return
     if term.__class__ is not tuple or term[0].name != definition.functor_name or term[0].arity != len(slots):
-        raise _expected(path, f"{definition.functor_name}/{len(slots)}", term)
+        raise _create_misfit(path, f"{definition.functor_name}/{len(slots)}", term)
     for slot, value in zip(slots, term[1:]):
-        _slot(slot, value, f"{path}.{slot.name}" if path else slot.name, chunks)
+        _encode_slot(slot, value, f"{path}.{slot.name}" if path else slot.name, chunks)
 
 
 def _is_empty(term: Term, name: str) -> bool:
@@ -80,28 +80,28 @@ def _is_empty(term: Term, name: str) -> bool:
     return term.__class__ is Atom and term.name == name
 
 
-def _slot(slot: Field, term: Term, path: str, chunks: List[bytes]) -> None:
+def _encode_slot(slot: Field, term: Term, path: str, chunks: List[bytes]) -> None:
     if slot.length is None:
-        _single(slot, term, path, chunks)
+        _encode_single(slot, term, path, chunks)
         return
     if slot.is_bytes:
-        raw = _bytes(slot, term, path)
+        raw = _get_bytes(slot, term, path)
         if slot.length == VARIABLE:
             chunks.append(pack("<I", len(raw)))
         chunks.append(raw)
         return
-    items = _items(slot, term, path)
+    items = _get_items(slot, term, path)
     if slot.length == VARIABLE:
         chunks.append(pack("<I", len(items)))
     element = slot._replace(length=None)
     for index, item in enumerate(items):
-        _single(element, item, f"{path}[{index}]", chunks)
+        _encode_single(element, item, f"{path}[{index}]", chunks)
 
 
-def _items(slot: Field, term: Term, path: str) -> List[Term]:
+def _get_items(slot: Field, term: Term, path: str) -> List[Term]:
     items = list_items(term)
     if items is None:
-        raise _expected(path, f"a list ({slot.describe()})", deref(term))
+        raise _create_misfit(path, f"a list ({slot.describe()})", deref(term))
     _check_length(slot, len(items), path)
     return items
 
@@ -113,80 +113,82 @@ def _check_length(slot: Field, count: int, path: str) -> None:
         )
 
 
-def _bytes(slot: Field, term: Term, path: str) -> bytes:
+def _get_bytes(slot: Field, term: Term, path: str) -> bytes:
     """Return the bytes of a byte array, which may be a string or a list of numbers."""
     value = deref(term)
     # An empty list is an empty byte array; any other atom would be its text.
     if value.__class__ is tuple or value is NIL:
         chunks: List[bytes] = []
-        for index, item in enumerate(_items(slot, value, path)):
-            _single(slot._replace(length=None), item, f"{path}[{index}]", chunks)
+        for index, item in enumerate(_get_items(slot, value, path)):
+            _encode_single(slot._replace(length=None), item, f"{path}[{index}]", chunks)
         return b"".join(chunks)
-    raw = _text(value, path, f"a string or a list ({slot.describe()})")
+    raw = _get_text_bytes(value, path, f"a string or a list ({slot.describe()})")
     _check_length(slot, len(raw), path)
     return raw
 
 
-def _text(value: Term, path: str, what: str) -> bytes:
+def _get_text_bytes(value: Term, path: str, expected: str) -> bytes:
     try:
         raw = text_bytes(value)
     except MessageError as error:
         raise _Misfit(path, error.message) from None
     if raw is None:
-        raise _expected(path, what, value)
+        raise _create_misfit(path, expected, value)
     return raw
 
 
-def _single(slot: Field, term: Term, path: str, chunks: List[bytes]) -> None:
+def _encode_single(slot: Field, term: Term, path: str, chunks: List[bytes]) -> None:
     if slot.definition is not None:
-        _message(slot.definition, term, path, chunks)
+        _encode_message(slot.definition, term, path, chunks)
         return
     chunks.append(_PACKERS[slot.type](slot.type, deref(term), path))
 
 
-def _string(type_name: str, value: Term, path: str) -> bytes:
-    raw = _text(value, path, "a string")
+def _encode_string(type_name: str, value: Term, path: str) -> bytes:
+    raw = _get_text_bytes(value, path, "a string")
     return pack("<I", len(raw)) + raw
 
 
-def _time(type_name: str, value: Term, path: str) -> bytes:
+def _encode_time(type_name: str, value: Term, path: str) -> bytes:
     # A time may also be a `datime` term, as in the variables `t1` and `t2` of a pattern.
     if type_name == "time" and value.__class__ is tuple and timestamps.is_instant(value):
         value = make_list(timestamps.to_parts(timestamps.from_term(value)))
     items = [deref(part) for part in list_items(value) or ()]
     parts = [part for part in items if isinstance(part, int)]
     if len(items) != 2 or len(parts) != 2:
-        raise _expected(path, f"{type_name} as [Sec,NSec]", value)
+        raise _create_misfit(path, f"{type_name} as [Sec,NSec]", value)
     code = TIMES[type_name]
     for part, name in zip(parts, ("Sec", "NSec")):
         _check_range(code[0], part, path, f"{type_name} as [Sec,NSec], {name}")
     return pack("<" + code, *parts)
 
 
-def _bool(type_name: str, value: Term, path: str) -> bytes:
-    if value.__class__ is Atom and value in _BOOLS:
-        return pack("<?", _BOOLS[value])
+def _encode_bool(type_name: str, value: Term, path: str) -> bytes:
+    if value.__class__ is Atom and value in _BOOL_ATOMS:
+        return pack("<?", _BOOL_ATOMS[value])
     # ROS constants of type bool are written as 0 and 1, too.
     if isinstance(value, int) and value in (0, 1):
         return pack("<?", value)
-    raise _expected(path, "bool (true or false)", value)
+    raise _create_misfit(path, "bool (true or false)", value)
 
 
-def _integer(type_name: str, value: Term, path: str) -> bytes:
+def _encode_integer(type_name: str, value: Term, path: str) -> bytes:
     if not isinstance(value, int):
-        raise _expected(path, type_name, value)
+        raise _create_misfit(path, type_name, value)
     _check_range(PRIMITIVES[type_name], value, path, type_name)
     return pack("<" + PRIMITIVES[type_name], value)
 
 
-def _float(type_name: str, value: Term, path: str) -> bytes:
+def _encode_float(type_name: str, value: Term, path: str) -> bytes:
     if value.__class__ is Atom:
-        value = _SPECIAL.get(value, value)
-    elif value.__class__ is tuple and value[0] is _NEGATIVE:
-        inner = deref(value[1])
-        value = -_SPECIAL[inner] if inner.__class__ is Atom and inner in _SPECIAL else value
+        value = _SPECIAL_FLOATS.get(value, value)
+    elif value.__class__ is tuple and value[0] is _MINUS_FUNCTOR:
+        operand = deref(value[1])
+        value = (
+            -_SPECIAL_FLOATS[operand] if operand.__class__ is Atom and operand in _SPECIAL_FLOATS else value
+        )
     if not isinstance(value, (float, int)):
-        raise _expected(path, type_name, value)
+        raise _create_misfit(path, type_name, value)
     try:
         return pack("<" + PRIMITIVES[type_name], value)
     # A float64 that exceeds the range of float32, or an integer that exceeds that of floats.
@@ -194,21 +196,21 @@ def _float(type_name: str, value: Term, path: str) -> bytes:
         raise _Misfit(path, f"{describe(value)} is too large for {type_name}") from None
 
 
-def _check_range(code: str, value: int, path: str, what: str) -> None:
+def _check_range(code: str, value: int, path: str, expected: str) -> None:
     low, high = integer_range(code)
     if not low <= value <= high:
-        raise _Misfit(path, f"expected {what} from {low} to {high}, got {value}")
+        raise _Misfit(path, f"expected {expected} from {low} to {high}, got {value}")
 
 
 _Packer = Callable[[str, Term, str], bytes]
 _PACKERS: Dict[str, _Packer] = {
-    **dict.fromkeys(PRIMITIVES, _integer),
-    "bool": _bool,
-    "float32": _float,
-    "float64": _float,
-    "string": _string,
-    "time": _time,
-    "duration": _time,
+    **dict.fromkeys(PRIMITIVES, _encode_integer),
+    "bool": _encode_bool,
+    "float32": _encode_float,
+    "float64": _encode_float,
+    "string": _encode_string,
+    "time": _encode_time,
+    "duration": _encode_time,
 }
 
 
@@ -224,23 +226,23 @@ def describe(term: Term) -> str:
         head: Functor = term[0]
         return f"{head.name}/{head.arity}"
     if term.__class__ is Atom:
-        return _short("the atom ", term.name)
+        return _shorten("the atom ", term.name)
     if term.__class__ is PrologString:
-        return _short("the string ", f'"{term.text}"')
-    return _short("", repr(term))
+        return _shorten("the string ", f'"{term.text}"')
+    return _shorten("", repr(term))
 
 
-def _short(lead: str, text: str) -> str:
-    return lead + (text if len(text) <= _MAX_SHOWN_CHARACTERS else text[:_MAX_SHOWN_CHARACTERS] + "...")
+def _shorten(prefix: str, text: str) -> str:
+    return prefix + (text if len(text) <= _MAX_SHOWN_CHARACTERS else text[:_MAX_SHOWN_CHARACTERS] + "...")
 
 
-_DEFAULTS: Dict[str, Term] = {
+_DEFAULT_TERMS: Dict[str, Term] = {
     "string": atom('""'),
     "bool": FALSE,
     "time": make_list([0, 0]),
     "duration": make_list([0, 0]),
 }
-_TIME_PART = Field("", "uint32")
+_TIME_PART_FIELD = Field("", "uint32")
 
 MAX_CHECKED_BYTES = 1 << 20
 """Types with larger minimum messages are not checked: values would have to be created for all their variables."""
@@ -260,60 +262,64 @@ def fault_of(definition: Definition, term: Term, topic: str = "") -> Optional[st
     if definition.measure.least > MAX_CHECKED_BYTES:
         return None
     try:
-        CheckingEncoder(definition).encode(_without_variables(definition, term), topic)
+        CheckingEncoder(definition).encode(_fill_message(definition, term), topic)
     except MessageError as error:
         return error.message
     return None
 
 
-def _without_variables(definition: Definition, term: Term) -> Term:
+def _fill_message(definition: Definition, term: Term) -> Term:
     """Return the message with variables replaced by values that fit."""
     term = deref(term)
     if term.__class__ is Var:
-        return _default_message(definition)
+        return _create_default_message(definition)
     # A term of another form stays as it is: the encoder reports it.
     if term.__class__ is not tuple or len(term) - 1 != len(definition.fields):
         return term
     return (
         term[0],
-        *[_slot_without_variables(slot, value) for slot, value in zip(definition.fields, term[1:])],
+        *[_fill_slot(slot, value) for slot, value in zip(definition.fields, term[1:])],
     )
 
 
-def _slot_without_variables(slot: Field, value: Term) -> Term:
+def _fill_slot(slot: Field, value: Term) -> Term:
     value = deref(value)
     if value.__class__ is Var:
-        return _default_value(slot)
+        return _create_default_value(slot)
     if slot.length is not None:
-        return _list_without_variables(slot, slot._replace(length=None), value)
+        return _fill_list(slot, slot._replace(length=None), value)
     if slot.definition is not None:
-        return _without_variables(slot.definition, value)
-    return _list_without_variables(slot, _TIME_PART, value) if slot.type in TIMES else value
+        return _fill_message(slot.definition, value)
+    return _fill_list(slot, _TIME_PART_FIELD, value) if slot.type in TIMES else value
 
 
-def _list_without_variables(slot: Field, element: Field, value: Any) -> Term:
+def _fill_list(slot: Field, element: Field, value: Any) -> Term:
     """Return the list with variables replaced by values that fit; the same if its tail is a variable."""
     items: List[Term] = []
-    rest = value
-    while rest.__class__ is tuple and rest[0] is CONS:
-        items.append(_slot_without_variables(element, rest[1]))
-        rest = deref(rest[2])
+    tail = value
+    while tail.__class__ is tuple and tail[0] is CONS:
+        items.append(_fill_slot(element, tail[1]))
+        tail = deref(tail[2])
     # A partial list stands for lists of any length: its known elements are not checked.
-    if rest.__class__ is Var:
-        return _default_value(slot)
-    return make_list(items) if rest is NIL else value
+    if tail.__class__ is Var:
+        return _create_default_value(slot)
+    return make_list(items) if tail is NIL else value
 
 
-def _default_value(slot: Field) -> Term:
+def _create_default_value(slot: Field) -> Term:
     """Return a value that fits a slot."""
     if slot.length is not None:
         count = 0 if slot.length == VARIABLE else slot.length
-        return make_list([_default_value(slot._replace(length=None))] * count)
-    return _DEFAULTS.get(slot.type, 0) if slot.definition is None else _default_message(slot.definition)
+        return make_list([_create_default_value(slot._replace(length=None))] * count)
+    return (
+        _DEFAULT_TERMS.get(slot.type, 0)
+        if slot.definition is None
+        else _create_default_message(slot.definition)
+    )
 
 
-def _default_message(definition: Definition) -> Term:
+def _create_default_message(definition: Definition) -> Term:
     slots = definition.fields
     if not slots:
         return atom(definition.functor_name)
-    return (functor(definition.functor_name, len(slots)), *map(_default_value, slots))
+    return (functor(definition.functor_name, len(slots)), *map(_create_default_value, slots))

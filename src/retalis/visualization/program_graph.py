@@ -43,7 +43,7 @@ _READING_GOALS = frozenset(
 )
 _POSE_CHAIN = functor("pose_chain", 3)
 
-ANY = "any event"
+ANY_EVENT_LABEL = "any event"
 
 _NULL_EVENT = atom("null_event")
 """Head of rules without an event, which exist for their actions."""
@@ -121,24 +121,26 @@ class _GraphBuilder:
         self._nodes: Dict[str, GraphNode] = {}
         self._edges: Dict[Tuple[str, str, str], GraphEdge] = {}
         self._left_out: Set[str] = set()
-        self._terms = MAX_TERMS_VISITED
+        self._remaining_terms = MAX_TERMS_VISITED
 
     def build(self, topics: List[GraphTopic]) -> Graph:
         for index, rule in enumerate(self._engine.rules.rules):
-            self._rule(index, rule)
+            self._add_rule(index, rule)
         for instance in list(self._engine.knowledge.memories):
-            self._memory(instance)
+            self._add_memory(instance)
         for (topic, _), subscription in self._engine.knowledge.subscriptions.items():
-            output = self._node("output", topic, topic)
-            self._edge(self._event(subscription.listener.pattern), output, f"output:{beginning(topic)}")
+            output = self._add_node("output", topic, topic)
+            self._add_edge(
+                self._add_event(subscription.listener.pattern), output, f"output:{beginning(topic)}"
+            )
         for state in self._engine.knowledge.states:
-            event = self._event(state.form.state)
-            self._edge(self._event(state.form.begins), event, "")
-            self._edge(self._event(state.form.ends), event, "")
-        self._topics(topics)
+            event = self._add_event(state.form.state)
+            self._add_edge(self._add_event(state.form.begins), event, "")
+            self._add_edge(self._add_event(state.form.ends), event, "")
+        self._add_topics(topics)
         return Graph(list(self._nodes.values()), list(self._edges.values()), len(self._left_out))
 
-    def _topics(self, topics: List[GraphTopic]) -> None:
+    def _add_topics(self, topics: List[GraphTopic]) -> None:
         """Add the topics, with an edge to their events of each arity that the program uses."""
         for topic in topics:
             events = [
@@ -146,91 +148,94 @@ class _GraphBuilder:
                 for node in self._nodes.values()
                 if node.kind == "event" and node.label.rpartition("/")[0] == topic.event
             ]
-            source = self._node("topic", topic.name, f"{topic.name} ({topic.event})")
+            source = self._add_node("topic", topic.name, f"{topic.name} ({topic.event})")
             for node in events:
-                self._edge(source, node.id, f"topic:{topic.name}")
+                self._add_edge(source, node.id, f"topic:{topic.name}")
 
-    def _rule(self, index: int, rule: Any) -> None:
+    def _add_rule(self, index: int, rule: Any) -> None:
         definition = rule.definition
-        text = self._text(definition.term, definition.names)
-        label = "" if definition.label is None else self._text(definition.label)
+        text = self._format_term(definition.term, definition.names)
+        label = "" if definition.label is None else self._format_term(definition.label)
         source_place = definition.place
         short_label = label or (
-            f"{_file(source_place.source)}:{source_place.line}"
+            f"{_get_file_name(source_place.source)}:{source_place.line}"
             if source_place is not None
             else f"rule {index + 1}"
         )
-        node = self._node("rule", f"{index}", text, short_label)
+        node = self._add_node("rule", f"{index}", text, short_label)
         # An event within a negated part of the pattern is drawn as absent.
         positive_parts = {id(part) for part in walk(definition.pattern)}
         goals: List[Term] = []
         for part in walk(definition.pattern, negated=True):
             if isinstance(part, Occurs):
                 kind = "flow" if id(part) in positive_parts else "absent"
-                event = self._event(part.term)
-                self._edge(event, node, event if kind == "flow" else "", kind)
+                event = self._add_event(part.term)
+                self._add_edge(event, node, event if kind == "flow" else "", kind)
             else:
                 goals += own_terms(part)
-        self._goals(node, goals)
+        self._add_goals(node, goals)
         if definition.head is not None:
-            self._head(node, index, deref(definition.head))
+            self._add_head(node, index, deref(definition.head))
 
-    def _text(self, term: Term, names: Mapping[Var, str] = MappingProxyType({})) -> str:
+    def _format_term(self, term: Term, names: Mapping[Var, str] = MappingProxyType({})) -> str:
         """Return the shortened text of a term. Unnamed variables become ``_``, so that drawings are stable."""
         return self._engine.logic.brief(term, {**dict.fromkeys(variables(term), "_"), **names})
 
-    def _head(self, node: str, index: int, head: Term) -> None:
+    def _add_head(self, node: str, index: int, head: Term) -> None:
         """Add the edges from a rule to the events that it fires."""
         if head is _NULL_EVENT:
             return
         if head.__class__ is tuple and head[0] in ALARMS:
             head = deref(head[1])
         if head.__class__ is not tuple or head[0] not in SYNCHRONIZED:
-            self._edge(node, self._event(head), f"rule:{index}")
+            self._add_edge(node, self._add_event(head), f"rule:{index}")
             return
-        goal_text = self._text(deref(head[2]))
-        query = self._node(
-            "query", f"{index}", f"waits for its memories, then asks {goal_text}", _name(deref(head[2]))
+        goal_text = self._format_term(deref(head[2]))
+        query = self._add_node(
+            "query",
+            f"{index}",
+            f"waits for its memories, then asks {goal_text}",
+            _get_predicate_name(deref(head[2])),
         )
-        self._edge(node, query, f"rule:{index}")
-        self._edge(query, self._event(deref(head[1])), "")
+        self._add_edge(node, query, f"rule:{index}")
+        self._add_edge(query, self._add_event(deref(head[1])), "")
         for pair in list_items(head[3]) or ():
             memory_items = list_items(pair)
             name = deref(memory_items[0]) if memory_items else None
             if isinstance(name, Atom):
-                self._edge(_id("memory", name.name), query, "", "reads")
-        self._goals(query, [head[2]])
+                self._add_edge(_make_node_id("memory", name.name), query, "", "reads")
+        self._add_goals(query, [head[2]])
 
-    def _memory(self, instance: Any) -> None:
+    def _add_memory(self, memory_instance: Any) -> None:
         # Ids can be compound terms, so the text is used if there is no name.
-        name = self._text(instance.id)
-        plain_name = getattr(instance.id, "name", name)
-        memory = self._node("memory", plain_name, f"memory {name}", name)
-        self._edge(self._event(instance.recorder.pattern), memory, f"memory:{name}")
+        name = self._format_term(memory_instance.id)
+        plain_name = getattr(memory_instance.id, "name", name)
+        memory = self._add_node("memory", plain_name, f"memory {name}", name)
+        self._add_edge(self._add_event(memory_instance.recorder.pattern), memory, f"memory:{name}")
 
-    def _goals(self, node: str, goals: List[Term]) -> None:
+    def _add_goals(self, node: str, goals: List[Term]) -> None:
         """Add the events that goals create, and the memories that they read, including the clauses that they call."""
-        for term in self._called(goals):
+        for term in self._find_called_terms(goals):
             if term[0] in _CREATING_GOALS or sets_timer(term):
-                event = self._event(deref(term[1]))
-                self._edge(node, event, event)
+                event = self._add_event(deref(term[1]))
+                self._add_edge(node, event, event)
             elif term[0] in _READING_GOALS or term[0] is _POSE_CHAIN:
                 names = list_parts(term[1])[0] if term[0] is _POSE_CHAIN else [term[1]]
                 for name in map(deref, names):
                     if isinstance(name, Atom):
-                        self._edge(_id("memory", name.name), node, "", "reads")
+                        self._add_edge(_make_node_id("memory", name.name), node, "", "reads")
 
-    def _called(self, goals: List[Term]) -> Iterator[Any]:
+    def _find_called_terms(self, goals: List[Term]) -> Iterator[Any]:
         """Yield all compound terms in goals, and in the bodies of the program's clauses that they call."""
         predicates = self._engine.logic.database.predicates
         seen: Set[Functor] = set()
         # Each predicate is expanded once, because clauses may be recursive.
         pending = list(goals)
         # The budget is shared by all rules, so that a large program is searched incompletely instead of slowly.
-        while pending and self._terms > 0:
-            self._terms -= 1
+        while pending and self._remaining_terms > 0:
+            self._remaining_terms -= 1
             term = deref(pending.pop())
-            key = _functor(term)
+            key = _get_functor(term)
             # A variable as goal is only known at run time.
             if key is None:
                 continue
@@ -243,16 +248,16 @@ class _GraphBuilder:
                 yield term
                 pending += term[1:]
 
-    def _event(self, pattern: Term) -> str:
+    def _add_event(self, pattern: Term) -> str:
         """Return the id of the node for the events of a pattern."""
-        key = _functor(deref(pattern))
+        key = _get_functor(deref(pattern))
         if key is None:
-            return self._node("event", ANY, "events of all kinds")
-        return self._node("event", str(key), str(key))
+            return self._add_node("event", ANY_EVENT_LABEL, "events of all kinds")
+        return self._add_node("event", str(key), str(key))
 
-    def _node(self, kind: str, name: str, text: str, label: str = "") -> str:
+    def _add_node(self, kind: str, name: str, text: str, label: str = "") -> str:
         """Return the id of a node, which is added unless it exists or the graph is full."""
-        node_id = _id(kind, name)
+        node_id = _make_node_id(kind, name)
         if node_id not in self._nodes:
             # Ids of omitted nodes are collected, so that each is counted once. Edges to them are skipped when the
             # graph is drawn.
@@ -264,28 +269,28 @@ class _GraphBuilder:
                 )
         return node_id
 
-    def _edge(self, source: str, target: str, rate: str, kind: str = "flow") -> None:
+    def _add_edge(self, source: str, target: str, rate: str, kind: str = "flow") -> None:
         # Several goals of a rule can create the same event; one edge is drawn.
         self._edges.setdefault((source, target, kind), GraphEdge(source, target, rate, kind))
 
 
-def _id(kind: str, name: str) -> str:
+def _make_node_id(kind: str, name: str) -> str:
     return f"{kind}:{beginning(name)}"
 
 
-def _functor(term: Term) -> Optional[Functor]:
+def _get_functor(term: Term) -> Optional[Functor]:
     """Return the functor of an atom or compound term, or None for other terms."""
-    functor_found: Optional[Functor] = term[0] if term.__class__ is tuple else getattr(term, "functor", None)
-    return functor_found
+    term_functor: Optional[Functor] = term[0] if term.__class__ is tuple else getattr(term, "functor", None)
+    return term_functor
 
 
-def _name(goal: Term) -> str:
+def _get_predicate_name(goal: Term) -> str:
     """Return the name of the predicate that a goal calls."""
-    key = _functor(goal)
+    key = _get_functor(goal)
     return "query" if key is None else key.name
 
 
-def _file(source: Optional[str]) -> str:
+def _get_file_name(source: Optional[str]) -> str:
     return (source or "").rpartition("/")[2]
 
 
@@ -295,7 +300,7 @@ FORMATS = ("svg", "png", "pdf")
 DOT_TIMEOUT_SECONDS = 60
 """Timeout for rendering in seconds."""
 
-LINE_WIDTH, MAX_LINES = 38, 3
+MAX_LINE_CHARACTERS, MAX_LINES = 38, 3
 """Maximum length and number of the lines of text in a node."""
 
 
@@ -322,8 +327,8 @@ KINDS = {
     "output": _NodeStyle("cds", "#cfe3f1", "published topic"),
 }
 
-_ENTITY = re.compile(r"&(?=#?\w+;)")
-_PACKAGE, _UNNAMED, _MISSING_SPACE = (
+_ENTITY_START = re.compile(r"&(?=#?\w+;)")
+_PACKAGE_PREFIX, _UNNAMED_VARIABLE, _MISSING_SPACE = (
     re.compile(r"\b\w+?__0__"),
     re.compile(r"\b_G\d+\b"),
     re.compile(r"(,|\)(?=\w))"),
@@ -345,17 +350,17 @@ def dot_text(graph: Graph, title: str) -> str:
     omitted = f"; {counted(graph.left_out, 'more node')} left out" if graph.left_out else ""
     lines = [
         "digraph program {",
-        f"  label={_quoted(title + omitted)} labelloc=t fontsize=16",
+        f"  label={_quote(title + omitted)} labelloc=t fontsize=16",
         '  rankdir=LR nodesep=0.12 ranksep=0.45 fontname="Helvetica"',
         '  node [fontname="Helvetica" fontsize=11 style="filled" color="#8592a3" height=0.3 margin="0.12,0.05"]',
         '  edge [color="#6b7887" arrowsize=0.7]',
-        *(f"  {node_names[node.id]} [{_node(node)}]" for node in graph.nodes),
+        *(f"  {node_names[node.id]} [{_format_node(node)}]" for node in graph.nodes),
         *(
             f"  {node_names[edge.source]} -> {node_names[edge.target]} [{EDGE_ATTRIBUTES[edge.kind]}]"
             for edge in edges
         ),
-        *_ranks(graph, node_names),
-        *_legend({node.kind for node in graph.nodes}, {edge.kind for edge in edges}),
+        *_format_ranks(graph, node_names),
+        *_format_legend({node.kind for node in graph.nodes}, {edge.kind for edge in edges}),
         "}",
     ]
     return "\n".join(lines) + "\n"
@@ -389,12 +394,12 @@ def draw(text: str, path: Path) -> None:
         raise UsageError(f"dot cannot draw {path}: {process.stderr.strip()}")
 
 
-def _node(node: GraphNode) -> str:
+def _format_node(node: GraphNode) -> str:
     style = KINDS[node.kind]
     label = "\n".join([_first_line(node), *_further_lines(node)])
     rounded = ' style="filled,rounded"' if node.kind == "event" else ""
-    tooltip = _quoted(_UNNAMED.sub("_", node.text))
-    return f'label={_quoted(label)} tooltip={tooltip} shape={style.shape} fillcolor="{style.colour}"{rounded}'
+    tooltip = _quote(_UNNAMED_VARIABLE.sub("_", node.text))
+    return f'label={_quote(label)} tooltip={tooltip} shape={style.shape} fillcolor="{style.colour}"{rounded}'
 
 
 def _first_line(node: GraphNode) -> str:
@@ -408,17 +413,17 @@ def _further_lines(node: GraphNode) -> List[str]:
         return [node.label.rpartition("__0__")[0]]
     if node.kind != "rule":
         return []
-    lines = wrap(_breakable(node.text), LINE_WIDTH, break_long_words=False)
+    lines = wrap(_make_breakable(node.text), MAX_LINE_CHARACTERS, break_long_words=False)
     return lines if len(lines) <= MAX_LINES else [*lines[: MAX_LINES - 1], lines[MAX_LINES - 1] + " ..."]
 
 
-def _breakable(rule: str) -> str:
+def _make_breakable(rule: str) -> str:
     """Return the text of a rule with spaces to break it at, without packages and internal variable names."""
-    shortened = _UNNAMED.sub("_", _PACKAGE.sub("", rule))
+    shortened = _UNNAMED_VARIABLE.sub("_", _PACKAGE_PREFIX.sub("", rule))
     return " ".join(_MISSING_SPACE.sub(r"\1 ", shortened).replace("<-", " <- ").split())
 
 
-def _ranks(graph: Graph, node_names: Dict[str, str]) -> Iterator[str]:
+def _format_ranks(graph: Graph, node_names: Dict[str, str]) -> Iterator[str]:
     """Yield constraints that place topics at the left and outputs at the right."""
     for kind, rank in (("topic", "source"), ("output", "sink")):
         nodes = [node_names[node.id] for node in graph.nodes if node.kind == kind]
@@ -426,7 +431,7 @@ def _ranks(graph: Graph, node_names: Dict[str, str]) -> Iterator[str]:
             yield f"  {{ rank={rank}; {'; '.join(nodes)} }}"
 
 
-def _legend(kinds: Iterable[str], edge_kinds: Iterable[str]) -> Iterator[str]:
+def _format_legend(kinds: Iterable[str], edge_kinds: Iterable[str]) -> Iterator[str]:
     """Yield a node with a table that explains the colours of nodes and the styles of edges."""
     # The legend shows only what occurs in this graph.
     rows = [
@@ -445,11 +450,11 @@ def _legend(kinds: Iterable[str], edge_kinds: Iterable[str]) -> Iterator[str]:
         yield f"  legend [shape=plaintext style=solid fontsize=10 label=<{table}>]"
 
 
-def _quoted(text: str) -> str:
+def _quote(text: str) -> str:
     """Return a text as a Graphviz string, in which line breaks are centered.
 
     Entities are escaped: Graphviz would replace ``&#27;`` by the control character, and copy it into an SVG file.
     """
-    escaped = _ENTITY.sub(r"\\x26", printable(text))
+    escaped = _ENTITY_START.sub(r"\\x26", printable(text))
     escaped = escaped.replace("\\", "\\\\").replace('"', '\\"')
     return '"' + escaped.replace("\n", "\\n") + '"'
