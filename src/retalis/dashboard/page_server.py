@@ -15,7 +15,7 @@ ADDRESS = "127.0.0.1"
 DASHBOARD_PORT = 8088
 """Default port."""
 
-_PORTS = 1 << 16
+_PORT_COUNT = 1 << 16
 """Number of TCP ports."""
 
 BACKLOG = 16
@@ -51,7 +51,7 @@ class Dashboard:
         self._source = source
         self._period = period
         # The port is bound here and not in the thread, so that the caller gets the error.
-        self._sockets = _listen(port, tries)
+        self._sockets = _listen_on_free_port(port, tries)
         self.port: int = self._sockets[0].getsockname()[1]
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._run, daemon=True, name="dashboard")
@@ -92,42 +92,44 @@ class Dashboard:
 async def _cancel_tasks() -> None:
     """Cancel all tasks, and wait for their end."""
     current = asyncio.current_task()
-    others = [task for task in asyncio.all_tasks() if task is not current]
+    other_tasks = [task for task in asyncio.all_tasks() if task is not current]
     # Open pages wait for data in tasks, which would keep the loop from ending.
-    for task in others:
+    for task in other_tasks:
         task.cancel()
-    await asyncio.gather(*others, return_exceptions=True)
+    await asyncio.gather(*other_tasks, return_exceptions=True)
 
 
-def _listen(port: int, tries: int) -> List[Any]:
+def _listen_on_free_port(port: int, tries: int) -> List[Any]:
     """Return a listening socket on a port, or on one of the next ones if it is in use.
 
     Raises:
         UsageError: if all ports are in use.
     """
-    ports = range(port, max(port + 1, min(port + tries, _PORTS)))
+    ports = range(port, max(port + 1, min(port + tries, _PORT_COUNT)))
     for candidate in ports:
         try:
-            return [_bound(candidate)]
+            return [_bind_socket(candidate)]
         except (OSError, OverflowError) as error:
             # Any other error, such as missing permissions, would occur for the next ports, too.
             if getattr(error, "errno", None) != EADDRINUSE or candidate == ports[-1]:
-                tried = str(port) if candidate == port else f"{port} to {candidate}"
+                tried_ports = str(port) if candidate == port else f"{port} to {candidate}"
                 reason = getattr(error, "strerror", None) or error
-                raise UsageError(f"the dashboard cannot have port {tried} of {ADDRESS}: {reason}") from None
+                raise UsageError(
+                    f"the dashboard cannot have port {tried_ports} of {ADDRESS}: {reason}"
+                ) from None
     raise AssertionError("at least one port is tried")
 
 
-def _bound(port: int) -> socket.socket:
+def _bind_socket(port: int) -> socket.socket:
     """Return a socket that listens on a port."""
-    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    server_socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         # A port with connections in state TIME_WAIT can be bound again after a restart of the program.
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listening.bind((ADDRESS, port))
-        listening.listen(BACKLOG)
-        listening.setblocking(False)
+        server_socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        server_socket.bind((ADDRESS, port))
+        server_socket.listen(BACKLOG)
+        server_socket.setblocking(False)
     except BaseException:
-        listening.close()
+        server_socket.close()
         raise
-    return listening
+    return server_socket

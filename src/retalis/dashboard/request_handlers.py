@@ -48,8 +48,8 @@ MAX_LINE_CHARACTERS = 1_000
 MAX_ERROR_CHARACTERS = 1_000
 
 NOT_RECORDED = "what events come from is not recorded: start the node with explain:=true"
-NOT_ALLOWED = "queries are not allowed: start the node with dashboard_queries:=true"
-GONE = "this event is no longer kept"
+QUERIES_NOT_ALLOWED = "queries are not allowed: start the node with dashboard_queries:=true"
+EVENT_NOT_STORED = "this event is no longer kept"
 BUSY_ANSWER = "other answers are still awaited: the engine is busy"
 
 Json = Dict[str, Any]
@@ -67,11 +67,11 @@ class Answers:
         self._engine = source.engine
         self._queries = source.queries
         self._events = snapshots.events
-        self._free = threading.BoundedSemaphore(MAX_CONCURRENT_ANSWERS)
+        self._answer_slots = threading.BoundedSemaphore(MAX_CONCURRENT_ANSWERS)
 
     async def run(self, work: Callable[[], Json]) -> Json:
         """Run ``work`` in a thread; return its result, or a dictionary with the key ``error``."""
-        if not self._free.acquire(blocking=False):
+        if not self._answer_slots.acquire(blocking=False):
             return {"error": BUSY_ANSWER}
         loop = asyncio.get_event_loop()
         done: asyncio.Future[Json] = loop.create_future()
@@ -90,7 +90,7 @@ class Answers:
             except RetalisError as error:
                 result = {"error": beginning(error.brief(), MAX_ERROR_CHARACTERS)}
             finally:
-                self._free.release()
+                self._answer_slots.release()
                 # The server may have been closed while the thread was working.
                 if not loop.is_closed():
                     loop.call_soon_threadsafe(deliver, result)
@@ -107,7 +107,7 @@ class Answers:
         # permission.
         event = self._events.find(serial) if serial.__class__ is int else None
         if event is None:
-            return {"error": GONE}
+            return {"error": EVENT_NOT_STORED}
         lines: List[str] = []
         for tree in explain(self._engine, event).lines:
             for line in tree.indented():
@@ -119,7 +119,7 @@ class Answers:
     def query(self, request: Json) -> Json:
         """Return the first solutions of a goal as text."""
         if not self._queries:
-            return {"error": NOT_ALLOWED}
+            return {"error": QUERIES_NOT_ALLOWED}
         goal = request.get("goal")
         if not isinstance(goal, str) or len(goal) > MAX_GOAL_CHARACTERS:
             return {"error": f"expected a goal of {MAX_GOAL_CHARACTERS} characters at most"}
@@ -139,7 +139,7 @@ FILES = {
 }
 """All served files. Requested paths are looked up here and never joined to a folder."""
 
-POLICY = "; ".join(
+CONTENT_SECURITY_POLICY = "; ".join(
     (
         "default-src 'none'",
         "script-src 'self'",
@@ -152,7 +152,7 @@ POLICY = "; ".join(
     )
 )
 
-LOOPBACK = ("127.0.0.1", "localhost")
+LOOPBACK_HOSTS = ("127.0.0.1", "localhost")
 """Accepted host names. The port is not compared, because it differs at the other end of an SSH tunnel."""
 
 MAX_REQUEST_BYTES = 20_000
@@ -188,7 +188,7 @@ class LocalHandler(RequestHandler):
             self.settings[BUSY_CONNECTIONS].add(self._stream)
         headers = self.request.headers
         host = headers.get("Host", "")
-        if _host_name(host) not in LOOPBACK:
+        if _host_name(host) not in LOOPBACK_HOSTS:
             raise HTTPError(403, reason="Not the loopback address")
         # Browsers send Origin with requests of scripts and with POST requests of forms.
         if headers.get("Origin", f"http://{host}") != f"http://{host}":
@@ -205,7 +205,7 @@ class LocalHandler(RequestHandler):
     def set_default_headers(self) -> None:
         """Set headers that restrict the browser to the page's own scripts, styles and connections."""
         for name, value in (
-            ("Content-Security-Policy", POLICY),
+            ("Content-Security-Policy", CONTENT_SECURITY_POLICY),
             ("X-Content-Type-Options", "nosniff"),
             ("X-Frame-Options", "DENY"),
             ("Referrer-Policy", "no-referrer"),
@@ -231,8 +231,8 @@ class FileHandler(LocalHandler):
 
     def get(self, path: str) -> None:
         """Answer with a file."""
-        name, kind = FILES[path]
-        self.set_header("Content-Type", kind)
+        name, content_type = FILES[path]
+        self.set_header("Content-Type", content_type)
         self.finish((PAGE / name).read_bytes())
 
 

@@ -49,12 +49,12 @@ MAX_WRITTEN_PER_SNAPSHOT = 3
 MAX_SHOWN_EVENTS = 60
 """Limit for the events in a snapshot."""
 
-_CUT = atom("...")
-_UPDATED = functor("memory_updated", 2)
+_ELLIPSIS = atom("...")
+_MEMORY_UPDATED_FUNCTOR = functor("memory_updated", 2)
 """Functor of events about other events, which are shown themselves."""
 _NO_EVENT = atom("null_event")
 """Head of rules that only execute an action."""
-_ASKED = functor("event", 2)
+_EVENT_FUNCTOR = functor("event", 2)
 
 
 class RecentEvent(NamedTuple):
@@ -85,11 +85,11 @@ class EventCount(NamedTuple):
 class _FunctorEvents:
     """Count and last events of one functor."""
 
-    __slots__ = ("number", "end", "shown", "kept")
+    __slots__ = ("number", "end", "written_count", "last_events")
 
     def __init__(self) -> None:
-        self.number = self.end = self.shown = 0
-        self.kept: Deque[RecentEvent] = deque(maxlen=EVENTS_PER_FUNCTOR)
+        self.number = self.end = self.written_count = 0
+        self.last_events: Deque[RecentEvent] = deque(maxlen=EVENTS_PER_FUNCTOR)
 
 
 class RecentEvents:
@@ -108,7 +108,7 @@ class RecentEvents:
         self._listener: Optional[Listener] = None
         self._is_requested = False
         self._serial = count(1)
-        self._kinds: Dict[Optional[Functor], _FunctorEvents] = {}
+        self._events_by_functor: Dict[Optional[Functor], _FunctorEvents] = {}
 
     @property
     def watching(self) -> bool:
@@ -138,46 +138,48 @@ class RecentEvents:
             return after
         # This runs for every event: only a dictionary access and two assignments, unless the text is wanted.
         key = term[0] if term.__class__ is tuple else getattr(term, "functor", None)
-        kind = self._kinds.get(key)
-        if kind is None:
-            if len(self._kinds) >= MAX_FUNCTORS:
+        functor_events = self._events_by_functor.get(key)
+        if functor_events is None:
+            if len(self._events_by_functor) >= MAX_FUNCTORS:
                 # All others.
                 key = None
-            kind = self._kinds.setdefault(key, _FunctorEvents())
-        kind.number += 1
-        kind.end = end
-        if kind.shown < MAX_WRITTEN_PER_SNAPSHOT and key is not _UPDATED:
-            kind.shown += 1
+            functor_events = self._events_by_functor.setdefault(key, _FunctorEvents())
+        functor_events.number += 1
+        functor_events.end = end
+        if functor_events.written_count < MAX_WRITTEN_PER_SNAPSHOT and key is not _MEMORY_UPDATED_FUNCTOR:
+            functor_events.written_count += 1
             text, whole = event_beginning(self._show, term)
-            kind.kept.append(RecentEvent(next(self._serial), text, whole, int(start), int(end)))
+            functor_events.last_events.append(
+                RecentEvent(next(self._serial), text, whole, int(start), int(end))
+            )
         return after
 
     def latest(self) -> List[RecentEvent]:
         """Return the last events, the newest first, and allow further ones to be written."""
         events: List[RecentEvent] = []
-        for kind in list(self._kinds.values()):
-            kind.shown = 0
-            events += kind.kept.copy()
+        for functor_events in list(self._events_by_functor.values()):
+            functor_events.written_count = 0
+            events += functor_events.last_events.copy()
         events.sort(reverse=True)
         return events[:MAX_SHOWN_EVENTS]
 
     def counts(self) -> Dict[str, EventCount]:
         """Return the counts by functor; the key ``others`` has those beyond `MAX_FUNCTORS`."""
         return {
-            "others" if key is None else str(key): EventCount(kind.number, int(kind.end))
-            for key, kind in list(self._kinds.items())
+            "others" if key is None else str(key): EventCount(functor_events.number, int(functor_events.end))
+            for key, functor_events in list(self._events_by_functor.items())
         }
 
     def find(self, serial: int) -> Optional[Term]:
         """Return an event as a term to explain, ``event(Term,[T1,T2])``; None if it is no longer stored."""
-        for kind in list(self._kinds.values()):
-            for event in kind.kept.copy():
+        for functor_events in list(self._events_by_functor.values()):
+            for event in functor_events.last_events.copy():
                 if event.serial == serial and event.whole:
                     # The stored text is parsed again: the term itself may hold large buffers, and is not kept alive
                     # for the page.
                     term = read_term(event.text, self._engine.operators, "event").term
                     stamps = make_list([timestamps.datime(event.start), timestamps.datime(event.end)])
-                    return (_ASKED, term, stamps)
+                    return (_EVENT_FUNCTOR, term, stamps)
         return None
 
 
@@ -187,11 +189,11 @@ def event_beginning(show: Any, term: Term) -> Tuple[str, bool]:
     The term is cut before it is written: an image or a point cloud would take milliseconds.
     """
     budget = [MAX_EVENT_PARTS]
-    text = show(_truncated(term, budget, MAX_EVENT_DEPTH))
+    text = show(_truncate(term, budget, MAX_EVENT_DEPTH))
     return beginning(text, MAX_EVENT_CHARACTERS), budget[0] > 0 and len(text) <= MAX_EVENT_CHARACTERS
 
 
-def _truncated(term: Term, budget: List[int], depth: int) -> Term:
+def _truncate(term: Term, budget: List[int], depth: int) -> Term:
     """Return a term in which subterms beyond the limits are replaced by dots.
 
     Args:
@@ -202,18 +204,18 @@ def _truncated(term: Term, budget: List[int], depth: int) -> Term:
     if term.__class__ is Lazy and term.made is None and term.functor is CONS:
         # An array of numbers that has not been decoded: reading its elements would decode it.
         budget[0] = 0
-        return _CUT
+        return _ELLIPSIS
     term = deref(term)
     if term is NOT_READ:
-        return _ellipsis(budget)
+        return _exhaust_budget(budget)
     if term.__class__ is not tuple:
-        return term if _is_short(term) else _ellipsis(budget)
+        return term if _is_short(term) else _exhaust_budget(budget)
     if budget[0] <= 0 or depth == 0 or len(term) > MAX_EVENT_PARTS:
-        return _ellipsis(budget)
+        return _exhaust_budget(budget)
     if term[0] is CONS:
-        return _truncated_list(term, budget, depth)
+        return _truncate_list(term, budget, depth)
     budget[0] -= 1
-    return (term[0], *[_truncated(part, budget, depth - 1) for part in term[1:]])
+    return (term[0], *[_truncate(part, budget, depth - 1) for part in term[1:]])
 
 
 def _is_short(term: Any) -> bool:
@@ -226,23 +228,23 @@ def _is_short(term: Any) -> bool:
     )
 
 
-def _truncated_list(term: Any, budget: List[int], depth: int) -> Term:
+def _truncate_list(term: Any, budget: List[int], depth: int) -> Term:
     items: List[Term] = []
     while term.__class__ is tuple and term[0] is CONS and budget[0] > 0:
         budget[0] -= 1
-        items.append(_truncated(term[1], budget, depth - 1))
+        items.append(_truncate(term[1], budget, depth - 1))
         term = deref(term[2])
     if term.__class__ is tuple and term[0] is CONS:
-        return make_list([*items, _CUT])
-    result = term if term is NIL else _truncated(term, budget, depth - 1)
+        return make_list([*items, _ELLIPSIS])
+    result = term if term is NIL else _truncate(term, budget, depth - 1)
     for item in reversed(items):
         result = (CONS, item, result)
     return result
 
 
-def _ellipsis(budget: List[int]) -> Term:
+def _exhaust_budget(budget: List[int]) -> Term:
     budget[0] = 0
-    return _CUT
+    return _ELLIPSIS
 
 
 RATE_SNAPSHOTS = 5
@@ -333,29 +335,29 @@ class Snapshots:
         counts = self.events.counts()
         numbers = {"taken": status.taken, "fired": status.fired}
         numbers.update({f"rule:{index}": rule.fired for index, rule in enumerate(status.rules)})
-        numbers.update({f"memory:{item.id}": item.added for item in status.memories})
-        for item in status.subscriptions:
-            name = f"output:{beginning(item.topic)}"
-            numbers[name] = numbers.get(name, 0) + item.sent
-        numbers.update({f"event:{key}": item.number for key, item in counts.items()})
-        rows = [self._topic(item, counts, status.now, numbers) for item in topics]
-        self._update_graph([GraphTopic(item.name, item.event_name) for item in topics])
+        numbers.update({f"memory:{memory.id}": memory.added for memory in status.memories})
+        for subscription in status.subscriptions:
+            name = f"output:{beginning(subscription.topic)}"
+            numbers[name] = numbers.get(name, 0) + subscription.sent
+        numbers.update({f"event:{key}": event_count.number for key, event_count in counts.items()})
+        rows = [self._create_topic_row(topic, counts, status.now, numbers) for topic in topics]
+        self._update_graph([GraphTopic(topic.name, topic.event_name) for topic in topics])
         return {
             "title": self._source.title,
             "queries": self._source.queries,
             "explains": records_origins(self._engine),
             "watching": self.events.watching,
             "memory": resident_bytes(),
-            "rates": self._rates(numbers),
+            "rates": self._compute_rates(numbers),
             "topics": rows,
             "events": [
-                {**item._asdict(), "start": item.start / SECOND, "end": item.end / SECOND}
-                for item in self.events.latest()
+                {**event._asdict(), "start": event.start / SECOND, "end": event.end / SECOND}
+                for event in self.events.latest()
             ],
-            **_shown(status),
+            **_status_to_json(status),
         }
 
-    def _topic(self, topic: TopicRow, counts: Any, now: int, numbers: Dict[str, int]) -> Json:
+    def _create_topic_row(self, topic: TopicRow, counts: Any, now: int, numbers: Dict[str, int]) -> Json:
         """Return the row of a topic; if the counters of its receiver are unknown, its events are counted instead."""
         row = topic._asdict()
         name = topic.event_name
@@ -369,18 +371,18 @@ class Snapshots:
         row["messages"] = number
         return row
 
-    def _rates(self, numbers: Dict[str, int]) -> Dict[str, float]:
+    def _compute_rates(self, numbers: Dict[str, int]) -> Dict[str, float]:
         """Return the growth per second of each counter, since the oldest stored snapshot."""
         now = self._clock()
         self._history.append((now, numbers))
-        then, before = self._history[0]
+        oldest_time, oldest_numbers = self._history[0]
         # The first snapshot after a pause has no predecessor, and gives no rates.
-        if now <= then:
+        if now <= oldest_time:
             return {}
         return {
-            name: max(0.0, round((number - before[name]) / (now - then), 2))
+            name: max(0.0, round((number - oldest_numbers[name]) / (now - oldest_time), 2))
             for name, number in numbers.items()
-            if name in before
+            if name in oldest_numbers
         }
 
     def _update_graph(self, topics: List[GraphTopic]) -> None:
@@ -388,10 +390,10 @@ class Snapshots:
         key = graph_key(self._engine, topics)
         if key != self._graph_key:
             self._graph_key = key
-            self.graph = _graph(program_graph(self._engine, topics))
+            self.graph = _graph_to_json(program_graph(self._engine, topics))
 
 
-def _graph(graph: Graph) -> Json:
+def _graph_to_json(graph: Graph) -> Json:
     return {
         "nodes": [node._asdict() for node in graph.nodes],
         "edges": [edge._asdict() for edge in graph.edges],
@@ -399,10 +401,12 @@ def _graph(graph: Graph) -> Json:
     }
 
 
-_INSTANTS = frozenset(("now", "next_alarm", "last_fired", "oldest", "newest", "since", "instant", "behind"))
+_TIME_FIELDS = frozenset(
+    ("now", "next_alarm", "last_fired", "oldest", "newest", "since", "instant", "behind")
+)
 
 
-def _shown(status: Status) -> Json:
+def _status_to_json(status: Status) -> Json:
     """Return a status in seconds instead of nanoseconds, which exceed the integer range of JavaScript's numbers."""
 
     def seconds(value: Any, name: str = "") -> Any:
@@ -410,7 +414,7 @@ def _shown(status: Status) -> Json:
             return {key: seconds(part, key) for key, part in value.items()}
         if isinstance(value, list):
             return [seconds(part) for part in value]
-        return value / SECOND if name in _INSTANTS and value is not None else value
+        return value / SECOND if name in _TIME_FIELDS and value is not None else value
 
     return {"status": seconds(status.json())}
 
@@ -471,8 +475,8 @@ class LiveUpdates:
         self._snapshots = snapshots
         self._period = period
         self._clients: List[Client] = []
-        self._work: Optional[asyncio.Task[None]] = None
-        self._failed = ""
+        self._sending_task: Optional[asyncio.Task[None]] = None
+        self._last_logged_error = ""
 
     def enter(self, events: bool) -> Optional[Client]:
         """Add and return a page; return None if there are too many.
@@ -485,9 +489,9 @@ class LiveUpdates:
         client = Client(events)
         self._clients.append(client)
         self._update_observation()
-        if self._work is None:
+        if self._sending_task is None:
             self._snapshots.begin()
-            self._work = asyncio.ensure_future(self._run())
+            self._sending_task = asyncio.ensure_future(self._run())
         return client
 
     def leave(self, client: Client) -> None:
@@ -514,26 +518,26 @@ class LiveUpdates:
             # The status is read while the engine works. A failure must not end the stream of the open pages; it is
             # logged once, as the next snapshot may fail for the same reason.
             except Exception as error:
-                if repr(error) != self._failed:
-                    self._failed = repr(error)
+                if repr(error) != self._last_logged_error:
+                    self._last_logged_error = repr(error)
                     log.exception("internal error: the dashboard cannot look at the program")
             await asyncio.sleep(self._period)
-        self._work = None
+        self._sending_task = None
 
     def _send_snapshot(self) -> None:
-        snapshot = _sent("look", self._snapshots.take())
+        snapshot = _format_server_event("look", self._snapshots.take())
         graph = self._snapshots.graph
-        drawn = b""
+        graph_data = b""
         for client in list(self._clients):
             # The graph is large and rarely changes, so it is sent only when the page does not have this object.
             if client.graph is graph:
                 client.put(snapshot)
                 continue
-            drawn = drawn or _sent("graph", graph)
+            graph_data = graph_data or _format_server_event("graph", graph)
             client.graph = graph
-            client.put(snapshot, drawn)
+            client.put(snapshot, graph_data)
 
 
-def _sent(event: str, data: Dict[str, Any]) -> bytes:
+def _format_server_event(event: str, data: Dict[str, Any]) -> bytes:
     """Return data as a server-sent event."""
     return f"event: {event}\ndata: {printable_json(data)}\n\n".encode()

@@ -30,7 +30,7 @@ from ..prolog.terms.types import Atom, Term, Trail, Var, atom, deref, functor
 from ..prolog.terms.unification import undo, unify
 from .why_not import Part, TimeFormat, WhyNot, own_names, show_term
 
-_AND = functor(",", 2)
+_COMMA_FUNCTOR = functor(",", 2)
 _MAX_SUBSCRIPTIONS = 20
 """Maximum number of subscriptions in an explanation."""
 
@@ -57,10 +57,10 @@ class WhyNotSent:
     def of(self, event: Term) -> Iterator[str]:
         """Yield the reason for each subscription to events with this functor that does not select the event."""
         count = 0
-        for name, definition in self._definitions():
-            if _key(definition[1]) != _key(event):
+        for name, definition in self._copy_definitions():
+            if _get_functor(definition[1]) != _get_functor(event):
                 continue
-            problem = self._why_not(definition, event)
+            problem = self._explain_rejection(definition, event)
             if problem:
                 count += 1
                 yield f"{name} does not take it: {problem}"
@@ -70,9 +70,9 @@ class WhyNotSent:
     def sending(self, asked: Term) -> Iterator[Tuple[str, Any]]:
         """Yield the subscriptions that would publish the message as their template: description and definition."""
         count = 0
-        for name, definition in self._definitions():
+        for name, definition in self._copy_definitions():
             template = deref(definition[3])
-            if _key(template) is None or _key(template) != _key(asked):
+            if _get_functor(template) is None or _get_functor(template) != _get_functor(asked):
                 continue
             # Only tested, not bound: the definition is used with its own variables afterwards.
             trail: Trail = []
@@ -85,10 +85,10 @@ class WhyNotSent:
     def reasons(self, definition: Any, occurrences: Sequence[Occurrence]) -> Iterator[Tuple[Occurrence, str]]:
         """Yield the events with the functor of a subscription, and the reason if it did not select them, or ""."""
         for occurrence in occurrences:
-            if _key(occurrence.term) == _key(definition[1]):
-                yield occurrence, self._why_not(definition, occurrence.term)
+            if _get_functor(occurrence.term) == _get_functor(definition[1]):
+                yield occurrence, self._explain_rejection(definition, occurrence.term)
 
-    def _definitions(self) -> Iterator[Tuple[str, Any]]:
+    def _copy_definitions(self) -> Iterator[Tuple[str, Any]]:
         for (topic, _), subscription in self._subscriptions:
             definition: Any = copy(subscription.definition)
             event = subscribed_event(definition[1])
@@ -97,7 +97,7 @@ class WhyNotSent:
                 (definition[0], event, *definition[2:]),
             )
 
-    def _why_not(self, definition: Any, event: Term) -> str:
+    def _explain_rejection(self, definition: Any, event: Term) -> str:
         """Return the reason why a subscription does not select an event, or "" if it does."""
         look(1)
         # Bindings of one event must not affect the next one.
@@ -110,18 +110,20 @@ class WhyNotSent:
             shown = [self._show(goal) for goal in goals]
             # The first condition without a solution is the reason: conditions are tested with all those before it.
             for count in range(1, len(goals) + 1):
-                problem = self._failure(goals[:count], goals[count:], shown)
+                problem = self._test_conditions(goals[:count], goals[count:], shown)
                 if problem is not None:
                     return f"its condition {shown[count - 1]} {problem}"
             return ""
         finally:
             undo(trail, 0)
 
-    def _failure(self, goals: Sequence[Term], others: Sequence[Term], shown: List[str]) -> Optional[str]:
+    def _test_conditions(
+        self, goals: Sequence[Term], others: Sequence[Term], shown: List[str]
+    ) -> Optional[str]:
         """Return None if the goals have a solution, and show the other goals with its values; otherwise a reason."""
         conjunction = goals[-1]
         for goal in reversed(goals[:-1]):
-            conjunction = (_AND, goal, conjunction)
+            conjunction = (_COMMA_FUNCTOR, goal, conjunction)
         try:
             # Closed after the first solution, which undoes its bindings and runs cleanup goals.
             with closing(self._logic.solutions(conjunction)) as solutions:
@@ -133,7 +135,7 @@ class WhyNotSent:
         return "is false"
 
 
-def _key(term: Any) -> Any:
+def _get_functor(term: Any) -> Any:
     """Return the functor of a term, or None for other terms."""
     term = deref(term)
     return term[0] if term.__class__ is tuple else getattr(term, "functor", None)
@@ -246,28 +248,28 @@ def explain(
     # Parsed outside the engine, so that syntax errors do not interrupt it.
     term = read_term(asked, engine.operators, "explain").term if isinstance(asked, str) else asked
 
-    def work() -> Explanation:
+    def create_explanation() -> Explanation:
         if seconds is None:
             return _Explainer(engine, origin).explain(term)
         # Unification and conditions call `look` in between, which calls the function that is registered here.
-        previous = watched_by(_until(monotonic() + seconds, seconds))
+        previous = watched_by(_limit_time(monotonic() + seconds, seconds))
         try:
             return _Explainer(engine, origin).explain(term)
         finally:
             watched_by(previous)
 
     # Executed between events: the recorded events do not change meanwhile.
-    return engine.do(work)
+    return engine.do(create_explanation)
 
 
-def _until(end: float, seconds: float) -> Callable[[int, int], None]:
+def _limit_time(end: float, seconds: float) -> Callable[[int, int], None]:
     """Return a function for `watched_by` that raises an error after the time limit."""
 
-    def ask(work: int, size: int) -> None:
+    def check_time(work: int, size: int) -> None:
         if monotonic() > end:
             raise UsageError(f"no explanation within {seconds:g} s: there are too many recorded events")
 
-    return ask
+    return check_time
 
 
 class _Explainer:
@@ -286,14 +288,16 @@ class _Explainer:
                 # Occurrences only refer to what they were derived into, so the opposite direction is built once.
                 self._causes.setdefault(id(derived), []).append(occurrence)
 
-    def explain(self, asked: Term) -> Explanation:
-        term, interval = _parse_request(asked)
+    def explain(self, request: Term) -> Explanation:
+        term, interval = _parse_request(request)
         occurrences = [occurrence for occurrence in self._occurrences if _is_instance(occurrence.term, term)]
         if interval is not None:
             occurrences = [occurrence for occurrence in occurrences if _is_interval(occurrence, interval)]
         if not occurrences:
-            return Explanation(False, self._missing(term, interval, ()))
-        lines = [self._lineage(occurrence, 0) for occurrence in occurrences[:_MAX_SHOWN_OCCURRENCES]]
+            return Explanation(False, self._explain_missing(term, interval, ()))
+        lines = [
+            self._explain_occurrence(occurrence, 0) for occurrence in occurrences[:_MAX_SHOWN_OCCURRENCES]
+        ]
         # An event that happened can still be missing on a topic.
         for occurrence, line in zip(occurrences, lines):
             line.below.extend(ExplanationLine(text, []) for text in self._why_not_sent.of(occurrence.term))
@@ -303,13 +307,13 @@ class _Explainer:
             )
         return Explanation(True, lines)
 
-    def _lineage(self, occurrence: Occurrence, depth: int) -> ExplanationLine:
+    def _explain_occurrence(self, occurrence: Occurrence, depth: int) -> ExplanationLine:
         """Return the explanation of an occurrence; a subtree that was shown before is referred to."""
-        text = self._event(occurrence)
+        text = self._format_event(occurrence)
         if occurrence.takes_back is not None:
             return ExplanationLine(
                 f"{text} retracts",
-                [ExplanationLine(self._event(retracted), []) for retracted in occurrence.takes_back],
+                [ExplanationLine(self._format_event(retracted), []) for retracted in occurrence.takes_back],
             )
         causes = self._causes.get(id(occurrence), [])
         if occurrence.match is None and not causes:
@@ -320,16 +324,16 @@ class _Explainer:
                 f"{text}, see above" if depth <= _MAX_EXPLANATION_DEPTH else f"{text} ...", []
             )
         self._expanded.add(id(occurrence))
-        sources = [self._lineage(source, depth + 1) for source in occurrence.sources() or causes]
+        sources = [self._explain_occurrence(source, depth + 1) for source in occurrence.sources() or causes]
         if occurrence.rule is None:
             verb = "is over: it held from" if self._is_state(occurrence) else "was released by"
             return ExplanationLine(f"{text} {verb}", sources)
-        return ExplanationLine(f"{text} by {self._rule(occurrence.rule)}", sources)
+        return ExplanationLine(f"{text} by {self._format_rule(occurrence.rule)}", sources)
 
     def _is_state(self, occurrence: Occurrence) -> bool:
         return bool(self._engine.knowledge.states.like(occurrence.term))
 
-    def _missing(
+    def _explain_missing(
         self, term: Term, interval: Optional[Tuple[int, int]], above: Tuple[EventRule, ...]
     ) -> List[ExplanationLine]:
         """Return the missing parts for each rule that could have fired the event."""
@@ -340,22 +344,26 @@ class _Explainer:
             if head is None or rule in above:
                 continue
             trail: Trail = []
-            if unify(_event_of_head(head), copy(term), trail):
+            if unify(_get_head_event(head), copy(term), trail):
                 why_not = WhyNot(self._engine.logic, self._occurrences, rule, self._origin)
                 part = why_not.of(rule.definition.pattern)
-                lines.append(ExplanationLine(self._rule(rule), [self._part(part, (*above, rule))]))
+                lines.append(
+                    ExplanationLine(self._format_rule(rule), [self._explain_part(part, (*above, rule))])
+                )
                 if part.matches:
-                    lines[-1].below.append(ExplanationLine(f"- but {_why_not(rule, part, interval)}", []))
+                    lines[-1].below.append(
+                        ExplanationLine(f"- but {_explain_no_firing(rule, part, interval)}", [])
+                    )
             undo(trail, 0)
         if not above:
-            lines += self._missing_messages(term)
+            lines += self._explain_missing_messages(term)
         if not lines and not above:
             lines.append(ExplanationLine("no rule has such a head, and no such event came from outside", []))
         if not above:
-            lines += self._retracted(term) + self._same_name(term)
+            lines += self._find_retracted(term) + self._find_same_name(term)
         return lines
 
-    def _missing_messages(self, term: Term) -> List[ExplanationLine]:
+    def _explain_missing_messages(self, term: Term) -> List[ExplanationLine]:
         """Return the subscriptions that publish such messages, and the reasons for their events."""
         lines = []
         for text, definition in self._why_not_sent.sending(term):
@@ -363,19 +371,19 @@ class _Explainer:
                 -_MAX_SHOWN_OCCURRENCES:
             ]
             below = [
-                ExplanationLine(f"{self._event(occurrence)}: {problem or 'sent'}", [])
+                ExplanationLine(f"{self._format_event(occurrence)}: {problem or 'sent'}", [])
                 for occurrence, problem in reasons
             ]
             lines.append(ExplanationLine(text, below or [ExplanationLine("no such event happened", [])]))
         return lines
 
-    def _part(self, part: Part, above: Tuple[EventRule, ...]) -> ExplanationLine:
-        below = [self._part(inner, above) for inner in part.parts]
+    def _explain_part(self, part: Part, above: Tuple[EventRule, ...]) -> ExplanationLine:
+        below = [self._explain_part(inner, above) for inner in part.parts]
         if part.event is not None and not part.matches:
-            below += self._missing(part.event, None, above)
+            below += self._explain_missing(part.event, None, above)
         return ExplanationLine(f"{part.mark} {part.text}", below)
 
-    def _retracted(self, term: Term) -> List[ExplanationLine]:
+    def _find_retracted(self, term: Term) -> List[ExplanationLine]:
         """Return matching events that happened and were retracted."""
         retracted = [
             occurrence
@@ -384,17 +392,17 @@ class _Explainer:
             if _is_instance(occurrence.term, term)
         ]
         return [
-            ExplanationLine(f"{self._event(occurrence)} was retracted", [])
+            ExplanationLine(f"{self._format_event(occurrence)} was retracted", [])
             for occurrence in retracted[-_MAX_SHOWN_OCCURRENCES:]
         ]
 
-    def _same_name(self, term: Term) -> List[ExplanationLine]:
+    def _find_same_name(self, term: Term) -> List[ExplanationLine]:
         """Return events of the same name that happened."""
-        name = _name(term)
+        name = _get_name(term)
         texts: Dict[str, None] = {}
         for occurrence in self._occurrences:
-            if _name(occurrence.term) == name:
-                texts.setdefault(self._event(occurrence))
+            if _get_name(occurrence.term) == name:
+                texts.setdefault(self._format_event(occurrence))
         if not texts:
             return []
         shown = list(texts)[-_MAX_SHOWN_OCCURRENCES:]
@@ -404,45 +412,45 @@ class _Explainer:
             )
         ]
 
-    def _rule(self, rule: EventRule) -> str:
+    def _format_rule(self, rule: EventRule) -> str:
         place = "" if rule.place is None else f" ({rule.place.source}:{rule.place.line})"
         label = "" if rule.label is None else f"{self._show(rule.label)}: "
         names = rule.definition.names
         text = show_term(rule.definition.term, self._engine.logic.operators, own_names(names), names)
         return f"rule {label}{text}{place}"
 
-    def _event(self, occurrence: Occurrence) -> str:
+    def _format_event(self, occurrence: Occurrence) -> str:
         return f"{self._show(occurrence.term)} {self._times.interval(occurrence.start, occurrence.end)}"
 
     def _show(self, term: Term) -> str:
         return show_term(term, self._engine.logic.operators, {})
 
 
-def _parse_request(asked: Term) -> Tuple[Term, Optional[Tuple[int, int]]]:
-    asked = deref(asked)
-    if asked.__class__ is tuple and asked[0] is EVENT:
-        stamps = list_items(asked[2])
+def _parse_request(request: Term) -> Tuple[Term, Optional[Tuple[int, int]]]:
+    request = deref(request)
+    if request.__class__ is tuple and request[0] is EVENT:
+        stamps = list_items(request[2])
         if stamps is not None and len(stamps) == 2:
-            return deref(asked[1]), (timestamps.from_term(stamps[0]), timestamps.from_term(stamps[1]))
+            return deref(request[1]), (timestamps.from_term(stamps[0]), timestamps.from_term(stamps[1]))
         raise UsageError("expected event(TERM,[T1,T2])")
-    if asked.__class__ not in (Atom, tuple):
-        type_name = "a variable" if asked.__class__ is Var else "a number or string"
+    if request.__class__ not in (Atom, tuple):
+        type_name = "a variable" if request.__class__ is Var else "a number or string"
         raise UsageError(f"expected an event to explain, not {type_name}")
-    return asked, None
+    return request, None
 
 
-def _why_not(rule: EventRule, part: Part, interval: Optional[Tuple[int, int]]) -> str:
+def _explain_no_firing(rule: EventRule, part: Part, interval: Optional[Tuple[int, int]]) -> str:
     """Return why a rule did not fire although all parts of its pattern matched."""
-    has_window = any(isinstance(item, Windowed) for item in walk(rule.definition.pattern))
-    has_interval = any((item.start, item.end) == interval for item in part.matches)
+    has_window = any(isinstance(subpattern, Windowed) for subpattern in walk(rule.definition.pattern))
+    has_interval = any((match.start, match.end) == interval for match in part.matches)
     if interval is not None and not has_window and not has_interval:
         return "nowhere with that interval"
-    if rule.window is not None and all(item.end - item.start > rule.window for item in part.matches):
+    if rule.window is not None and all(match.end - match.start > rule.window for match in part.matches):
         return f"all took longer than the window of the rule's label, {timestamps.to_seconds(rule.window):g} seconds"
-    return _likely_reasons(rule)
+    return _describe_likely_reasons(rule)
 
 
-def _likely_reasons(rule: EventRule) -> str:
+def _describe_likely_reasons(rule: EventRule) -> str:
     """Return possible reasons why a rule did not fire, depending on the operators in its pattern."""
     aggregate_results: List[Term] = []
     shapes: List[str] = []
@@ -468,15 +476,15 @@ def _likely_reasons(rule: EventRule) -> str:
     )
 
 
-def _event_of_head(head: Term) -> Term:
+def _get_head_event(head: Term) -> Term:
     """Return the event of a rule's head; an alarm has it as first argument."""
-    if head.__class__ is tuple and head[0] in _ALARMS:
-        alarmed: Term = head[1]
-        return alarmed
+    if head.__class__ is tuple and head[0] in _ALARM_FUNCTORS:
+        alarm_event: Term = head[1]
+        return alarm_event
     return head
 
 
-_ALARMS = frozenset((functor("exceptionAlarm", 2), functor("exceptionAlarmAbsoluteDatime", 2)))
+_ALARM_FUNCTORS = frozenset((functor("exceptionAlarm", 2), functor("exceptionAlarmAbsoluteDatime", 2)))
 
 
 def _is_instance(term: Term, pattern: Term) -> bool:
@@ -490,7 +498,7 @@ def _is_interval(occurrence: Occurrence, interval: Tuple[int, int]) -> bool:
     return bool((occurrence.start, occurrence.end) == interval)
 
 
-def _name(term: Term) -> str:
+def _get_name(term: Term) -> str:
     term = deref(term)
     if term.__class__ is tuple:
         return str(term[0].name)

@@ -69,27 +69,27 @@ MAX_CANDIDATES = 200
 MAX_REPETITIONS = 50
 """Maximum number of repetitions of ``ntimes`` that are examined."""
 MAX_SHOWN_CANDIDATES = 3
-MAX_SHOWN_VALUE = 60
+MAX_SHOWN_VALUE_CHARACTERS = 60
 """Maximum length of the text of a variable's value."""
 
-_VALUES = functor("values", 0)
-_EQUAL = functor("=", 2)
-_OR, *_ = names_of_kind(OperatorKind.ALTERNATIVES)
-_STAR, *_ = names_of_kind(OperatorKind.RUN)
-_WITHIN, *_ = names_of_kind(OperatorKind.LIMIT)
-_ABSENCE = " or ".join(names_of_kind(OperatorKind.ABSENCE))
-_BETWEEN = " or ".join(names_of_kind(OperatorKind.ABSENCE, between=True))
-_CONDITION = [names_of_kind(OperatorKind.CONDITION, timed=timed)[0] for timed in (False, True)]
-_ACTION = [names_of_kind(OperatorKind.ACTION, every=every)[0] for every in (False, True)]
-_SHAPE, *_ = names_of_kind(OperatorKind.SHAPE)
-_DEADLINE, *_ = names_of_kind(OperatorKind.DEADLINE)
-_NOT_LET_THROUGH = {
+_VALUES_FUNCTOR = functor("values", 0)
+_EQUAL_FUNCTOR = functor("=", 2)
+_OR_NAME, *_ = names_of_kind(OperatorKind.ALTERNATIVES)
+_STAR_NAME, *_ = names_of_kind(OperatorKind.RUN)
+_WITHIN_NAME, *_ = names_of_kind(OperatorKind.LIMIT)
+_ABSENCE_NAMES = " or ".join(names_of_kind(OperatorKind.ABSENCE))
+_BETWEEN_NAMES = " or ".join(names_of_kind(OperatorKind.ABSENCE, between=True))
+_CONDITION_NAMES = [names_of_kind(OperatorKind.CONDITION, timed=timed)[0] for timed in (False, True)]
+_ACTION_NAMES = [names_of_kind(OperatorKind.ACTION, every=every)[0] for every in (False, True)]
+_SHAPE_NAME, *_ = names_of_kind(OperatorKind.SHAPE)
+_DEADLINE_NAME, *_ = names_of_kind(OperatorKind.DEADLINE)
+_SHAPE_REASONS = {
     "throttle": "the last one was let through less than {0:g} seconds before",
     "burst": "there was another one less than {0:g} seconds before",
     "debounce": "the {0:g} seconds after the last one are not over",
     "change": "nothing changed",
 }
-_T1, _T2 = functor("t1", 1), functor("t2", 1)
+_T1_FUNCTOR, _T2_FUNCTOR = functor("t1", 1), functor("t2", 1)
 
 
 class Candidate(NamedTuple):
@@ -110,8 +110,8 @@ class Candidate(NamedTuple):
     gap: Optional[Tuple[int, int]] = None
 
 
-_NO_TERM: Term = (_VALUES,)
-_ANY_MATCH = Candidate(_NO_TERM, 0, 0)
+_EMPTY_VALUES: Term = (_VALUES_FUNCTOR,)
+_ANY_MATCH = Candidate(_EMPTY_VALUES, 0, 0)
 
 
 class Part(NamedTuple):
@@ -155,14 +155,14 @@ class TimeFormat:
     def interval(self, start: int, end: int) -> str:
         """Return the text of an interval."""
         if start == end:
-            return f"at {self._instant(start)}{self._unit}"
-        return f"[{self._instant(start)},{self._instant(end)}]{self._unit}"
+            return f"at {self._format_instant(start)}{self._unit_suffix}"
+        return f"[{self._format_instant(start)},{self._format_instant(end)}]{self._unit_suffix}"
 
     @property
-    def _unit(self) -> str:
+    def _unit_suffix(self) -> str:
         return "" if self._origin is None else " s"
 
-    def _instant(self, instant: int) -> str:
+    def _format_instant(self, instant: int) -> str:
         if self._origin is None:
             return self._show(timestamps.shown(instant))
         nanoseconds = int(instant) - self._origin
@@ -197,27 +197,27 @@ class WhyNot:
             for var in variables(term)
         ]
         self._rule = rule
-        self._now = rule.network.time()
+        self._current_time = rule.network.time()
         # A match is represented by a copy of all variables of the rule: two matches are joined by unifying them.
-        self._vars = (_VALUES, *dict.fromkeys(own_variables))
+        self._rule_variables = (_VALUES_FUNCTOR, *dict.fromkeys(own_variables))
         # After the head was unified, variables of the rule may be bound to variables of the explained event.
         self._names = own_names(rule.definition.names)
         self._named = rule.definition.names
         self._times = TimeFormat(self._show, origin)
         self._evaluators: Dict[type, Callable[[Any], Part]] = {
-            Occurs: self._occurs,
-            Pair: self._pair,
-            Repeated: self._repeated,
-            Either: self._either,
-            Absent: self._absent,
-            Star: self._star,
-            Aggregate: self._aggregate,
-            Condition: self._condition,
-            Within: self._within,
-            Action: self._action,
-            Windowed: self._windowed,
-            Shaped: self._shaped,
-            Awaited: self._awaited,
+            Occurs: self._evaluate_occurs,
+            Pair: self._evaluate_pair,
+            Repeated: self._evaluate_repeated,
+            Either: self._evaluate_either,
+            Absent: self._evaluate_absent,
+            Star: self._evaluate_star,
+            Aggregate: self._evaluate_aggregate,
+            Condition: self._evaluate_condition,
+            Within: self._evaluate_within,
+            Action: self._evaluate_action,
+            Windowed: self._evaluate_windowed,
+            Shaped: self._evaluate_shaped,
+            Awaited: self._evaluate_awaited,
         }
 
     def of(self, pattern: Any) -> Part:
@@ -226,25 +226,27 @@ class WhyNot:
 
     # ---- one method per type of pattern ----------------------------------------------------------------
 
-    def _occurs(self, pattern: Occurs) -> Part:
+    def _evaluate_occurs(self, pattern: Occurs) -> Part:
         matches = []
         for occurrence in self._occurrences:
             look(1)
             trail: Trail = []
             if unify(pattern.term, copy(occurrence.term), trail):
-                matches.append(Candidate(copy(self._vars), occurrence.start, occurrence.end, occurrence))
+                matches.append(
+                    Candidate(copy(self._rule_variables), occurrence.start, occurrence.end, occurrence)
+                )
             undo(trail, 0)
-        text = f"{self._show(pattern.term)}: {self._result_text(matches, 'did not happen', pattern.term)}"
+        text = f"{self._show(pattern.term)}: {self._format_result(matches, 'did not happen', pattern.term)}"
         return Part(text, matches[-MAX_CANDIDATES:], [], copy(pattern.term))
 
-    def _pair(self, pattern: Pair) -> Part:
+    def _evaluate_pair(self, pattern: Pair) -> Part:
         left, right = self.of(pattern.left), self.of(pattern.right)
         spans = _spans(OPERATORS[pattern.operator])
         values_agree = False
         matches = []
         for first in left.matches:
             for second in right.matches:
-                values = self._join(first, second)
+                values = self._join_values(first, second)
                 # A rule never uses one event as both operands.
                 if values is None or (first.event is not None and first.event is second.event):
                     continue
@@ -256,51 +258,53 @@ class WhyNot:
         if left.matches and right.matches:
             reason = OPERATORS[pattern.operator].wrong if values_agree else "no pair with the same values"
         return Part(
-            f"{pattern.operator}: {self._result_text(matches, reason)}",
+            f"{pattern.operator}: {self._format_result(matches, reason)}",
             matches[-MAX_CANDIDATES:],
             [left, right],
         )
 
-    def _repeated(self, pattern: Repeated) -> Part:
+    def _evaluate_repeated(self, pattern: Repeated) -> Part:
         # A repetition of many events is cut off: the first missing event is among the first repetitions.
         return self.of(pattern._replace(times=min(pattern.times, MAX_REPETITIONS)).written_out())
 
-    def _either(self, pattern: Either) -> Part:
+    def _evaluate_either(self, pattern: Either) -> Part:
         parts = [self.of(branch) for branch in pattern.branches]
         matches = [match for part in parts for match in part.matches]
-        return Part(f"{_OR}: {self._result_text(matches, 'no branch matched')}", matches, parts)
+        return Part(f"{_OR_NAME}: {self._format_result(matches, 'no branch matched')}", matches, parts)
 
-    def _absent(self, pattern: Absent) -> Part:
+    def _evaluate_absent(self, pattern: Absent) -> Part:
         part, negated = self.of(pattern.pattern), self.of(pattern.negated)
         matches = [
             match
             for match in part.matches
-            if not any(self._rules_out(negative, match) for negative in negated.matches)
+            if not any(self._rules_out(negated_match, match) for negated_match in negated.matches)
         ]
-        name = _BETWEEN if pattern.inside else _ABSENCE
+        name = _BETWEEN_NAMES if pattern.inside else _ABSENCE_NAMES
         reason = "ruled out by what must not happen" if part.matches else "not tested"
-        text = f"{name}: {self._result_text(matches, reason)}"
-        return Part(text, matches, [part, _negated_part(negated)], None, bool(part.matches))
+        text = f"{name}: {self._format_result(matches, reason)}"
+        return Part(text, matches, [part, _create_negated_part(negated)], None, bool(part.matches))
 
     def _rules_out(self, negated: Candidate, match: Candidate) -> bool:
-        if self._join(match, negated) is None:
+        if self._join_values(match, negated) is None:
             return False
         if match.gap is None:
             return negated.end < match.start
         return match.gap[0] < negated.start and negated.end < match.gap[1]
 
-    def _star(self, pattern: Star) -> Part:
+    def _evaluate_star(self, pattern: Star) -> Part:
         first_part, repeated_part = self.of(pattern.first), self.of(pattern.repeated)
         extended = [
             Candidate(values, match.start, last.end)
-            for match, last, values in self._ordered_pairs(first_part, repeated_part)
+            for match, last, values in self._find_ordered_pairs(first_part, repeated_part)
         ]
         matches = first_part.matches + extended[-MAX_CANDIDATES:]
         return Part(
-            f"{_STAR}: {self._result_text(matches, 'it did not start')}", matches, [first_part, repeated_part]
+            f"{_STAR_NAME}: {self._format_result(matches, 'it did not start')}",
+            matches,
+            [first_part, repeated_part],
         )
 
-    def _aggregate(self, pattern: Aggregate) -> Part:
+    def _evaluate_aggregate(self, pattern: Aggregate) -> Part:
         first_part, collected_part = self.of(pattern.first), self.of(pattern.collected)
         value = NIL if pattern.value is None else pattern.value
         names = variables(value)
@@ -314,14 +318,16 @@ class WhyNot:
             values = self._extend(start.values, [(pattern.result, result)])
             if values is not None:
                 matches.append(Candidate(values, start.start, end))
-            results.append(f"{self._shortened(result)} {self._times.interval(start.start, end)}")
+            results.append(f"{self._shorten(result)} {self._times.interval(start.start, end)}")
 
         problem = ""
         for match in first_part.matches:
             state = collector.start
             if collector.initial is not None:
                 add(match, match.end, collector.initial)
-            for _, last, values in self._ordered_pairs(first_part._replace(matches=[match]), collected_part):
+            for _, last, values in self._find_ordered_pairs(
+                first_part._replace(matches=[match]), collected_part
+            ):
                 measured = tuple([self._instantiate(values, term) for term in (*names, value)])
                 try:
                     state = collector.add(state, measured)
@@ -329,27 +335,27 @@ class WhyNot:
                     problem = f", {error.message}"
                     continue
                 add(match, last.end, collector.result(state))
-        reason = self._other_results(results) or "nothing was collected"
+        reason = self._format_other_results(results) or "nothing was collected"
         reason = f"{reason}{problem}" if first_part.matches else "it did not begin"
         matches = matches[-MAX_CANDIDATES:]
-        text = f"{pattern.kind}: {self._result_text(matches, reason, pattern.result)}"
+        text = f"{pattern.kind}: {self._format_result(matches, reason, pattern.result)}"
         return Part(text, matches, [first_part, collected_part])
 
-    def _ordered_pairs(self, first: Part, second: Part) -> Iterator[Tuple[Candidate, Candidate, Term]]:
+    def _find_ordered_pairs(self, first: Part, second: Part) -> Iterator[Tuple[Candidate, Candidate, Term]]:
         """Yield pairs of matches of which the second starts after the end of the first, and their joint values."""
         for match in first.matches:
             for later in second.matches:
                 if match.end < later.start:
-                    values = self._join(match, later)
+                    values = self._join_values(match, later)
                     if values is not None:
                         yield match, later, values
 
-    def _condition(self, pattern: Condition) -> Part:
+    def _evaluate_condition(self, pattern: Condition) -> Part:
         part = self.of(pattern.pattern)
         matches = []
         problems: Dict[str, None] = {}
         for match in part.matches:
-            goal = _with_times(pattern.goal, match) if pattern.timed else pattern.goal
+            goal = _substitute_times(pattern.goal, match) if pattern.timed else pattern.goal
             try:
                 values = self._solve(goal, match)
             except RetalisError as error:
@@ -357,37 +363,37 @@ class WhyNot:
                 continue
             if values is not None:
                 matches.append(match._replace(values=values))
-        name = _CONDITION[pattern.timed]
+        name = _CONDITION_NAMES[pattern.timed]
         if not part.matches:
             return Part(f"{name} {self._show(pattern.goal)}: not tested", [], [part], None, False)
-        rejected = self._candidates(part.matches, pattern.goal)
+        rejected = self._format_candidates(part.matches, pattern.goal)
         rejected = f"false for {rejected}" if " = " in rejected else f"false {rejected}"
         if problems:
             rejected = f"{rejected}, with the error: {next(reversed(list(problems)))}"
-        text = f"{name} {self._show(pattern.goal)}: {self._result_text(matches, rejected, pattern.goal)}"
+        text = f"{name} {self._show(pattern.goal)}: {self._format_result(matches, rejected, pattern.goal)}"
         return Part(text, matches, [part])
 
-    def _within(self, pattern: Within) -> Part:
+    def _evaluate_within(self, pattern: Within) -> Part:
         part = self.of(pattern.pattern)
         matches = [match for match in part.matches if match.end - match.start <= pattern.span]
         seconds = timestamps.to_seconds(pattern.span + 1)
         reason = "all took longer" if part.matches else "not tested"
         return Part(
-            f"{_WITHIN} {seconds:g}: {self._result_text(matches, reason)}",
+            f"{_WITHIN_NAME} {seconds:g}: {self._format_result(matches, reason)}",
             matches,
             [part],
             None,
             bool(part.matches),
         )
 
-    def _action(self, pattern: Action) -> Part:
+    def _evaluate_action(self, pattern: Action) -> Part:
         part = self.of(pattern.pattern)
-        text = f"{_ACTION[pattern.every]} {self._show(pattern.goal)}"
+        text = f"{_ACTION_NAMES[pattern.every]} {self._show(pattern.goal)}"
         if not part.matches:
             return Part(f"{text}: not called", [], [part], None, False)
         return Part(text, part.matches, [part])
 
-    def _windowed(self, pattern: Windowed) -> Part:
+    def _evaluate_windowed(self, pattern: Windowed) -> Part:
         # The window is evaluated separately from its input, so that missing events and unfinished windows can be told
         # apart.
         part = self.of(pattern.collected)
@@ -401,29 +407,33 @@ class WhyNot:
         window = _WindowEvaluation(node, len(pattern.window.steps), self._instantiate)
         for match in part.matches:
             window.take(match)
-        outputs = window.finish(self._now)
+        outputs = window.finish(self._current_time)
         matches = []
         results = []
         for output in outputs:
             values = None
             if node.making.result is not None:
                 values = node.making.result(output.items[-1].by, output.found)
-            extended = None if values is None else self._extend(self._vars, list(zip(node.vars, values)))
+            extended = (
+                None if values is None else self._extend(self._rule_variables, list(zip(node.vars, values)))
+            )
             if extended is not None:
                 matches.append(Candidate(extended, output.start, output.end))
-            shown_results = ", ".join(self._shortened(result) for result in output.found)
+            shown_results = ", ".join(self._shorten(result) for result in output.found)
             results.append(f"{shown_results} {self._times.interval(output.start, output.end)}")
         parts = [part]
-        reason = self._other_results(results) or "no window has ended"
+        reason = self._format_other_results(results) or "no window has ended"
         # Without any result, the steps show how far the best candidate sequence got.
         if pattern.window.kind == "steps" and not results:
             reason = "no events took all steps"
-            parts += self._steps(pattern.window.steps, window.progress)
+            parts += self._evaluate_steps(pattern.window.steps, window.progress)
         matches = matches[-MAX_CANDIDATES:]
-        shown_results = self._result_text(matches, f"{reason}{window.problem}", (_VALUES, *pattern.results))
+        shown_results = self._format_result(
+            matches, f"{reason}{window.problem}", (_VALUES_FUNCTOR, *pattern.results)
+        )
         return Part(f"{text}: {shown_results}", matches, parts)
 
-    def _steps(self, steps: Sequence[StepForm], progress: Sequence[int]) -> List[Part]:
+    def _evaluate_steps(self, steps: Sequence[StepForm], progress: Sequence[int]) -> List[Part]:
         """Return the results for the steps of a row pattern, for the sequence of events that got farthest."""
         parts = []
         reached = True
@@ -439,7 +449,7 @@ class WhyNot:
             reached = reached and is_complete
         return parts
 
-    def _shaped(self, pattern: Shaped) -> Part:
+    def _evaluate_shaped(self, pattern: Shaped) -> Part:
         part = self.of(pattern.pattern)
         stream = rate_operator(pattern)
         node = self._rule.stream_node(pattern)
@@ -452,37 +462,38 @@ class WhyNot:
             outputs += stream.ring(match.end)
             outputs += stream.take(StreamElement(match, match.start, match.end, keys, value), match.end, 0)
         # Operators with deadlines emit at the current time, even without a further event.
-        outputs += stream.ring(self._now)
+        outputs += stream.ring(self._current_time)
         matches = [output.items[-1].match._replace(end=output.end, event=None) for output in outputs]
-        reason = _NOT_LET_THROUGH[pattern.shape].format(timestamps.to_seconds(pattern.span))
+        reason = _SHAPE_REASONS[pattern.shape].format(timestamps.to_seconds(pattern.span))
         reason = reason if part.matches else "not tested"
-        text = f"{_SHAPE} {self._show(shape_term(pattern))}: {self._result_text(matches, reason)}"
+        text = f"{_SHAPE_NAME} {self._show(shape_term(pattern))}: {self._format_result(matches, reason)}"
         return Part(text, matches, [part], None, bool(part.matches))
 
-    def _awaited(self, pattern: Awaited) -> Part:
+    def _evaluate_awaited(self, pattern: Awaited) -> Part:
         part, negated = self.of(pattern.pattern), self.of(pattern.negated)
-        elapsed = [match for match in part.matches if match.end + pattern.span <= self._now]
+        elapsed_matches = [match for match in part.matches if match.end + pattern.span <= self._current_time]
         matches = [
             match._replace(end=match.end + pattern.span, event=None)
-            for match in elapsed
+            for match in elapsed_matches
             if not any(
-                self._is_within_deadline(negative, match, pattern.span) for negative in negated.matches
+                self._is_within_deadline(negated_match, match, pattern.span)
+                for negated_match in negated.matches
             )
         ]
-        reason = "ruled out by what must not happen" if elapsed else "the time after it is not over"
+        reason = "ruled out by what must not happen" if elapsed_matches else "the time after it is not over"
         reason = reason if part.matches else "not tested"
         seconds = timestamps.to_seconds(pattern.span)
-        text = f"{_DEADLINE} {seconds:g}: {self._result_text(matches, reason)}"
-        return Part(text, matches, [part, _negated_part(negated)], None, bool(part.matches))
+        text = f"{_DEADLINE_NAME} {seconds:g}: {self._format_result(matches, reason)}"
+        return Part(text, matches, [part, _create_negated_part(negated)], None, bool(part.matches))
 
     def _is_within_deadline(self, negated: Candidate, match: Candidate, span: int) -> bool:
         """Return whether a match of the negated part lies entirely within the time span after a match."""
         lies_within = match.end < negated.start and negated.end < match.end + span
-        return lies_within and self._join(match, negated) is not None
+        return lies_within and self._join_values(match, negated) is not None
 
     # ---- values ----------------------------------------------------------------------------------------
 
-    def _join(self, first: Candidate, second: Candidate) -> Optional[Term]:
+    def _join_values(self, first: Candidate, second: Candidate) -> Optional[Term]:
         look(1)
         trail: Trail = []
         values = copy(first.values)
@@ -493,7 +504,7 @@ class WhyNot:
     def _instantiate(self, values: Term, term: Term) -> Term:
         """Return a copy of a term with the values of a match."""
         trail: Trail = []
-        unify(self._vars, copy(values), trail)
+        unify(self._rule_variables, copy(values), trail)
         result = copy(term)
         undo(trail, 0)
         return result
@@ -501,10 +512,10 @@ class WhyNot:
     def _extend(self, values: Term, bindings: Sequence[Tuple[Term, Term]]) -> Optional[Term]:
         """Return the values extended by further bindings, or None if these do not unify."""
         trail: Trail = []
-        is_consistent = unify(self._vars, copy(values), trail) and all(
+        is_consistent = unify(self._rule_variables, copy(values), trail) and all(
             unify(term, copy(value), trail) for term, value in bindings
         )
-        result = copy(self._vars) if is_consistent else None
+        result = copy(self._rule_variables) if is_consistent else None
         undo(trail, 0)
         return result
 
@@ -512,43 +523,47 @@ class WhyNot:
         """Return the values extended by those of the first solution of a goal, or None."""
         trail: Trail = []
         try:
-            if unify(self._vars, copy(match.values), trail):
+            if unify(self._rule_variables, copy(match.values), trail):
                 with closing(self._logic.solutions(goal)) as solutions:
                     for _ in solutions:
-                        return copy(self._vars)
+                        return copy(self._rule_variables)
             return None
         finally:
             undo(trail, 0)
 
     # ---- text ------------------------------------------------------------------------------------------
 
-    def _result_text(self, matches: List[Candidate], reason: str, term: Term = _NO_TERM) -> str:
+    def _format_result(self, matches: List[Candidate], reason: str, term: Term = _EMPTY_VALUES) -> str:
         """Return a text of the matches with the values of a term's variables, or the reason if there are none."""
-        return self._candidates(matches, term) if matches else reason
+        return self._format_candidates(matches, term) if matches else reason
 
-    def _candidates(self, matches: List[Candidate], term: Term) -> str:
+    def _format_candidates(self, matches: List[Candidate], term: Term) -> str:
         names = [var for var in dict.fromkeys(variables(term)) if var in self._names]
         shown = []
         for match in matches[-MAX_SHOWN_CANDIDATES:]:
             values = [(self._names[var], self._instantiate(match.values, var)) for var in names]
             bindings = ", ".join(
-                f"{name} = {self._shortened(value)}" for name, value in values if value.__class__ is not Var
+                f"{name} = {self._shorten(value)}" for name, value in values if value.__class__ is not Var
             )
             time = self._times.interval(match.start, match.end)
             shown.append(f"{bindings} {time}" if bindings else time)
         text = ("; " if names else ", ").join(shown)
         return text if len(matches) <= MAX_SHOWN_CANDIDATES else f"{len(matches)} times, the last ones {text}"
 
-    def _other_results(self, results: List[str]) -> str:
+    def _format_other_results(self, results: List[str]) -> str:
         """Return a text of the results of an aggregate that differ from those of the event that is explained."""
         if not results:
             return ""
         shown = "; ".join(results[-MAX_SHOWN_CANDIDATES:])
         return f"other results: {'... ' if len(results) > MAX_SHOWN_CANDIDATES else ''}{shown}"
 
-    def _shortened(self, term: Term) -> str:
+    def _shorten(self, term: Term) -> str:
         text = self._show(term)
-        return text if len(text) <= MAX_SHOWN_VALUE else f"{text[: MAX_SHOWN_VALUE - 4]} ..."
+        return (
+            text
+            if len(text) <= MAX_SHOWN_VALUE_CHARACTERS
+            else f"{text[: MAX_SHOWN_VALUE_CHARACTERS - 4]} ..."
+        )
 
     def _show(self, term: Term) -> str:
         return show_term(term, self._logic.operators, self._names, self._named)
@@ -587,7 +602,7 @@ def own_names(names: Mapping[Var, str]) -> Dict[Var, str]:
     return own
 
 
-def _negated_part(negated: Part) -> Part:
+def _create_negated_part(negated: Part) -> Part:
     """Return the result for a negated part."""
     reason = negated
     # A condition that was not tested explains nothing: the missing event is below it.
@@ -609,11 +624,11 @@ class _WindowEvaluation:
         problem: text of an error in a measure or condition, or "".
     """
 
-    def __init__(self, node: StreamNode, steps: int, under: Callable[[Term, Term], Term]):
+    def __init__(self, node: StreamNode, steps: int, instantiate: Callable[[Term, Term], Term]):
         self._node = node
         self._stream = node.making.stream(NetworkOptions())
         self._stream.set_bounds(node.stream.bounds)
-        self._instantiate = under
+        self._instantiate = instantiate
         self._outputs: List[StreamOutput] = []
         self.progress = [0] * steps
         self.problem = ""
@@ -647,10 +662,10 @@ class _WindowEvaluation:
                 counts = [0] * len(self.progress)
                 for _, step in steps_taken:
                     counts[step] += 1
-                self.progress = max(self.progress, counts, key=_progress_key)
+                self.progress = max(self.progress, counts, key=_get_progress_key)
 
 
-def _progress_key(counts: Sequence[int]) -> Tuple[int, int]:
+def _get_progress_key(counts: Sequence[int]) -> Tuple[int, int]:
     """Return a key that orders sequences of events by the last step reached, then by the number of events."""
     return max((step for step, count in enumerate(counts) if count), default=-1), sum(counts)
 
@@ -670,12 +685,12 @@ def _spans(operator: EventOperator) -> Callable[[int, int, int, int], Optional[T
     return span
 
 
-def _with_times(goal: Term, match: Candidate) -> Term:
+def _substitute_times(goal: Term, match: Candidate) -> Term:
     """Return a goal with ``t1(S)`` and ``t2(E)`` replaced by the times of a match."""
     if goal.__class__ is not tuple:
         return goal
-    if goal[0] is _T1:
-        return (_EQUAL, goal[1], timestamps.to_term(match.start))
-    if goal[0] is _T2:
-        return (_EQUAL, goal[1], timestamps.to_term(match.end))
-    return (goal[0], *[_with_times(argument, match) for argument in goal[1:]])
+    if goal[0] is _T1_FUNCTOR:
+        return (_EQUAL_FUNCTOR, goal[1], timestamps.to_term(match.start))
+    if goal[0] is _T2_FUNCTOR:
+        return (_EQUAL_FUNCTOR, goal[1], timestamps.to_term(match.end))
+    return (goal[0], *[_substitute_times(argument, match) for argument in goal[1:]])

@@ -88,7 +88,7 @@ class MergedBag:
         duration: Optional[float] = None,
         max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES,
     ):
-        _refuse_twice(paths)
+        _reject_duplicates(paths)
         # The bags that are open already are closed if a later one cannot be opened.
         with ExitStack() as stack:
             self._bags: List[OneBag] = []
@@ -101,9 +101,9 @@ class MergedBag:
         self.topics: Tuple[Topic, ...] = tuple(topic for bag in self._bags for topic in bag.topics)
 
     def _select_interval(self, start: float, duration: Optional[float]) -> None:
-        there = [bag for bag in self._bags if bag.messages]
-        first = min((bag.start for bag in there), default=0)
-        last = max((bag.end for bag in there), default=0)
+        non_empty_bags = [bag for bag in self._bags if bag.messages]
+        first = min((bag.start for bag in non_empty_bags), default=0)
+        last = max((bag.end for bag in non_empty_bags), default=0)
         self.start = first + round(start * SECOND)
         self._stop = None if duration is None else self.start + round(duration * SECOND)
         self.end = last if self._stop is None else min(last, self._stop)
@@ -141,7 +141,7 @@ class MergedBag:
         self.close()
 
 
-def _refuse_twice(paths: Sequence[PathLike]) -> None:
+def _reject_duplicates(paths: Sequence[PathLike]) -> None:
     """Raise an error if a bag is given twice, because its messages would be processed twice."""
     seen: Dict[Path, PathLike] = {}
     for path in paths:
@@ -186,16 +186,16 @@ def find_bags(places: Sequence[str]) -> List[FoundBag]:
     """
     bags: List[FoundBag] = []
     for place in places:
-        names_below = _names_below(place)
+        names_below = _list_names_below(place)
         if names_below is None:
-            bags.append(FoundBag(place, _without_suffix(PurePosixPath(place.rstrip("/")).name)))
+            bags.append(FoundBag(place, _strip_suffix(PurePosixPath(place.rstrip("/")).name)))
             continue
-        names = _bags_of(names_below)
+        names = _select_bag_names(names_below)
         if not names:
             raise BagError(
                 f"{place} has no bags below it: no {METADATA}, nothing that ends in {', '.join(_BAG_SUFFIXES)}"
             )
-        bags += [FoundBag(f"{place.rstrip('/')}/{name}", _without_suffix(name)) for name in names]
+        bags += [FoundBag(f"{place.rstrip('/')}/{name}", _strip_suffix(name)) for name in names]
     return bags
 
 
@@ -226,13 +226,13 @@ def in_parts(bags: Iterable[FoundBag]) -> List[List[FoundBag]]:
 
 def _parse_part_name(name: str) -> Tuple[str, str, int]:
     """Return the name of the recording, the date and the number of a part; number -1 for other names."""
-    base, mark, number = PurePosixPath(name).name.rpartition("_")
-    if not (mark and number.isdecimal() and len(number) < 10):
+    base, separator, number = PurePosixPath(name).name.rpartition("_")
+    if not (separator and number.isdecimal() and len(number) < 10):
         return name, "", -1
-    rest, _, date = base.rpartition("_")
+    recording_name, _, date = base.rpartition("_")
     # The name of a recording may contain underscores and digits itself, so the form of the date is checked exactly.
     if len(date) == len("2014-10-19-19-50-06") and date.replace("-", "").isdecimal() and date.count("-") == 5:
-        return rest, date, int(number)
+        return recording_name, date, int(number)
     return base, "", int(number)
 
 
@@ -245,7 +245,7 @@ def is_there(place: str) -> bool:
     """Return whether a location exists."""
     if not is_url(place):
         return os.path.lexists(place)
-    files, path = _filesystem(place)
+    files, path = _open_filesystem(place)
     return bool(_call_filesystem(place, files.exists, path))
 
 
@@ -263,30 +263,30 @@ def fetched(place: str, scratch: str) -> Iterator[str]:
     if not is_url(place):
         yield place
         return
-    files, path = _filesystem(place)
+    files, path = _open_filesystem(place)
     with TemporaryDirectory(dir=scratch) as folder:
         local = str(Path(folder) / PurePosixPath(path).name)
-        _call_filesystem(place, _fetch, files, path, local)
+        _call_filesystem(place, _download, files, path, local)
         yield local
 
 
-def _fetch(files: Any, path: str, local: str) -> None:
+def _download(files: Any, path: str, local: str) -> None:
     """Copy a file or a folder; each file up to its stated size and up to half of the free disk space."""
     names = files.find(path) if files.isdir(path) else [path]
     for name in names:
-        inside = PurePosixPath(name).relative_to(path)
+        relative_path = PurePosixPath(name).relative_to(path)
         # The names come from a server, so they must not lead out of the target folder.
-        if ".." in inside.parts:
+        if ".." in relative_path.parts:
             raise ValueError(f"'{name}' is outside of the folder")
-        target = Path(local) / inside
+        target = Path(local) / relative_path
         target.parent.mkdir(parents=True, exist_ok=True)
         # A server may send more than it states, and a full disk would stop other programs of the robot.
-        stated, free = files.size(name), shutil.disk_usage(target.parent).free // 2
-        allowed = free if stated is None else min(stated, free)
+        stated_size, available_bytes = files.size(name), shutil.disk_usage(target.parent).free // 2
+        max_bytes = available_bytes if stated_size is None else min(stated_size, available_bytes)
         with files.open(name, "rb") as source, target.open("wb") as file:
-            if copy_up_to(source, file, allowed) > allowed:
+            if copy_up_to(source, file, max_bytes) > max_bytes:
                 raise ValueError(
-                    f"'{name}' has more than {allowed} bytes, as stated or as half of the disk has"
+                    f"'{name}' has more than {max_bytes} bytes, as stated or as half of the disk has"
                 )
 
 
@@ -302,7 +302,7 @@ def result_file(target: str, scratch: str) -> Iterator[str]:
         BagError: if the target cannot be written.
     """
     if is_url(target):
-        files, path = _filesystem(target)
+        files, path = _open_filesystem(target)
         with TemporaryDirectory(dir=scratch) as folder:
             local = str(Path(folder) / PurePosixPath(path).name)
             yield local
@@ -311,14 +311,14 @@ def result_file(target: str, scratch: str) -> Iterator[str]:
         return
     folder, name = os.path.split(target)
     # In the target's folder, because a move is only atomic within one file system.
-    part = os.path.join(folder, f".{name}.{uuid4().hex}{_INCOMPLETE_SUFFIX}")
+    incomplete_path = os.path.join(folder, f".{name}.{uuid4().hex}{_INCOMPLETE_SUFFIX}")
     _call_os(target, os.makedirs, folder or ".", exist_ok=True)
     try:
-        yield part
-        _call_os(target, os.replace, part, target)
+        yield incomplete_path
+        _call_os(target, os.replace, incomplete_path, target)
     finally:
-        if os.path.exists(part):
-            os.unlink(part)
+        if os.path.exists(incomplete_path):
+            os.unlink(incomplete_path)
 
 
 def remove_parts(targets: Iterable[str]) -> None:
@@ -331,25 +331,25 @@ def remove_parts(targets: Iterable[str]) -> None:
                 path.unlink()
 
 
-def _call_os(target: str, do: Callable[..., object], *arguments: str, **options: bool) -> None:
+def _call_os(target: str, function: Callable[..., object], *arguments: str, **options: bool) -> None:
     try:
-        do(*arguments, **options)
+        function(*arguments, **options)
     except OSError as error:
         raise BagError(f"{target} cannot be written: {reason(error)}") from error
 
 
-def _without_suffix(name: str) -> str:
+def _strip_suffix(name: str) -> str:
     suffix = max((suffix for suffix in _BAG_SUFFIXES if name.endswith(suffix)), key=len, default="")
     return name[: len(name) - len(suffix)]
 
 
-def _names_below(place: str) -> Optional[List[str]]:
+def _list_names_below(place: str) -> Optional[List[str]]:
     """Return the names of all files below a folder, relative to it; None for files and bags."""
     if not is_url(place):
         if not is_folder_of_bags(place):
             return None
         return [path.relative_to(place).as_posix() for path in Path(place).rglob("*")]
-    files, path = _filesystem(place)
+    files, path = _open_filesystem(place)
     if not _call_filesystem(place, files.isdir, path) or _call_filesystem(
         place, files.exists, f"{path.rstrip('/')}/{METADATA}"
     ):
@@ -359,7 +359,7 @@ def _names_below(place: str) -> Optional[List[str]]:
     ]
 
 
-def _bags_of(names: Iterable[str]) -> List[str]:
+def _select_bag_names(names: Iterable[str]) -> List[str]:
     """Return the names that are bags, sorted; hidden files and folders are skipped."""
     paths = [path for path in map(PurePosixPath, names) if not any(part[0] == "." for part in path.parts)]
     # The files in a ROS 2 bag are parts of it, not bags of their own.
@@ -368,7 +368,7 @@ def _bags_of(names: Iterable[str]) -> List[str]:
     return [path.as_posix() for path in sorted(folders | files, key=lambda path: path.parts)]
 
 
-def _filesystem(url: str) -> Tuple[Any, str]:
+def _open_filesystem(url: str) -> Tuple[Any, str]:
     try:
         from fsspec.core import url_to_fs  # noqa: PLC0415 - an optional package
     except ImportError:

@@ -11,9 +11,9 @@ from typing import Any, BinaryIO, List
 MAX_CHUNK_MEGABYTES = 512
 """Default limit for a chunk or a single message after decompression."""
 
-_MEGABYTE = 1_000_000
+_BYTES_PER_MEGABYTE = 1_000_000
 
-_BLOCK = 1 << 20
+_BLOCK_BYTES = 1 << 20
 
 
 class ChunkLimit:
@@ -24,7 +24,7 @@ class ChunkLimit:
     """
 
     def __init__(self, megabytes: int = MAX_CHUNK_MEGABYTES):
-        self.bytes = megabytes * _MEGABYTE
+        self.bytes = megabytes * _BYTES_PER_MEGABYTE
         self._megabytes = megabytes
 
     def check(self, size: int, what: str) -> None:
@@ -34,7 +34,7 @@ class ChunkLimit:
             ValueError: if it exceeds the limit.
         """
         if size > self.bytes:
-            raise ValueError(f"{what} {size} bytes: expected {self._allowed()}")
+            raise ValueError(f"{what} {size} bytes: expected {self._describe_limit()}")
 
     def unpack_message(self, packed: bytes) -> bytes:
         """Decompress a message that was compressed with zstd, whose frame need not state the size.
@@ -44,10 +44,12 @@ class ChunkLimit:
         """
         data = read_up_to(zstd_reader(BytesIO(packed)), self.bytes + 1)
         if len(data) > self.bytes:
-            raise ValueError(f"a compressed message has more bytes than allowed: expected {self._allowed()}")
+            raise ValueError(
+                f"a compressed message has more bytes than allowed: expected {self._describe_limit()}"
+            )
         return data
 
-    def _allowed(self) -> str:
+    def _describe_limit(self) -> str:
         return f"at most {self._megabytes:g} MB, the limit that --max-chunk-megabytes raises"
 
 
@@ -94,7 +96,7 @@ def read_up_to(source: BinaryIO, size: int) -> bytes:
     blocks: List[bytes] = []
     while size > 0:
         # Read in blocks: a reader may allocate the requested size before it knows how much there is.
-        block = source.read(min(size, _BLOCK))
+        block = source.read(min(size, _BLOCK_BYTES))
         if not block:
             break
         blocks.append(block)
@@ -106,7 +108,7 @@ def copy_up_to(source: BinaryIO, target: BinaryIO, size: int) -> int:
     """Copy a stream until its end or until more than ``size`` bytes are copied; return the number of copied bytes."""
     copied = 0
     while copied <= size:
-        block = source.read(_BLOCK)
+        block = source.read(_BLOCK_BYTES)
         if not block:
             break
         copied += len(block)

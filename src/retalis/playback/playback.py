@@ -56,7 +56,7 @@ log = logging.getLogger("retalis")
 
 OnError = Callable[[RetalisError], None]
 
-_TIME = attrgetter("time")
+_GET_TIME = attrgetter("time")
 
 
 class Output(NamedTuple):
@@ -126,7 +126,7 @@ class Playback:
         self._reports = Reports()
         # A bag can contain a million messages with the same problem.
         self._reports.once = True
-        self._skew = ClockSkewMonitor(self._reports, self.clock.now, self.clock.now, max_skew)
+        self._skew_monitor = ClockSkewMonitor(self._reports, self.clock.now, self.clock.now, max_skew)
         self.definitions = Definitions()
         self._report = report
         self._learn_types(bag.topics if bag is not None else ())
@@ -144,25 +144,25 @@ class Playback:
         self._topics = topic_file._replace(subscribed=(*topic_file.subscribed, *topics))
         self._direct = direct_topics(direct, self._topics, by_name)
         # If a topic has several types, the last one counts: direct topics precede pub_sub.xml, as in a node.
-        self._requested = [*topic_file.subscribed, *self._direct, *topics]
+        self._requested_topics = [*topic_file.subscribed, *self._direct, *topics]
         direct_is_listed = isinstance(direct, tuple)
         named_topics = {by_name(topic) for topic, _ in self._topics.subscribed}
         self._default_topics = frozenset(
             () if direct_is_listed else {by_name(topic) for topic, _ in self._direct} - named_topics
         )
-        self._types = {by_name(topic): type_name for topic, type_name in self._requested}
-        self._published = {by_name(topic): type_name for topic, type_name in topic_file.published}
-        self._events = {by_name(topic): event for topic, event in topic_file.events}
+        self._subscribed_types = {by_name(topic): type_name for topic, type_name in self._requested_topics}
+        self._published_types = {by_name(topic): type_name for topic, type_name in topic_file.published}
+        self._event_names = {by_name(topic): event for topic, event in topic_file.events}
         self._new_topics: Set[str] = set()
-        self._latched = {by_name(topic) for topic in topic_file.latched}
+        self._latched_topics = {by_name(topic) for topic in topic_file.latched}
         # Registered before the program is loaded, because its goals may publish.
-        self.engine.on_output(self._collect)
+        self.engine.on_output(self._collect_output)
         self.engine.input_topics.begin(self._subscribe, self._topics, self._direct)
         # A restored engine contains its program; loading it again would duplicate the rules.
         if state is None:
-            self._load()
+            self._load_program()
 
-    def _load(self) -> None:
+    def _load_program(self) -> None:
         try:
             self.engine.load_program(self._folder)
         except ProgramErrors as errors:
@@ -183,23 +183,25 @@ class Playback:
         """
         outputs = self._outputs
         # A further bag may have been recorded with other clocks.
-        self._skew.forget()
-        self._learn_all(bag, [topic for topic, _ in self._requested], self._default_topics)
+        self._skew_monitor.forget()
+        self._learn_topics(bag, [topic for topic, _ in self._requested_topics], self._default_topics)
         for warning in self.engine.warnings(self._folder, self.definitions, self._topics, self._direct):
             log.warning("%s", warning)
         # The warnings above cover outputs without a type.
         self._topics_warned.update(self.engine.output_topics())
-        wanted = {topic.name for topic in bag.topics if by_name(topic.name) in self._types}
+        topic_names = {topic.name for topic in bag.topics if by_name(topic.name) in self._subscribed_types}
         self._new_topics.clear()
         # By identity, because hashing a topic would hash all its fields for every message.
         decoders = {id(topic): self._decoders.get(topic) for topic in bag.topics}
-        records = self._records(bag, wanted, decoders)
-        done = count(1)
+        records = self._read_records(bag, topic_names, decoders)
+        message_numbers = count(1)
         # Each iteration is one batch: `records` yields None before alarms ring, outside `post_each`.
         for record in records:
             if record is not None:
                 batch = chain((record,), records)
-                self.engine.post_each(self._messages(batch, decoders, lambda: progress(next(done))))
+                self.engine.post_each(
+                    self._decode_messages(batch, decoders, lambda: progress(next(message_numbers)))
+                )
                 yield from outputs
                 outputs.clear()
         # Alarms that are due before the end of the bag ring even if no further message is used.
@@ -207,7 +209,7 @@ class Playback:
         self.engine.advance()
         yield from outputs
         outputs.clear()
-        self._skew.sum_up()
+        self._skew_monitor.sum_up()
         self._reports.sum_up()
 
     def is_latched(self, topic: str) -> bool:
@@ -216,9 +218,9 @@ class Playback:
         >>> Playback(folder, report=print).is_latched("echo")
         False
         """
-        return by_name(topic) in self._latched
+        return by_name(topic) in self._latched_topics
 
-    def _messages(
+    def _decode_messages(
         self,
         records: Iterable[Optional[Record]],
         decoders: Dict[int, Optional[Decoder]],
@@ -234,14 +236,14 @@ class Playback:
             clock.move_to(time, back=True)
             decoder = decoders[id(topic)]
             # Messages of topics with an unusable type still move the clock.
-            message = None if decoder is None else self._decoded(topic, decoder, data)
+            message = None if decoder is None else self._decode(topic, decoder, data)
             if message is not None:
                 yield message
             count_message()
             if outputs:
                 return
 
-    def _records(
+    def _read_records(
         self, bag: Bag, topics: Set[str], decoders: Dict[int, Optional[Decoder]]
     ) -> Iterator[Optional[Record]]:
         """Yield the messages of topics, including topics that goals subscribe to while the bag is played.
@@ -261,27 +263,29 @@ class Playback:
             if self._new_topics:
                 remaining = stream if record is None else chain((record,), stream)
                 # The new topics start after the current time, so no message is repeated.
-                stream = iter(merge(remaining, self._join(bag, decoders), key=_TIME))
+                stream = iter(merge(remaining, self._join_topics(bag, decoders), key=_GET_TIME))
             elif record is None:
                 return
             else:
                 yield record
 
-    def _join(self, bag: Bag, decoders: Dict[int, Optional[Decoder]]) -> Iterator[Record]:
+    def _join_topics(self, bag: Bag, decoders: Dict[int, Optional[Decoder]]) -> Iterator[Record]:
         """Return the messages after the current time of the topics that goals have just subscribed to."""
-        joining = {topic.name for topic in bag.topics if by_name(topic.name) in self._new_topics}
-        names = [topic for topic, _ in self._requested if by_name(topic) in self._new_topics]
+        joining_topics = {topic.name for topic in bag.topics if by_name(topic.name) in self._new_topics}
+        names = [topic for topic, _ in self._requested_topics if by_name(topic) in self._new_topics]
         self._new_topics.clear()
-        self._learn_all(bag, names)
-        decoders.update((id(topic), self._decoders[topic]) for topic in bag.topics if topic.name in joining)
-        return bag.records(joining, start=self.clock.now() + 1)
+        self._learn_topics(bag, names)
+        decoders.update(
+            (id(topic), self._decoders[topic]) for topic in bag.topics if topic.name in joining_topics
+        )
+        return bag.records(joining_topics, start=self.clock.now() + 1)
 
-    def _subscribe(self, wanted: AskedTopic) -> None:
+    def _subscribe(self, request: AskedTopic) -> None:
         """Convert the messages of a topic to events, from the current time on, or from the start of the next bag."""
-        name = by_name(wanted.topic)
-        self._requested.append(TopicType(wanted.topic, wanted.kind))
-        self._types[name] = wanted.kind
-        self._events[name] = wanted.event
+        name = by_name(request.topic)
+        self._requested_topics.append(TopicType(request.topic, request.kind))
+        self._subscribed_types[name] = request.kind
+        self._event_names[name] = request.event
         self._new_topics.add(name)
 
     def _ring_until(self, first_time: int, limit: int) -> None:
@@ -297,7 +301,7 @@ class Playback:
             self.engine.advance()
             alarm = clock.next_alarm()
 
-    def _decoded(self, topic: Topic, decoder: Decoder, data: bytes) -> Optional[Tuple[Term, Optional[int]]]:
+    def _decode(self, topic: Topic, decoder: Decoder, data: bytes) -> Optional[Tuple[Term, Optional[int]]]:
         """Return a message as a term with its stamp, or None if it is invalid, which is reported."""
         try:
             return decoder.decode(data), decoder.stamp(data)
@@ -316,7 +320,7 @@ class Playback:
             except MessageError as error:
                 log.debug("%s", error)
 
-    def _learn_all(
+    def _learn_topics(
         self, bag: Bag, requested: Iterable[str], by_default: FrozenSet[str] = frozenset()
     ) -> None:
         """Store the decoders for the connections of topics; report types that do not fit, and missing topics.
@@ -340,11 +344,11 @@ class Playback:
                 "%s has no messages on %s; it has %s",
                 bag.path,
                 ", ".join(dict.fromkeys(missing)),
-                ", ".join(_shown(bag.topics)) or "none at all",
+                ", ".join(_describe_topics(bag.topics)) or "none at all",
             )
         dropped: Dict[Tuple[str, bool], int] = Counter()
         for topic in bag.topics:
-            problem = self._learn(topic) if by_name(topic.name) in names else None
+            problem = self._learn_topic(topic) if by_name(topic.name) in names else None
             if problem is not None:
                 text = f"topic {topic.name}: {problem}"
                 dropped[text, by_name(topic.name) in by_default] += topic.messages
@@ -355,16 +359,16 @@ class Playback:
             else:
                 self._report(MessageError(text))
 
-    def _learn(self, topic: Topic) -> Optional[MessageError]:
+    def _learn_topic(self, topic: Topic) -> Optional[MessageError]:
         """Store the decoder of a connection with the type that the program requests, or return the error."""
-        type_name = self._types[by_name(topic.name)]
+        type_name = self._subscribed_types[by_name(topic.name)]
         try:
             learned = self.definitions.learn(
                 type_name,
                 topic.type,
                 topic.definition,
                 topic.md5sum,
-                self._events.get(by_name(topic.name), ""),
+                self._event_names.get(by_name(topic.name), ""),
             )
         except MessageError as error:
             self._decoders[topic] = None
@@ -376,11 +380,11 @@ class Playback:
                 type_name,
                 topic.type,
             )
-        self._decoders[topic] = self._skew.watch(learned.decoder, topic.name, topic.caller)
+        self._decoders[topic] = self._skew_monitor.watch(learned.decoder, topic.name, topic.caller)
         return None
 
-    def _collect(self, term: Term, topic: str, name: Term) -> None:
-        type_name = self._published.get(by_name(topic))
+    def _collect_output(self, term: Term, topic: str, name: Term) -> None:
+        type_name = self._published_types.get(by_name(topic))
         definition = data = None
         try:
             if type_name is None and topic not in self._topics_warned:
@@ -392,20 +396,20 @@ class Playback:
                     texts=20,
                 )
             elif type_name is not None:
-                definition = self._published_type(type_name, topic)
+                definition = self._find_published_type(type_name, topic)
                 data = self.definitions.encoder(definition).encode(term, topic)
         except MessageError as error:
             self._reports.error(error, ("out", topic))
         self._outputs.append(Output(topic, term, self.clock.now(), definition, data, name))
 
-    def _published_type(self, type_name: str, topic: str) -> Definition:
+    def _find_published_type(self, type_name: str, topic: str) -> Definition:
         try:
             return self.definitions.find(type_name)
         except MessageError as error:
             raise MessageError(f"topic {topic}: {error.message}", error.place) from error
 
 
-def _shown(topics: Iterable[Topic]) -> List[str]:
+def _describe_topics(topics: Iterable[Topic]) -> List[str]:
     """Return names and types of a bag's topics; names that ROS does not allow are quoted."""
     return sorted(
         {

@@ -107,13 +107,13 @@ class _ChunkReader:
 
     def __init__(self, file: BinaryIO, places: Mapping[int, Chunk], limit: ChunkLimit, order: List[int]):
         self._file = file
-        self._places = places
+        self._chunks_by_position = places
         self._limit = limit
         self._order = order
         # A chunk whose last use has passed is freed at once.
         self._last_use = {position: index for index, position in enumerate(order)}
-        self._kept: Dict[int, Tuple[int, Future[bytes]]] = {}
-        self._kept_bytes = 0
+        self._cached: Dict[int, Tuple[int, Future[bytes]]] = {}
+        self._cached_bytes = 0
         self._read_positions: Set[int] = set()
         self._rereadable_bytes = MAX_REPEATS * sum(
             places[position].size for position in self._last_use if position in places
@@ -121,7 +121,7 @@ class _ChunkReader:
 
     def is_slow(self, position: int) -> bool:
         """Return whether a chunk takes long to decompress, and is small enough to be decompressed ahead."""
-        chunk = self._places.get(position)
+        chunk = self._chunks_by_position.get(position)
         return chunk is not None and chunk.compression == "bz2" and chunk.size <= _MAX_AHEAD_BYTES
 
     def read_ahead(self, submit: _Submit) -> Iterator[bytes]:
@@ -143,26 +143,26 @@ class _ChunkReader:
     def begin(self, index: int, submit: _Submit) -> "Future[bytes]":
         """Return a future of the contents of a chunk, given by its index in the order, or of the error."""
         position = self._order[index]
-        if position in self._kept:
-            records = self._kept[position][1]
+        if position in self._cached:
+            records = self._cached[position][1]
         else:
             try:
-                chunk, packed = self._packed(position)
+                chunk, packed = self._read_packed(position)
             # The error is raised when this chunk is next: the chunks before it are still read.
             except (OSError, ValueError) as error:
                 return _completed_future(_raise, error)
             # The file is read here and only decompressed elsewhere, since all threads share its position.
             records = submit(_unpack, chunk, packed, position)
             # Kept until its last use, within the limit for one chunk, so that memory does not depend on the index.
-            if index < self._last_use[position] and self._kept_bytes + chunk.size <= self._limit.bytes:
-                self._kept[position] = chunk.size, records
-                self._kept_bytes += chunk.size
-        if index == self._last_use[position] and position in self._kept:
-            self._kept_bytes -= self._kept.pop(position)[0]
+            if index < self._last_use[position] and self._cached_bytes + chunk.size <= self._limit.bytes:
+                self._cached[position] = chunk.size, records
+                self._cached_bytes += chunk.size
+        if index == self._last_use[position] and position in self._cached:
+            self._cached_bytes -= self._cached.pop(position)[0]
         return records
 
-    def _packed(self, position: int) -> Tuple[Chunk, bytes]:
-        chunk = self._places.get(position)
+    def _read_packed(self, position: int) -> Tuple[Chunk, bytes]:
+        chunk = self._chunks_by_position.get(position)
         if chunk is None:
             raise ValueError(f"the index names a chunk at byte {position}: there is none")
         # Compared before anything is read: the stated size is what decompression may allocate.
@@ -180,12 +180,12 @@ class _ChunkReader:
 
 
 def _completed_future(function: Callable[..., bytes], *arguments: object) -> "Future[bytes]":
-    done: Future[bytes] = Future()
+    future: Future[bytes] = Future()
     try:
-        done.set_result(function(*arguments))
+        future.set_result(function(*arguments))
     except Exception as error:  # raised when the result is requested, as for a thread
-        done.set_exception(error)
-    return done
+        future.set_exception(error)
+    return future
 
 
 def _raise(error: Exception) -> bytes:
@@ -199,11 +199,11 @@ def _unpack(chunk: Chunk, packed: bytes, position: int) -> bytes:
         raise ValueError(f"the chunk at byte {position}: {reason(error)}") from error
 
 
-_SIZE = Struct("<I")
+_SIZE_STRUCT = Struct("<I")
 _MAX_FIRST_LINE_BYTES = 64
 """Maximum length of the first line of a bag; a valid one has 13 bytes."""
 
-_IS_MESSAGE, _IS_CONNECTION = (b"\x04\x00\x00\x00op=" + bytes([code]) for code in (2, 7))
+_MESSAGE_FIELD, _CONNECTION_FIELD = (b"\x04\x00\x00\x00op=" + bytes([code]) for code in (2, 7))
 """Field of a record's header that states the type of the record."""
 
 PathLike = Union[str, Path]
@@ -292,7 +292,7 @@ class BagReader:
         self._limit = ChunkLimit(max_chunk_megabytes)
         self._reader = _open(self.path)
         self._topics: Dict[int, Topic] = {
-            connection.id: _topic(connection) for connection in self._reader.connections
+            connection.id: _create_topic(connection) for connection in self._reader.connections
         }
         self.topics: Tuple[Topic, ...] = tuple(self._topics.values())
         self.messages: int = sum(topic.messages for topic in self.topics)
@@ -326,14 +326,14 @@ class BagReader:
         if not connections:
             return
         try:
-            entries = self._entries(connections, start, stop)
+            entries = self._find_entries(connections, start, stop)
             positions = [position for _, position, _, _ in entries]
             with closing(chunks(self._reader.bio, self._reader.chunks, positions, self._limit)) as contents:
-                yield from _messages(entries, contents)
+                yield from _read_messages(entries, contents)
         except Exception as error:  # malformed bags raise arbitrary exceptions
             raise BagError(f"{self.path}: the bag is broken: {reason(error)}") from error
 
-    def _entries(
+    def _find_entries(
         self, connections: List[Any], start: Optional[int], stop: Optional[int]
     ) -> List[_MessageEntry]:
         """Return the locations of messages sorted by time, from the index that ``rosbags`` has read."""
@@ -382,7 +382,7 @@ class BagWriter:
 
     def __init__(self, path: PathLike, overwrite: bool = False):
         self.path = Path(path)
-        writer = _rosbag1().Writer
+        writer = _import_rosbag1().Writer
         # A folder is never replaced.
         if self.path.exists() and not (overwrite and self.path.is_file()):
             raise BagError(f"{self.path} already exists")
@@ -425,7 +425,7 @@ class BagWriter:
         self.close()
 
 
-def _rosbag1() -> Any:
+def _import_rosbag1() -> Any:
     try:
         from rosbags import rosbag1  # noqa: PLC0415 - an optional package
     except ImportError:
@@ -435,12 +435,12 @@ def _rosbag1() -> Any:
     return rosbag1
 
 
-def _messages(entries: List[_MessageEntry], contents: Iterator[bytes]) -> Iterator[Record]:
+def _read_messages(entries: List[_MessageEntry], contents: Iterator[bytes]) -> Iterator[Record]:
     """Yield messages from the contents of chunks.
 
     `rosbags` reads every header field from a file object, which takes three times as long.
     """
-    size_at = _SIZE.unpack_from
+    size_at = _SIZE_STRUCT.unpack_from
     current, chunk, unclaimed_in_chunk = -1, b"", 0
     # Bytes of each chunk that no message has claimed. The sizes of messages must add up to the size of the chunk at
     # most: otherwise index entries of 12 bytes each could repeat a message of megabytes.
@@ -454,8 +454,8 @@ def _messages(entries: List[_MessageEntry], contents: Iterator[bytes]) -> Iterat
         (size,) = size_at(chunk, offset)
         body_offset = offset + 4 + size
         # The index may point to a connection record that precedes the message.
-        while chunk.find(_IS_MESSAGE, offset, body_offset) < 0:
-            if chunk.find(_IS_CONNECTION, offset, body_offset) < 0:
+        while chunk.find(_MESSAGE_FIELD, offset, body_offset) < 0:
+            if chunk.find(_CONNECTION_FIELD, offset, body_offset) < 0:
                 raise ValueError(f"the index of the chunk at byte {position} does not point to a message")
             offset = body_offset + 4 + size_at(chunk, body_offset)[0]
             body_offset = offset + 4 + size_at(chunk, offset)[0]
@@ -470,7 +470,7 @@ def _messages(entries: List[_MessageEntry], contents: Iterator[bytes]) -> Iterat
 
 
 def _open(path: Path) -> Any:
-    rosbag1 = _rosbag1()
+    rosbag1 = _import_rosbag1()
     if not path.is_file():
         raise BagError(f"{path}: there is no such file")
     try:
@@ -551,7 +551,7 @@ def _index_reader(rosbag1: Any) -> Any:
         def read_chunk(self) -> Chunk:
             position = self.bio.tell()
             header = Header.read(self.bio, RecordType.CHUNK)
-            (packed_size,) = _SIZE.unpack(self.bio.read(_SIZE.size))
+            (packed_size,) = _SIZE_STRUCT.unpack(self.bio.read(_SIZE_STRUCT.size))
             data = self.bio.tell()
             self.bio.seek(packed_size, os.SEEK_CUR)
             self._records.append((position, data + packed_size))
@@ -569,7 +569,7 @@ def _index_reader(rosbag1: Any) -> Any:
     return IndexReader
 
 
-def _topic(connection: Any) -> Topic:
+def _create_topic(connection: Any) -> Topic:
     """Return a connection with the names of ROS 1; the definition depends on the ``rosbags`` version."""
     text = connection.msgdef
     return Topic(

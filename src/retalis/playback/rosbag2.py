@@ -63,13 +63,13 @@ class Connection(NamedTuple):
 
 # ---- SQLite ------------------------------------------------------------------------------------------
 
-_FREE_STEPS = 1_000_000
+_BASE_QUERY_STEPS = 1_000_000
 _STEPS_PER_BYTE = 10
 """Limit for the virtual machine instructions of a query: a row has at least 10 bytes, and takes about 20 of them."""
 
-_STEPS_AT_A_TIME = 1000
+_STEPS_PER_CALLBACK = 1000
 
-_TOO_MANY_BYTES = "its rows have more bytes than the file: some name the same pages"
+_TOO_MANY_BYTES_MESSAGE = "its rows have more bytes than the file: some name the same pages"
 
 _LIMIT_LENGTH = 0
 """``SQLITE_LIMIT_LENGTH`` of ``sqlite3.h``: maximum size of a string, blob or row."""
@@ -105,7 +105,7 @@ class SqliteFile:
             set_limit = getattr(self._database, "setlimit", None)  # from Python 3.11
             if set_limit is not None:
                 set_limit(_LIMIT_LENGTH, min(limit.bytes + 1, self._size + 1, _MAX_LENGTH))
-            self._database.set_progress_handler(self._count_steps, _STEPS_AT_A_TIME)
+            self._database.set_progress_handler(self._count_steps, _STEPS_PER_CALLBACK)
             self.connections = self._read_connections()
             self.start, self.end = self._read_times()
             self._stack = stack.pop_all()
@@ -124,7 +124,7 @@ class SqliteFile:
             if bound is not None:
                 query += f" AND timestamp {operator} ?"
                 arguments.append(bound)
-        for identifier, time, data in self._ask(f"{query} ORDER BY timestamp", *arguments):
+        for identifier, time, data in self._query_limited(f"{query} ORDER BY timestamp", *arguments):
             # SQLite does not enforce the types of columns.
             if time.__class__ is not int or data.__class__ is not bytes:
                 raise ValueError("a message is not an integer and a blob")
@@ -134,18 +134,18 @@ class SqliteFile:
         """Close the file."""
         self._stack.close()
 
-    def _ask(self, query: str, *arguments: object) -> Iterator[Tuple[Any, ...]]:
+    def _query_limited(self, query: str, *arguments: object) -> Iterator[Tuple[Any, ...]]:
         # Rows of a malformed database can share pages, so that a small file returns gigabytes.
         remaining = self._size
         for row in self._execute(query, *arguments):
             remaining -= sum(len(value) for value in row if isinstance(value, (str, bytes)))
             if remaining < 0:
-                raise ValueError(_TOO_MANY_BYTES)
+                raise ValueError(_TOO_MANY_BYTES_MESSAGE)
             yield row
 
     def _execute(self, query: str, *arguments: object) -> Iterator[Tuple[Any, ...]]:
         # The budget is per query. A crafted schema could otherwise make a query run forever.
-        self._steps = _FREE_STEPS + _STEPS_PER_BYTE * self._size
+        self._steps = _BASE_QUERY_STEPS + _STEPS_PER_BYTE * self._size
         try:
             # `yield from` would close the cursor of an abandoned iterator, which raises after the file was closed.
             for row in self._database.execute(query, arguments):  # noqa: UP028
@@ -156,7 +156,7 @@ class SqliteFile:
             raise ValueError("its tables have more rows than a file of its size can hold") from error
 
     def _count_steps(self) -> bool:
-        self._steps -= _STEPS_AT_A_TIME
+        self._steps -= _STEPS_PER_CALLBACK
         return self._steps < 0  # True interrupts the query
 
     def _read_connections(self) -> List[Connection]:
@@ -165,14 +165,14 @@ class SqliteFile:
                 raise ValueError(f"it has no table '{table}': expected a database that ros2 bag has written")
         definitions: Dict[str, Tuple[str, str]] = {}
         if self._has_table("message_definitions"):
-            rows = self._ask(
+            rows = self._query_limited(
                 "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
             )
             for name, encoding, text in rows:
                 definitions.setdefault(_require_text(name), (_require_text(encoding), _require_text(text)))
-        counts = dict(self._ask("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
+        counts = dict(self._query_limited("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
         connections = []
-        for identifier, topic, name, message_format in self._ask(
+        for identifier, topic, name, message_format in self._query_limited(
             "SELECT id, name, type, serialization_format FROM topics"
         ):
             encoding, text = definitions.get(_require_text(name), ("", ""))
@@ -195,11 +195,11 @@ class SqliteFile:
 
         A view or a generated column would execute SQL from the file, which may run forever or produce gigabytes.
         """
-        rows = list(self._ask("SELECT type, sql FROM sqlite_master WHERE name = ?", name))
+        rows = list(self._query_limited("SELECT type, sql FROM sqlite_master WHERE name = ?", name))
         if not rows:
             return False
         types = [str(object_type) for object_type, sql in rows if str(sql)[:13].upper() == "CREATE TABLE "]
-        columns = list(self._ask(f"PRAGMA table_xinfo({name})"))
+        columns = list(self._query_limited(f"PRAGMA table_xinfo({name})"))
         # Columns: number, name, type, not null, default, primary key, and 0 for columns that are not generated.
         if types != ["table"] or any(column[6] or column[4] is not None for column in columns):
             raise ValueError(
@@ -208,12 +208,12 @@ class SqliteFile:
         return True
 
     def _read_times(self) -> Tuple[int, int]:
-        ((first, last, size),) = self._ask(
+        ((first, last, size),) = self._query_limited(
             "SELECT min(timestamp), max(timestamp), total(length(data)) FROM messages"
         )
         # Rows that share pages would fill the disk when SQLite sorts them.
         if size > self._size:
-            raise ValueError(_TOO_MANY_BYTES)
+            raise ValueError(_TOO_MANY_BYTES_MESSAGE)
         return (0, 0) if first is None else (int(first), int(last))
 
 
@@ -226,19 +226,28 @@ def _require_text(text: object) -> str:
 # ---- mcap --------------------------------------------------------------------------------------------
 
 _MAGIC = b"\x89MCAP0\r\n"
-_RECORD = Struct("<BQ")
-_FOOTER = Struct("<BQQQI8s")
-_LENGTH = Struct("<I")
-_SIZE = Struct("<Q")
-_ID = Struct("<H")
-_IDS = Struct("<HH")
-_MESSAGE = Struct("<HIQQ")
-_CHUNK = Struct("<QQQI")
-_INDEX = Struct("<QQQQ")
-_STATISTICS = Struct("<QHIIIIQQ")
-_COUNT = Struct("<HQ")
+_RECORD_STRUCT = Struct("<BQ")
+_FOOTER_STRUCT = Struct("<BQQQI8s")
+_LENGTH_STRUCT = Struct("<I")
+_SIZE_STRUCT = Struct("<Q")
+_ID_STRUCT = Struct("<H")
+_IDS_STRUCT = Struct("<HH")
+_MESSAGE_STRUCT = Struct("<HIQQ")
+_CHUNK_STRUCT = Struct("<QQQI")
+_INDEX_STRUCT = Struct("<QQQQ")
+_STATISTICS_STRUCT = Struct("<QHIIIIQQ")
+_COUNT_STRUCT = Struct("<HQ")
 
-_HEADER, _END, _SCHEMA, _CHANNEL, _DATA, _CHUNK_RECORD, _CHUNK_INDEX, _TOTALS = 1, 2, 3, 4, 5, 6, 8, 11
+(
+    _HEADER_OPCODE,
+    _FOOTER_OPCODE,
+    _SCHEMA_OPCODE,
+    _CHANNEL_OPCODE,
+    _MESSAGE_OPCODE,
+    _CHUNK_OPCODE,
+    _CHUNK_INDEX_OPCODE,
+    _STATISTICS_OPCODE,
+) = 1, 2, 3, 4, 5, 6, 8, 11
 """Opcodes of records."""
 
 
@@ -296,9 +305,9 @@ class McapFile:
         last = 1 << 64 if stop is None else stop
         wanted = set(ids)
         return (
-            self._stream(wanted, first, last)
+            self._read_sequentially(wanted, first, last)
             if self._has_loose_messages
-            else self._merge(wanted, first, last)
+            else self._merge_chunks(wanted, first, last)
         )
 
     def close(self) -> None:
@@ -306,16 +315,21 @@ class McapFile:
         self._stack.close()
 
     def _open(self) -> None:
-        if self._bytes(0, len(_MAGIC)) != _MAGIC:
+        if self._read_bytes(0, len(_MAGIC)) != _MAGIC:
             raise ValueError("it does not begin as an mcap file")
-        opcode, length = self._record(len(_MAGIC), self._size)
-        self._data_start = len(_MAGIC) + _RECORD.size + length
-        if opcode != _HEADER or _text(self._bytes(len(_MAGIC) + _RECORD.size, length), 0)[0] != "ros2":
+        opcode, length = self._read_record_header(len(_MAGIC), self._size)
+        self._data_start = len(_MAGIC) + _RECORD_STRUCT.size + length
+        if (
+            opcode != _HEADER_OPCODE
+            or _read_text(self._read_bytes(len(_MAGIC) + _RECORD_STRUCT.size, length), 0)[0] != "ros2"
+        ):
             raise ValueError("its header is not that of a ROS 2 bag")
-        footer = self._size - _FOOTER.size
-        opcode, length, summary, _, _, magic = _FOOTER.unpack(self._bytes(footer, _FOOTER.size))
+        footer = self._size - _FOOTER_STRUCT.size
+        opcode, length, summary, _, _, magic = _FOOTER_STRUCT.unpack(
+            self._read_bytes(footer, _FOOTER_STRUCT.size)
+        )
         # A recorder that was killed does not write a footer.
-        if (opcode, length, magic) != (_END, 20, _MAGIC):
+        if (opcode, length, magic) != (_FOOTER_OPCODE, 20, _MAGIC):
             raise ValueError("it does not end as an mcap file: it may be truncated")
         self._data_end = summary or footer
         if not self._data_start <= self._data_end <= footer:
@@ -327,19 +341,21 @@ class McapFile:
     def _read_summary(self, footer: int) -> bool:
         """Read the summary; return whether it contains the number of messages and their time range."""
         has_totals = False
-        for opcode, position, length in self._records(self._data_end, footer):
-            if opcode in (_SCHEMA, _CHANNEL):
-                self._add_type(opcode, self._bytes(position, length))
-            elif opcode == _CHUNK_INDEX:
-                self._chunks.append(_McapChunk(*_INDEX.unpack_from(self._bytes(position, length))))
-            elif opcode == _TOTALS:
+        for opcode, position, length in self._scan_records(self._data_end, footer):
+            if opcode in (_SCHEMA_OPCODE, _CHANNEL_OPCODE):
+                self._add_type(opcode, self._read_bytes(position, length))
+            elif opcode == _CHUNK_INDEX_OPCODE:
+                self._chunks.append(
+                    _McapChunk(*_INDEX_STRUCT.unpack_from(self._read_bytes(position, length)))
+                )
+            elif opcode == _STATISTICS_OPCODE:
                 has_totals = True
-                body = self._bytes(position, length)
-                message_count, _, _, _, _, _, start, end = _STATISTICS.unpack_from(body)
+                body = self._read_bytes(position, length)
+                message_count, _, _, _, _, _, start, end = _STATISTICS_STRUCT.unpack_from(body)
                 self.start, self.end = (start, end) if message_count else (0, 0)
-                (size,) = _LENGTH.unpack_from(body, _STATISTICS.size)
-                counts = body[_STATISTICS.size + _LENGTH.size :][:size]
-                self._counts = dict(_COUNT.iter_unpack(counts))
+                (size,) = _LENGTH_STRUCT.unpack_from(body, _STATISTICS_STRUCT.size)
+                counts = body[_STATISTICS_STRUCT.size + _LENGTH_STRUCT.size :][:size]
+                self._counts = dict(_COUNT_STRUCT.iter_unpack(counts))
         # Overlapping index entries would let a small file contain the same chunk many times.
         self._chunks.sort(key=lambda chunk: chunk.position)
         for previous, chunk in zip(self._chunks, self._chunks[1:]):
@@ -354,23 +370,25 @@ class McapFile:
         self._has_loose_messages = False
         counts: Counter[int] = Counter()
         first, last = 1 << 64, -1
-        for opcode, position, length in self._records(self._data_start, self._data_end):
-            if opcode in (_SCHEMA, _CHANNEL):
-                self._add_type(opcode, self._bytes(position, length))
-            elif opcode == _DATA:
+        for opcode, position, length in self._scan_records(self._data_start, self._data_end):
+            if opcode in (_SCHEMA_OPCODE, _CHANNEL_OPCODE):
+                self._add_type(opcode, self._read_bytes(position, length))
+            elif opcode == _MESSAGE_OPCODE:
                 self._has_loose_messages = True
-                channel, _, time, _ = _MESSAGE.unpack(self._bytes(position, min(length, _MESSAGE.size)))
+                channel, _, time, _ = _MESSAGE_STRUCT.unpack(
+                    self._read_bytes(position, min(length, _MESSAGE_STRUCT.size))
+                )
                 counts[channel] += 1
                 first, last = min(first, time), max(last, time)
-            elif opcode == _CHUNK_RECORD:
-                chunk = _McapChunk(0, 0, position - _RECORD.size, length + _RECORD.size)
+            elif opcode == _CHUNK_OPCODE:
+                chunk = _McapChunk(0, 0, position - _RECORD_STRUCT.size, length + _RECORD_STRUCT.size)
                 data = self._unpack(chunk)
                 begin, end = 1 << 64, -1
-                for inner_opcode, body_start, body_end in _records_in(data):
-                    if inner_opcode in (_SCHEMA, _CHANNEL):
+                for inner_opcode, body_start, body_end in _scan_chunk_records(data):
+                    if inner_opcode in (_SCHEMA_OPCODE, _CHANNEL_OPCODE):
                         self._add_type(inner_opcode, data[body_start:body_end])
-                    elif inner_opcode == _DATA:
-                        channel, _, time, _ = _MESSAGE.unpack_from(data, body_start)
+                    elif inner_opcode == _MESSAGE_OPCODE:
+                        channel, _, time, _ = _MESSAGE_STRUCT.unpack_from(data, body_start)
                         counts[channel] += 1
                         begin, end = min(begin, time), max(end, time)
                 if end >= 0:
@@ -380,18 +398,18 @@ class McapFile:
         self.start, self.end = (first, last) if last >= 0 else (0, 0)
 
     def _add_type(self, opcode: int, body: bytes) -> None:
-        if opcode == _SCHEMA:
-            (identifier,) = _ID.unpack_from(body)
-            name, offset = _text(body, _ID.size)
-            encoding, offset = _text(body, offset)
+        if opcode == _SCHEMA_OPCODE:
+            (identifier,) = _ID_STRUCT.unpack_from(body)
+            name, offset = _read_text(body, _ID_STRUCT.size)
+            encoding, offset = _read_text(body, offset)
             # Repeated definitions are ignored: the summary contains those of the data section again.
-            self._schemas.setdefault(identifier, (name, encoding, _text(body, offset)[0]))
+            self._schemas.setdefault(identifier, (name, encoding, _read_text(body, offset)[0]))
         else:
-            identifier, schema = _IDS.unpack_from(body)
-            topic, offset = _text(body, _IDS.size)
-            self._channels.setdefault(identifier, (schema, topic, _text(body, offset)[0]))
+            identifier, schema = _IDS_STRUCT.unpack_from(body)
+            topic, offset = _read_text(body, _IDS_STRUCT.size)
+            self._channels.setdefault(identifier, (schema, topic, _read_text(body, offset)[0]))
 
-    def _merge(self, wanted: Set[int], start: int, stop: int) -> Iterator[Message]:
+    def _merge_chunks(self, wanted: Set[int], start: int, stop: int) -> Iterator[Message]:
         """Yield the messages of all chunks by time; only chunks that overlap in time are in memory."""
         bytes_in_memory = 0
         heap: List[Tuple[int, int, Message, Iterator[Message], int]] = []
@@ -415,23 +433,25 @@ class McapFile:
             size = len(data)
             bytes_in_memory += size
             self._limit.check(bytes_in_memory, "chunks that overlap in time have")
-            bytes_in_memory -= push_next(index, _messages_in(data, wanted, start, stop), size)
+            bytes_in_memory -= push_next(index, _read_messages(data, wanted, start, stop), size)
             del data  # the iterator holds it for as long as it is needed
         while heap:
             _, earlier_index, message, messages, size = heappop(heap)
             yield message
             push_next(earlier_index, messages, size)
 
-    def _stream(self, wanted: Set[int], start: int, stop: int) -> Iterator[Message]:
+    def _read_sequentially(self, wanted: Set[int], start: int, stop: int) -> Iterator[Message]:
         """Yield the messages of a file without an index, which must be in order of time."""
         previous_time = -1
-        for opcode, position, length in self._records(self._data_start, self._data_end):
+        for opcode, position, length in self._scan_records(self._data_start, self._data_end):
             data = b""
-            if opcode == _DATA:
-                data = _RECORD.pack(opcode, length) + self._bytes(position, length)
-            elif opcode == _CHUNK_RECORD:
-                data = self._unpack(_McapChunk(0, 0, position - _RECORD.size, length + _RECORD.size))
-            for message in _messages_in(data, wanted, start, stop):
+            if opcode == _MESSAGE_OPCODE:
+                data = _RECORD_STRUCT.pack(opcode, length) + self._read_bytes(position, length)
+            elif opcode == _CHUNK_OPCODE:
+                data = self._unpack(
+                    _McapChunk(0, 0, position - _RECORD_STRUCT.size, length + _RECORD_STRUCT.size)
+                )
+            for message in _read_messages(data, wanted, start, stop):
                 if message[1] < previous_time:
                     raise ValueError(
                         "its messages are not in the order of time: expected an index of its chunks"
@@ -441,14 +461,14 @@ class McapFile:
 
     def _unpack(self, chunk: _McapChunk) -> bytes:
         location = f"the chunk at byte {chunk.position}"
-        opcode, length = self._record(chunk.position, self._size)
-        if opcode != _CHUNK_RECORD or length + _RECORD.size != chunk.length:
+        opcode, length = self._read_record_header(chunk.position, self._size)
+        if opcode != _CHUNK_OPCODE or length + _RECORD_STRUCT.size != chunk.length:
             raise ValueError(f"the index names {location}: there is none of {chunk.length} bytes")
-        body = self._bytes(chunk.position + _RECORD.size, length)
-        _, _, size, checksum = _CHUNK.unpack_from(body)
-        compression, offset = _text(body, _CHUNK.size)
-        (packed_size,) = _SIZE.unpack_from(body, offset)
-        packed = body[offset + _SIZE.size :][:packed_size]
+        body = self._read_bytes(chunk.position + _RECORD_STRUCT.size, length)
+        _, _, size, checksum = _CHUNK_STRUCT.unpack_from(body)
+        compression, offset = _read_text(body, _CHUNK_STRUCT.size)
+        (packed_size,) = _SIZE_STRUCT.unpack_from(body, offset)
+        packed = body[offset + _SIZE_STRUCT.size :][:packed_size]
         if len(packed) != packed_size:
             raise ValueError(f"{location} is truncated")
         self._limit.check(size, f"{location} states")
@@ -461,47 +481,47 @@ class McapFile:
             raise ValueError(f"{location} is damaged: its checksum is wrong")
         return data
 
-    def _records(self, position: int, end: int) -> Iterator[Tuple[int, int, int]]:
+    def _scan_records(self, position: int, end: int) -> Iterator[Tuple[int, int, int]]:
         """Yield opcode, offset, and length of the records between two offsets."""
         while position < end:
-            opcode, length = self._record(position, end)
-            position += _RECORD.size
+            opcode, length = self._read_record_header(position, end)
+            position += _RECORD_STRUCT.size
             yield opcode, position, length
             position += length
 
-    def _record(self, position: int, end: int) -> Tuple[int, int]:
-        opcode, length = _RECORD.unpack(self._bytes(position, _RECORD.size))
-        if length > end - position - _RECORD.size:
+    def _read_record_header(self, position: int, end: int) -> Tuple[int, int]:
+        opcode, length = _RECORD_STRUCT.unpack(self._read_bytes(position, _RECORD_STRUCT.size))
+        if length > end - position - _RECORD_STRUCT.size:
             raise ValueError(f"the record at byte {position} states {length} bytes: there are fewer")
         return opcode, length
 
-    def _bytes(self, position: int, size: int) -> bytes:
+    def _read_bytes(self, position: int, size: int) -> bytes:
         if position < 0 or position + size > self._size:
             raise ValueError(f"{size} bytes at byte {position} are outside of the file")
         self._file.seek(position)
         return self._file.read(size)
 
 
-def _text(body: bytes, offset: int) -> Tuple[str, int]:
+def _read_text(body: bytes, offset: int) -> Tuple[str, int]:
     """Return the string at an offset, and the offset after it."""
-    (size,) = _LENGTH.unpack_from(body, offset)
-    start = offset + _LENGTH.size
+    (size,) = _LENGTH_STRUCT.unpack_from(body, offset)
+    start = offset + _LENGTH_STRUCT.size
     if start + size > len(body):
         raise ValueError(f"a string states {size} bytes: there are fewer")
     return body[start : start + size].decode(), start + size
 
 
-def _records_in(data: bytes) -> Iterator[Tuple[int, int, int]]:
+def _scan_chunk_records(data: bytes) -> Iterator[Tuple[int, int, int]]:
     """Yield opcode, start, and end of the records in a chunk."""
     position, size = 0, len(data)
     while position < size:
-        opcode, length = _RECORD.unpack_from(data, position)
-        position += _RECORD.size
+        opcode, length = _RECORD_STRUCT.unpack_from(data, position)
+        position += _RECORD_STRUCT.size
         end = position + length
         if end > size:
             raise ValueError(f"a record in a chunk states {length} bytes: there are fewer")
         # The specification allows only these in a chunk; a nested chunk could expand again.
-        if not _SCHEMA <= opcode <= _DATA:
+        if not _SCHEMA_OPCODE <= opcode <= _MESSAGE_OPCODE:
             raise ValueError(
                 f"a chunk has a record with opcode {opcode}: expected schemas, channels, messages"
             )
@@ -509,14 +529,14 @@ def _records_in(data: bytes) -> Iterator[Tuple[int, int, int]]:
         position = end
 
 
-def _messages_in(data: bytes, wanted: Set[int], start: int, stop: int) -> Iterator[Message]:
+def _read_messages(data: bytes, wanted: Set[int], start: int, stop: int) -> Iterator[Message]:
     """Yield the messages in a chunk in order of time."""
     # Arrays instead of lists of tuples: 16 bytes per message, while the smallest message record has 31.
     times, offsets = array("Q"), array("Q")
     is_sorted, previous_time = True, 0
-    for opcode, offset, _ in _records_in(data):
-        if opcode == _DATA:
-            channel, _, time, _ = _MESSAGE.unpack_from(data, offset)
+    for opcode, offset, _ in _scan_chunk_records(data):
+        if opcode == _MESSAGE_OPCODE:
+            channel, _, time, _ = _MESSAGE_STRUCT.unpack_from(data, offset)
             if channel in wanted and start <= time < stop:
                 times.append(time)
                 offsets.append(offset)
@@ -525,9 +545,9 @@ def _messages_in(data: bytes, wanted: Set[int], start: int, stop: int) -> Iterat
     order = range(len(times)) if is_sorted else sorted(range(len(times)), key=times.__getitem__)
     for index in order:
         offset = offsets[index]
-        (channel,) = _ID.unpack_from(data, offset)
-        (length,) = _SIZE.unpack_from(data, offset - _SIZE.size)
-        yield channel, times[index], data[offset + _MESSAGE.size : offset + length]
+        (channel,) = _ID_STRUCT.unpack_from(data, offset)
+        (length,) = _SIZE_STRUCT.unpack_from(data, offset - _SIZE_STRUCT.size)
+        yield channel, times[index], data[offset + _MESSAGE_STRUCT.size : offset + length]
 
 
 Storage = Union[SqliteFile, McapFile]
@@ -552,7 +572,7 @@ A decompressed file may also take at most half of the free disk space.
 
 MAX_METADATA_BYTES = 4_000_000
 
-_HEADINGS = re.compile(r"^(?:={20,}|IDL:.*)$", re.MULTILINE)
+_IDL_HEADING = re.compile(r"^(?:={20,}|IDL:.*)$", re.MULTILINE)
 """Lines between IDL definitions that are not part of IDL."""
 
 
@@ -607,10 +627,10 @@ class Ros2BagReader:
             except MessageError as error:
                 problem = str(error).partition("\n")[0]  # without the source line
                 topics = unreadable.setdefault((plain_type(connection.type), problem), [])
-                topics.append(_quoted_if_invalid(connection.topic))
+                topics.append(_quote_if_invalid(connection.topic))
         for (type_name, problem), topics in unreadable.items():
             names = f"topic{'s' if len(topics) > 1 else ''} {', '.join(sorted(topics))}"
-            log.warning("%s: left out: %s (%s): %s", self.path, names, _quoted_if_invalid(type_name), problem)
+            log.warning("%s: left out: %s (%s): %s", self.path, names, _quote_if_invalid(type_name), problem)
         return sources
 
     def records(
@@ -643,7 +663,7 @@ class Ros2BagReader:
                     try:
                         raw = convert(self._limit.unpack_message(data) if self._has_packed_messages else data)
                     except MessageError as error:
-                        name = _quoted_if_invalid(topic.name)
+                        name = _quote_if_invalid(topic.name)
                         if not dropped[name]:
                             log.warning("%s: a message on %s is dropped: %s", self.path, name, error)
                         dropped[name] += 1
@@ -689,7 +709,7 @@ class _Types:
         key = connection.type, connection.definition
         message_type = self._by_definition.get(key)
         if message_type is None:
-            text = self._definition(connection)
+            text = self._find_definition(connection)
             message_type = self._by_definition[key] = ros2_type(connection.type, text, self._find)
         definition = message_type.definition
         topic = Topic(
@@ -701,7 +721,7 @@ class _Types:
         )
         return _ConvertedTopic(topic, message_type.to_ros1)
 
-    def _definition(self, connection: Connection) -> str:
+    def _find_definition(self, connection: Connection) -> str:
         name, text = connection.type, connection.definition
         if not text:
             definition = self._find(plain_type(name))
@@ -717,7 +737,9 @@ class _Types:
         try:
             # The attribute depends on the version of rosbags.
             field_definitions = getattr(self._ros2_store, "fielddefs", None) or self._ros2_store.FIELDDEFS
-            store.register({**field_definitions, **self._typesys.get_types_from_idl(_HEADINGS.sub("", text))})
+            store.register(
+                {**field_definitions, **self._typesys.get_types_from_idl(_IDL_HEADING.sub("", text))}
+            )
             return str(store.generate_msgdef(name, ros_version=2)[0])
         except Exception as error:  # the IDL parser raises arbitrary exceptions for malformed text
             problem = shortened(" ".join(reason(error).split()))
@@ -731,7 +753,7 @@ class _Types:
         return None if installed is None else installed[0]
 
 
-def _quoted_if_invalid(name: str) -> str:
+def _quote_if_invalid(name: str) -> str:
     """Return the name of a topic or type; it is quoted if ROS does not allow it."""
     return name if topic_fault(name) is None else shortened(name)
 
@@ -742,23 +764,23 @@ def _open(path: Path, limit: ChunkLimit, stack: ExitStack) -> Tuple[List[Storage
         import rosbags.typesys  # noqa: F401, PLC0415 - an optional package, which brings those that decompress
     except ImportError:
         raise BagError("reading bags needs the Python package rosbags (pip install rosbags)") from None
-    with ExitStack() as opened:
+    with ExitStack() as open_files:
         try:
             paths, has_packed_messages = _read_metadata(path / METADATA) if path.is_dir() else ([path], False)
             files: List[Storage] = []
             for file in paths:
                 if file.suffix == COMPRESSED:
-                    folder = opened.enter_context(TemporaryDirectory(prefix="retalis-"))
+                    folder = open_files.enter_context(TemporaryDirectory(prefix="retalis-"))
                     file = _unpack(file, Path(folder) / file.stem, limit)
                 reader_class = McapFile if file.suffix == ".mcap" else SqliteFile
                 files.append(reader_class(file, limit))
-                opened.callback(files[-1].close)
+                open_files.callback(files[-1].close)
         except BagError:
             raise
         except Exception as error:  # malformed bags raise arbitrary exceptions
             raise BagError(f"{path} is not a complete ROS 2 bag: {reason(error)}") from error
         # Handed over only after all files were opened: an error above closes those that are open already.
-        stack.push(opened.pop_all())
+        stack.push(open_files.pop_all())
     return files, has_packed_messages
 
 
@@ -771,7 +793,7 @@ def _read_metadata(path: Path) -> Tuple[List[Path], bool]:
     size = path.stat().st_size
     if size > MAX_METADATA_BYTES:
         raise ValueError(f"{path.name} has {size} bytes: expected at most {MAX_METADATA_BYTES}")
-    values = _metadata_values(path.read_text(encoding="utf-8"))
+    values = _parse_metadata(path.read_text(encoding="utf-8"))
     # Only the file name is used: some versions of ROS 2 wrote paths, and a path must not lead out of the bag.
     names = [name.rpartition("/")[2] for name in values.get("relative_file_paths", [])]
     storage, mode, compression_format = ("".join(values.get(name, [])) for name in _METADATA_SCALARS)
@@ -799,7 +821,7 @@ _METADATA_SCALARS = ("storage_identifier", "compression_mode", "compression_form
 _METADATA_KEYS = (*_METADATA_SCALARS, "relative_file_paths")
 
 
-def _metadata_values(text: str) -> Dict[str, List[str]]:
+def _parse_metadata(text: str) -> Dict[str, List[str]]:
     """Return the values of the four keys in `_METADATA_KEYS`, each as a list.
 
     A complete YAML parser takes 10 s for 5,000 brackets, and does not terminate for a mapping that is merged three
@@ -823,16 +845,16 @@ def _metadata_values(text: str) -> Dict[str, List[str]]:
             parts = [value]
             while "]" not in parts[-1]:
                 parts.append(next(following, "]"))
-            values[key] = [_unquoted(part) for part in "".join(parts)[1:].partition("]")[0].split(",")]
+            values[key] = [_unquote(part) for part in "".join(parts)[1:].partition("]")[0].split(",")]
         elif value:
-            values[key] = [_unquoted(value)]
+            values[key] = [_unquote(value)]
         else:
             items = takewhile(lambda item: item.startswith("- "), (item.strip() for item in following))
-            values[key] = [_unquoted(item[2:]) for item in items]
+            values[key] = [_unquote(item[2:]) for item in items]
     return values
 
 
-def _unquoted(value: str) -> str:
+def _unquote(value: str) -> str:
     value = value.strip()
     if value[:1] in ('"', "'") and value[-1:] == value[:1]:
         return value[1:-1]
@@ -845,14 +867,14 @@ def _unpack(path: Path, target: Path, limit: ChunkLimit) -> Path:
     Raises:
         BagError: if it would take too much disk space.
     """
-    allowed = min(
+    max_bytes = min(
         max(limit.bytes, MAX_UNPACKED_RATIO * path.stat().st_size),
         shutil.disk_usage(target.parent).free // 2,
     )
     with path.open("rb") as packed, zstd_reader(packed) as source, target.open("wb") as file:
-        if copy_up_to(source, file, allowed) > allowed:
+        if copy_up_to(source, file, max_bytes) > max_bytes:
             raise BagError(
-                f"{path} is too large: unpacked it would have more than {counted(allowed, 'byte')} "
+                f"{path} is too large: unpacked it would have more than {counted(max_bytes, 'byte')} "
                 "(--max-chunk-megabytes allows more)"
             )
     return target

@@ -42,19 +42,19 @@ class RunRecorder:
     def __init__(self, playback: Playback, tell: Callable[[Line], None]):
         self._engine = playback.engine
         self._knowledge = playback.engine.knowledge
-        self._now = playback.clock.now
-        self._tell = tell
+        self._read_clock = playback.clock.now
+        self._write_record = tell
         self._waits: Dict[int, _Wait] = {}
-        self._engine.on_event(self._event)
+        self._engine.on_event(self._record_event)
 
-    def _event(self, term: Term, start: int, end: int) -> None:
+    def _record_event(self, term: Term, start: int, end: int) -> None:
         # Events of memories are internal; `finish` reports their result.
         if term.__class__ is not tuple or term[0] not in MEMORY_EVENTS:
-            self._tell({"event": canonical_text(term), "start": int(start), "end": int(end)})
+            self._write_record({"event": canonical_text(term), "start": int(start), "end": int(end)})
 
     def output(self, output: Output) -> None:
         """Report an output."""
-        self._tell(output_line(output))
+        self._write_record(output_line(output))
 
     def look(self) -> None:
         """Update the waiting queries; to be called after each message."""
@@ -62,27 +62,27 @@ class RunRecorder:
         # The usual case; this is called after every message.
         if not self._waits and not len(pending):
             return
-        now = int(self._now())
+        now = int(self._read_clock())
         current = {query[0]: query for query in islice(pending, MAX_RECORDED_QUERIES)}
         # A list, because waits are removed in the loop.
-        for order in [order for order in self._waits if order not in current]:
-            self._end(self._waits.pop(order), now)
-        for order, (_, question, values, _, _, missing) in current.items():
-            if order not in self._waits:
+        for serial in [serial for serial in self._waits if serial not in current]:
+            self._record_wait(self._waits.pop(serial), now)
+        for serial, (_, question, values, _, _, missing) in current.items():
+            if serial not in self._waits:
                 memories = [canonical_text(instance.id) for instance, _ in missing]
-                self._waits[order] = _Wait(canonical_text(question.event(values)), memories, now)
+                self._waits[serial] = _Wait(canonical_text(question.event(values)), memories, now)
 
-    def _end(self, wait: _Wait, now: int) -> None:
-        self._tell({"wait": wait.event, "memories": wait.memories, "start": wait.start, "end": now})
+    def _record_wait(self, wait: _Wait, now: int) -> None:
+        self._write_record({"wait": wait.event, "memories": wait.memories, "start": wait.start, "end": now})
 
     def finish(self) -> None:
         """Report the queries that are still waiting, and the contents of the memories."""
-        now = int(self._now())
+        now = int(self._read_clock())
         for wait in self._waits.values():
-            self._end(wait, now)
+            self._record_wait(wait, now)
         self._waits.clear()
         for memory in self._engine.status(MAX_RECORDED_QUERIES).memories:
-            self._tell(
+            self._write_record(
                 {
                     "memory": memory.id,
                     "pattern": memory.event,

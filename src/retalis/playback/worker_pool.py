@@ -146,7 +146,7 @@ class _Worker(Generic[T, R]):
         except (EOFError, OSError):
             self.connection.close()
             self._process.join()
-            return _WorkerDeath(_exit_text(self._process.exitcode))
+            return _WorkerDeath(_describe_exit(self._process.exitcode))
 
     def end(self) -> None:
         """Kill the process."""
@@ -166,7 +166,7 @@ def _serve(function: "Function[T, R]", connection: Connection, scratch: str) -> 
         pass
 
 
-def _exit_text(code: Optional[int]) -> str:
+def _describe_exit(code: Optional[int]) -> str:
     if code is not None and code < 0:
         return f"by {signal.Signals(-code).name}"
     return f"with status {code}"
@@ -190,7 +190,7 @@ def on_cluster(
     Raises:
         UsageError: if no scheduler answers, or the Python package distributed is not installed.
     """
-    distributed = _distributed()
+    distributed = _import_distributed()
     try:
         client = distributed.Client(address, timeout=_CONNECT_TIMEOUT_SECONDS, set_as_default=False)
     except (OSError, ValueError) as error:  # includes timeouts
@@ -202,17 +202,17 @@ def on_cluster(
         while pending or indexes:
             # At least one task is submitted without workers, so that tasks wait until one joins the cluster.
             while pending and len(indexes) < max(1, len(client.nthreads())):
-                future = client.submit(_on_worker, function, tasks[pending[0]], pure=False)
+                future = client.submit(_run_on_worker, function, tasks[pending[0]], pure=False)
                 indexes[future] = pending.popleft()
                 finished.add(future)
             future = next(finished)
-            result = _result(future)
+            result = _get_result(future)
             # A future that is not released would be computed again if its worker dies later.
             future.release()
             yield indexes.pop(future), result
 
 
-def _distributed() -> Any:
+def _import_distributed() -> Any:
     try:
         import distributed  # noqa: PLC0415 - an optional package
     except ImportError:
@@ -222,12 +222,12 @@ def _distributed() -> Any:
     return distributed
 
 
-def _on_worker(function: "Function[T, R]", task: T) -> R:
+def _run_on_worker(function: "Function[T, R]", task: T) -> R:
     """Run a task in a process of a Dask worker, in the worker's temporary folder."""
-    return function(task, _distributed().get_worker().local_directory)
+    return function(task, _import_distributed().get_worker().local_directory)
 
 
-def _result(future: Any) -> Any:
+def _get_result(future: Any) -> Any:
     try:
         return future.result()
     # Errors of the cluster: a lost worker, a package that is missing on it, or a scheduler that is gone.

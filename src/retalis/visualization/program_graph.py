@@ -100,9 +100,9 @@ def graph_key(engine: Engine, topics: Iterable[GraphTopic]) -> Hashable:
     """Return a key that changes when the graph of the program changes."""
     return (
         tuple([rule.serial for rule in engine.rules.rules]),
-        tuple([id(item) for item in list(engine.knowledge.memories)]),
-        tuple([id(item) for _, item in engine.knowledge.subscriptions.items()]),
-        tuple([id(item) for item in engine.knowledge.states]),
+        tuple([id(memory) for memory in list(engine.knowledge.memories)]),
+        tuple([id(subscription) for _, subscription in engine.knowledge.subscriptions.items()]),
+        tuple([id(state) for state in engine.knowledge.states]),
         tuple(topics),
     )
 
