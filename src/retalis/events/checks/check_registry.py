@@ -99,7 +99,7 @@ class Suppressions:
     """Comments in the files of a program that suppress findings."""
 
     def __init__(self) -> None:
-        self._of_files: Dict[str, Set[str]] = {}
+        self._codes_by_file: Dict[str, Set[str]] = {}
 
     def suppresses(self, problem: RetalisError) -> bool:
         """Return whether a comment in the line or file of a problem contains its code."""
@@ -112,27 +112,27 @@ class Suppressions:
             if not of_file
             for code in codes.replace(" ", "").split(",")
         }
-        return problem.code in in_line or problem.code in self._in_file(place.source)
+        return problem.code in in_line or problem.code in self._file_codes(place.source)
 
-    def _in_file(self, source: str) -> Set[str]:
+    def _file_codes(self, source: str) -> Set[str]:
         """Return the codes that are suppressed in a whole file; none if the source is not a file."""
-        codes = self._of_files.get(source)
+        codes = self._codes_by_file.get(source)
         if codes is None:
-            codes = self._of_files[source] = set()
+            codes = self._codes_by_file[source] = set()
             try:
                 with open(source, encoding="utf-8", errors="replace") as file:
-                    text = file.read(_MAX_FILE_CHARACTERS)
+                    beginning = file.read(_MAX_FILE_CHARACTERS)
             except (OSError, ValueError):  # a text that was not read from a file
                 return codes
-            for of_file, named in _IGNORE.findall(text):
+            for of_file, code_list in _IGNORE.findall(beginning):
                 if of_file:
-                    codes.update(named.replace(" ", "").split(","))
+                    codes.update(code_list.replace(" ", "").split(","))
         return codes
 
 
 def load_code(error: RetalisError) -> str:
     """Return the code of an error or warning of loading."""
-    return next(code for kind, code in LOAD_CODES if isinstance(error, kind))
+    return next(code for error_class, code in LOAD_CODES if isinstance(error, error_class))
 
 
 class Finding(NamedTuple):

@@ -61,16 +61,16 @@ class EventProducers:
         self.keys: Dict[Functor, Optional[Place]] = dict.fromkeys(OWN_EVENTS)
         self.names: Set[str] = set()
         self.anything = False
-        self._topics(program)
+        self._add_topics(program)
         for rule in program.rules:
             head = made_by(rule.definition.head)
             if head is not None:
-                self._add(head, rule.definition.place)
-        self._goals(program)
+                self._add_event(head, rule.definition.place)
+        self._add_goal_events(program)
         for timer in program.loaded.timers:
-            self._add(timer.event, None)
+            self._add_event(timer.event, None)
         for state in program.states:
-            self._add(state.form.state, None)
+            self._add_event(state.form.state, None)
         for clause in program.clauses:
             if key_of(clause.head) is _INPUT_EVENT:
                 self.keys.update(dict.fromkeys(_functors_in_fact(clause.head)))
@@ -78,17 +78,17 @@ class EventProducers:
     def __contains__(self, key: object) -> bool:
         return self.anything or key in self.keys or getattr(key, "name", "") in self.names
 
-    def _topics(self, program: ProgramModel) -> None:
-        for topic, kind in (*program.topics.subscribed, *program.direct):
-            name = program.event_of(topic) or functor_name(kind)
-            definition = program.definition(kind)
+    def _add_topics(self, program: ProgramModel) -> None:
+        for topic, type_name in (*program.topics.subscribed, *program.direct):
+            name = program.event_of(topic) or functor_name(type_name)
+            definition = program.definition(type_name)
             # The number of slots is unknown, so every arity of the name is accepted.
             if definition is None:
                 self.names.add(name)
             else:
                 self.keys[functor(name, len(definition.fields))] = None
 
-    def _goals(self, program: ProgramModel) -> None:
+    def _add_goal_events(self, program: ProgramModel) -> None:
         hidden = False
         named_keys: Set[Functor] = set()
         for subterm in program.calls():
@@ -98,7 +98,7 @@ class EventProducers:
             if makes_event(term):
                 event: Any = deref(term[1])
                 hidden = hidden or is_open(event)
-                self._add(event, subterm.place)
+                self._add_event(event, subterm.place)
             elif term.__class__ is tuple and term[0] in SUBSCRIBE_TO:
                 self._add_topic(program, [deref(argument) for argument in term[1:]])
         # The event is an argument at run time: it may be any one that the program names.
@@ -107,9 +107,9 @@ class EventProducers:
 
     def _add_topic(self, program: ProgramModel, arguments: Sequence[Term]) -> None:
         """Add the events of a topic that a goal subscribes to."""
-        kind, event = (getattr(argument, "name", None) for argument in (arguments[1], arguments[-1]))
-        name = event if len(arguments) == 3 else kind and functor_name(kind)
-        definition = program.definition(kind)
+        type_name, event = (getattr(argument, "name", None) for argument in (arguments[1], arguments[-1]))
+        name = event if len(arguments) == 3 else type_name and functor_name(type_name)
+        definition = program.definition(type_name)
         if name is None:
             self.anything = True
         elif definition is None:
@@ -117,7 +117,7 @@ class EventProducers:
         else:
             self.keys.setdefault(functor(name, len(definition.fields)))
 
-    def _add(self, term: Term, place: Optional[Place]) -> None:
+    def _add_event(self, term: Term, place: Optional[Place]) -> None:
         key = key_of(term)
         if key is None:
             self.anything = self.anything or is_open(term)
@@ -145,38 +145,40 @@ def never_made(program: ProgramModel) -> Iterator[RuleError]:
     # Without topics, the program is probably fed by another one, through texts or the Python API: then only misspelt
     # names are reported.
     from_outside = not (program.topics.subscribed or program.topics.published)
-    seen: Set[Functor] = set()
+    reported: Set[Functor] = set()
     for subterm, prefix in program.patterns():
         key = subterm.key
-        if key is None or key in producers or key in seen or key is _NO_EVENT:
+        if key is None or key in producers or key in reported or key is _NO_EVENT:
             continue
         # ``rev(E)`` occurs whenever events E are retracted, so it needs a producer of E only.
         if key is _REV and key_of(subterm.term[1]) in producers:
             continue
-        kind = program.type_of(key.name)
-        if kind is not None and (program.definition(kind) is None or _wrong_slots(program, kind, key)):
+        type_name = program.type_of(key.name)
+        if type_name is not None and (
+            program.definition(type_name) is None or _has_wrong_arity(program, type_name, key)
+        ):
             # Errors in messages are reported by `wrong_messages`.
             continue
-        seen.add(key)
+        reported.add(key)
         nearest = nearby.of(key, producers.keys)
-        if kind is not None:
-            yield RuleError(f"{prefix}{_no_topic_text(program, key, kind)}", subterm.place)
+        if type_name is not None:
+            yield RuleError(f"{prefix}{_no_topic_text(program, key, type_name)}", subterm.place)
         elif nearest or not from_outside:
             yield RuleError(f"{prefix}{_no_producer_text(key, nearest)}", subterm.place)
 
 
-def _wrong_slots(program: ProgramModel, kind: str, key: Functor) -> bool:
-    definition = program.definition(kind)
+def _has_wrong_arity(program: ProgramModel, type_name: str, key: Functor) -> bool:
+    definition = program.definition(type_name)
     return definition is not None and len(definition.fields) != key.arity
 
 
-def _no_topic_text(program: ProgramModel, key: Functor, kind: str) -> str:
-    renamed = [topic for topic, topic_kind in program.topics.subscribed if topic_kind == kind]
+def _no_topic_text(program: ProgramModel, key: Functor, type_name: str) -> str:
+    renamed = [topic for topic, topic_type in program.topics.subscribed if topic_type == type_name]
     if renamed:
         return (
             f"nothing makes {key}: the events of topic {renamed[0]} are called {program.event_of(renamed[0])}"
         )
-    element = f'<subscribe_to name="..." msg_type="{kind}"/>'
+    element = f'<subscribe_to name="..." msg_type="{type_name}"/>'
     return f"nothing makes {key}: no topic of that type is subscribed; {element} in {TOPICS} subscribes one"
 
 
@@ -200,19 +202,19 @@ def without_maker(program: ProgramModel, pattern: Term) -> str:
 def never_taken(program: ProgramModel) -> Iterator[RuleError]:
     """Yield produced events without a consumer."""
     # An observer, such as a recording or a callback for all events, consumes everything.
-    taken = None if program.observed else _consumed(program)
-    if taken is None:
+    consumed = None if program.observed else _consumed_functors(program)
+    if consumed is None:
         return
     nearby = NearFunctors()
-    seen: Set[Functor] = set()
+    reported: Set[Functor] = set()
     for rule in program.rules:
         head = made_by(rule.definition.head)
         key = None if head is None else key_of(head)
         if (
             head is None
             or key is None
-            or key in taken
-            or key in seen
+            or key in consumed
+            or key in reported
             or key in _DISCARDED_EVENTS
             or key is _REV
         ):
@@ -220,25 +222,25 @@ def never_taken(program: ProgramModel) -> Iterator[RuleError]:
         # A rule with ``do`` exists for its goal; its event may be unused.
         if isinstance(rule.definition.pattern, Action):
             continue
-        seen.add(key)
+        reported.add(key)
         place = rule.spot(head) if deref(head).__class__ is tuple else rule.definition.place
-        yield RuleError(_no_consumer_text(key, taken, nearby), place)
+        yield RuleError(_no_consumer_text(key, consumed, nearby), place)
     for subterm in program.calls():
         term = subterm.term
         if makes_event(term) and term[0].name != "event":
             key = key_of(term[1])
-            if key is not None and key not in taken and key not in seen:
-                seen.add(key)
-                yield RuleError(_no_consumer_text(key, taken, nearby), subterm.place)
+            if key is not None and key not in consumed and key not in reported:
+                reported.add(key)
+                yield RuleError(_no_consumer_text(key, consumed, nearby), subterm.place)
 
 
-def _no_consumer_text(key: Functor, taken: FrozenSet[Functor], nearby: NearFunctors) -> str:
-    nearest = nearby.of(key, taken)
+def _no_consumer_text(key: Functor, consumed: FrozenSet[Functor], nearby: NearFunctors) -> str:
+    nearest = nearby.of(key, consumed)
     hint = f"; did you mean {nearest}?" if nearest else ": no rule, memory or subscription"
     return f"nothing takes {key}{hint}"
 
 
-def _consumed(program: ProgramModel) -> Optional[FrozenSet[Functor]]:
+def _consumed_functors(program: ProgramModel) -> Optional[FrozenSet[Functor]]:
     """Return the functors of all consumed events, or None if some consumer takes all events."""
     consumed: Set[Functor] = set()
     for subterm, _ in program.patterns():
@@ -249,10 +251,10 @@ def _consumed(program: ProgramModel) -> Optional[FrozenSet[Functor]]:
             consumed.update(filter(None, [key_of(subterm.term[1])]))
     for clause in program.clauses:
         if key_of(clause.head) in _OUTPUT_FACTS:
-            named = list(_functors_in_fact(clause.head))
-            if not named:
+            functors = list(_functors_in_fact(clause.head))
+            if not functors:
                 return None
-            consumed.update(named)
+            consumed.update(functors)
     flags = program.loaded.flags
     # These flags log or store all events.
     if any(flags.is_on(name) for name in ("store_fired_events", "logging")):
@@ -262,37 +264,37 @@ def _consumed(program: ProgramModel) -> Optional[FrozenSet[Functor]]:
 
 def unfitting(program: ProgramModel) -> Iterator[RuleError]:
     """Yield terms that do not fit the declarations of events."""
-    declared = program.declared
-    for rule in program.rules if declared else ():
+    declarations = program.declared
+    for rule in program.rules if declarations else ():
         kinds = VariableKinds(
             {**program.names, **rule.definition.names}, not has_branches(rule.definition.term)
         )
-        yield from declared.misfits(events_of_rule(rule), rule.spot, kinds)
-    for clause_or_goal in (*program.clauses, *program.goals) if declared else ():
+        yield from declarations.misfits(events_of_rule(rule), rule.spot, kinds)
+    for clause_or_goal in (*program.clauses, *program.goals) if declarations else ():
         kinds = VariableKinds(program.names, not has_branches(clause_or_goal.parent))
-        yield from declared.misfits(events_of_goals(clause_or_goal), clause_or_goal.spot, kinds)
-    for form, spot, prefix in program.states if declared else ():
-        for error in declared.misfits(_events_of_state(form), spot, VariableKinds(program.names)):
+        yield from declarations.misfits(events_of_goals(clause_or_goal), clause_or_goal.spot, kinds)
+    for form, spot, prefix in program.states if declarations else ():
+        for error in declarations.misfits(_events_of_state(form), spot, VariableKinds(program.names)):
             yield RuleError(f"{prefix}{error.message}", error.place)
-    for consumer in (*program.memories, *program.subscriptions) if declared else ():
-        for error in declared.misfits([event_of_kept(consumer)], consumer.spot, VariableKinds({})):
+    for consumer in (*program.memories, *program.subscriptions) if declarations else ():
+        for error in declarations.misfits([event_of_kept(consumer)], consumer.spot, VariableKinds({})):
             yield RuleError(f"{consumer.prefix}{error.message}", error.place)
-    yield from _unfitting_topics(program)
+    yield from _find_unfitting_topics(program)
 
 
-def _unfitting_topics(program: ProgramModel) -> Iterator[RuleError]:
+def _find_unfitting_topics(program: ProgramModel) -> Iterator[RuleError]:
     """Yield topics whose events have a declared name but slots of other types."""
-    for topic, kind in program.topics.subscribed:
+    for topic, type_name in program.topics.subscribed:
         declaration = program.declared.get(program.event_of(topic))
-        definition = program.definition(kind)
+        definition = program.definition(type_name)
         if declaration is None or definition is None:
             continue
         fault = program.declared.wrong_functor(functor(declaration.name, len(definition.fields)))
         for slot, argument in zip(definition.fields, () if fault else declaration.arguments):
             slot_type = slot_kind(slot)
             if slot_type is not None and slot_type.excludes(argument.kind):
-                both = f"{argument.kind.what}, and {slot.name} of {kind} {slot_type.what}"
-                fault = f"{argument.name} of {declaration.key} is {both}"
+                types_text = f"{argument.kind.what}, and {slot.name} of {type_name} {slot_type.what}"
+                fault = f"{argument.name} of {declaration.key} is {types_text}"
         if fault:
             yield RuleError(f"the events of topic {topic}: {fault}")
 

@@ -62,7 +62,7 @@ def unknown_memories(program: ProgramModel) -> Iterator[RuleError]:
 
 def wrong_records(program: ProgramModel) -> Iterator[RuleError]:
     """Yield queries for records that a memory does not have, and memory names in a wrong position."""
-    records = _records(program)
+    records = _records_by_memory(program)
     # A memory whose name is known at run time only may have any records.
     if None in records:
         return
@@ -90,7 +90,7 @@ def _brief_text(program: ProgramModel, term: Term) -> str:
     return program.logic.brief(term, {var: program.names.get(var, "_") for var in variables(term)})
 
 
-def _records(program: ProgramModel) -> Dict[Optional[str], List[Term]]:
+def _records_by_memory(program: ProgramModel) -> Dict[Optional[str], List[Term]]:
     """Return the records of each memory by its name; the key None exists if a name is known at run time only."""
     records: Dict[Optional[str], List[Term]] = {}
     for memory in program.memories:
@@ -135,7 +135,7 @@ class _Dependency(NamedTuple):
     dynamic: Optional[Functor] = None
 
 
-class _Declared(NamedTuple):
+class _TableDeclaration(NamedTuple):
     """Place of a declaration, and the names of its options."""
 
     place: Optional[Place]
@@ -144,29 +144,29 @@ class _Declared(NamedTuple):
 
 def stale_tables(program: ProgramModel) -> Iterator[RuleError]:
     """Yield tables that read changing data and are never evaluated again."""
-    tables = _declared(program, _TABLE)
+    tables = _declarations_of(program, _TABLE)
     if not tables:
         return
     running = list(_run_time_subterms(program))
     if any(subterm.key is _ABOLISH for subterm in running):
         # The program controls the evaluation of its tables itself.
         return
-    changed = {key for subterm in running for key in _changed_by(subterm)}
-    reads = _reads(program, changed)
-    callers = _callers(program)
+    changed = {key for subterm in running for key in _predicates_changed_by(subterm)}
+    reads = _direct_reads(program, changed)
+    callers = _callers_by_predicate(program)
     incremental = {key for key in tables if _is_incremental(program, key)}
 
     # A dynamic table is stale if its own clauses change.
     for key in changed.intersection(tables):
         reads.setdefault(key, _Dependency("clauses of its own"))
-    readers = _propagate(reads, callers, ())
-    for key, declared in tables.items():
-        if key in readers and key not in incremental and "opaque" not in declared.options:
-            yield RuleError(_not_incremental(program, key, readers[key]), declared.place)
+    readers = _propagate_reads(reads, callers, ())
+    for key, declaration in tables.items():
+        if key in readers and key not in incremental and "opaque" not in declaration.options:
+            yield RuleError(_not_incremental_text(program, key, readers[key]), declaration.place)
 
     # An incremental table is not notified of changes below one that is not incremental. That one has its own warning.
-    untracked = _untracked(program, reads)
-    readers = _propagate(untracked, callers, [key for key in tables if key not in incremental])
+    untracked = _untracked_reads(program, reads)
+    readers = _propagate_reads(untracked, callers, [key for key in tables if key not in incremental])
     for key in incremental:
         if key in readers:
             yield RuleError(
@@ -176,25 +176,29 @@ def stale_tables(program: ProgramModel) -> Iterator[RuleError]:
             )
 
 
-def _not_incremental(program: ProgramModel, key: Functor, read: _Dependency) -> str:
-    also = ""
-    if read.dynamic is not None and not _is_incremental(program, read.dynamic):
-        also = f" and :- dynamic {read.dynamic} as incremental"
+def _not_incremental_text(program: ProgramModel, key: Functor, dependency: _Dependency) -> str:
+    dynamic_advice = ""
+    if dependency.dynamic is not None and not _is_incremental(program, dependency.dynamic):
+        dynamic_advice = f" and :- dynamic {dependency.dynamic} as incremental"
     return (
-        f"table {key} reads {read.shown}, and keeps its answers when that changes: write :- table {key} as "
-        f"incremental{also}; where it is meant so, :- table {key} as opaque"
+        f"table {key} reads {dependency.shown}, and keeps its answers when that changes: write :- table {key} as "
+        f"incremental{dynamic_advice}; where it is meant so, :- table {key} as opaque"
     )
 
 
-def _untracked(program: ProgramModel, reads: Dict[Functor, _Dependency]) -> Dict[Functor, _Dependency]:
+def _untracked_reads(program: ProgramModel, reads: Dict[Functor, _Dependency]) -> Dict[Functor, _Dependency]:
     """Return the reads of dynamic predicates that are neither incremental nor declared opaque."""
-    opaque = {key for key, declared in _declared(program, _DYNAMIC).items() if "opaque" in declared.options}
+    opaque = {
+        key
+        for key, declaration in _declarations_of(program, _DYNAMIC).items()
+        if "opaque" in declaration.options
+    }
     return {
-        key: read
-        for key, read in reads.items()
-        if read.dynamic is not None
-        and read.dynamic not in opaque
-        and not _is_incremental(program, read.dynamic)
+        key: dependency
+        for key, dependency in reads.items()
+        if dependency.dynamic is not None
+        and dependency.dynamic not in opaque
+        and not _is_incremental(program, dependency.dynamic)
     }
 
 
@@ -203,21 +207,21 @@ def _is_incremental(program: ProgramModel, key: Functor) -> bool:
     return predicate is not None and predicate.incremental
 
 
-def _declared(program: ProgramModel, key: Functor) -> Dict[Functor, _Declared]:
+def _declarations_of(program: ProgramModel, key: Functor) -> Dict[Functor, _TableDeclaration]:
     """Return the declarations that directives make by ``table/1`` or ``dynamic/1``."""
-    declarations: Dict[Functor, _Declared] = {}
+    declarations: Dict[Functor, _TableDeclaration] = {}
     for goal in program.goals:
         for call in calls(goal.parent, goal.number):
             term: Any = deref(call.term)
             if term.__class__ is tuple and term[0] is key:
                 place = Subterm(term, call.parent, call.number, goal.spot).place
-                for declared_key, options in _items(term[1]):
-                    declaration = declarations.setdefault(declared_key, _Declared(place, set()))
+                for declared_key, options in _declared_items(term[1]):
+                    declaration = declarations.setdefault(declared_key, _TableDeclaration(place, set()))
                     declaration.options.update(options)
     return declarations
 
 
-def _items(term: Term) -> Iterator[Tuple[Functor, FrozenSet[str]]]:
+def _declared_items(term: Term) -> Iterator[Tuple[Functor, FrozenSet[str]]]:
     """Yield the functors in a declaration, each with the names of its options."""
     stack: List[Tuple[Any, FrozenSet[str]]] = [(deref(term), frozenset())]
     while stack:
@@ -240,7 +244,7 @@ def _items(term: Term) -> Iterator[Tuple[Functor, FrozenSet[str]]]:
 
 def _run_time_subterms(program: ProgramModel) -> Iterator[Subterm]:
     """Yield the subterms of goals that may be called after the program has been loaded."""
-    running = _called_later(program)
+    running = _run_time_predicates(program)
     for clause in program.clauses:
         if key_of(clause.head) in running:
             yield from subterms(clause.parent, clause.number, clause.spot)
@@ -248,33 +252,33 @@ def _run_time_subterms(program: ProgramModel) -> Iterator[Subterm]:
         yield from subterms(wrapped(rule.definition.term), 1, rule.spot)
 
 
-def _called_later(program: ProgramModel) -> Set[Functor]:
+def _run_time_predicates(program: ProgramModel) -> Set[Functor]:
     """Return the predicates that rules reach, and those without a caller, which external queries may call.
 
     All others are called by directives and goal files only: their changes are complete before the first event.
     """
-    named: Dict[Functor, Set[Functor]] = {}
+    callees: Dict[Functor, Set[Functor]] = {}
     for clause in program.clauses:
-        own = key_of(clause.head)
-        if own is not None:
-            named.setdefault(own, set()).update(
+        head_key = key_of(clause.head)
+        if head_key is not None:
+            callees.setdefault(head_key, set()).update(
                 _functors_of(subterms(clause.parent, clause.number, clause.spot))
             )
-    elsewhere = {
+    called_keys = {
         key for goal in program.goals for key in _functors_of(subterms(goal.parent, goal.number, goal.spot))
     }
     # A predicate that calls only itself still needs a first caller.
-    elsewhere.update(key for own, keys in named.items() for key in keys if key is not own)
+    called_keys.update(key for head_key, keys in callees.items() for key in keys if key is not head_key)
     # A predicate without a caller in the program exists for queries from outside.
-    waiting = [key for key in named if key not in elsewhere]
+    pending = [key for key in callees if key not in called_keys]
     for rule in program.rules:
-        waiting += _functors_of(subterms(wrapped(rule.definition.term), 1, rule.spot))
+        pending += _functors_of(subterms(wrapped(rule.definition.term), 1, rule.spot))
     reached: Set[Functor] = set()
-    while waiting:
-        key = waiting.pop()
+    while pending:
+        key = pending.pop()
         if key not in reached:
             reached.add(key)
-            waiting += named.get(key, ())
+            pending += callees.get(key, ())
     return reached
 
 
@@ -282,7 +286,7 @@ def _functors_of(terms: Iterable[Subterm]) -> Iterator[Functor]:
     return (subterm.key for subterm in terms if subterm.key is not None)
 
 
-def _changed_by(subterm: Subterm) -> Iterator[Functor]:
+def _predicates_changed_by(subterm: Subterm) -> Iterator[Functor]:
     """Yield the predicate to which a goal adds clauses, or from which it removes them."""
     term = subterm.term
     if term.__class__ is tuple and (term[0] in ADDS or term[0] in RETRACTS):
@@ -291,22 +295,22 @@ def _changed_by(subterm: Subterm) -> Iterator[Functor]:
             yield key
 
 
-def _reads(program: ProgramModel, changed: Set[Functor]) -> Dict[Functor, _Dependency]:
+def _direct_reads(program: ProgramModel, changed: Set[Functor]) -> Dict[Functor, _Dependency]:
     """Return for each predicate whose clauses read changing data directly one example of that data."""
     reads: Dict[Functor, _Dependency] = {}
     for clause in program.clauses:
-        own = key_of(clause.head)
-        if own is None or own in reads:
+        head_key = key_of(clause.head)
+        if head_key is None or head_key in reads:
             continue
         for call in calls(clause.parent, clause.number):
-            read = _read_by(program, call.term, changed)
-            if read is not None:
-                reads[own] = read
+            dependency = _dependency_of_goal(program, call.term, changed)
+            if dependency is not None:
+                reads[head_key] = dependency
                 break
     return reads
 
 
-def _read_by(program: ProgramModel, term: Any, changed: Set[Functor]) -> Optional[_Dependency]:
+def _dependency_of_goal(program: ProgramModel, term: Any, changed: Set[Functor]) -> Optional[_Dependency]:
     """Return the changing data that a goal reads, or None."""
     goal: Any = deref(term)
     key = key_of(goal)
@@ -330,33 +334,33 @@ def _read_by(program: ProgramModel, term: Any, changed: Set[Functor]) -> Optiona
     return None
 
 
-def _callers(program: ProgramModel) -> Dict[Functor, List[Functor]]:
+def _callers_by_predicate(program: ProgramModel) -> Dict[Functor, List[Functor]]:
     """Return the callers of each predicate."""
     callers: Dict[Functor, List[Functor]] = {}
     for clause in program.clauses:
-        own = key_of(clause.head)
-        if own is not None:
+        head_key = key_of(clause.head)
+        if head_key is not None:
             for call in calls(clause.parent, clause.number):
                 key = key_of(call.term)
                 if key is not None:
-                    callers.setdefault(key, []).append(own)
+                    callers.setdefault(key, []).append(head_key)
     return callers
 
 
-def _propagate(
+def _propagate_reads(
     reads: Dict[Functor, _Dependency], callers: Dict[Functor, List[Functor]], ends: Iterable[Functor]
 ) -> Dict[Functor, _Dependency]:
     """Return the data that each predicate reads directly or by its calls; propagation stops at ``ends``."""
     readers = dict(reads)
     closed = set(ends)
-    waiting = deque(readers)
-    while waiting:
-        key = waiting.popleft()
+    pending = deque(readers)
+    while pending:
+        key = pending.popleft()
         # Breadth first, so that the warning names the data with the shortest chain of calls.
         if key in closed:
             continue
         for caller in callers.get(key, ()):
             if caller not in readers:
                 readers[caller] = readers[key]
-                waiting.append(caller)
+                pending.append(caller)
     return readers

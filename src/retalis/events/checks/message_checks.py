@@ -41,42 +41,51 @@ from .program_model import (
     wrapped,
 )
 
-_NUMBERS = frozenset(("nan", "inf", "infinite"))
+_SPECIAL_NUMBERS = frozenset(("nan", "inf", "infinite"))
 _TIMES = frozenset(("time", "duration"))
-_NAMED = functor(":", 2)
+_COLON_PAIR = functor(":", 2)
 
 
 def wrong_messages(program: ProgramModel) -> Iterator[RuleError]:
     """Yield terms that have the name of a message type but do not fit it."""
-    definitions = [program.definition(kind) for kind in _types(program)]
+    definitions = [program.definition(type_name) for type_name in _topic_types(program)]
     names = sorted(
-        {name for definition in definitions if definition for name in (definition.name, *_nested(definition))}
+        {
+            name
+            for definition in definitions
+            if definition
+            for name in (definition.name, *_nested_types(definition))
+        }
     )
-    later = {kind.partition("/")[0] for kind in _types(program) if _comes_later(program, kind)}
-    seen: Set[Functor] = set()
+    packages_without_types = {
+        type_name.partition("/")[0]
+        for type_name in _topic_types(program)
+        if _is_defined_later(program, type_name)
+    }
+    reported: Set[Functor] = set()
     for subterm, prefix in _messages(program):
         key = subterm.key
-        kind = None if key is None or key in seen else program.type_of(key.name)
-        if key is None or kind is None:
+        type_name = None if key is None or key in reported else program.type_of(key.name)
+        if key is None or type_name is None:
             continue
         # One error per functor: all events of that name have the same fault.
-        seen.add(key)
-        fault = _type_fault(program, key, kind, names, later)
+        reported.add(key)
+        fault = _type_fault(program, key, type_name, names, packages_without_types)
         if fault:
             yield RuleError(f"{prefix}{fault}", subterm.place)
 
 
-def _types(program: ProgramModel) -> List[str]:
+def _topic_types(program: ProgramModel) -> List[str]:
     topics = program.topics
-    return [kind for _, kind in (*topics.subscribed, *topics.published, *program.direct)]
+    return [type_name for _, type_name in (*topics.subscribed, *topics.published, *program.direct)]
 
 
-def _comes_later(program: ProgramModel, kind: str) -> bool:
+def _is_defined_later(program: ProgramModel, type_name: str) -> bool:
     """Return whether a type may be received from its publishers later: it is unknown and not a misspelling."""
-    return program.definition(kind) is None and not program.definitions.misspelt(kind)
+    return program.definition(type_name) is None and not program.definitions.misspelt(type_name)
 
 
-def _nested(definition: Definition) -> List[str]:
+def _nested_types(definition: Definition) -> List[str]:
     return [nested.name for nested in definition.dependencies()]
 
 
@@ -85,12 +94,12 @@ def _messages(program: ProgramModel) -> Iterator[Tuple[Subterm, str]]:
     for subterm, prefix in _all_subterms(program):
         if subterm.key is not None and type_name(subterm.key.name) is not None:
             yield subterm, prefix
-    for subterm, prefix in _events(program):
+    for subterm, prefix in _event_subterms(program):
         if subterm.key is not None and type_name(subterm.key.name) is None:
             yield subterm, prefix
 
 
-def _events(program: ProgramModel) -> Iterator[Tuple[Subterm, str]]:
+def _event_subterms(program: ProgramModel) -> Iterator[Tuple[Subterm, str]]:
     """Yield terms in positions that only events have; elsewhere, the name of a topic may denote other things."""
     yield from program.patterns()
     for rule in program.rules:
@@ -116,18 +125,20 @@ def _all_subterms(program: ProgramModel) -> Iterator[Tuple[Subterm, str]]:
             yield subterm, ""
 
 
-def _type_fault(program: ProgramModel, key: Functor, kind: str, names: List[str], later: Set[str]) -> str:
-    definition = program.definition(kind)
+def _type_fault(
+    program: ProgramModel, key: Functor, type_name: str, names: List[str], packages_without_types: Set[str]
+) -> str:
+    definition = program.definition(type_name)
     if definition is None:
         # A type of the same package may come later, so the definitions of the package are not available here at all.
-        if kind.partition("/")[0] in later:
+        if type_name.partition("/")[0] in packages_without_types:
             return ""
-        closest = closest_name(kind, names, 0.8) or program.definitions.misspelt(kind)
-        return f"there is no message type {kind} here; did you mean {closest}?" if closest else ""
+        closest = closest_name(type_name, names, 0.8) or program.definitions.misspelt(type_name)
+        return f"there is no message type {type_name} here; did you mean {closest}?" if closest else ""
     slots = [slot.name for slot in definition.fields]
     if len(slots) == key.arity:
         return ""
-    fault = f"{key} does not match its type: {kind} has {counted(len(slots), 'slot')}"
+    fault = f"{key} does not match its type: {type_name} has {counted(len(slots), 'slot')}"
     if not slots:
         return fault
     advice = "write" if key.arity == 0 else "write all of them, or some by name:"
@@ -153,7 +164,7 @@ def values(program: ProgramModel) -> Iterator[RuleError]:
 
 def _slot_named_in_parentheses(definition: Definition, message: CompoundTerm, value: Any) -> str:
     """Return the error for a slot that is named as in ``button(data: true)``, or ""."""
-    name = deref(value[1]) if value.__class__ is tuple and value[0] is _NAMED else None
+    name = deref(value[1]) if value.__class__ is tuple and value[0] is _COLON_PAIR else None
     if not isinstance(name, Atom) or name.name not in [slot.name for slot in definition.fields]:
         return ""
     return f"is not named in parentheses: write {message[0].name}{{{name.name}: ...}}"
@@ -168,23 +179,23 @@ def _value_fault(slot: Field, value: Any) -> str:
         # An open list may have any length.
         return "" if is_list else "is a list in events: write [...]"
     if slot.type == "string" or slot.is_bytes:
-        return _not_text(value)
+        return _text_fault(value)
     if slot.definition is not None:
-        return _not_message(slot.definition, value)
+        return _message_fault(slot.definition, value)
     if slot.type in _TIMES:
         items = list_items(value)
         return "" if items is not None and len(items) == 2 else "is a stamp in events: write [Sec,NSec]"
     if slot.type == "bool":
         return "" if value is TRUE or value is FALSE else "is true or false in events"
-    return _not_number(value)
+    return _number_fault(value)
 
 
-def _not_text(value: Any) -> str:
+def _text_fault(value: Any) -> str:
     if isinstance(value, (Atom, String)):
-        text = value.name if isinstance(value, Atom) else value.text
+        content = value.name if isinstance(value, Atom) else value.text
         # Strings of messages are atoms that include the quotes, which distinguishes them from other atoms.
-        if not text.startswith('"'):
-            return f"is a string, which keeps its quotes in events: write '\"{text}\"'"
+        if not content.startswith('"'):
+            return f"is a string, which keeps its quotes in events: write '\"{content}\"'"
         return ""
     return (
         f"is a string in events: write '\"{value}\"'"
@@ -193,13 +204,13 @@ def _not_text(value: Any) -> str:
     )
 
 
-def _not_number(value: Any) -> str:
-    if isinstance(value, (int, float)) or (isinstance(value, Atom) and value.name in _NUMBERS):
+def _number_fault(value: Any) -> str:
+    if isinstance(value, (int, float)) or (isinstance(value, Atom) and value.name in _SPECIAL_NUMBERS):
         return ""
     if value.__class__ is tuple and value[0].name == "-":
         return ""
-    plain = getattr(value, "name", getattr(value, "text", "")).strip('"')
-    return f"is a number in events: write {plain}" if _is_numeral(plain) else "is a number in events"
+    numeral = getattr(value, "name", getattr(value, "text", "")).strip('"')
+    return f"is a number in events: write {numeral}" if _is_numeral(numeral) else "is a number in events"
 
 
 def _is_numeral(text: str) -> bool:
@@ -210,7 +221,7 @@ def _is_numeral(text: str) -> bool:
     return True
 
 
-def _not_message(definition: Definition, value: Any) -> str:
+def _message_fault(definition: Definition, value: Any) -> str:
     name = value[0].name if value.__class__ is tuple else getattr(value, "name", "")
     if name == definition.functor_name:
         return ""
@@ -224,10 +235,10 @@ def _is_open_list(value: Term) -> bool:
 
 def outputs(program: ProgramModel) -> Iterator[RuleError]:
     """Yield outputs of subscriptions that do not fit the message types of their topics."""
-    published = {plain(topic): kind for topic, kind in program.topics.published}
-    for subscription, topic in _named(program):
-        kind = published.get(plain(topic))
-        definition = None if kind is None else program.definition(kind)
+    published = {plain(topic): type_name for topic, type_name in program.topics.published}
+    for subscription, topic in _subscriptions_with_topic(program):
+        type_name = published.get(plain(topic))
+        definition = None if type_name is None else program.definition(type_name)
         fault = None if definition is None else output_fault(definition, subscription.term, topic)
         if fault is not None:
             yield RuleError(
@@ -240,7 +251,7 @@ def unpublished(program: ProgramModel) -> Iterator[RuleError]:
     """Yield topics of subscriptions that have no message type."""
     published = [plain(topic) for topic, _ in program.topics.published]
     reported: Set[str] = set()
-    for subscription, topic in _named(program):
+    for subscription, topic in _subscriptions_with_topic(program):
         if topic in reported or any(
             _may_be_same_topic(plain(topic), published_topic) for published_topic in published
         ):
@@ -255,7 +266,7 @@ def unpublished(program: ProgramModel) -> Iterator[RuleError]:
         )
 
 
-def _named(program: ProgramModel) -> Iterator[Tuple[EventConsumer, str]]:
+def _subscriptions_with_topic(program: ProgramModel) -> Iterator[Tuple[EventConsumer, str]]:
     """Yield the subscriptions with a known topic, each with the topic."""
     for subscription in program.subscriptions:
         if not is_open(subscription.term[4]):
@@ -282,12 +293,12 @@ def output_fault(definition: Definition, subscription: CompoundTerm, topic: str)
         subscription: the goal ``subscribe/5``.
         topic: the topic, for the message.
     """
-    sent = deref(EventConsumer(subscription, "", nowhere).made)
+    output = deref(EventConsumer(subscription, "", nowhere).made)
     # The event itself is sent if the form is a variable, and events may be anything.
-    return None if is_open(sent) else fault_of(definition, sent, topic)
+    return None if is_open(output) else fault_of(definition, output, topic)
 
 
-_ROOT = "publish_subscribe"
+_ROOT_ELEMENT = "publish_subscribe"
 
 
 class Element(NamedTuple):
@@ -327,14 +338,14 @@ def elements(path: Path) -> List[Element]:
 
 def topics(program: ProgramModel) -> Iterator[RuleError]:
     """Yield likely mistakes in the file, and misspelt types in goals."""
-    yield from _subscribe_goals(program)
+    yield from _subscribe_goal_errors(program)
     if program.folder is None:
         return
-    seen: Dict[Tuple[str, str], Element] = {}
+    elements_by_topic: Dict[Tuple[str, str], Element] = {}
     for element in elements(program.folder / TOPICS):
         attributes = ATTRIBUTES.get(element.tag)
         if attributes is None:
-            if element.attributes and element.tag != _ROOT:
+            if element.attributes and element.tag != _ROOT_ELEMENT:
                 tag = printable(beginning(element.tag))
                 yield RuleError(
                     f"<{tag}> is not known: it is ignored{did_you_mean(element.tag, ATTRIBUTES, 0.5)}",
@@ -343,31 +354,35 @@ def topics(program: ProgramModel) -> Iterator[RuleError]:
             continue
         for name in element.attributes:
             if name not in attributes:
-                text = printable(beginning(name))
+                attribute = printable(beginning(name))
                 hint = did_you_mean(name, attributes) or f"; it has {', '.join(attributes)}"
-                yield RuleError(f"<{element.tag}> has no attribute {text}{hint}", element.place)
-        topic, kind = (element.attributes.get(name, "").strip() for name in ("name", "msg_type"))
+                yield RuleError(f"<{element.tag}> has no attribute {attribute}{hint}", element.place)
+        topic, type_name = (element.attributes.get(name, "").strip() for name in ("name", "msg_type"))
         # Names with and without a leading slash denote the same topic at the top level.
-        first = seen.setdefault((element.tag, plain(topic)), element)
+        first = elements_by_topic.setdefault((element.tag, plain(topic)), element)
         if first is not element:
-            yield RuleError(_duplicate_topic(element, first, topic, kind), element.place)
-        yield from _misspelt(program, kind, element.place)
+            yield RuleError(_duplicate_topic_text(element, first, topic, type_name), element.place)
+        yield from _misspelt_type_errors(program, type_name, element.place)
 
 
-def _subscribe_goals(program: ProgramModel) -> Iterator[RuleError]:
+def _subscribe_goal_errors(program: ProgramModel) -> Iterator[RuleError]:
     for subterm in program.calls():
         if subterm.key in SUBSCRIBE_TO:
-            yield from _misspelt(program, getattr(deref(subterm.term[2]), "name", ""), subterm.place)
+            yield from _misspelt_type_errors(
+                program, getattr(deref(subterm.term[2]), "name", ""), subterm.place
+            )
 
 
-def _misspelt(program: ProgramModel, kind: str, place: Optional[Place]) -> Iterator[RuleError]:
-    closest = program.definitions.misspelt(kind)
+def _misspelt_type_errors(
+    program: ProgramModel, type_name: str, place: Optional[Place]
+) -> Iterator[RuleError]:
+    closest = program.definitions.misspelt(type_name)
     if closest:
-        yield RuleError(f"there is no message type {kind}; did you mean {closest}?", place)
+        yield RuleError(f"there is no message type {type_name}; did you mean {closest}?", place)
 
 
-def _duplicate_topic(element: Element, first: Element, topic: str, kind: str) -> str:
+def _duplicate_topic_text(element: Element, first: Element, topic: str, type_name: str) -> str:
     action = "subscribed" if element.tag == "subscribe_to" else "published"
     other_type = first.attributes.get("msg_type", "").strip()
-    types = "" if other_type == kind else f", as {other_type}"
+    types = "" if other_type == type_name else f", as {other_type}"
     return f"topic {topic} is {action} already in line {first.place.line}{types}: remove one of the two"

@@ -46,8 +46,8 @@ _DECLARES = frozenset(
 RETRACTS = frozenset(functor(name, 1) for name in ("retract", "retractall"))
 _CUT = functor("!", 0)
 _DEFINES_UNKNOWN = frozenset((functor("use_foreign", 1), functor("use_swi", 1)))
-_SWI = functor("use_swi", 2)
-_AS = functor("as", 2)
+_SWI_IMPORT = functor("use_swi", 2)
+_AS_OPTION = functor("as", 2)
 _DEFINED_IN_CONDITIONS = frozenset((functor("t1", 1), functor("t2", 1)))
 
 
@@ -63,14 +63,14 @@ class _DefinablePredicates:
             if term.__class__ is tuple and (term[0] in ADDS or term[0] in _DECLARES):
                 # Foreign libraries define predicates that are not listed in the program.
                 self.anything = self.anything or term[0] in _DEFINES_UNKNOWN
-                self._add(term[1])
-            elif term.__class__ is tuple and term[0] is _SWI:
-                self._add(term[2], renames=True)
+                self._add_predicates(term[1])
+            elif term.__class__ is tuple and term[0] is _SWI_IMPORT:
+                self._add_predicates(term[2], renames=True)
 
     def __contains__(self, key: Functor) -> bool:
         return self.anything or key in self.keys or self._logic.defines(key)
 
-    def _add(self, term: Term, renames: bool = False) -> None:
+    def _add_predicates(self, term: Term, renames: bool = False) -> None:
         """Add the predicates that a term names; ``as`` precedes a new name if ``renames``, otherwise options."""
         stack: List[Any] = [deref(term)]
         while stack:
@@ -82,9 +82,9 @@ class _DefinablePredicates:
                 stack += [deref(item[1]), deref(item[2])]
             elif key is NECK:
                 stack.append(deref(item[1]))
-            elif key is _AS and renames:
+            elif key is _AS_OPTION and renames:
                 self.anything = True
-            elif key is _AS:
+            elif key is _AS_OPTION:
                 stack.append(deref(item[1]))
             elif key is SLASH:
                 name, arity = deref(item[1]), deref(item[2])
@@ -209,13 +209,13 @@ def unread_rules(program: ProgramModel) -> Iterator[RuleError]:
 
 def unknown_states(program: ProgramModel) -> Iterator[RuleError]:
     """Yield states that goals query but nothing declares."""
-    declared = [state.form.functor for state in program.states]
+    declared_functors = [state.form.functor for state in program.states]
     nearby = NearFunctors()
     for subterm in program.called():
         key = asked_state(subterm.term)
-        if key is None or key in declared or not program.logic.is_of_system(subterm.term[0]):
+        if key is None or key in declared_functors or not program.logic.is_of_system(subterm.term[0]):
             continue
-        nearest = nearby.of(key, declared)
+        nearest = nearby.of(key, declared_functors)
         hint = (
             f"; did you mean {nearest}?" if nearest else ": state(S, from(Event), until(Event)) declares one"
         )
@@ -224,34 +224,34 @@ def unknown_states(program: ProgramModel) -> Iterator[RuleError]:
 
 def labels(program: ProgramModel) -> Iterator[RuleError]:
     """Yield rules that share the label of an earlier rule."""
-    first: Dict[Any, WrittenRule] = {}
+    rules_by_label: Dict[Any, WrittenRule] = {}
     for rule in program.rules:
         label = rule.definition.label
         if label is None:
             continue
-        earlier = first.setdefault(term_key(label), rule)
-        if earlier is not rule:
-            place = earlier.definition.place
-            where = "" if place is None else f" (line {place.line})"
+        first_rule = rules_by_label.setdefault(term_key(label), rule)
+        if first_rule is not rule:
+            place = first_rule.definition.place
+            line_text = "" if place is None else f" (line {place.line})"
             name = program.logic.brief(label)
             yield RuleError(
-                f"another rule{where} has the label {name}, too: windows and del_event_rule mean both",
+                f"another rule{line_text} has the label {name}, too: windows and del_event_rule mean both",
                 rule.definition.place,
             )
 
 
 def singletons(program: ProgramModel) -> Iterator[RuleError]:
     """Yield named variables with a single occurrence in a rule, clause or goal."""
-    for read in program.reads:
-        wanted: Set[Var] = {read.names[name] for name in read.singletons}
-        if not wanted:
+    for read_term in program.reads:
+        unreported: Set[Var] = {read_term.names[name] for name in read_term.singletons}
+        if not unreported:
             continue
-        names = {var: name for name, var in read.names.items()}
-        for subterm in subterms(wrapped(read.term), 1, read.place_of):
+        names = {var: name for name, var in read_term.names.items()}
+        for subterm in subterms(wrapped(read_term.term), 1, read_term.place_of):
             term: Any = deref(subterm.term)
-            if term.__class__ is Var and term in wanted:
+            if term.__class__ is Var and term in unreported:
                 # A variable that the reader counted once has one place.
-                wanted.discard(term)
+                unreported.discard(term)
                 name = names[term]
                 yield RuleError(
                     f"{name} occurs only here: a misspelt name? Otherwise write _{name} or _", subterm.place

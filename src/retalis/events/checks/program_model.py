@@ -81,9 +81,9 @@ _MAX_FILES = 100
 
 NECK = functor(":-", 2)
 _GRAMMAR = functor("-->", 2)
-_HOLDER = functor("$goal", 1)
+_WRAPPER = functor("$goal", 1)
 _INCLUDE = functor("include", 1)
-_LOADS = frozenset(
+_LOAD_GOALS = frozenset(
     functor(name, 1)
     for name in ("compile_event_file", "compile_events", "consult", "ensure_loaded", "use_module")
 )
@@ -156,7 +156,7 @@ def subterms(parent: CompoundTerm, number: int, spot: Spot) -> Iterator[Subterm]
 
 def wrapped(term: Term) -> CompoundTerm:
     """Return a term with the given one as its only argument, which gives that one a parent."""
-    return (_HOLDER, term)
+    return (_WRAPPER, term)
 
 
 class SourcePositions(NamedTuple):
@@ -178,29 +178,29 @@ def read_again(logic: PrologSystem, folder: Path, loaded: Iterable[Path]) -> Sou
         loaded: real paths of the loaded files; files that goals name are parsed even if they were not loaded.
     """
     positions = SourcePositions([], [], [], [], set())
-    real = Path(os.path.realpath(folder))
+    real_folder = Path(os.path.realpath(folder))
     goal_files = [folder / GOALS]
     for path in goal_files:
         _add_goals(positions, goal_files, path, logic)
-    seen = {os.path.realpath(path) for path in goal_files}
-    named = [
+    read_paths = {os.path.realpath(path) for path in goal_files}
+    paths = [
         *_loaded_files(positions.goals, folder),
-        *sorted(_path_as_written(path, real, folder) for path in loaded),
+        *sorted(_path_as_written(path, real_folder, folder) for path in loaded),
     ]
-    for path in named:
-        if os.path.realpath(path) not in seen:
-            seen.add(os.path.realpath(path))
-            text = _text(path)
+    for path in paths:
+        if os.path.realpath(path) not in read_paths:
+            read_paths.add(os.path.realpath(path))
+            text = _read_short_text(path)
             if text:
                 positions.sources.add(str(path))
                 _add_file(positions, read_program(text, logic.operators.copy(), str(path), OF_FILES))
     return positions
 
 
-def _path_as_written(path: Path, real: Path, folder: Path) -> Path:
+def _path_as_written(path: Path, real_folder: Path, folder: Path) -> Path:
     """Return a path in the form that the goals of the program use."""
     try:
-        return folder / path.relative_to(real)
+        return folder / path.relative_to(real_folder)
     except ValueError:
         return path
 
@@ -209,7 +209,7 @@ def _loaded_files(goals: Iterable[WrittenTerm], folder: Path) -> Iterator[Path]:
     """Yield the files that goals load, in order."""
     for goal in goals:
         for subterm in subterms(goal.parent, goal.number, goal.spot):
-            if subterm.term.__class__ is tuple and subterm.key in _LOADS:
+            if subterm.term.__class__ is tuple and subterm.key in _LOAD_GOALS:
                 name = _file_name(deref(subterm.term[1]))
                 if name and os.path.isfile(folder / name):
                     yield folder / name
@@ -222,7 +222,7 @@ def _file_name(name: Any) -> str:
     return "" if "\0" in text else text
 
 
-def _text(path: Path) -> str:
+def _read_short_text(path: Path) -> str:
     try:
         text = read_text(path)
     except UsageError:
@@ -232,44 +232,44 @@ def _text(path: Path) -> str:
 
 
 def _add_goals(positions: SourcePositions, files: List[Path], path: Path, logic: PrologSystem) -> None:
-    for read in read_goals(_text(path), logic.operators, str(path)):
-        if not isinstance(read, ReadTerm):
+    for read_term in read_goals(_read_short_text(path), logic.operators, str(path)):
+        if not isinstance(read_term, ReadTerm):
             continue
-        goal: Any = goal_of(read.term)
+        goal: Any = goal_of(read_term.term)
         if goal.__class__ is tuple and goal[0] is _INCLUDE:
             included = path.parent / (_file_name(deref(goal[1])) or path.name)
             # The list grows while it is iterated: included files are read in turn, and cycles end.
             if included not in files and len(files) < _MAX_FILES:
                 files.append(included)
             continue
-        positions.reads.append(read)
-        positions.goals.append(_goal(goal, read))
+        positions.reads.append(read_term)
+        positions.goals.append(_written_goal(goal, read_term))
 
 
-def _goal(goal: Term, read: ReadTerm) -> WrittenTerm:
+def _written_goal(goal: Term, read_term: ReadTerm) -> WrittenTerm:
     parent = wrapped(goal)
 
     def spot(part: Term, number: int = 0) -> Place:
         # The wrapping term is not in the source: its place is that of the goal.
-        return read.place_of(goal) if part is parent else read.place_of(part, number)
+        return read_term.place_of(goal) if part is parent else read_term.place_of(part, number)
 
-    return WrittenTerm(None, parent, 1, spot, read.place)
+    return WrittenTerm(None, parent, 1, spot, read_term.place)
 
 
 def _add_file(positions: SourcePositions, program: Iterable[Union[ReadTerm, SyntaxFault]]) -> None:
-    for read in program:
-        if isinstance(read, SyntaxFault):
+    for read_term in program:
+        if isinstance(read_term, SyntaxFault):
             continue
         checker = FileChecker()
-        checker.read(read)
-        positions.reads.append(read)
+        checker.read(read_term)
+        positions.reads.append(read_term)
         for definition in [*checker.rules, *checker.inner]:
-            positions.rules.append(WrittenRule(definition, read.place_of))
+            positions.rules.append(WrittenRule(definition, read_term.place_of))
         for step in checker.steps:
             if step.kind == "clause":
-                positions.clauses.append(clause_of(step.term, read.place_of, read.place))
+                positions.clauses.append(clause_of(step.term, read_term.place_of, read_term.place))
             elif step.kind == "directive":
-                positions.goals.append(_goal(step.term, read))
+                positions.goals.append(_written_goal(step.term, read_term))
 
 
 def clause_of(term: Any, spot: Spot, place: Optional[Place]) -> WrittenTerm:
@@ -327,9 +327,9 @@ class EventConsumer(NamedTuple):
     @property
     def event(self) -> Subterm:
         """The same with its position, which may be inside ``P with S``."""
-        whole = deref(self.term[1])
-        event = subscribed_event(whole) if self.term[0] is SUBSCRIBE else whole
-        return Subterm(event, self.term if event is whole else _compound(whole), 1, self.spot)
+        consumed = deref(self.term[1])
+        event = subscribed_event(consumed) if self.term[0] is SUBSCRIBE else consumed
+        return Subterm(event, self.term if event is consumed else _compound(consumed), 1, self.spot)
 
     @property
     def form(self) -> Term:

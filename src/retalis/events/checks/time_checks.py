@@ -39,8 +39,8 @@ from ..language.rule_head_parser import ALARMS, TIMER, made_by, schedule_fault
 from .program_model import ProgramModel, WrittenRule, key_of, subterms, wrapped
 
 DAY = 86_400
-_UNITS = "spans are in seconds"
-_NEW = functor("new_event", 3)
+_UNIT_HINT = "spans are in seconds"
+_NEW_EVENT_INTERVAL = functor("new_event", 3)
 _UNRESTRICTED, _RECENT, _OFF = atom("unrestricted"), atom("recent"), atom("off")
 
 
@@ -55,11 +55,11 @@ class _Trigger(NamedTuple):
 def cycles(program: ProgramModel) -> Iterator[RuleError]:
     """Yield rules by which an event raises itself immediately and without end."""
     # Removing triggers outside of cycles first keeps the search fast for programs with thousands of rules.
-    steps = _cyclic([step for rule in program.rules for step in _triggers(rule)])
-    of_event = _by_event(steps)
+    steps = _cyclic_triggers([step for rule in program.rules for step in _triggers_of_rule(rule)])
+    of_event = _indices_by_event(steps)
     reported: Set[int] = set()
     for index, step in enumerate(steps):
-        cycle = None if index in reported else _cycle_through(steps, of_event, index)
+        cycle = None if index in reported else _shortest_cycle(steps, of_event, index)
         if cycle is None or any(member in reported for member in cycle):
             continue
         reported.update(cycle)
@@ -75,7 +75,7 @@ def cycles(program: ProgramModel) -> Iterator[RuleError]:
         )
 
 
-def _triggers(rule: WrittenRule) -> Iterator[_Trigger]:
+def _triggers_of_rule(rule: WrittenRule) -> Iterator[_Trigger]:
     head = rule.definition.head
     # Alarms and queries raise their event later, so they end a cycle without time.
     if head is None or key_of(head) in ALARMS or made_by(head) is not deref(head):
@@ -96,7 +96,7 @@ def _sole_triggers(pattern: Pattern) -> Iterator[Term]:
         yield from _sole_triggers(pattern.pattern)
 
 
-def _by_event(steps: List[_Trigger]) -> Dict[Optional[Functor], List[int]]:
+def _indices_by_event(steps: List[_Trigger]) -> Dict[Optional[Functor], List[int]]:
     """Return the indices of the triggers of each functor."""
     indices: Dict[Optional[Functor], List[int]] = {}
     for index, step in enumerate(steps):
@@ -104,10 +104,10 @@ def _by_event(steps: List[_Trigger]) -> Dict[Optional[Functor], List[int]]:
     return indices
 
 
-def _cyclic(steps: List[_Trigger]) -> List[_Trigger]:
+def _cyclic_triggers(steps: List[_Trigger]) -> List[_Trigger]:
     """Return the triggers that can be part of a cycle: all others are removed in topological order."""
     makers = Counter(key_of(step.head) for step in steps)
-    of_event = _by_event(steps)
+    of_event = _indices_by_event(steps)
     removed: Set[int] = set()
     # Kahn's algorithm: triggers whose event no trigger raises are not part of a cycle.
     sources = [key for key in of_event if not makers[key]]
@@ -121,14 +121,14 @@ def _cyclic(steps: List[_Trigger]) -> List[_Trigger]:
     return [step for index, step in enumerate(steps) if index not in removed]
 
 
-def _cycle_through(
+def _shortest_cycle(
     steps: List[_Trigger], of_event: Dict[Optional[Functor], List[int]], start: int
 ) -> Optional[List[int]]:
     """Return the shortest cycle through a trigger, or None."""
     predecessor: Dict[int, int] = {}
     level = [start]
     while level:
-        following = []
+        next_level = []
         for index in level:
             for next_index in of_event.get(key_of(steps[index].head), ()):
                 step = steps[next_index]
@@ -140,8 +140,8 @@ def _cycle_through(
                     return cycle[::-1]
                 if next_index not in predecessor and next_index != start and _raises(steps[index], step):
                     predecessor[next_index] = index
-                    following.append(next_index)
-        level = following
+                    next_level.append(next_index)
+        level = next_level
     return None
 
 
@@ -153,25 +153,27 @@ def _raises(trigger: _Trigger, next_trigger: _Trigger) -> bool:
     return bool(unifies)
 
 
-_INSTANTS = [(at, at) for at in range(3)]
-_INTERVALS = list(combinations_with_replacement(range(5), 2))
+_SAMPLE_INSTANTS = [(at, at) for at in range(3)]
+_SAMPLE_INTERVALS = list(combinations_with_replacement(range(5), 2))
 
 
 def never_meet(program: ProgramModel) -> Iterator[RuleError]:
     """Yield joins whose operands can never have the required intervals, because one of them is always an instant."""
     instants = _Instants(program)
     for rule in program.rules:
-        for node in _nodes(rule.definition.pattern):
+        for node in _walk_nodes(rule.definition.pattern):
             if isinstance(node, Pair) and node.operator in OPERATORS:
-                left, right = instants.holds(node.left), instants.holds(node.right)
-                if (left or right) and not _can_match(node.operator, left, right):
-                    which = (
+                left_is_instant, right_is_instant = instants.holds(node.left), instants.holds(node.right)
+                if (left_is_instant or right_is_instant) and not _can_match(
+                    node.operator, left_is_instant, right_is_instant
+                ):
+                    instant_sides = (
                         "both sides are instants"
-                        if left and right
-                        else f"the {'left' if left else 'right'} side is an instant"
+                        if left_is_instant and right_is_instant
+                        else f"the {'left' if left_is_instant else 'right'} side is an instant"
                     )
                     yield RuleError(
-                        f"{node.operator} never matches here: {which}, and "
+                        f"{node.operator} never matches here: {instant_sides}, and "
                         f"{OPERATORS[node.operator].name} {_REQUIREMENTS.get(node.operator, 'asks for intervals')}",
                         _operator_place(rule, node.operator),
                     )
@@ -184,21 +186,21 @@ _REQUIREMENTS = {
 }
 
 
-def _can_match(operator: str, left: bool, right: bool) -> bool:
+def _can_match(operator: str, left_is_instant: bool, right_is_instant: bool) -> bool:
     """Return whether the comparisons of an operator hold for some intervals of the given kinds."""
     comparisons = OPERATORS[operator].comparisons
     # The comparisons depend on the order of four end points only, and five values are enough for every order.
-    for s1, e1 in _INSTANTS if left else _INTERVALS:
-        for s2, e2 in _INSTANTS if right else _INTERVALS:
+    for s1, e1 in _SAMPLE_INSTANTS if left_is_instant else _SAMPLE_INTERVALS:
+        for s2, e2 in _SAMPLE_INSTANTS if right_is_instant else _SAMPLE_INTERVALS:
             values = {"s1": s1, "e1": e1, "s2": s2, "e2": e2}
-            if all(_holds(comparison, values) for comparison in comparisons):
+            if all(_comparison_holds(comparison, values) for comparison in comparisons):
                 return True
     return False
 
 
-def _holds(comparison: str, values: Dict[str, int]) -> bool:
-    left, sign, right = comparison.split()
-    left_value, right_value = values[left], values[right]
+def _comparison_holds(comparison: str, values: Dict[str, int]) -> bool:
+    left_name, sign, right_name = comparison.split()
+    left_value, right_value = values[left_name], values[right_name]
     return {"<": left_value < right_value, "<=": left_value <= right_value, "==": left_value == right_value}[
         sign
     ]
@@ -224,10 +226,10 @@ class _Instants:
             ):
                 key = key_of(term[1])
                 # ``new_event/3`` sets an interval; a goal with a variable may raise any event.
-                if key is not None and term[0] is not _NEW:
+                if key is not None and term[0] is not _NEW_EVENT_INTERVAL:
                     self._goals.add(key)
                 elif key is None:
-                    self._goals.add(_ANY)
+                    self._goals.add(_ANY_EVENT)
 
         self._known = self._instant_heads()
 
@@ -242,43 +244,45 @@ class _Instants:
     def _instant_heads(self) -> Set[Functor]:
         """Return the heads that are always instants, for chains of rules of any length."""
         missing: Dict[Functor, Set[Functor]] = {}
-        waiting: Dict[Functor, List[Functor]] = {}
+        dependents: Dict[Functor, List[Functor]] = {}
         for key, rules in self._rules.items():
-            needed = None if key in self._goals or _ANY in self._goals else _required_instants(rules)
-            if needed is not None:
-                missing[key] = {needed_key for needed_key in needed if not self._is_message(needed_key)}
-                for needed_key in missing[key]:
-                    waiting.setdefault(needed_key, []).append(key)
-        known: Set[Functor] = set()
+            required = None if key in self._goals or _ANY_EVENT in self._goals else _required_instants(rules)
+            if required is not None:
+                missing[key] = {
+                    required_key for required_key in required if not self._is_message(required_key)
+                }
+                for required_key in missing[key]:
+                    dependents.setdefault(required_key, []).append(key)
+        instants: Set[Functor] = set()
         # A worklist instead of recursion: rules can form chains of any length.
-        ready = [key for key, needed in missing.items() if not needed]
+        ready = [key for key, required in missing.items() if not required]
         while ready:
             instant = ready.pop()
-            known.add(instant)
-            for key in waiting.get(instant, ()):
+            instants.add(instant)
+            for key in dependents.get(instant, ()):
                 missing[key].discard(instant)
                 if not missing[key]:
                     ready.append(key)
-        return known
+        return instants
 
 
 def _is_message(program: ProgramModel, key: Functor) -> bool:
     """Return whether events of a functor are messages of a subscribed topic."""
-    kind = program.type_of(key.name)
+    type_name = program.type_of(key.name)
     topics = (*program.topics.subscribed, *program.direct)
-    return kind is not None and any(topic_kind == kind for _, topic_kind in topics)
+    return type_name is not None and any(topic_type == type_name for _, topic_type in topics)
 
 
 def _required_instants(rules: List[WrittenRule]) -> Optional[Set[Functor]]:
     """Return the events that must be instants for the heads of rules to be instants, or None if they never are."""
-    needed: Set[Functor] = set()
+    required: Set[Functor] = set()
     for rule in rules:
         head: Any = rule.definition.head
         events = _alternative_events(rule.definition.pattern) if made_by(head) is deref(head) else None
         if events is None:
             return None
-        needed.update(events)
-    return needed
+        required.update(events)
+    return required
 
 
 def _alternative_events(pattern: Pattern) -> Optional[Set[Functor]]:
@@ -286,18 +290,18 @@ def _alternative_events(pattern: Pattern) -> Optional[Set[Functor]]:
     events: Set[Functor] = set()
     stack: List[Pattern] = [pattern]
     while stack:
-        part = stack.pop()
-        key = key_of(part.term) if isinstance(part, Occurs) else None
+        node = stack.pop()
+        key = key_of(node.term) if isinstance(node, Occurs) else None
         if key is not None:
             events.add(key)
-        elif isinstance(part, (Either, Condition, Within, Action)):
-            stack += children(part)
+        elif isinstance(node, (Either, Condition, Within, Action)):
+            stack += children(node)
         else:
             return None
     return events
 
 
-_ANY = functor("$any", 0)
+_ANY_EVENT = functor("$any", 0)
 
 
 def windows(program: ProgramModel) -> Iterator[RuleError]:
@@ -306,7 +310,7 @@ def windows(program: ProgramModel) -> Iterator[RuleError]:
         for subterm in subterms(wrapped(rule.definition.term), 1, rule.spot):
             term = subterm.term
             if term.__class__ is tuple and SPELLINGS.get(term[0]) == "within" and len(term) == 3:
-                fault = _too_long(deref(term[2]))
+                fault = _long_span_text(deref(term[2]))
                 if fault:
                     yield RuleError(f"within {fault}", rule.spot(term, 2))
     labels = {
@@ -317,7 +321,9 @@ def windows(program: ProgramModel) -> Iterator[RuleError]:
             fault = ""
             if prop.known and prop.word is None and "step" not in prop.name:
                 fault = (
-                    "0: nothing but instants is ever matched" if prop.number == 0 else _too_long(prop.number)
+                    "0: nothing but instants is ever matched"
+                    if prop.number == 0
+                    else _long_span_text(prop.number)
                 )
                 fault = "" if prop.name == "ttl" else fault
             if fault:
@@ -327,10 +333,10 @@ def windows(program: ProgramModel) -> Iterator[RuleError]:
                 )
 
 
-def _too_long(span: Any) -> str:
+def _long_span_text(span: Any) -> str:
     if span.__class__ not in (int, float) or not span > DAY:
         return ""
-    return f"{span} is {span / DAY:.3g} days: {_UNITS}"
+    return f"{span} is {span / DAY:.3g} days: {_UNIT_HINT}"
 
 
 def waits_for_ever(program: ProgramModel) -> Iterator[RuleError]:
@@ -373,45 +379,45 @@ def unbounded_keys(program: ProgramModel) -> Iterator[RuleError]:
         # A window of the rule bounds its partial matches, and a time to live the states of keys.
         if any(prop.name in ("window", "event_rule_window", "ttl") for prop in label_properties):
             continue
-        for part in _without_bound(rule.definition.pattern):
-            if _has_unbounded_keys(part, rule.definition):
+        for node in _operators_without_bound(rule.definition.pattern):
+            if _has_unbounded_keys(node, rule.definition):
                 yield RuleError(
                     f"no time ends the state that is kept here for each key, up to {bounds.keys} keys; write (...) "
                     "within SECONDS, or give the rule a label with property(ttl, SECONDS), or property(ttl, 0) if "
                     "the keys are few",
-                    _operator_place(rule, "with") if isinstance(part, Shaped) else _aggregate_place(rule),
+                    _operator_place(rule, "with") if isinstance(node, Shaped) else _aggregate_place(rule),
                 )
 
 
-def _without_bound(pattern: Pattern) -> Iterator[Pattern]:
+def _operators_without_bound(pattern: Pattern) -> Iterator[Pattern]:
     """Yield the stream operators that are not inside a ``within``."""
     stack: List[Tuple[Any, bool]] = [(pattern, False)]
     while stack:
-        part, is_bounded = stack.pop()
-        if isinstance(part, (Windowed, Shaped, Awaited)):
+        node, is_bounded = stack.pop()
+        if isinstance(node, (Windowed, Shaped, Awaited)):
             if not is_bounded:
-                yield part
+                yield node
             # A bound applies to the outputs of the operator, not to its inputs.
             is_bounded = False
-        elif isinstance(part, Within):
+        elif isinstance(node, Within):
             is_bounded = True
         # A bound above an operator limits its inputs as well, except for stream operators (see above).
-        stack += [(below, is_bounded) for below in reversed(children(part, False))]
-        if isinstance(part, (Absent, Awaited)):
-            stack.append((part.negated, False))
+        stack += [(child, is_bounded) for child in reversed(children(node, False))]
+        if isinstance(node, (Absent, Awaited)):
+            stack.append((node.negated, False))
 
 
-def _has_unbounded_keys(part: Pattern, definition: RuleDefinition) -> bool:
+def _has_unbounded_keys(node: Pattern, definition: RuleDefinition) -> bool:
     """Return whether a stream operator keeps a state for each value of a variable."""
-    if isinstance(part, Shaped):
-        return part.shape == "change" and any(variables(term) for term in part.by)
-    if not isinstance(part, Windowed) or part.window.kind not in ("newest", "batch", "steps"):
+    if isinstance(node, Shaped):
+        return node.shape == "change" and any(variables(term) for term in node.by)
+    if not isinstance(node, Windowed) or node.window.kind not in ("newest", "batch", "steps"):
         return False
-    measured = [value for value in part.values if value is not None]
-    inside = occurrences([*measured, *part.window.looked_at], part.collected)
+    measured = [value for value in node.values if value is not None]
+    operator_counts = occurrences([*measured, *node.window.looked_at], node.collected)
     head = [] if definition.head is None else [definition.head]
-    everywhere = occurrences(head, definition.pattern)
-    return any(everywhere[var] > inside.get(var, 0) for var in bound_by(part.collected))
+    rule_counts = occurrences(head, definition.pattern)
+    return any(rule_counts[var] > operator_counts.get(var, 0) for var in bound_by(node.collected))
 
 
 def _aggregate_place(rule: WrittenRule) -> Optional[Place]:
@@ -446,14 +452,14 @@ def missed_pairs(program: ProgramModel) -> Iterator[RuleError]:
 
 def _pairs_messages(program: ProgramModel, pattern: Pattern) -> bool:
     """Return whether a pattern joins messages of two topics by ``and`` within a span of time."""
-    for node in _nodes(pattern):
+    for node in _walk_nodes(pattern):
         if not isinstance(node, Within):
             continue
-        limited = node.pattern
-        while isinstance(limited, (Within, Condition)):
-            limited = limited.pattern
-        if isinstance(limited, Pair) and limited.operator == "and":
-            sides = [_alternative_events(limited.left), _alternative_events(limited.right)]
+        joined = node.pattern
+        while isinstance(joined, (Within, Condition)):
+            joined = joined.pattern
+        if isinstance(joined, Pair) and joined.operator == "and":
+            sides = [_alternative_events(joined.left), _alternative_events(joined.right)]
             if all(keys and all(_is_message(program, key) for key in keys) for keys in sides):
                 return True
     return False
@@ -463,23 +469,23 @@ def _unbounded_join(pattern: Pattern) -> Optional[Pattern]:
     """Return the first part of a pattern that joins events and is not inside a ``within``, or None."""
     stack: List[Any] = [pattern]
     while stack:
-        part = stack.pop()
-        if isinstance(part, Within):
+        node = stack.pop()
+        if isinstance(node, Within):
             continue
         # These store partial matches; alternatives and conditions store nothing.
-        if isinstance(part, (Pair, Star, Aggregate, Repeated)):
-            join: Pattern = part
+        if isinstance(node, (Pair, Star, Aggregate, Repeated)):
+            join: Pattern = node
             return join
-        stack += reversed(children(part, False))
+        stack += reversed(children(node, False))
     return None
 
 
-def _nodes(pattern: Pattern) -> Iterator[Pattern]:
+def _walk_nodes(pattern: Pattern) -> Iterator[Pattern]:
     stack: List[Any] = [pattern]
     while stack:
-        part = stack.pop()
-        yield part
-        stack += reversed(children(part))
+        node = stack.pop()
+        yield node
+        stack += reversed(children(node))
 
 
 def _operator_place(rule: WrittenRule, operator: str) -> Optional[Place]:

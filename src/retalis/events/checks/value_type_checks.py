@@ -23,7 +23,7 @@ from ..program.event_file_checker import nowhere
 from .event_flow_checks import event_of_kept, events_of_goals, events_of_rule
 from .program_model import NECK, ProgramModel, Subterm, key_of, subterms, wrapped
 
-_COMPARED = frozenset(functor(name, 2) for name in ("<", ">", "=<", ">=", "=:=", "=\\="))
+_NUMERIC_COMPARISONS = frozenset(functor(name, 2) for name in ("<", ">", "=<", ">=", "=:=", "=\\="))
 _IS = functor("is", 2)
 _EQUALITIES = frozenset(functor(name, 2) for name in ("==", "\\==", "=", "\\="))
 _ARITHMETIC = frozenset(functor(name, 2) for name in ("+", "-", "*", "/", "//", "mod", "min", "max", "**"))
@@ -56,7 +56,7 @@ class SlotKind(NamedTuple):
         return self.kind.what
 
 
-def _takes_more(slot: Field) -> bool:
+def _accepts_other_types(slot: Field) -> bool:
     """Return whether a slot accepts more than it delivers: 0 and 1 for truth values, lists for bytes."""
     return slot.is_bytes or (slot.type == "bool" and slot.length is None)
 
@@ -67,21 +67,21 @@ def kinds(program: ProgramModel) -> Iterator[RuleError]:
         parent = wrapped(rule.definition.term)
         names = {**program.names, **rule.definition.names}
         events = events_of_rule(rule) if program.declared else []
-        yield from _in_clause(program, parent, rule.spot, names, events, made_by(rule.definition.head))
+        yield from _check_clause(program, parent, rule.spot, names, events, made_by(rule.definition.head))
     for clause in program.clauses:
         # A fact has no parent with head and body, so it is wrapped.
         whole = clause.parent if clause.parent[0] is NECK else wrapped(clause.head or clause.parent)
         events = events_of_goals(clause) if program.declared else []
-        yield from _in_clause(program, wrapped(whole), clause.spot, program.names, events)
+        yield from _check_clause(program, wrapped(whole), clause.spot, program.names, events)
     for consumer in (*program.memories, *program.subscriptions):
         events = [event_of_kept(consumer)]
-        for error in _in_clause(
+        for error in _check_clause(
             program, wrapped(consumer.term), consumer.spot, program.names, events, consumer.form
         ):
             yield RuleError(f"{consumer.prefix}{error.message}", error.place)
 
 
-def _in_clause(
+def _check_clause(
     program: ProgramModel,
     parent: CompoundTerm,
     spot: Spot,
@@ -90,94 +90,94 @@ def _in_clause(
     out: Optional[Term] = None,
 ) -> Iterator[RuleError]:
     """Yield the problems of one rule or clause; ``out`` is the term that it creates."""
-    parts = list(subterms(parent, 1, spot))
+    all_subterms = list(subterms(parent, 1, spot))
     slots: Dict[Var, SlotKind] = {}
-    branches = any(subterm.key in _ALTERNATIVES for subterm in parts)
-    created = _created_terms(parts, out)
-    declared = {id(deref(event.term)) for event in events}
-    for subterm in parts:
+    branches = any(subterm.key in _ALTERNATIVES for subterm in all_subterms)
+    created = _created_terms(all_subterms, out)
+    event_ids = {id(deref(event.term)) for event in events}
+    for subterm in all_subterms:
         is_made = id(subterm.term) in created
-        for position, kind, slot in _typed_arguments(program, subterm.term, is_made, declared):
+        for position, value_type, slot in _typed_arguments(program, subterm.term, is_made, event_ids):
             value = deref(subterm.term[position])
             if value.__class__ is not Var:
                 continue
-            occurrence = SlotKind(kind, slot, is_made)
-            earlier = slots.setdefault(value, occurrence)
+            occurrence = SlotKind(value_type, slot, is_made)
+            first_occurrence = slots.setdefault(value, occurrence)
             # In a term with alternatives, the two occurrences may belong to different branches.
-            if earlier.kind.excludes(kind) and not branches:
+            if first_occurrence.kind.excludes(value_type) and not branches:
                 yield RuleError(
-                    _clash_text(_variable_name(value, names), earlier, occurrence),
+                    _type_clash_text(_variable_name(value, names), first_occurrence, occurrence),
                     spot(subterm.term, position),
                 )
                 slots.pop(value)
             # The source of a value says more about its type than the slot it goes into; of two sources, the narrower
             # type is kept.
-            elif (earlier.is_made and not is_made) or kind.forms < earlier.kind.forms:
+            elif (first_occurrence.is_made and not is_made) or value_type.forms < first_occurrence.kind.forms:
                 slots[value] = occurrence
     if slots:
-        yield from _in_goals(parts, slots, names)
+        yield from _check_goals(all_subterms, slots, names)
 
 
 def _typed_arguments(
-    program: ProgramModel, term: Any, is_made: bool, declared: Set[int]
+    program: ProgramModel, term: Any, is_made: bool, event_ids: Set[int]
 ) -> Iterator[Tuple[int, ValueType, str]]:
     """Yield the arguments of a message or declared event: position, type, and name for messages."""
     definition = program.message_of(term)
     if definition is not None:
         for position, slot in enumerate(definition.fields, 1):
-            kind = slot_kind(slot)
-            if kind is not None and not (is_made and _takes_more(slot)):
-                yield position, kind, f"{slot.name} of {definition.name}"
-    elif term.__class__ is tuple and id(term) in declared:
+            value_type = slot_kind(slot)
+            if value_type is not None and not (is_made and _accepts_other_types(slot)):
+                yield position, value_type, f"{slot.name} of {definition.name}"
+    elif term.__class__ is tuple and id(term) in event_ids:
         declaration = program.declared.get(term[0].name)
         if declaration is not None and declaration.key is term[0]:
             for position, argument in enumerate(declaration.arguments, 1):
                 yield position, argument.kind, f"{argument.name} of {declaration.key}"
 
 
-def _created_terms(parts: List[Subterm], out: Optional[Term]) -> Set[int]:
+def _created_terms(all_subterms: List[Subterm], output: Optional[Term]) -> Set[int]:
     """Return the ids of the terms that are created: rule heads, forms of subscriptions, and events of goals."""
-    makers = [] if out is None else [wrapped(deref(out))]
-    makers += [subterm.term for subterm in parts if makes_event(subterm.term)]
+    makers = [] if output is None else [wrapped(deref(output))]
+    makers += [subterm.term for subterm in all_subterms if makes_event(subterm.term)]
     # By identity: an equal term may occur as a pattern as well. The ids stay unique, because the terms are alive.
     return {id(subterm.term) for maker in makers for subterm in subterms(maker, 1, nowhere)}
 
 
-def _clash_text(name: str, first: SlotKind, second: SlotKind) -> str:
+def _type_clash_text(name: str, first: SlotKind, second: SlotKind) -> str:
     """Return the message for a variable with two types."""
     # The message names the source of the value first.
     if first.is_made and not second.is_made:
         first, second = second, first
     if second.is_made and not first.is_made and second.what == "a text":
-        return f"{name} is {first.what} ({first.slot}) and goes into a text ({second.slot}): {_to_text(name)}"
+        return f"{name} is {first.what} ({first.slot}) and goes into a text ({second.slot}): {_as_text_advice(name)}"
     return f"{name} is {first.what} ({first.slot}) and, here, {second.what} ({second.slot}): these are never equal"
 
 
-def _in_goals(parts: List[Subterm], slots: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
+def _check_goals(all_subterms: List[Subterm], slots: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
     reported: Set[Var] = set()
-    for subterm in parts:
+    for subterm in all_subterms:
         key = subterm.key
-        if key in _COMPARED:
+        if key in _NUMERIC_COMPARISONS:
             operands = [(subterm.term, 1), (subterm.term, 2)]
         elif key is _IS:
             operands = [(subterm.term, 2)]
         else:
             if key in _EQUALITIES:
-                yield from _compared_terms(subterm, slots, names)
+                yield from _check_compared_terms(subterm, slots, names)
             elif key in _COLLECTED:
-                yield from _aggregated_terms(subterm, slots, names)
+                yield from _check_aggregated_terms(subterm, slots, names)
             continue
         while operands:
             parent, position = operands.pop(0)
             term: Any = deref(parent[position])
             if term.__class__ is tuple and (term[0] in _ARITHMETIC or term[0] in _SIGNS):
                 # The arguments of arithmetic functions are numbers as well.
-                operands += [(term, number) for number in range(1, len(term))]
-            kind = slots.get(term) if term.__class__ is Var else None
-            if kind is not None and kind.what in _ADVICE and term not in reported:
+                operands += [(term, argument_position) for argument_position in range(1, len(term))]
+            occurrence = slots.get(term) if term.__class__ is Var else None
+            if occurrence is not None and occurrence.what in _ADVICE and term not in reported:
                 reported.add(term)
                 yield RuleError(
-                    _not_number_text(_variable_name(term, names), kind), subterm.spot(parent, position)
+                    _not_number_text(_variable_name(term, names), occurrence), subterm.spot(parent, position)
                 )
 
 
@@ -191,44 +191,48 @@ _ADVICE = {
 """Advice for values that are not numbers; timestamps count as numbers."""
 
 
-def _not_number_text(name: str, kind: SlotKind) -> str:
+def _not_number_text(name: str, occurrence: SlotKind) -> str:
     """Return the message for a variable that is used as a number but has another type."""
-    if not kind.is_made:
-        return f"{name} is {kind.what} ({kind.slot}), not a number: {_ADVICE[kind.what]}"
-    advice = _to_text(name) if kind.what == "a text" else "send another variable"
-    return f"{name} is a number here and goes into {kind.what} ({kind.slot}): {advice}"
+    if not occurrence.is_made:
+        return f"{name} is {occurrence.what} ({occurrence.slot}), not a number: {_ADVICE[occurrence.what]}"
+    advice = _as_text_advice(name) if occurrence.what == "a text" else "send another variable"
+    return f"{name} is a number here and goes into {occurrence.what} ({occurrence.slot}): {advice}"
 
 
-def _to_text(name: str) -> str:
+def _as_text_advice(name: str) -> str:
     return f"make a text of it, as with format(atom(Text), '\"~w\"', [{name if name[:1].isupper() else 'X'}])"
 
 
-def _aggregated_terms(subterm: Subterm, slots: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
+def _check_aggregated_terms(subterm: Subterm, slots: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
     """Yield values of a numeric aggregate that are not numbers."""
     if subterm.parent[0].name != _AGGREGATE or subterm.number != 1:
         return
     value: Any = deref(subterm.term[1])
-    kind = slots.get(value) if value.__class__ is Var else None
-    if kind is not None and kind.what in _ADVICE and not kind.is_made:
-        text = f"{_variable_name(value, names)} is {kind.what} ({kind.slot}): {subterm.term[0].name} collects numbers"
+    slot = slots.get(value) if value.__class__ is Var else None
+    if slot is not None and slot.what in _ADVICE and not slot.is_made:
+        text = f"{_variable_name(value, names)} is {slot.what} ({slot.slot}): {subterm.term[0].name} collects numbers"
         yield RuleError(text, subterm.spot(subterm.term, 1))
 
 
-def _compared_terms(subterm: Subterm, slots: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
+def _check_compared_terms(subterm: Subterm, slots: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
     """Yield comparisons of a variable with a constant that it never equals."""
     for position, other_position in ((1, 2), (2, 1)):
         value: Any = deref(subterm.term[position])
         constant = deref(subterm.term[other_position])
-        kind = slots.get(value) if value.__class__ is Var else None
-        reason = None if kind is None or kind.is_made else _never_equal(kind.what, constant)
-        if kind is not None and reason is not None:
+        occurrence = slots.get(value) if value.__class__ is Var else None
+        reason = (
+            None
+            if occurrence is None or occurrence.is_made
+            else _inequality_reason(occurrence.what, constant)
+        )
+        if occurrence is not None and reason is not None:
             yield RuleError(
-                f"{_variable_name(value, names)} is {kind.what} ({kind.slot}): {reason}",
+                f"{_variable_name(value, names)} is {occurrence.what} ({occurrence.slot}): {reason}",
                 subterm.spot(subterm.term, other_position),
             )
 
 
-def _never_equal(type_text: str, constant: Term) -> Optional[str]:
+def _inequality_reason(type_text: str, constant: Term) -> Optional[str]:
     """Return the reason why a value of a type never equals a constant, or None."""
     if type_text == "a text":
         if isinstance(constant, Atom) and constant.name[:1] != '"' and constant.name != "[]":
@@ -238,9 +242,11 @@ def _never_equal(type_text: str, constant: Term) -> Optional[str]:
         if isinstance(constant, (int, float)):
             return f"it is never the number {constant}"
     elif type_text == "a number":
-        if isinstance(constant, String) or (isinstance(constant, Atom) and constant.name not in _NUMBERS):
-            text = constant.text if isinstance(constant, String) else constant.name
-            return f"it is never {text}"
+        if isinstance(constant, String) or (
+            isinstance(constant, Atom) and constant.name not in _SPECIAL_NUMBERS
+        ):
+            constant_text = constant.text if isinstance(constant, String) else constant.name
+            return f"it is never {constant_text}"
     elif type_text == "true or false" and not _may_be_true_or_false(constant):
         return "compare it with true or false"
     return None
@@ -252,7 +258,7 @@ def _may_be_true_or_false(constant: Term) -> bool:
     return not isinstance(constant, (int, float, String))
 
 
-_NUMBERS = frozenset(("nan", "inf", "infinite"))
+_SPECIAL_NUMBERS = frozenset(("nan", "inf", "infinite"))
 
 
 def _variable_name(var: Var, names: Any) -> str:
@@ -266,7 +272,7 @@ _COMPARISONS = {
 """Comparisons of terms, with the corresponding comparisons of numbers."""
 
 _BRANCHES = frozenset((functor("or", 2), functor("\\/", 2), functor(";", 2), functor("->", 2)))
-_KINDS = {
+_NUMBER_TYPES = {
     **dict.fromkeys(("float32", "float64"), float),
     **dict.fromkeys(
         ("int8", "uint8", "byte", "char", "int16", "uint16", "int32", "uint32", "int64", "uint64"), int
@@ -285,25 +291,27 @@ class _NumberSlot(NamedTuple):
 
 def numerals(program: ProgramModel) -> Iterator[RuleError]:
     """Yield numbers that no message has in that slot, and comparisons with such slots that never hold."""
-    own = _created_events(program)
+    created = _created_events(program)
     for event, prefix in program.patterns():
-        for subterm, definition in _messages(program, event, own):
+        for subterm, definition in _input_messages(program, event, created):
             for position, slot in enumerate(definition.fields, 1):
-                value, kind = deref(subterm.term[position]), _number_type(slot)
-                if _has_other_type(value, kind):
+                value, number_type = deref(subterm.term[position]), _number_type(slot)
+                if _has_other_type(value, number_type):
                     fault = (
-                        f"{slot.name} of {definition.name} is {_numeric_type_name(kind)} in events: "
-                        f"write {_written_as(kind, value)}"
+                        f"{slot.name} of {definition.name} is {_numeric_type_name(number_type)} in events: "
+                        f"write {_number_text(number_type, value)}"
                     )
                     yield RuleError(f"{prefix}{fault}", subterm.spot(subterm.term, position))
     for rule in program.rules:
         events = [node.term for node in walk(rule.definition.pattern, True) if isinstance(node, Occurs)]
-        parts = [Subterm(deref(term), wrapped(term), 1, rule.spot) for term in events]
-        whole = Subterm(None, wrapped(rule.definition.term), 1, rule.spot)
-        yield from _compared_numbers(program, parts, whole, {**program.names, **rule.definition.names}, own)
+        event_subterms = [Subterm(deref(term), wrapped(term), 1, rule.spot) for term in events]
+        rule_subterm = Subterm(None, wrapped(rule.definition.term), 1, rule.spot)
+        yield from _check_compared_numbers(
+            program, event_subterms, rule_subterm, {**program.names, **rule.definition.names}, created
+        )
     for consumer in (*program.memories, *program.subscriptions):
-        for error in _compared_numbers(
-            program, [consumer.event], Subterm(None, consumer.term, 2, consumer.spot), program.names, own
+        for error in _check_compared_numbers(
+            program, [consumer.event], Subterm(None, consumer.term, 2, consumer.spot), program.names, created
         ):
             yield RuleError(f"{consumer.prefix}{error.message}", error.place)
 
@@ -321,12 +329,12 @@ def _created_events(program: ProgramModel) -> Set[Optional[Functor]]:
     return created
 
 
-def _messages(
-    program: ProgramModel, event: Subterm, own: Set[Optional[Functor]]
+def _input_messages(
+    program: ProgramModel, event: Subterm, created: Set[Optional[Functor]]
 ) -> Iterator[Tuple[Subterm, Definition]]:
     """Yield the messages in an input event; events of the program itself may contain other numbers."""
     # The program may raise such events with values that no message has.
-    if event.key in own or None in own or program.message_of(event.term) is None:
+    if event.key in created or None in created or program.message_of(event.term) is None:
         return
     for subterm in subterms(event.parent, event.number, event.spot):
         definition = program.message_of(subterm.term)
@@ -334,20 +342,20 @@ def _messages(
             yield subterm, definition
 
 
-def _compared_numbers(
+def _check_compared_numbers(
     program: ProgramModel,
     events: List[Subterm],
-    whole: Subterm,
+    source: Subterm,
     names: Mapping[Var, str],
-    own: Set[Optional[Functor]],
+    created: Set[Optional[Functor]],
 ) -> Iterator[RuleError]:
     """Yield comparisons that never hold, given the events that contain their variables."""
-    parts = list(subterms(whole.parent, whole.number, whole.spot))
+    all_subterms = list(subterms(source.parent, source.number, source.spot))
     # With alternatives, the variable may be bound in another branch.
-    if any(subterm.key in _BRANCHES for subterm in parts):
+    if any(subterm.key in _BRANCHES for subterm in all_subterms):
         return
-    slots = _numeric_variables(program, events, own)
-    for subterm in parts:
+    slots = _numeric_variables(program, events, created)
+    for subterm in all_subterms:
         numeric = _COMPARISONS.get(subterm.key) if subterm.key is not None else None
         if numeric is None:
             continue
@@ -366,37 +374,37 @@ def _compared_numbers(
 
 
 def _numeric_variables(
-    program: ProgramModel, events: List[Subterm], own: Set[Optional[Functor]]
+    program: ProgramModel, events: List[Subterm], created: Set[Optional[Functor]]
 ) -> Dict[Var, _NumberSlot]:
     """Return the variables of events that are numeric slots."""
     slots: Dict[Var, _NumberSlot] = {}
     for event in events:
-        for subterm, definition in _messages(program, event, own):
+        for subterm, definition in _input_messages(program, event, created):
             for position, slot in enumerate(definition.fields, 1):
                 value: Any = deref(subterm.term[position])
-                kind = _number_type(slot)
-                if value.__class__ is Var and kind is not None:
-                    slots.setdefault(value, _NumberSlot(kind, f"{slot.name} of {definition.name}"))
+                number_type = _number_type(slot)
+                if value.__class__ is Var and number_type is not None:
+                    slots.setdefault(value, _NumberSlot(number_type, f"{slot.name} of {definition.name}"))
     return slots
 
 
 def _number_type(slot: Field) -> Optional[type]:
     """Return float or int for a slot with one such number, or None."""
-    return None if slot.length is not None else _KINDS.get(slot.type)
+    return None if slot.length is not None else _NUMBER_TYPES.get(slot.type)
 
 
-def _has_other_type(value: Any, kind: Optional[type]) -> bool:
+def _has_other_type(value: Any, number_type: Optional[type]) -> bool:
     """Return whether a number has the other type."""
-    return kind is not None and value.__class__ in (int, float) and value.__class__ is not kind
+    return number_type is not None and value.__class__ in (int, float) and value.__class__ is not number_type
 
 
-def _numeric_type_name(kind: Optional[type]) -> str:
-    return "a float" if kind is float else "an integer"
+def _numeric_type_name(number_type: Optional[type]) -> str:
+    return "a float" if number_type is float else "an integer"
 
 
-def _written_as(kind: Optional[type], value: Any) -> str:
+def _number_text(number_type: Optional[type], value: Any) -> str:
     """Return a number in the notation of a type."""
-    if kind is float:
+    if number_type is float:
         return f"{value}.0" if abs(value) < _MAX_EXACT_INTEGER else "it with a point"
     return (
         str(int(value))

@@ -81,15 +81,15 @@ class SwitchNode:
     def branch(self, term: Any) -> "Plan":
         """Return the rest of the plan for an event."""
         value: Any = term[self.at] if self.at else _subterm(term, self.path)
-        kind = value.__class__
-        if kind is Lazy:
+        argument_class = value.__class__
+        if argument_class is Lazy:
             key: Hashable = value.functor
-        elif kind is tuple:
+        elif argument_class is tuple:
             key = value[0]
-        elif kind is Atom or kind is int or kind is String:
+        elif argument_class is Atom or argument_class is int or argument_class is String:
             key = value
         # Bound variables are rare here, because most events are built without them, so they are tested last.
-        elif kind is Var:
+        elif argument_class is Var:
             value = deref(value)
             if value.__class__ is Var:
                 # An unbound variable in an event can unify with every constant: all patterns remain candidates.

@@ -101,10 +101,10 @@ class Dispatcher(ListenerIndex):
         """
         if start > end:
             raise UsageError(f"an event cannot end before it starts ({start} > {end} ns)")
-        kind = term.__class__
-        if kind is tuple:
+        term_class = term.__class__
+        if term_class is tuple:
             functor = term[0]
-        elif kind is Atom:
+        elif term_class is Atom:
             functor = term.functor
         else:
             term = deref(term)
@@ -127,7 +127,7 @@ class Dispatcher(ListenerIndex):
         frame: Frame = (SERVE, self, steps, context, after)
         # Each level of recursion uses several Python frames. The loop of the machine uses none.
         if depth > self.at_once:
-            return self._deferred(frame, depth)
+            return self._defer_frame(frame, depth)
         self.current = context
         # Inlined from `_Serve.run`, because a call costs 5 % of a short event.
         for matcher, action in steps:
@@ -164,16 +164,16 @@ class Dispatcher(ListenerIndex):
             self.restore(current, cause)
             raise
 
-    def _deferred(self, frame: Frame, depth: int) -> Frame:
+    def _defer_frame(self, frame: Frame, depth: int) -> Frame:
         """Return the frame of a derived event for the loop of the machine, if the limits allow it."""
         if depth > self._deepest:
             raise UsageError(f"more than {self.max_depth} events were derived one from another")
         # Deep chains check the limits of the input event; shallow ones are bounded by their depth.
         if self._budget.closed:
-            self._refuse_past_limits()
+            self._check_input_limits()
         return frame
 
-    def _refuse_past_limits(self) -> None:
+    def _check_input_limits(self) -> None:
         """Raise an error if the input event has used up its resource limits."""
         try:
             self._budget.admit()
@@ -317,7 +317,7 @@ class Dispatcher(ListenerIndex):
 
     def ground(self) -> bool:
         """Return whether the current event has no variables."""
-        context = self._current_context()
+        context = self._require_context()
         if context[GROUND] is None:
             context[GROUND] = is_ground(context[TERM])
         return context[GROUND]  # type: ignore[no-any-return]
@@ -329,12 +329,12 @@ class Dispatcher(ListenerIndex):
 
     def token(self) -> Any:
         """Return the unique token of the current event."""
-        context = self._current_context()
+        context = self._require_context()
         if context[TOKEN] is None:
             context[TOKEN] = self.mark(context)
         return context[TOKEN]
 
-    def _current_context(self) -> Context:
+    def _require_context(self) -> Context:
         context: Optional[Context] = self.current
         assert context is not None
         return context

@@ -52,77 +52,77 @@ class _MatcherGenerator:
     def __init__(self, pattern: CompoundTerm):
         self.pattern = pattern
         self.lines: List[str] = []
-        self.given = codegen.BoundNames({"deref": deref, "Lazy": Lazy, "Var": Var, "same": _same})
+        self.given = codegen.BoundNames({"deref": deref, "Lazy": Lazy, "Var": Var, "same": _is_same_value})
         self.names = self.given.values
         self.places: Dict[Var, str] = {}
 
     def matcher(self) -> Matcher:
         order = variables(self.pattern)
-        self.names["general"] = _general(self.pattern, order)
+        self.names["general"] = _general_matcher(self.pattern, order)
         pending: List[Tuple[str, CompoundTerm]] = [("term", self.pattern)]
         while pending:
             # Depth first, left to right, so that the order of tests follows the order of the pattern.
-            pending.extend(reversed(self._unpack(*pending.pop())))
+            pending.extend(reversed(self._emit_unpacking(*pending.pop())))
         values = ", ".join(self.places[var] for var in order)
         self.lines.append(f"    return ({values}{',' if len(order) == 1 else ''})")
         source = "def made(term):\n" + "\n".join(self.lines) + "\n"
         matcher: Matcher = shared_function(source, self.names, "matcher")
         return matcher
 
-    def _unpack(self, name: str, pattern: CompoundTerm) -> List[Tuple[str, CompoundTerm]]:
+    def _emit_unpacking(self, name: str, pattern: CompoundTerm) -> List[Tuple[str, CompoundTerm]]:
         """Emit unpacking and constant tests for a compound; return its compound arguments with their names."""
         inner: List[Tuple[str, CompoundTerm]] = []
         tests: List[str] = []
         targets = []
         for argument in pattern[1:]:
             if argument.__class__ is Var and argument not in self.places:
-                place = self._fresh()
-                self.places[argument] = place
-                targets.append(place)
+                variable = self._new_name()
+                self.places[argument] = variable
+                targets.append(variable)
                 continue
-            place = self._fresh()
-            targets.append(place)
+            variable = self._new_name()
+            targets.append(variable)
             if argument.__class__ is Var:
                 tests.append(
-                    f"    if {place} is not {self.places[argument]} and not same({place}, "
+                    f"    if {variable} is not {self.places[argument]} and not same({variable}, "
                     f"{self.places[argument]}):\n        return general(term, None)"
                 )
             elif argument.__class__ is tuple:
-                functor = self._constant(argument[0])
+                functor = self._constant_name(argument[0])
                 tests.append(
-                    f"    if {place}.__class__ is not tuple:\n        {place} = deref({place})\n"
-                    f"        if {place}.__class__ is not tuple:\n            return general(term, {place})\n"
-                    f"    if {place}[0] is not {functor}:\n        return None"
+                    f"    if {variable}.__class__ is not tuple:\n        {variable} = deref({variable})\n"
+                    f"        if {variable}.__class__ is not tuple:\n            return general(term, {variable})\n"
+                    f"    if {variable}[0] is not {functor}:\n        return None"
                 )
-                inner.append((place, argument))
+                inner.append((variable, argument))
             else:
                 tests.append(
-                    f"    if {self._differs(place, argument)}:\n        return general(term, {place})"
+                    f"    if {self._mismatch_test(variable, argument)}:\n        return general(term, {variable})"
                 )
         if targets:
             self.lines.append(f"    _, {', '.join(targets)} = {name}")
         self.lines.extend(tests)
         return inner
 
-    def _differs(self, place: str, constant: Term) -> str:
-        name = self._constant(constant)
+    def _mismatch_test(self, variable: str, constant: Term) -> str:
+        name = self._constant_name(constant)
         if constant.__class__ is Atom:
-            return f"{place} is not {name}"
-        kind = {int: "int", float: "float", String: "String"}[constant.__class__]
+            return f"{variable} is not {name}"
+        class_name = {int: "int", float: "float", String: "String"}[constant.__class__]
         self.names["String"] = String
         if constant.__class__ is float:
             self.names["equal"] = same_constant
-            return f"{place}.__class__ is not float or not equal({place}, {name})"
-        return f"{place}.__class__ is not {kind} or {place} != {name}"
+            return f"{variable}.__class__ is not float or not equal({variable}, {name})"
+        return f"{variable}.__class__ is not {class_name} or {variable} != {name}"
 
-    def _fresh(self) -> str:
+    def _new_name(self) -> str:
         return self.given.name("a")
 
-    def _constant(self, value: object) -> str:
+    def _constant_name(self, value: object) -> str:
         return self.given.name("k", value)
 
 
-def _same(left: Term, right: Term) -> bool:
+def _is_same_value(left: Term, right: Term) -> bool:
     """Return whether two values are certainly the same term; if not, general unification decides."""
     try:
         return bool(freeze(left) == freeze(right))
@@ -130,7 +130,7 @@ def _same(left: Term, right: Term) -> bool:
         return False
 
 
-def _general(pattern: Term, order: List[Var]) -> Callable[[Term, Optional[Term]], Optional[Values]]:
+def _general_matcher(pattern: Term, order: List[Var]) -> Callable[[Term, Optional[Term]], Optional[Values]]:
     """Return the general matcher; ``met`` is the value that stopped the generated code, or None."""
 
     def general(term: Term, met: Optional[Term]) -> Optional[Values]:
@@ -191,10 +191,10 @@ def builder_source(term: Term, known: Mapping[Var, str], names: codegen.BoundNam
         return places[item]
 
     term = resolve(term)
-    return lines, constant(term) if is_ground(term) else _build(term, leaf, constant, lines)
+    return lines, constant(term) if is_ground(term) else _emit_assignments(term, leaf, constant, lines)
 
 
-def _build(
+def _emit_assignments(
     term: Term, leaf: Callable[[Term], str], constant: Callable[[object], str], lines: List[str]
 ) -> str:
     """Emit one assignment per compound with variables, inner ones first; return the name of the outermost one."""
@@ -202,20 +202,20 @@ def _build(
         return leaf(term)
     stack: List[List[Any]] = [[term, []]]
     while True:
-        source, done = stack[-1]
-        if len(done) == len(source) - 1:
+        source, arguments = stack[-1]
+        if len(arguments) == len(source) - 1:
             name = f"t{len(lines)}"
-            lines.append(f"{name} = ({constant(source[0])}, {', '.join(done)})")
+            lines.append(f"{name} = ({constant(source[0])}, {', '.join(arguments)})")
             stack.pop()
             if not stack:
                 return name
             stack[-1][1].append(name)
             continue
         # An explicit stack, because terms may be nested deeper than the recursion limit.
-        item = source[len(done) + 1]
+        item = source[len(arguments) + 1]
         if item.__class__ is not tuple:
-            done.append(leaf(item))
+            arguments.append(leaf(item))
         elif is_ground(item):
-            done.append(constant(item))
+            arguments.append(constant(item))
         else:
             stack.append([item, []])

@@ -24,8 +24,8 @@ from .fused_single_event import Continuation
 SPARE = 1000
 """Number of removed matches in the list of arrivals of a rule above which the list is compacted."""
 
-_RETURN = "return after"
-_EMIT_COMPLETE = "return complete(None, met, start, end, after)"
+_RETURN_AFTER = "return after"
+_RETURN_COMPLETE = "return complete(None, met, start, end, after)"
 
 
 class FusedPair(NamedTuple):
@@ -96,8 +96,8 @@ def fused_side(
         "among": None if choice is None else choice.among,
         "Found": Found,
     }
-    names.update((f"absence{number}", function) for number, function in enumerate(pair.blocks))
-    names.update((f"test{number}", function) for number, function in enumerate(pair.tests))
+    names.update((f"absence{index}", function) for index, function in enumerate(pair.blocks))
+    names.update((f"test{index}", function) for index, function in enumerate(pair.tests))
     return _OperandGenerator(side, pair, rule).action(choice, names)
 
 
@@ -121,20 +121,20 @@ def fused_absence(absence: NegationBuffer, rule: Any, whole: bool, plain: EventA
             Block("if absence.frontiers:", ["absence.frontiers.pop(key, None)"]),
             *writer.clock(True),
             *writer.wait(False),
-            _RETURN,
+            _RETURN_AFTER,
         ],
         names,
         "absent event",
     )
 
 
-def _common_names(rule: Any, own: MatchBuffer, plain: EventAction) -> Dict[str, Any]:
+def _common_names(rule: Any, buffer: MatchBuffer, plain: EventAction) -> Dict[str, Any]:
     """Return the objects that all generated functions refer to."""
     return {
         "rule": rule,
         "network": rule.network,
-        "own": own,
-        "waiting": own.newest,
+        "own": buffer,
+        "waiting": buffer.newest,
         "arrivals": rule.arrivals,
         "expiries": rule.expiries,
         "queue": rule.expiries.queue,
@@ -187,14 +187,14 @@ class _ActionGenerator:
     def clock(self, waits: bool) -> List[Statement]:
         """Return statements that advance the clock of the rule; events out of order take the general path."""
         span, queue = self.own.span, self.queue
-        late: List[Statement] = []
+        long_event_test: List[Statement] = []
         if waits and span is not None:
             # An event longer than the retention time expires at once, which the general path handles.
-            late = [Block(f"if s is not e and s + {span} < e:", [self.plain])]
+            long_event_test = [Block(f"if s is not e and s + {span} < e:", [self.plain])]
         statements: List[Statement] = []
         if self.rule.timed:
-            statements.append(Block("if e > rule.clock:", [*self._tick(), *late]))
-        if late:
+            statements.append(Block("if e > rule.clock:", [*self._advance_clock(), *long_event_test]))
+        if long_event_test:
             statements += [
                 Block(f"elif s + {span} < rule.clock:", [self.plain]),
                 *([] if queue == "queue" else [f"{queue} = expiries.of({span})"]),
@@ -202,7 +202,7 @@ class _ActionGenerator:
             ]
         return statements
 
-    def _tick(self) -> List[Statement]:
+    def _advance_clock(self) -> List[Statement]:
         """Return statements that set the clock to the end of the event, and drop expired matches."""
         return [
             # `tick` rejects timestamps too far in the future; ``allowed`` is its last limit.
@@ -225,27 +225,31 @@ class _ActionGenerator:
             ),
         ]
 
-    def wait(self, anew: bool, keyed: bool = True) -> List[Statement]:
+    def wait(self, conditions_ran: bool, keyed: bool = True) -> List[Statement]:
         """Return statements that store a match in its buffer.
 
         Args:
-            anew: whether conditions ran after the clock was advanced; they may have caused other events.
+            conditions_ran: whether conditions ran after the clock was advanced; they may have caused other events.
             keyed: whether the match has a key.
         """
-        own = self.own
-        keep = [] if self.whole else ["match.values = values"]
+        buffer = self.own
+        field_settings = [] if self.whole else ["match.values = values"]
         # Without a key, waiting matches are compared by identity, so its fields must be set.
-        if own.name is not None and not keyed:
-            keep.append("match.identity = match.parts = None")
-        file = []
-        if own.span is not None:
-            file = [f"expiries.add({own.span}, match, number)" if anew else f"{self.queue}.append(match)"]
-        sweep = "number > rule.sweep_at or " if self.rule.sweeps_ruled_out else ""
+        if buffer.name is not None and not keyed:
+            field_settings.append("match.identity = match.parts = None")
+        expiry_settings = []
+        if buffer.span is not None:
+            expiry_settings = [
+                f"expiries.add({buffer.span}, match, number)"
+                if conditions_ran
+                else f"{self.queue}.append(match)"
+            ]
+        sweep_test = "number > rule.sweep_at or " if self.rule.sweeps_ruled_out else ""
         return [
             # Most keys have one waiting match, and the short class saves memory and time for it.
             "alone = key not in waiting",
-            "match = new(Match)" if keep else "match = new(EventMatch if alone else Match)",
-            *keep,
+            "match = new(Match)" if field_settings else "match = new(EventMatch if alone else Match)",
+            *field_settings,
             "match.start = s",
             "match.end = e",
             "match.term = term",
@@ -258,9 +262,9 @@ class _ActionGenerator:
             Block("else:", ["own.join(match)"]),
             "rule.waiting = number = rule.waiting + 1",
             "arrivals.append(match)",
-            *file,
+            *expiry_settings,
             Block(
-                f"if {sweep}number > network.cap or len(arrivals) > 2 * number + SPARE:",
+                f"if {sweep_test}number > network.cap or len(arrivals) > 2 * number + SPARE:",
                 ["rule.look_through()"],
             ),
         ]
@@ -284,56 +288,58 @@ class _OperandGenerator(_ActionGenerator):
     def action(self, choice: Optional[PartnerChoice], names: Dict[str, Any]) -> EventAction:
         """Return the action."""
         side = self.side
-        begin = self.key([index for index, _ in side.shared])
+        prologue = self.key([index for index, _ in side.shared])
         if choice is not None:
             # Partners under the key None have variables in their keys, and may unify with any key.
-            begin.append(Block("if None in partners:", [self.plain]))
-        begin += self.clock(side.waits or side.stays)
+            prologue.append(Block("if None in partners:", [self.plain]))
+        prologue += self.clock(side.waits or side.stays)
         wait = self.wait(choice is not None and self.tested, bool(side.shared))
         if choice is None:
-            rest = wait
+            body = wait
         elif choice.consumes:
-            rest = self._consume_partner(wait, choice.newest)
+            body = self._consume_partner(wait, choice.newest)
         else:
-            rest = self._join_all(wait)
-        return self.made([*begin, *rest, _RETURN], names, "side of a pair")
+            body = self._join_all(wait)
+        return self.made([*prologue, *body, _RETURN_AFTER], names, "side of a pair")
 
     def _consume_partner(self, wait: List[Statement], newest: bool) -> List[Statement]:
         """Return statements that consume the newest or the oldest partner."""
-        last = "partner" if newest else "last"
-        give = [
+        candidate = "partner" if newest else "last"
+        emitting = [
             # The partner leaves before the pair is emitted: an event that the pair causes must not find it again.
             "other.remove(partner)",
             *(wait if self.side.stays else []),
-            *self._emission(),
+            *self._emit_statements(),
         ]
         emission = (
-            [Block("if met is not None and partner.buffer is not None:", give)] if self.tested else give
+            [Block("if met is not None and partner.buffer is not None:", emitting)]
+            if self.tested
+            else emitting
         )
         # The conditions reject the only partner that was tried; `among` tries the other ones.
         retry = [
             Block(
-                f"if {last}.older is not {last}:",
+                f"if {candidate}.older is not {candidate}:",
                 [f"return among(Match({self.values}, s, e, None, term, None), key, partner, after)"],
             )
         ]
         return [
-            f"{last} = partners.get(key)",
+            f"{candidate} = partners.get(key)",
             Block(
-                f"if {last} is not None:",
+                f"if {candidate} is not None:",
                 [
                     *([] if newest else ["partner = last.newer"]),
-                    *self._interval(),
+                    *self._interval_assignments(),
                     Block(
-                        f"if {self._fits()}:",
+                        f"if {self._interval_condition()}:",
                         [
-                            self._collected_values(),
-                            *self._tests(),
+                            self._value_assignment(),
+                            *self._test_statements(),
                             *emission,
                             *(retry if self.tested else []),
                         ],
                     ),
-                    Block(f"elif {last}.older is not {last}:", [self.plain]),
+                    Block(f"elif {candidate}.older is not {candidate}:", [self.plain]),
                 ],
             ),
             *(wait if self.side.waits else []),
@@ -341,39 +347,42 @@ class _OperandGenerator(_ActionGenerator):
 
     def _join_all(self, wait: List[Statement]) -> List[Statement]:
         """Return statements that take all partners, if there is at most one."""
-        give = self._emission()
+        emitting = self._emit_statements()
         return [
             "partner = partners.get(key)",
             Block("if partner is not None and partner.older is not partner:", [self.plain]),
             *(wait if self.side.waits else []),
-            Block("if partner is None or partner.buffer is None:", [_RETURN]),
-            *self._interval(),
+            Block("if partner is None or partner.buffer is None:", [_RETURN_AFTER]),
+            *self._interval_assignments(),
             Block(
-                f"if {self._fits()}:",
+                f"if {self._interval_condition()}:",
                 [
-                    self._collected_values(),
-                    *self._tests(),
-                    *([Block("if met is not None:", give)] if self.tested else give),
+                    self._value_assignment(),
+                    *self._test_statements(),
+                    *([Block("if met is not None:", emitting)] if self.tested else emitting),
                 ],
             ),
         ]
 
-    def _interval(self) -> List[str]:
+    def _interval_assignments(self) -> List[str]:
         """Return statements that compute the interval of a pair."""
         operator = self.pair.operator
-        return [f"start = {self._instants(operator.start)}", f"end = {self._instants(operator.end)}"]
+        return [
+            f"start = {self._with_instants(operator.start)}",
+            f"end = {self._with_instants(operator.end)}",
+        ]
 
-    def _fits(self) -> str:
+    def _interval_condition(self) -> str:
         """Return the condition on the intervals of a pair."""
-        fits = [f"({self._instants(comparison)})" for comparison in self.pair.operator.comparisons]
+        fits = [f"({self._with_instants(comparison)})" for comparison in self.pair.operator.comparisons]
         fits += [] if self.pair.span is None else [f"end - start <= {self.pair.span}"]
         return " and ".join(fits) or "True"
 
-    def _collected_values(self) -> str:
+    def _value_assignment(self) -> str:
         """Return the statement that collects the values of the pair."""
-        return f"met = {tuple_source([self._value(source) for _, source in self.pair.taken])}"
+        return f"met = {tuple_source([self._value_source(source) for _, source in self.pair.taken])}"
 
-    def _instants(self, source: str) -> str:
+    def _with_instants(self, source: str) -> str:
         """Return the source of an operator, with its instants replaced by those of the event and its partner."""
         this_side, other_side = ("1", "2") if self.side.left else ("2", "1")
         times = {
@@ -387,10 +396,10 @@ class _OperandGenerator(_ActionGenerator):
             source = source.replace(name, expression)
         return source
 
-    def _value(self, source: str) -> str:
+    def _value_source(self, source: str) -> str:
         """Return the source of a value of the pair; item 0 of an event is its functor."""
         if source[:3] not in ("lv[", "rv["):
-            return self._instants(source)
+            return self._with_instants(source)
         is_left, index = source[0] == "l", int(source[3:-1])
         prefix = "" if is_left == self.side.left else "partner."
         return (
@@ -399,25 +408,25 @@ class _OperandGenerator(_ActionGenerator):
             else f"{prefix}values[{index}]"
         )
 
-    def _tests(self) -> List[Statement]:
+    def _test_statements(self) -> List[Statement]:
         """Return statements for absences and conditions; they set ``met`` to None if one of them fails."""
         ended, began = ("e", "partner.start") if self.side.left else ("partner.end", "s")
         steps: List[Statement] = [
-            Block(f"if absence{number}(met, {ended}, {began}):", ["met = None"])
-            for number in range(len(self.pair.blocks))
+            Block(f"if absence{index}(met, {ended}, {began}):", ["met = None"])
+            for index in range(len(self.pair.blocks))
         ]
-        steps += [f"met = test{number}(met, start, end)" for number in range(len(self.pair.tests))]
+        steps += [f"met = test{index}(met, start, end)" for index in range(len(self.pair.tests))]
         return [
-            step if number == 0 else Block("if met is not None:", [step]) for number, step in enumerate(steps)
+            step if index == 0 else Block("if met is not None:", [step]) for index, step in enumerate(steps)
         ]
 
-    def _emission(self) -> List[Statement]:
+    def _emit_statements(self) -> List[Statement]:
         """Return statements that emit a pair."""
         if self.pair.complete is not None:
-            return [_EMIT_COMPLETE]
-        parts = ["match", "partner"] if self.side.left else ["partner", "match"]
-        parts += ["Found(found(met))"] if self.pair.tested else []
+            return [_RETURN_COMPLETE]
+        operands = ["match", "partner"] if self.side.left else ["partner", "match"]
+        operands += ["Found(found(met))"] if self.pair.tested else []
         return [
             f"match = Match({self.values}, s, e, None, term, None)",
-            f"return emit(Match(met, start, end, None, None, {tuple_source(parts)}), after)",
+            f"return emit(Match(met, start, end, None, None, {tuple_source(operands)}), after)",
         ]

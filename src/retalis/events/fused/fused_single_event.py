@@ -22,7 +22,7 @@ from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import AT_ONCE, DEPTH, GROUND, RESTORE_CONTEXT
 from ..dispatch.matcher_compiler import builder_source
 
-_OPEN_FILTER = PushdownFilter((), None)
+_PASS_ALL_FILTER = PushdownFilter((), None)
 """Filter that passes all events, because its plan stays unknown."""
 
 
@@ -37,7 +37,7 @@ class Continuation(NamedTuple):
 
     action: EventAction
     fused: bool = False
-    event_filter: PushdownFilter = _OPEN_FILTER
+    event_filter: PushdownFilter = _PASS_ALL_FILTER
 
 
 def firing_action(
@@ -193,7 +193,7 @@ def question_action(
     """
     event_filter, ground, at_once = dispatcher.event_filter(key), dispatcher.ground, dispatcher.at_once
 
-    def act(term: Term, values: Optional[Values], start: int, end: int, after: Frame) -> Frame:
+    def ask_directly(term: Term, values: Optional[Values], start: int, end: int, after: Frame) -> Frame:
         context = dispatcher.current
         if values is None:
             values = term[1:]  # type: ignore[index]
@@ -221,4 +221,4 @@ def question_action(
         dispatcher.current = context
         return after
 
-    return act
+    return ask_directly

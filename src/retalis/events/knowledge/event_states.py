@@ -142,13 +142,16 @@ class DeclaredState:
         self._logic = logic
         self._dispatcher = dispatcher
         self._warn = warn
-        begins, ends, own = (variables(term) for term in (form.begins, form.ends, form.state))
-        self.name = f"state {logic.brief(form.state, dict.fromkeys(own, '_'))}"
-        shared = [var for var in own if var in set(ends)]
+        begins, ends, state_variables = (variables(term) for term in (form.begins, form.ends, form.state))
+        self.name = f"state {logic.brief(form.state, dict.fromkeys(state_variables, '_'))}"
+        shared = [var for var in state_variables if var in set(ends)]
         self._build = compile_builder(form.state, begins, "state")
-        self._shared_of_begin = [begins.index(var) for var in shared]
-        self._shared_of_end = [ends.index(var) for var in shared]
-        self._unused: Tuple[Set[Var], Set[Var]] = (set(begins) - set(own), set(ends) - set(shared))
+        self._shared_at_begin = [begins.index(var) for var in shared]
+        self._shared_at_end = [ends.index(var) for var in shared]
+        self._unused: Tuple[Set[Var], Set[Var]] = (
+            set(begins) - set(state_variables),
+            set(ends) - set(shared),
+        )
         # An OrderedDict finds its first entry directly. A dict would search it behind all entries that were removed.
         self.open: OrderedDict[Hashable, OpenState] = OrderedDict()
         self._by_shared: Dict[Hashable, Dict[Hashable, OpenState]] = {}
@@ -183,21 +186,21 @@ class DeclaredState:
         state = self._build(values)
         try:
             key = freeze(state)
-            shared = tuple([freeze(values[position]) for position in self._shared_of_begin])
+            shared = tuple([freeze(values[position]) for position in self._shared_at_begin])
         except ValueError:
             self._warn_of_variables(term, "begins")
             return after
         token = self._dispatcher.token() if self._dispatcher.tracked else None
-        known = self.open.get(key)
+        open_state = self.open.get(key)
         # All events with which it may have begun were retracted, so this state does not hold.
-        if known is not None and known.begin is None:
-            self._remove(known)
-            known = None
-        if known is None:
+        if open_state is not None and open_state.begin is None:
+            self._remove(open_state)
+            open_state = None
+        if open_state is None:
             self._add(OpenState(key, state, shared, next(self._order), [(end, token)]))
         # The state holds already. This event would have begun it if the earlier ones are retracted.
-        elif token is not None and len(known.openings) < _MAX_OPENINGS:
-            known.openings.append((end, token))
+        elif token is not None and len(open_state.openings) < _MAX_OPENINGS:
+            open_state.openings.append((end, token))
             self.version = next(_VERSIONS)
         return after
 
@@ -238,7 +241,7 @@ class DeclaredState:
 
     def _end(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         try:
-            group = self._by_shared.get(tuple([freeze(values[position]) for position in self._shared_of_end]))
+            group = self._by_shared.get(tuple([freeze(values[position]) for position in self._shared_at_end]))
         except ValueError:
             self._warn_of_variables(term, "ends")
             return after
@@ -247,8 +250,8 @@ class DeclaredState:
         token = self._dispatcher.token() if self._dispatcher.tracked else None
         # All states are ended before their events are dispatched: such an event may begin or end states of this
         # declaration.
-        over = [self._end_state(state, start, token) for state in list(group.values())]
-        return self._dispatch_ended((self, iter([state for state in over if state is not None]), after))
+        ended = [self._end_state(state, start, token) for state in list(group.values())]
+        return self._dispatch_ended((self, iter([state for state in ended if state is not None]), after))
 
     def _end_state(self, state: OpenState, end: int, token: Optional[Occurrence]) -> Optional[PastState]:
         """End a state; return None if it begins after the given instant, or was retracted."""
@@ -273,8 +276,8 @@ class DeclaredState:
 
     def _dispatch_ended(self, frame: Frame) -> Frame:
         """Dispatch the events of states that have ended, one after the other."""
-        over: Iterator[PastState] = frame[1]
-        for past_state in over:
+        ended: Iterator[PastState] = frame[1]
+        for past_state in ended:
             next_frame = self._dispatcher.dispatch(
                 past_state.term, past_state.start, past_state.end, frame, past_state.token, True
             )
@@ -291,13 +294,13 @@ class DeclaredState:
             # The first opening was retracted, so the state began later.
             self._timeouts.add_at(order, int(begin) + within)
             return
-        over = self._end_state(state, WholeSeconds(instant), None)
-        if over is not None:
+        ended = self._end_state(state, WholeSeconds(instant), None)
+        if ended is not None:
             machine = self._logic.machine
             # The alarm may ring while another event is served; the event of the state is dispatched independently
             # of it.
             self._dispatcher.apart(
-                lambda: machine.run(self._dispatch_ended((self, iter([over]), machine.done)))
+                lambda: machine.run(self._dispatch_ended((self, iter([ended]), machine.done)))
             )
 
     # ---- queries -------------------------------------------------------------------------------------
@@ -335,24 +338,26 @@ class DeclaredState:
 
     def mend(self) -> None:
         """Build all indices again after an interrupt."""
-        everything = list(self.open.values())
+        open_states = list(self.open.values())
         self.open.clear()
         self._by_shared.clear()
         self._by_order.clear()
         self._timeouts.clear()
-        for state in everything:
+        for state in open_states:
             self._add(state)
 
     def kept(self) -> KeptState:
         """Return open and past states as data; see `restore`."""
-        held = [(state.key, state.term, state.shared, list(state.openings)) for state in self.open.values()]
-        return held, [tuple(state) for state in self.past], self.dropped
+        open_rows = [
+            (state.key, state.term, state.shared, list(state.openings)) for state in self.open.values()
+        ]
+        return open_rows, [tuple(state) for state in self.past], self.dropped
 
     def restore(self, kept: KeptState) -> None:
         """Set the states that another declaration returned."""
-        held, past, self.dropped = kept
+        open_rows, past, self.dropped = kept
         self.version = next(_VERSIONS)
-        for key, term, shared, openings in held:
+        for key, term, shared, openings in open_rows:
             self._add(OpenState(key, term, shared, next(self._order), list(openings)))
         self.past.extend([PastState(*fields) for fields in past])
 
@@ -399,22 +404,22 @@ class StateRegistry:
             PrologError: if the state is declared differently, or there are too many.
         """
         form = state_form(copy(definition))
-        known = self._all.get(form.key)
-        if known is not None:
-            if _is_same_form(known.form, form):
+        existing = self._all.get(form.key)
+        if existing is not None:
+            if _is_same_form(existing.form, form):
                 return
             raise permission_error("create", "state", form.state, "it is declared otherwise already")
         if len(self._all) >= MAX_STATES:
             raise resource_error("states", reason=f"more than {MAX_STATES} states are declared")
-        before = self._aside.get(form.key)
+        aside_declaration = self._aside.get(form.key)
         # The declaration was set aside by a reload and is unchanged: it keeps its open states.
-        if before is not None and _is_same_form(before.form, form):
-            declared = self._aside.pop(form.key)
+        if aside_declaration is not None and _is_same_form(aside_declaration.form, form):
+            declaration = self._aside.pop(form.key)
         else:
-            declared = DeclaredState(form, self._logic, self._dispatcher, self._clock, self._warn)
-        declared.listen()
-        self._all[form.key] = declared
-        self._note()
+            declaration = DeclaredState(form, self._logic, self._dispatcher, self._clock, self._warn)
+        declaration.listen()
+        self._all[form.key] = declaration
+        self._index_by_functor()
 
     def delete(self, state: Term) -> bool:
         """Delete the declarations whose states unify with a term; return whether there were any."""
@@ -423,10 +428,10 @@ class StateRegistry:
             declared = self._all.pop(key)
             declared.unlisten()
             declared.clear()
-        self._note()
+        self._index_by_functor()
         return bool(keys)
 
-    def _note(self) -> None:
+    def _index_by_functor(self) -> None:
         """Build the index of declarations by the functors of their states."""
         by_functor: Dict[Functor, List[DeclaredState]] = {}
         for declaration in self._all.values():
@@ -487,7 +492,7 @@ class StateRegistry:
         for key in keys:
             declaration = self._aside[key] = self._all.pop(key)
             declaration.unlisten()
-        self._note()
+        self._index_by_functor()
 
     def forget_aside(self) -> None:
         """Delete the declarations that were set aside and not declared again."""
@@ -505,12 +510,14 @@ class StateRegistry:
 
     def mend(self) -> None:
         """Repair the declarations after an interrupt."""
-        self._note()
+        self._index_by_functor()
         for declaration in self._all.values():
             declaration.mend()
         # An interrupt may leave listeners of a declaration that was not completed.
-        chosen = {listener for declaration in self._all.values() for listener in declaration.listeners}
-        self._dispatcher.keep_only(ListenerPhase.STATES, chosen)
+        owned_listeners = {
+            listener for declaration in self._all.values() for listener in declaration.listeners
+        }
+        self._dispatcher.keep_only(ListenerPhase.STATES, owned_listeners)
 
     def kept(self) -> List[Any]:
         """Return the states of each declaration, in order; see `restore`."""
@@ -547,27 +554,27 @@ class _StateGoals:
         return True
 
     def holds(self, machine: Machine, state: Term) -> Union[bool, Iterator[bool]]:
-        declared, key = self.states.asked(deref(state))
+        declarations, key = self.states.asked(deref(state))
         if key is not None:
-            return any(declaration.holding(key) for declaration in declared)
-        solutions = [(term,) for declaration in declared for term, _ in declaration.holding(None)]
-        return _solutions(machine, (state,), solutions)
+            return any(declaration.holding(key) for declaration in declarations)
+        solutions = [(term,) for declaration in declarations for term, _ in declaration.holding(None)]
+        return _unify_solutions(machine, (state,), solutions)
 
     def holds_since(self, machine: Machine, state: Term, since: Term) -> Iterator[bool]:
-        declared, key = self.states.asked(deref(state))
+        declarations, key = self.states.asked(deref(state))
         solutions = [
-            (term, shown(begin)) for declaration in declared for term, begin in declaration.holding(key)
+            (term, shown(begin)) for declaration in declarations for term, begin in declaration.holding(key)
         ]
-        return _solutions(machine, (state, since), solutions)
+        return _unify_solutions(machine, (state, since), solutions)
 
     def held_at(self, machine: Machine, state: Term, time: Term) -> Union[bool, Iterator[bool]]:
-        declared, key = self.states.asked(deref(state))
+        declarations, key = self.states.asked(deref(state))
         instant = instant_of(time)
-        solutions = [(term,) for declaration in declared for term in declaration.holding_at(key, instant)]
-        return bool(solutions) if key is not None else _solutions(machine, (state,), solutions)
+        solutions = [(term,) for declaration in declarations for term in declaration.holding_at(key, instant)]
+        return bool(solutions) if key is not None else _unify_solutions(machine, (state,), solutions)
 
 
-def _solutions(
+def _unify_solutions(
     machine: Machine, terms: Tuple[Term, ...], solutions: Sequence[Tuple[Term, ...]]
 ) -> Iterator[bool]:
     """Unify terms with one solution after the other."""

@@ -67,25 +67,25 @@ class MemoryGaps:
     def watch(self, instance: MemoryInstance) -> None:
         """Note the wide gaps of a memory from now on."""
 
-        def note(start: int, end: int) -> None:
-            noted = self.noted
+        def note_gap(start: int, end: int) -> None:
+            gaps = self.noted
             # Removing and inserting the entry again moves it to the end: the dictionary is in order of last use.
-            before = noted.pop((start, end), ())
-            noted[start, end] = before if instance in before else (*before, instance)
-            if len(noted) > MAX_NOTED_GAPS:
-                del noted[next(iter(noted))]
+            instances = gaps.pop((start, end), ())
+            gaps[start, end] = instances if instance in instances else (*instances, instance)
+            if len(gaps) > MAX_NOTED_GAPS:
+                del gaps[next(iter(gaps))]
 
-        instance.memory.on_wide = note
+        instance.memory.on_wide = note_gap
 
     def weight(self, start: int, end: int, instant: int) -> Optional[Number]:
         """Return the weight of the first of two instants at a third one; None if they are too far apart."""
-        apart = end - start
+        distance = end - start
         # The instants may be given in either order.
-        if apart > self.most or -apart > self.most:
+        if distance > self.most or -distance > self.most:
             return None
         if self.noted and (start, end) in self.noted:
-            self._interpolated(int(start), int(end))
-        return (end - instant) / apart if apart else 1
+            self._warn_of_gap(int(start), int(end))
+        return (end - instant) / distance if distance else 1
 
     def define(self, logic: PrologSystem, memories: MemoryInstances) -> None:
         """Define the predicates."""
@@ -97,13 +97,20 @@ class MemoryGaps:
             instance, instant = memories.find(name), instant_of(time)
             if instance is None:
                 return None
-            before, after = instance.memory.at_or_before(instant), instance.memory.at_or_after(instant)
-            return None if before is None or after is None else (int(after[2]) - int(before[2])) / SECOND
+            earlier_record, later_record = (
+                instance.memory.at_or_before(instant),
+                instance.memory.at_or_after(instant),
+            )
+            return (
+                None
+                if earlier_record is None or later_record is None
+                else (int(later_record[2]) - int(earlier_record[2])) / SECOND
+            )
 
         logic.define_function("datime_interpolate", 4, interpolate).system = True
         logic.define_function("memory_gap", 3, gap)
 
-    def _interpolated(self, start: int, end: int) -> None:
+    def _warn_of_gap(self, start: int, end: int) -> None:
         for instance in self.noted.pop((start, end)):
             usual = usual_step(instance.memory, end - start)
             if usual is not None and end - start >= WIDE_STEP_FACTOR * usual:
@@ -122,7 +129,7 @@ def usual_step(memory: Memory, gap: int) -> Optional[float]:
     Records with the same end count as one, because several publishers may have sent them.
     """
     ends = memory.ends
-    step_count = sum(1 for before, after in zip(ends, ends[1:]) if after > before) - 1
+    step_count = sum(1 for previous, current in zip(ends, ends[1:]) if current > previous) - 1
     return (ends[-1] - ends[0] - gap) / step_count if step_count >= MIN_OTHER_STEPS else None
 
 
@@ -154,9 +161,9 @@ class TransformChains:
     def define(self, logic: PrologSystem) -> None:
         """Define ``pose_chain(Links, T, Pose)``, and register the fusion of look-ups with interpolation."""
         logic.define_function("pose_chain", 3, self.product)
-        look = logic.database.predicate(_FUSED_GOALS[0])
-        if look.functional is not None:
-            look.functional = look.functional._replace(joins=self.joins)
+        predicate = logic.database.predicate(_FUSED_GOALS[0])
+        if predicate.functional is not None:
+            predicate.functional = predicate.functional._replace(joins=self.joins)
 
     def product(self, links: Term, time: Term) -> Optional[Term]:
         """Return the product of poses and memory ids; None if a memory has no pose.
@@ -168,16 +175,16 @@ class TransformChains:
         items = list_items(links)
         if items is None:
             raise instantiation_error() if deref(links).__class__ is Var else type_error("list", links)
-        value: Optional[Pose] = None
+        chain_pose: Optional[Pose] = None
         # The product is from left to right, as in a chain of frames: each pose is relative to the frame before it.
         for link in items:
-            link_pose = self._pose(link if link.__class__ is Atom else deref(link), instant)
+            link_pose = self._link_pose(link if link.__class__ is Atom else deref(link), instant)
             if link_pose is None:
                 return None
-            value = link_pose if value is None else compose(value, link_pose)
-        return shown_pose(value or IDENTITY_POSE)
+            chain_pose = link_pose if chain_pose is None else compose(chain_pose, link_pose)
+        return shown_pose(chain_pose or IDENTITY_POSE)
 
-    def _pose(self, link: Term, instant: int) -> Optional[Pose]:
+    def _link_pose(self, link: Term, instant: int) -> Optional[Pose]:
         if link is NIL or (link.__class__ is tuple and link[0] is CONS):
             return pose(link)
         if link.__class__ is Var:
@@ -186,15 +193,17 @@ class TransformChains:
         records = None if instance is None else instance.memory.around(instant)
         if records is None:
             return None
-        (before, _, start), (after, _, end) = records
-        apart = end - start
-        if not apart:
-            return pose_of_record(before)
+        (earlier_record, _, start), (later_record, _, end) = records
+        distance = end - start
+        if not distance:
+            return pose_of_record(earlier_record)
         # The condition is rarely true; calling `weight` each time would take 7 % of the time.
-        doubtful = self._gaps.noted or apart > self._gaps.most
-        if doubtful and self._gaps.weight(start, end, instant) is None:
+        may_be_wide = self._gaps.noted or distance > self._gaps.most
+        if may_be_wide and self._gaps.weight(start, end, instant) is None:
             return None
-        return interpolate(pose_of_record(before), pose_of_record(after), (end - instant) / apart)
+        return interpolate(
+            pose_of_record(earlier_record), pose_of_record(later_record), (end - instant) / distance
+        )
 
     def joins(self, goals: Sequence[CompoundTerm], counts: Mapping[Any, int]) -> Optional[JoinedGoals]:
         """Return the fused form of the goals that look up two records and interpolate; None if they cannot be fused.
@@ -205,41 +214,52 @@ class TransformChains:
         if tuple(goal[0] for goal in goals) != _FUSED_GOALS:
             return None
         (
-            (_, name, first, *before_args),
-            (_, other_name, second, *after_args),
-            (_, *weighed),
-            (_, v1, q1, v2, q2, listed, result),
+            (_, name, first_record, *before_args),
+            (_, second_name, second_record, *after_args),
+            (_, *weight_args),
+            (_, v1, q1, v2, q2, fractions, result),
         ) = goals
-        fraction = deref(weighed[-1])
+        fraction = deref(weight_args[-1])
         # The goals must be connected exactly as in the documented sequence; any other use of a variable needs the
         # plain goals.
-        if list_items(listed) != [fraction] or deref(name) is not deref(other_name):
+        if list_items(fractions) != [fraction] or deref(name) is not deref(second_name):
             return None
-        same = [
-            (weighed[0], before_args[0]),
-            (weighed[1], after_args[0]),
-            (weighed[2], before_args[2]),
-            (weighed[2], after_args[2]),
+        equal_terms = [
+            (weight_args[0], before_args[0]),
+            (weight_args[1], after_args[0]),
+            (weight_args[2], before_args[2]),
+            (weight_args[2], after_args[2]),
         ]
-        if any(deref(left) is not deref(right) for left, right in same):
+        if any(deref(one_term) is not deref(other_term) for one_term, other_term in equal_terms):
             return None
-        form, second_form = _layout(first, v1, q1, counts), _layout(second, v2, q2, counts)
-        between = [deref(term) for term in (before_args[0], after_args[0], fraction, v1, q1, v2, q2)]
+        first_layout, second_layout = (
+            _record_layout_of(first_record, v1, q1, counts),
+            _record_layout_of(second_record, v2, q2, counts),
+        )
+        intermediate = [deref(term) for term in (before_args[0], after_args[0], fraction, v1, q1, v2, q2)]
         # Each intermediate variable occurs twice: where it is computed and where it is used. A third use would see
         # it unbound.
-        if form is None or form != second_form or any(counts.get(var) != 2 for var in between):
+        if (
+            first_layout is None
+            or first_layout != second_layout
+            or any(counts.get(var) != 2 for var in intermediate)
+        ):
             return None
-        if len(set(between)) < len(between) or any(
+        if len(set(intermediate)) < len(intermediate) or any(
             counts.get(deref(term)) != 1 for term in (before_args[1], after_args[1])
         ):
             return None
-        return JoinedGoals(len(_FUSED_GOALS), self._between(*form), (name, weighed[2]), result)
+        return JoinedGoals(
+            len(_FUSED_GOALS), self._compile_pose_lookup(*first_layout), (name, weight_args[2]), result
+        )
 
-    def _between(self, key: Functor, position: int, rotation: int) -> Callable[[Term, Term], Optional[Term]]:
+    def _compile_pose_lookup(
+        self, key: Functor, position: int, rotation: int
+    ) -> Callable[[Term, Term], Optional[Term]]:
         """Return the function that computes the pose between two records of a layout."""
-        find, weigh = self._memories.find, self._gaps.weight
+        find, weight_of = self._memories.find, self._gaps.weight
 
-        def pose_between(name: Term, time: Term) -> Optional[Term]:
+        def interpolated_pose(name: Term, time: Term) -> Optional[Term]:
             instance = find(name)
             if instance is None:
                 return None
@@ -247,27 +267,27 @@ class TransformChains:
             records = instance.memory.around(instant)
             if records is None:
                 return None
-            (before, start, _), (after, end, _) = records
-            first_record: Any = deref(before)
-            second_record: Any = deref(after)
+            (earlier_term, start, _), (later_term, end, _) = records
+            first_record: Any = deref(earlier_term)
+            second_record: Any = deref(later_term)
             if not (
                 first_record.__class__ is second_record.__class__ is tuple
                 and first_record[0] is second_record[0] is key
             ):
                 return None
-            weight = weigh(start, end, instant)
+            weight = weight_of(start, end, instant)
             if weight is None:
                 return None
-            first, second = (
+            first_pose, second_pose = (
                 pose_of(first_record[position], first_record[rotation]),
                 pose_of(second_record[position], second_record[rotation]),
             )
-            return shown_pose(interpolate(first, second, weight))
+            return shown_pose(interpolate(first_pose, second_pose, weight))
 
-        return pose_between
+        return interpolated_pose
 
 
-def _layout(
+def _record_layout_of(
     record: Term, position: Term, rotation: Term, counts: Mapping[Any, int]
 ) -> Optional[RecordLayout]:
     """Return the layout of a record pattern; None if other arguments must unify, too."""
@@ -275,12 +295,12 @@ def _layout(
     if term.__class__ is not tuple:
         return None
     items = [deref(item) for item in term]
-    wanted = deref(position), deref(rotation)
-    if any(item not in wanted and counts.get(item) != 1 for item in items[1:]):
+    pose_terms = deref(position), deref(rotation)
+    if any(item not in pose_terms and counts.get(item) != 1 for item in items[1:]):
         return None
-    if any(items.count(item) != 1 for item in wanted):
+    if any(items.count(item) != 1 for item in pose_terms):
         return None
-    return term[0], items.index(wanted[0]), items.index(wanted[1])
+    return term[0], items.index(pose_terms[0]), items.index(pose_terms[1])
 
 
 def pose_of_record(record: Term) -> Pose:

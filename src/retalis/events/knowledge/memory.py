@@ -224,9 +224,9 @@ class Memory:
     def clear(self) -> None:
         """Remove all records; the counters remain."""
         self._epoch = next(_EPOCHS)
-        self._become(self._gone + len(self.ends), [], [])
+        self._replace_records(self._gone + len(self.ends), [], [])
 
-    def _become(self, gone: int, ends: List[int], records: List[MemoryRecord]) -> None:
+    def _replace_records(self, gone: int, ends: List[int], records: List[MemoryRecord]) -> None:
         # A write-ahead record: after an interrupt between the assignments, `mend` repeats them.
         self._next = gone, ends, records
         self.indices = {}
@@ -240,19 +240,19 @@ class Memory:
 
     def since(self, taken: int) -> Tuple[int, List[MemoryRecord]]:
         """Return the records after the first ``taken`` ones, and the number of records before the first of them."""
-        first = max(self.oldest, min(taken, self.added))
-        return first, self.records[first - self._gone :]
+        first_position = max(self.oldest, min(taken, self.added))
+        return first_position, self.records[first_position - self._gone :]
 
     def restore(self, gone: int, late: int, ends: List[int], records: List[MemoryRecord]) -> None:
         """Set the records of another memory."""
         self._epoch = next(_EPOCHS)
         self.late = late
-        self._become(gone, ends, records)
+        self._replace_records(gone, ends, records)
 
     def mend(self) -> None:
         """Complete a change that was interrupted."""
         if self._next is not None:
-            self._become(*self._next)
+            self._replace_records(*self._next)
         # `add` appends to `ends` first; an interrupt may have prevented the record from following.
         del self.ends[len(self.records) :]
 
@@ -294,7 +294,7 @@ class Memory:
             self.late += 1
             return False
         self.changed = min(self.changed, self._gone + position)
-        self._become(
+        self._replace_records(
             self._gone,
             [*ends[:position], end, *ends[position:]],
             [*records[:position], record, *records[position:]],
@@ -305,7 +305,7 @@ class Memory:
     def cut(self) -> None:
         """Remove the entries beyond the size; the newest one remains even if the size is 0, for `latest`."""
         first = max(0, len(self.ends) - max(self.size, 1))
-        self._become(self._gone + first, self.ends[first:], self.records[first:])
+        self._replace_records(self._gone + first, self.ends[first:], self.records[first:])
 
     def at_or_before(self, instant: int) -> Optional[MemoryRecord]:
         """Return the last record whose end is not after ``instant``."""
@@ -318,14 +318,14 @@ class Memory:
     def at_or_after(self, instant: int) -> Optional[MemoryRecord]:
         """Return the first record whose end is not before ``instant``."""
         ends = self.ends
-        held = len(ends)
-        first = held - self.size
+        record_count = len(ends)
+        first = record_count - self.size
         position = bisect_left(ends, instant) if first <= 0 else bisect_left(ends, instant, first)
-        if position >= held:
+        if position >= record_count:
             return None
         # For the first record, `ends[-1]` is the newest end: the difference is not positive, and no gap is noted.
         start, end = ends[position - 1], ends[position]
-        if (end - start) * (held + WIDE_STEP_FACTOR - 2) >= WIDE_STEP_FACTOR * (
+        if (end - start) * (record_count + WIDE_STEP_FACTOR - 2) >= WIDE_STEP_FACTOR * (
             ends[-1] - ends[0]
         ) and start < end:
             # At least `WIDE_STEP_FACTOR` times the mean of the other steps.
@@ -335,21 +335,21 @@ class Memory:
     def around(self, instant: int) -> Optional[Tuple[MemoryRecord, MemoryRecord]]:
         """Return the results of `at_or_before` and `at_or_after`; None unless both exist."""
         ends = self.ends
-        held = len(ends)
+        record_count = len(ends)
         position = bisect_right(ends, instant)
-        if position < 1 or position <= held - self.size:
+        if position < 1 or position <= record_count - self.size:
             return None
         start = ends[position - 1]
         # A record at the instant itself is both the last one before and the first one after it.
         if start == instant:
             return self.records[position - 1], self.records[
-                bisect_left(ends, instant, max(0, held - self.size), position)
+                bisect_left(ends, instant, max(0, record_count - self.size), position)
             ]
-        if position >= held:
+        if position >= record_count:
             return None
         end = ends[position]
         # As in `at_or_after`.
-        if (end - start) * (held + WIDE_STEP_FACTOR - 2) >= WIDE_STEP_FACTOR * (ends[-1] - ends[0]):
+        if (end - start) * (record_count + WIDE_STEP_FACTOR - 2) >= WIDE_STEP_FACTOR * (ends[-1] - ends[0]):
             self.on_wide(start, end)
         return self.records[position - 1], self.records[position]
 
@@ -500,7 +500,7 @@ class Recorder:
         self._take, self._closed = take
         self._follow = follow
         self._updates = dispatcher.event_filter(UPDATED)
-        self._everything = pattern.__class__ is Var
+        self._records_all_events = pattern.__class__ is Var
         self.listener = dispatcher.listen(ListenerPhase.MEMORIES, pattern, self._arrive, unused=unused)
 
     @property
@@ -524,18 +524,18 @@ class Recorder:
             self._dispatcher.remove(self.listener)
 
     def _arrive(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
-        if self._everything and self._is_own_update(term):
+        if self._records_all_events and self._is_own_update(term):
             return after
         dispatcher = self._dispatcher
         ground = dispatcher.current[GROUND]
         # Computed once per event and cached for all listeners.
         if ground is None:
             ground = dispatcher.ground()
-        kept = self._take(term, values, ground)
-        if kept is None:
+        record_term = self._take(term, values, ground)
+        if record_term is None:
             return after
-        opens = not (self._closed and ground) and not is_ground(kept)
-        return self._record((kept, start, end), opens, iter(self.instances), after)
+        has_variables = not (self._closed and ground) and not is_ground(record_term)
+        return self._record((record_term, start, end), has_variables, iter(self.instances), after)
 
     def run(self, frame: Frame) -> Frame:
         """Continue with the remaining memories."""
@@ -545,7 +545,7 @@ class Recorder:
         self, record: MemoryRecord, opens: bool, instances: Iterator[MemoryInstance], after: Frame
     ) -> Frame:
         end = int(record[2])
-        telling = self._updates.plan is not NOBODY
+        has_update_listeners = self._updates.plan is not NOBODY
         for instance in instances:
             if opens:
                 instance.open = True
@@ -561,7 +561,7 @@ class Recorder:
                     memory.cut()
             # The frame contains the iterator: after the queries and reports of this memory, recording continues
             # with the next one.
-            if instance.due <= end or (telling and instance.active):
+            if instance.due <= end or (has_update_listeners and instance.active):
                 frame = (self, record, opens, instances, after)
                 result = self._follow(instance, record[2], frame)
                 if result is not frame:

@@ -66,11 +66,11 @@ class MemoryInstances:
         self._logic = logic
         self._dispatcher = dispatcher
         self._stamp = stamp
-        self._problem = problem
+        self._warn = problem
         self.instances: Dict[Hashable, MemoryInstance] = {}
         self._tables = tables_of(logic.machine)
-        self._evaluated = self._tables.active
-        self._newest: Optional[Recorder] = None
+        self._active_tables = self._tables.active
+        self._newest_recorder: Optional[Recorder] = None
         self._aside: Dict[Hashable, MemoryInstance] = {}
         self._updates = dispatcher.event_filter(UPDATED)
         self.on_update: Follow = lambda instance, end, after: after
@@ -86,13 +86,13 @@ class MemoryInstances:
         An incremental table that is being evaluated depends on the instance from then on.
         """
         # The usual case: an atom is its own key, and no table is being evaluated.
-        if name.__class__ is Atom and not self._evaluated:
+        if name.__class__ is Atom and not self._active_tables:
             return self.instances.get(name)
         try:
             key = freeze(deref(name))
         except ValueError:
             return None
-        if self._evaluated:
+        if self._active_tables:
             self._tables.note(self, key)
         return self.instances.get(key)
 
@@ -102,7 +102,7 @@ class MemoryInstances:
         An incremental table that is being evaluated depends on the set of instances, and on each of them, from then
         on.
         """
-        if self._evaluated:
+        if self._active_tables:
             for key in (None, *self.instances):
                 self._tables.note(self, key)
         return list(self.instances.values())
@@ -130,7 +130,7 @@ class MemoryInstances:
         """
         # The definition outlives the goal, whose variables are undone on backtracking.
         copied: Any = copy(definition)
-        pattern, conditions, form, name, size = (deref(part) for part in copied[1:])
+        pattern, conditions, form, name, size = (deref(argument) for argument in copied[1:])
         key = key_of(name)
         if key in self.instances:
             raise permission_error("create", "memory", name, "one already exists")
@@ -139,21 +139,21 @@ class MemoryInstances:
         if size < 0:
             raise domain_error("not_less_than_zero", size)
         instance = MemoryInstance(name, size, active, copied)
-        before = self._aside.get(key)
+        aside_instance = self._aside.get(key)
         # Set aside by a reload and unchanged: the memory keeps its records.
-        if before is not None and before.key == instance.key:
+        if aside_instance is not None and aside_instance.key == instance.key:
             instance = self._aside.pop(key)
         else:
             self.on_create(instance)
-        recorder = self._recorder(pattern, conditions, form, name)
+        recorder = self._find_or_create_recorder(pattern, conditions, form, name)
         self.instances[key] = instance
         recorder.add(instance)
-        if not active or instance is before:
+        if not active or instance is aside_instance:
             return after
-        kept = pattern if is_event_variable(pattern, conditions, form) else form
+        reported_record = pattern if is_event_variable(pattern, conditions, form) else form
         instant = self._stamp()
         return self._dispatcher.dispatch(
-            (CREATED, pattern, conditions, kept, name, size), instant, instant, after
+            (CREATED, pattern, conditions, reported_record, name, size), instant, instant, after
         )
 
     def delete(self, name: Term, after: Frame) -> Frame:
@@ -188,17 +188,17 @@ class MemoryInstances:
 
     def forget_aside(self) -> List[MemoryInstance]:
         """Delete the memories that were set aside and not created again, with their pending queries; return them."""
-        gone = list(self._aside.values())
+        deleted = list(self._aside.values())
         self._aside.clear()
-        for instance in gone:
+        for instance in deleted:
             self.on_delete(instance)
-        return gone
+        return deleted
 
     def restore(self, instances: Sequence[MemoryInstance]) -> None:
         """Restore exactly these memories, whether or not they have been set aside meanwhile."""
         self.set_aside(list(self.instances.values()))
-        kept = set(instances)
-        self._aside = {key: instance for key, instance in self._aside.items() if instance not in kept}
+        restored = set(instances)
+        self._aside = {key: instance for key, instance in self._aside.items() if instance not in restored}
         self.forget_aside()
         self._aside = {key_of(instance.id): instance for instance in instances}
         done = self._logic.machine.done
@@ -226,7 +226,7 @@ class MemoryInstances:
             recorder.keep_only(lambda candidate: self.find(candidate.id) is candidate)
         self._dispatcher.keep_only(ListenerPhase.MEMORIES, {recorder.listener for recorder in recorders})
 
-    def _recorder(self, pattern: Term, conditions: Term, form: Term, name: Term) -> Recorder:
+    def _find_or_create_recorder(self, pattern: Term, conditions: Term, form: Term, name: Term) -> Recorder:
         """Return the recorder of the newest memory if it records the same of the same events, else a new one.
 
         Only the newest one is considered, because memories record an event in the order in which they were created.
@@ -234,21 +234,19 @@ class MemoryInstances:
         event.
         """
         # Conditions may have side effects or depend on time, so their memories never share a recorder.
-        alike = conditions is NIL and pattern.__class__ is not Var
-        key = term_key((MINUS, pattern, form)) if alike else None
-        last = self._newest
+        can_share = conditions is NIL and pattern.__class__ is not Var
+        key = term_key((MINUS, pattern, form)) if can_share else None
+        newest = self._newest_recorder
         may_join = key is not None and self._dispatcher.current is None
-        if may_join and last is not None and last.instances and key == last.key:
-            return last
+        if may_join and newest is not None and newest.instances and key == newest.key:
+            return newest
         title = f"memory {self._logic.brief(name)}"
-        take = compile_recording(
-            self._logic, self._dispatcher, pattern, conditions, form, title, self._problem
-        )
+        take = compile_recording(self._logic, self._dispatcher, pattern, conditions, form, title, self._warn)
         unused = unused_variables(pattern, conditions, form)
-        self._newest = Recorder(self._dispatcher, pattern, take, self._follow, key, unused)
-        return self._newest
+        self._newest_recorder = Recorder(self._dispatcher, pattern, take, self._process_update, key, unused)
+        return self._newest_recorder
 
-    def _follow(self, instance: MemoryInstance, end: int, after: Frame) -> Frame:
+    def _process_update(self, instance: MemoryInstance, end: int, after: Frame) -> Frame:
         """Return the frame that processes an update: first the pending queries, then the report of the update."""
         if instance.active and self._updates.plan is not NOBODY:
             instant = self._stamp()
@@ -266,7 +264,7 @@ class MemoryInstances:
         try:
             return self._dispatcher.dispatch(update, instant, instant, after)
         except UsageError as error:
-            self._problem(
+            self._warn(
                 f"the update of memory {self._logic.brief(update[1])} is not reported: {error}", UPDATED
             )
             return after
@@ -274,32 +272,32 @@ class MemoryInstances:
 
 def define_read_access(logic: PrologSystem, memories: MemoryInstances) -> None:
     """Define the deterministic predicates that read memories."""
-    known, to_term = memories.instances.get, timestamps.to_term
-    active = tables_of(logic.machine).active
+    instance_of, to_term = memories.instances.get, timestamps.to_term
+    active_tables = tables_of(logic.machine).active
 
     def prev(name: Term, time: Any) -> Optional[FoundRecord]:
-        instance = known(name) if name.__class__ is Atom and not active else memories.find(name)
+        instance = instance_of(name) if name.__class__ is Atom and not active_tables else memories.find(name)
         if instance is None:
             return None
         # As in `instant_of`.
         is_new = time.__class__ is Lazy and time.make is to_term and time.made is None
         record = instance.memory.at_or_before(time.source if is_new else instant_of(time))
-        return record if not instance.open or record is None else _fresh(record)
+        return record if not instance.open or record is None else _with_new_variables(record)
 
     def next_inf(name: Term, time: Any) -> Optional[FoundRecord]:
-        instance = known(name) if name.__class__ is Atom and not active else memories.find(name)
+        instance = instance_of(name) if name.__class__ is Atom and not active_tables else memories.find(name)
         if instance is None:
             return None
         # As in `instant_of`.
         is_new = time.__class__ is Lazy and time.make is to_term and time.made is None
         record = instance.memory.at_or_after(time.source if is_new else instant_of(time))
-        return record if not instance.open or record is None else _fresh(record)
+        return record if not instance.open or record is None else _with_new_variables(record)
 
     def following(name: Term, low: Term, high: Term) -> Optional[FoundRecord]:
         if memories.find(name) is None:
             return None
-        record, last = next_inf(name, low), instant_of(high)
-        return None if record is None or record[2] > last else record
+        record, last_instant = next_inf(name, low), instant_of(high)
+        return None if record is None or record[2] > last_instant else record
 
     record_and_interval = (1, 2, 3)
     shows = (None, timestamps.shown, timestamps.shown)
@@ -313,7 +311,7 @@ def define_read_access(logic: PrologSystem, memories: MemoryInstances) -> None:
         logic.define_function(key.name, key.arity, function, record_and_interval, shows)
 
 
-def _fresh(record: FoundRecord) -> FoundRecord:
+def _with_new_variables(record: FoundRecord) -> FoundRecord:
     """Return a record with new variables."""
     return copy(record[0]), record[1], record[2]
 
@@ -326,9 +324,9 @@ def enumerate_records(memories: MemoryInstances) -> Callable[..., Iterator[bool]
         if instance is None:
             return
         for term, start, end in instance.memory.newest_first():
-            kept = copy(term) if instance.open else term
+            returned_term = copy(term) if instance.open else term
             record_interval = timestamps.interval_term(start, end)
-            if machine.unify(record, kept) and machine.unify(interval, record_interval):
+            if machine.unify(record, returned_term) and machine.unify(interval, record_interval):
                 yield True
 
     return access

@@ -74,7 +74,7 @@ def compile_conditions(
         return None
     if not set(variables(conditions)) <= set(names):
         return None
-    given: Dict[str, Any] = {
+    namespace: Dict[str, Any] = {
         "get": memories.instances.get,
         "reach": required_instant,
         "first_reaching": timestamps.first_reaching,
@@ -84,7 +84,7 @@ def compile_conditions(
     lines = ["    missing = []"]
     previous = None
     for number, (key, (name, time)) in enumerate(zip(keys, pairs)):
-        given[f"key{number}"], given[f"name{number}"] = key, name
+        namespace[f"key{number}"], namespace[f"name{number}"] = key, name
         lines += [
             f"    memory = get(key{number})",
             "    if memory is None:",
@@ -92,7 +92,7 @@ def compile_conditions(
         ]
         # Conditions of a query usually share one time, which is converted once.
         if time is not previous:
-            lines += _time(time, names, places, number, given)
+            lines += _time(time, names, places, number, namespace)
         previous = time
         lines += [
             "    ends = memory.memory.ends",
@@ -101,19 +101,19 @@ def compile_conditions(
         ]
     source = "\n".join(["def made(values):", *lines, "    return missing", ""])
     function: Callable[[Values], MissingMemories] = shared_function(
-        source, given, "conditions of a synchronized query"
+        source, namespace, "conditions of a synchronized query"
     )
     return function
 
 
 def _time(
-    time: Term, names: Sequence[Var], places: Dict[Var, int], number: int, given: Dict[str, Any]
+    time: Term, names: Sequence[Var], places: Dict[Var, int], number: int, namespace: Dict[str, Any]
 ) -> List[str]:
     """Return the source lines that compute the instant of a time."""
     if time.__class__ is Var:
         lines = [f"    time = values[{places[time]}]"]
     else:
-        given[f"build{number}"] = compile_builder(time, names, "time of a synchronized query")
+        namespace[f"build{number}"] = compile_builder(time, names, "time of a synchronized query")
         lines = [f"    time = build{number}(values)"]
     return [*lines, "    instant = first_reaching(time) if time.__class__ is float else reach(time)"]
 
@@ -127,13 +127,13 @@ def _pairs(logic: PrologSystem, conditions: Term) -> List[Tuple[Term, Term]]:
     items = list_items(conditions)
     if items is None:
         raise UsageError("expected a list of [MemoryId, Time]")
-    pairs = []
+    id_time_pairs = []
     for item in items:
-        parts = list_items(item)
-        if parts is None or len(parts) != 2:
+        id_and_time = list_items(item)
+        if id_and_time is None or len(id_and_time) != 2:
             raise UsageError(f"expected [MemoryId, Time], found {logic.brief(item)}")
-        pairs.append((deref(parts[0]), deref(parts[1])))
-    return pairs
+        id_time_pairs.append((deref(id_and_time[0]), deref(id_and_time[1])))
+    return id_time_pairs
 
 
 def required_instant(time: Term) -> int:
@@ -205,11 +205,13 @@ class TriggeredQuery:
     def _call(self, values: Values, start: int, end: int, after: Frame) -> Frame:
         # Not None: else `ask` is `_trigger`.
         goal: Any = self._goal
-        given = tuple([values[position] for position in self._inputs])
+        goal_inputs = tuple([values[position] for position in self._inputs])
         call = self._dispatcher.call
-        return call(goal, given, self._failed, self._found, TRUE, values, start, end, after)
+        return call(
+            goal, goal_inputs, self._warn_of_error, self._trigger_solved, TRUE, values, start, end, after
+        )
 
-    def _found(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+    def _trigger_solved(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         return self._trigger(values, start, end, after)
 
     def _trigger(self, values: Values, start: int, end: int, after: Frame) -> Frame:
@@ -221,7 +223,7 @@ class TriggeredQuery:
             self._around.warn(f"{show(event)} is dropped: {error}", ("dropped", event_functor(event)))
             return after
 
-    def _failed(self, values: Values, error: PrologError) -> None:
+    def _warn_of_error(self, values: Values, error: PrologError) -> None:
         if not keep_back(error):
             return
         event = self.event(values)
@@ -245,12 +247,12 @@ class QueryNotifier(TriggeredQuery):
         self._named = named
         self._tell = tell
         self.event = self._name
-        self.ask = self._ring
+        self.ask = self._notify_client
 
     def _name(self, values: Values) -> Term:
         return self._named
 
-    def _ring(self, values: Values, start: int, end: int, after: Frame) -> Frame:
+    def _notify_client(self, values: Values, start: int, end: int, after: Frame) -> Frame:
         self._tell()
         return after
 
@@ -317,13 +319,13 @@ def compile_question(
     """
     event, query = deref(event), deref(query)
     mentioned = set(variables(query))
-    known = set(names)
+    known_variables = set(names)
     # A variable query is called through `call/1`; one that is bound only at run time cannot be compiled.
     if query.__class__ is Var:
-        if query not in known:
+        if query not in known_variables:
             return None
         query = (_CALL, query)
-    outputs = [var for var in variables(event) if var in mentioned and var not in known]
+    outputs = [var for var in variables(event) if var in mentioned and var not in known_variables]
     build = compile_builder(event, [*names, *outputs], f"event of a {_REPORT_NAME}")
     inputs = [position for position, name in enumerate(names) if name in mentioned]
     goal = None
@@ -396,7 +398,7 @@ class PendingQueries:
         self.limit = limit
         self._order = count()
         self._all: Dict[int, Waiting] = {}
-        self._oldest = 0
+        self._oldest_order = 0
         self.timeouts = Timeouts(clock, self._all, self._give_up)
         self._around = QueryContext(logic, dispatcher, warn)
         self._general = general_question(self._around)
@@ -406,9 +408,11 @@ class PendingQueries:
             key = functor(name, 3)
             dispatcher.listen(ListenerPhase.QUERIES, key(Var(), Var(), Var()), self._arrive)
             # Without it, the benchmark `sync_now`, whose queries run immediately, takes 95 % more instructions.
-            dispatcher.shortcuts[key] = self._shortcut
+            dispatcher.shortcuts[key] = self._compile_rule_action
             key = functor(name, 4)
-            dispatcher.listen(ListenerPhase.QUERIES, key(Var(), Var(), Var(), Var()), self._arrive_for_a_time)
+            dispatcher.listen(
+                ListenerPhase.QUERIES, key(Var(), Var(), Var(), Var()), self._arrive_with_timeout
+            )
 
     def __len__(self) -> int:
         return len(self._all)
@@ -448,28 +452,28 @@ class PendingQueries:
         # Reading the counter advances it, so it is set back.
         self._order = count(order)
         queries: List[KeptQuery] = []
-        for number, question, values, start, end, missing in self._all.values():
-            if isinstance(question, QueryNotifier):
+        for query_order, triggered, values, start, end, missing in self._all.values():
+            if isinstance(triggered, QueryNotifier):
                 continue
-            event, query = question.terms(values)
-            token = question.token if isinstance(question, DerivedQuery) else None
+            event, query = triggered.terms(values)
+            token = triggered.token if isinstance(triggered, DerivedQuery) else None
             awaited = [(instance.id, instant) for instance, instant in missing if not instance.has(instant)]
-            queries.append((number, event, query, start, end, awaited, token))
+            queries.append((query_order, event, query, start, end, awaited, token))
         return order, queries
 
     def restore(self, order: int, queries: Sequence[KeptQuery]) -> None:
         """Set the pending queries."""
         self._order = count(order)
-        self._oldest = queries[0][0] if queries else order
+        self._oldest_order = queries[0][0] if queries else order
         for number, event, query, start, end, awaited, token in queries:
             missing: Any = [(self._memories.find(name), instant) for name, instant in awaited]
             question = (
                 self._general if token is None else DerivedQuery(self._dispatcher, self._general, token)
             )
-            waiting = self._all[number] = (number, question, (event, query), start, end, missing)
+            pending = self._all[number] = (number, question, (event, query), start, end, missing)
             # Queries are registered with the last memory that is missing, as in `_wait`.
             instance, instant = missing[-1]
-            instance.wait(instant, number, waiting)
+            instance.wait(instant, number, pending)
 
     def waits(self, order: int) -> bool:
         """Return whether a client is still waiting: neither notified nor dropped."""
@@ -478,7 +482,7 @@ class PendingQueries:
     def withdraw(self, order: int) -> None:
         """Remove a client that waits, if it still does."""
         if order in self._all:
-            self._forget(order)
+            self._remove_query(order)
 
     def _arrive(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         event, query, conditions = values
@@ -489,11 +493,11 @@ class PendingQueries:
             return after
         # Without missing data, the query runs within the dispatch of the synchronized event.
         if missing:
-            self._wait(self._followed(), (event, query), start, end, missing)
+            self._wait(self._query_with_cause(), (event, query), start, end, missing)
             return after
         return self._general.ask((event, query), start, end, after)
 
-    def _arrive_for_a_time(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+    def _arrive_with_timeout(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         """Process ``synchronized(Event, Query, Conditions, [timeout(Seconds)])``."""
         event, query, conditions, options = values
         try:
@@ -504,11 +508,11 @@ class PendingQueries:
             return after
         if not missing:
             return self._general.ask((event, query), start, end, after)
-        order = self._wait(self._followed(), (event, query), start, end, missing)
+        order = self._wait(self._query_with_cause(), (event, query), start, end, missing)
         self.timeouts.add(order, end, wait)
         return after
 
-    def _followed(self) -> TriggeredQuery:
+    def _query_with_cause(self) -> TriggeredQuery:
         """Return the general query.
 
         If events are tracked, its event is derived from the event that is being served.
@@ -524,11 +528,11 @@ class PendingQueries:
         """Drop a query whose time is over, and dispatch an event that reports it."""
         _, _, (event, query), _, _, missing = self._all[order]
         pairs = [
-            make_list([instance.id, timestamps.to_term(wanted)])
-            for instance, wanted in missing
-            if not instance.has(wanted)
+            make_list([instance.id, timestamps.to_term(required_instant)])
+            for instance, required_instant in missing
+            if not instance.has(required_instant)
         ]
-        self._forget(order)
+        self._remove_query(order)
         machine = self._logic.machine
         report = GIVEN_UP(event, query, make_list(pairs))
         # The alarm may ring while another event is served; the report is dispatched independently of it.
@@ -536,7 +540,7 @@ class PendingQueries:
             lambda: machine.run(self._dispatcher.dispatch(report, instant, instant, machine.done))
         )
 
-    def _shortcut(self, rule: EventRule, otherwise: EventAction) -> Optional[EventAction]:
+    def _compile_rule_action(self, rule: EventRule, otherwise: EventAction) -> Optional[EventAction]:
         """Return the action for the values of a rule's match in place of its head; see `Dispatcher.shortcuts`."""
         # It has the functor that this is the shortcut of.
         head: Any = rule.definition.head
@@ -561,8 +565,8 @@ class PendingQueries:
                 return after
             return question.ask(values, start, end, after)
 
-        known = rule.ground_with_event
-        return question_action(self._dispatcher, key, known, ask_or_wait, otherwise, rule.meter)
+        ground_count = rule.ground_with_event
+        return question_action(self._dispatcher, key, ground_count, ask_or_wait, otherwise, rule.meter)
 
     def _drop(self, event: Term, error: UsageError) -> None:
         self._warn(f"{self._logic.brief(event)} is dropped: {error}", ("dropped", event_functor(event)))
@@ -575,18 +579,18 @@ class PendingQueries:
             self._drop_oldest()
         order = next(self._order)
         # The query is in the list before it is registered: `mend` registers all that are in the list.
-        waiting = self._all[order] = (order, question, values, start, end, missing)
+        pending = self._all[order] = (order, question, values, start, end, missing)
         instance, instant = missing[-1]
-        instance.wait(instant, order, waiting)
+        instance.wait(instant, order, pending)
         return order
 
     def _release(self, instance: MemoryInstance, end: int, after: Frame) -> Frame:
         """Return the frame that calls the queries that waited only for this memory, in order of registration."""
         ready: List[Waiting] = []
-        for waiting in instance.reached(end):
-            if len(waiting[5]) == 1 or not self._waits_on(waiting):
-                del self._all[waiting[0]]
-                ready.append(waiting)
+        for pending in instance.reached(end):
+            if len(pending[5]) == 1 or not self._register_with_next(pending):
+                del self._all[pending[0]]
+                ready.append(pending)
         # The heap of the memory is ordered by instant, and queries must be called in order of registration.
         if len(ready) > 1:
             ready.sort()
@@ -595,14 +599,14 @@ class PendingQueries:
         return self._ask((self, iter(ready), after))
 
     @staticmethod
-    def _waits_on(waiting: Waiting) -> bool:
+    def _register_with_next(pending: Waiting) -> bool:
         """Register a query with the next memory that is behind; return whether there is one."""
-        missing = waiting[5]
+        missing = pending[5]
         missing.pop()
         while missing:
             instance, instant = missing[-1]
             if not instance.has(instant):
-                instance.wait(instant, waiting[0], waiting)
+                instance.wait(instant, pending[0], pending)
                 return True
             missing.pop()
         return False
@@ -625,11 +629,11 @@ class PendingQueries:
         """Register all pending queries again after an interrupt; queries that are ready run with the next event."""
         instances = set(self._memories)
         for order in sorted(self._all):
-            waiting = self._all[order]
-            missing = waiting[5]
+            pending = self._all[order]
+            missing = pending[5]
             if any(instance not in instances for instance, _ in missing):
                 self._all.pop(order)
-                event = waiting[1].event(waiting[2])
+                event = pending[1].event(pending[2])
                 self._warn(
                     f"{self._logic.brief(event)} is dropped: its memory was deleted", ("deleted", None)
                 )
@@ -638,23 +642,23 @@ class PendingQueries:
             while len(missing) > 1 and missing[-1][0].has(missing[-1][1]):
                 missing.pop()
             if missing:
-                missing[-1][0].wait(missing[-1][1], order, waiting)
+                missing[-1][0].wait(missing[-1][1], order, pending)
             else:
                 del self._all[order]
 
     def _drop_oldest(self) -> None:
-        oldest = self._oldest
+        oldest = self._oldest_order
         # Orders only increase, so the search continues where it ended before.
         while oldest not in self._all:
             oldest += 1
-        self._oldest = oldest
-        event = self._forget(oldest)
+        self._oldest_order = oldest
+        event = self._remove_query(oldest)
         self._warn(
             f"more than {self.limit} queries wait; the oldest is dropped: {self._logic.brief(event)}",
             "waiting",
         )
 
-    def _forget(self, order: int) -> Term:
+    def _remove_query(self, order: int) -> Term:
         """Remove a query; return its event."""
         _, question, values, _, _, missing = self._all.pop(order)
         instance, instant = missing[-1]
@@ -664,17 +668,19 @@ class PendingQueries:
     def _drop_waiting_for(self, instance: MemoryInstance) -> None:
         """Drop the queries that wait for a deleted memory, with one warning that names them."""
         orders = [
-            waiting[0]
-            for waiting in self._all.values()
-            if any(memory is instance and not memory.has(instant) for memory, instant in waiting[5])
+            pending[0]
+            for pending in self._all.values()
+            if any(memory is instance and not memory.has(instant) for memory, instant in pending[5])
         ]
-        dropped = [self._forget(order) for order in orders]
+        dropped = [self._remove_query(order) for order in orders]
         if dropped:
             show = self._logic.brief
-            named = ", ".join(show(event) for event in dropped[:MAX_NAMED_QUERIES])
-            more = f" and {len(dropped) - MAX_NAMED_QUERIES} more" if len(dropped) > MAX_NAMED_QUERIES else ""
+            event_names = ", ".join(show(event) for event in dropped[:MAX_NAMED_QUERIES])
+            more_text = (
+                f" and {len(dropped) - MAX_NAMED_QUERIES} more" if len(dropped) > MAX_NAMED_QUERIES else ""
+            )
             self._warn(
                 f"the memory {show(instance.id)} was deleted; "
-                f"dropped are the events that waited for it: {named}{more}",
+                f"dropped are the events that waited for it: {event_names}{more_text}",
                 ("deleted", instance),
             )

@@ -61,8 +61,8 @@ class RecordIndex:
             self._taken = index + 1
             if not index % RECORDS_PER_CHECK:
                 look(RECORDS_PER_CHECK)
-        known = self._places.get(value, _NO_POSITIONS)
-        return sorted(known + self._others) if self._others else known
+        positions = self._places.get(value, _NO_POSITIONS)
+        return sorted(positions + self._others) if self._others else positions
 
 
 _NO_POSITIONS: List[int] = []
@@ -83,9 +83,9 @@ def candidates(memory: Memory, record: Term) -> Union[List[int], range]:
                 if index is None:
                     index = memory.indices[position] = RecordIndex(memory, position)
                 # Of several indexed arguments, the one with the fewest records is used.
-                places = index.places(value)
-                if len(places) < len(positions):
-                    positions = places
+                indexed_positions = index.places(value)
+                if len(indexed_positions) < len(positions):
+                    positions = indexed_positions
     return positions
 
 
@@ -97,21 +97,23 @@ def define_matching(logic: PrologSystem, memories: MemoryInstances) -> None:
         if instance is None:
             return False
         memory = instance.memory
-        return _find(machine, instance, (record, start, end), memory.first, len(memory.ends), -1)
+        return _unify_first(machine, instance, (record, start, end), memory.first, len(memory.ends), -1)
 
     def prev(machine: Machine, name: Term, record: Term, start: Term, end: Term, time: Term) -> bool:
         instant, instance = instant_of(time), memories.find(name)
         if instance is None:
             return False
         memory = instance.memory
-        return _find(machine, instance, (record, start, end), memory.first, memory.after(instant), -1)
+        return _unify_first(machine, instance, (record, start, end), memory.first, memory.after(instant), -1)
 
     def next_inf(machine: Machine, name: Term, record: Term, start: Term, end: Term, time: Term) -> bool:
         instant, instance = instant_of(time), memories.find(name)
         if instance is None:
             return False
         memory = instance.memory
-        return _find(machine, instance, (record, start, end), memory.reaching(instant), len(memory.ends), 1)
+        return _unify_first(
+            machine, instance, (record, start, end), memory.reaching(instant), len(memory.ends), 1
+        )
 
     def following(
         machine: Machine, name: Term, record: Term, start: Term, end: Term, low: Term, high: Term
@@ -120,7 +122,7 @@ def define_matching(logic: PrologSystem, memories: MemoryInstances) -> None:
         if instance is None:
             return False
         memory = instance.memory
-        return _find(
+        return _unify_first(
             machine,
             instance,
             (record, start, end),
@@ -135,10 +137,10 @@ def define_matching(logic: PrologSystem, memories: MemoryInstances) -> None:
     logic.define("next_matching", 6, following)
 
 
-def _find(
+def _unify_first(
     machine: Machine,
     instance: MemoryInstance,
-    wanted: Tuple[Term, Term, Term],
+    target: Tuple[Term, Term, Term],
     first: int,
     last: int,
     step: int,
@@ -148,22 +150,24 @@ def _find(
     Args:
         machine: the machine.
         instance: the memory.
-        wanted: record, start and end to unify with.
+        target: record, start and end to unify with.
         first: first position.
         last: position after the last one.
         step: 1 to search forwards, -1 to search backwards.
     """
-    memory, (record, start, end) = instance.memory, wanted
-    places: Sequence[int] = candidates(memory, record)
-    low, high = bisect_left(places, first), bisect_left(places, last)
+    memory, (record, start, end) = instance.memory, target
+    positions: Sequence[int] = candidates(memory, record)
+    low, high = bisect_left(positions, first), bisect_left(positions, last)
     order = range(low, high) if step > 0 else range(high - 1, low - 1, -1)
     for count, index in enumerate(order, 1):
         if not count % RECORDS_PER_CHECK:
             look(RECORDS_PER_CHECK)
-        term, began, ended = memory.records[places[index]]
+        term, began, ended = memory.records[positions[index]]
         # Variables in a stored record belong to the memory; the reader gets new ones.
-        kept = copy(term) if instance.open else term
-        shown = timestamps.shown
-        if machine.unify_all((record, kept), (start, shown(began)), (end, shown(ended))):
+        record_term = copy(term) if instance.open else term
+        to_shown_time = timestamps.shown
+        if machine.unify_all(
+            (record, record_term), (start, to_shown_time(began)), (end, to_shown_time(ended))
+        ):
             return True
     return False

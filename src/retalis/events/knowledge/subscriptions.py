@@ -77,7 +77,7 @@ class OutputRateLimiter:
     def __init__(
         self, part: Shaped, names: Sequence[Var], name: str, clock: "RuleBase", warn: Warn, place: int
     ):
-        self._making = rate_node_spec(part, names)
+        self._spec = rate_node_spec(part, names)
         self.widths = (len(part.by), int(part.value is not None))
         self._name = name
         self._clock = clock
@@ -86,14 +86,14 @@ class OutputRateLimiter:
         self.place = place
         self.active = True
         self.woken: Optional[int] = None
-        self.late = self.dropped = self._evicted = 0
-        self._stream = self._begin()
+        self.late = self.dropped = self._evicted_count = 0
+        self._stream = self._create_stream()
 
-    def _begin(self) -> StreamOperator:
-        stream = self._making.stream(NetworkOptions())
+    def _create_stream(self) -> StreamOperator:
+        stream = self._spec.stream(NetworkOptions())
         stream.allowed = self._clock.newest_allowed
         stream.set_bounds(self._clock.key_bounds)
-        self._evicted = 0
+        self._evicted_count = 0
         return stream
 
     def __len__(self) -> int:
@@ -119,17 +119,17 @@ class OutputRateLimiter:
             start: start of its interval.
             end: end of its interval.
         """
-        now = self._clock.time() if self._making.clocked else 0
+        now = self._clock.time() if self._spec.clocked else 0
         stream = self._stream
-        before = stream.late
+        previous_late = stream.late
         # A flag may have changed the bounds, which are replaced as a whole.
         if stream.bounds is not self._clock.key_bounds:
             stream.set_bounds(self._clock.key_bounds)
         # The element contains the term that is sent; the operator only reads its key, values and interval.
-        outputs = stream.take(StreamElement(term, start, end, *self._making.item(values)), now, 0)
-        if stream.late != before:
+        outputs = stream.take(StreamElement(term, start, end, *self._spec.item(values)), now, 0)
+        if stream.late != previous_late:
             self.late += 1
-            self._warn(f"{self._name}: {self._making.past}; {self.late} so far", ("late", self._name))
+            self._warn(f"{self._name}: {self._spec.past}; {self.late} so far", ("late", self._name))
         if len(stream) > self._clock.cap:
             outputs = [*outputs, *stream.drop_oldest()]
             self.dropped += 1
@@ -137,9 +137,9 @@ class OutputRateLimiter:
                 f"more than {self._clock.cap} events are held; {self.dropped} of the oldest have been dropped"
             )
             self._warn(f"{self._name}: {reason} so far", ("dropped", self._name))
-        if stream.evicted != self._evicted:
-            self.dropped += stream.evicted - self._evicted
-            self._evicted = stream.evicted
+        if stream.evicted != self._evicted_count:
+            self.dropped += stream.evicted - self._evicted_count
+            self._evicted_count = stream.evicted
             reason = f"more than {stream.bounds.keys} keys are held; {self.dropped} of the oldest have been dropped"
             self._warn(f"{self._name}: {reason} so far", ("dropped", self._name))
         self._wake()
@@ -172,7 +172,7 @@ class OutputRateLimiter:
 
     def clear(self) -> None:
         """Reset the operator, because the clock went back or the program requires it."""
-        self._stream = self._begin()
+        self._stream = self._create_stream()
         self.woken = None
 
     def mend(self) -> None:
@@ -185,9 +185,9 @@ class OutputRateLimiter:
 
     def restore(self, kept: KeptRate) -> None:
         """Set the state of an equal rate limiter."""
-        known, self.late, self.dropped = kept
-        self._stream = self._begin()
-        self._stream.restore(known)
+        stream_state, self.late, self.dropped = kept
+        self._stream = self._create_stream()
+        self._stream.restore(stream_state)
         self.woken = None
         self._wake()
 
@@ -264,34 +264,44 @@ class Subscriptions:
             PrologError: if the key is taken, or the arguments do not define a subscription.
         """
         copied: Any = copy(definition)
-        whole, conditions, form, topic, name = (deref(part) for part in copied[1:])
+        shaped_pattern, conditions, form, topic, name = (deref(rate_shape) for rate_shape in copied[1:])
         try:
-            part = subscribed_shape(whole)
+            rate_shape = subscribed_shape(shaped_pattern)
         except UsageError as error:
-            raise domain_error("subscription", whole, error.message) from None
-        pattern = subscribed_event(whole)
-        topic_text = self._topic(topic)
+            raise domain_error("subscription", shaped_pattern, error.message) from None
+        pattern = subscribed_event(shaped_pattern)
+        topic_text = self._topic_text(topic)
         key = (topic_text, key_of(name))
         if key in self._all:
             raise permission_error("create", "subscription", (MINUS, topic, name), "one already exists")
-        who = f"subscription {self._logic.brief(name)}"
+        title = f"subscription {self._logic.brief(name)}"
         shape, _ = compile_recording(
-            self._logic, self._dispatcher, pattern, conditions, form, who, self._problem
+            self._logic, self._dispatcher, pattern, conditions, form, title, self._problem
         )
-        before = self._aside.get(key)
+        aside_subscription = self._aside.get(key)
         # Set aside by a reload and unchanged: the counter and the state of the rate limiter continue.
-        known = before if before is not None and before.key == term_key(copied) else None
-        tally = SentCounter() if known is None else known.tally
-        rate = None if part is None else self._rate(part, variables(pattern), who, known)
+        unchanged = (
+            aside_subscription
+            if aside_subscription is not None and aside_subscription.key == term_key(copied)
+            else None
+        )
+        tally = SentCounter() if unchanged is None else unchanged.tally
+        rate = (
+            None
+            if rate_shape is None
+            else self._create_rate_limiter(rate_shape, variables(pattern), title, unchanged)
+        )
         listener = self._dispatcher.listen(
             ListenerPhase.SUBSCRIPTIONS,
             pattern,
-            self._action(shape, tally, topic_text, name, rate),
-            unused=unused_variables(pattern, conditions, form, () if part is None else rate_terms(part)),
+            self._event_action(shape, tally, topic_text, name, rate),
+            unused=unused_variables(
+                pattern, conditions, form, () if rate_shape is None else rate_terms(rate_shape)
+            ),
         )
         self._all[key] = Subscription(listener, name, tally, copied, rate)
 
-    def _action(
+    def _event_action(
         self, shape: Recording, tally: SentCounter, topic: str, name: Term, rate: Optional[OutputRateLimiter]
     ) -> EventAction:
         """Return the action for the events of a subscription."""
@@ -327,13 +337,13 @@ class Subscriptions:
         rate.send = send_one
         return let_through
 
-    def _rate(
-        self, part: Shaped, names: Sequence[Var], who: str, known: Optional[Subscription]
+    def _create_rate_limiter(
+        self, rate_shape: Shaped, names: Sequence[Var], title: str, unchanged: Optional[Subscription]
     ) -> OutputRateLimiter:
         """Return the rate limiter, with the state of an unchanged subscription that was set aside."""
-        rate = OutputRateLimiter(part, names, who, self._clock, self._problem, next(self._places))
-        if known is not None and known.rate is not None:
-            rate.restore(known.rate.kept())
+        rate = OutputRateLimiter(rate_shape, names, title, self._clock, self._problem, next(self._places))
+        if unchanged is not None and unchanged.rate is not None:
+            rate.restore(unchanged.rate.kept())
         return rate
 
     def set_aside(self, keys: Iterable[SubscriptionKey]) -> None:
@@ -361,16 +371,16 @@ class Subscriptions:
         self._dispatcher.keep_only(
             ListenerPhase.SUBSCRIPTIONS, {subscription.listener for subscription in self._all.values()}
         )
-        for rate in self._rates():
+        for rate in self._rate_limiters():
             rate.mend()
 
     def has(self, topic: Term, name: Term) -> bool:
         """Return whether there is a subscription with this topic and id."""
-        return (self._topic(topic), key_of(name)) in self._all
+        return (self._topic_text(topic), key_of(name)) in self._all
 
     def delete(self, topic: Term, name: Term) -> bool:
         """Delete a subscription; return False if there is none with this topic and id."""
-        subscription = self._all.pop((self._topic(topic), key_of(name)), None)
+        subscription = self._all.pop((self._topic_text(topic), key_of(name)), None)
         if subscription is None:
             return False
         self._end(subscription)
@@ -383,7 +393,7 @@ class Subscriptions:
 
     def clear(self) -> None:
         """Reset all rate operators, because the clock went back or the program requires it."""
-        for rate in self._rates():
+        for rate in self._rate_limiters():
             rate.clear()
 
     def kept(self) -> List[Optional[KeptRate]]:
@@ -395,14 +405,14 @@ class Subscriptions:
 
     def restore_rates(self, kept: Sequence[Optional[KeptRate]]) -> None:
         """Set the states of the rate limiters of equal subscriptions."""
-        for subscription, known in zip(self._all.values(), kept):
-            if subscription.rate is not None and known is not None:
-                subscription.rate.restore(known)
+        for subscription, rate_state in zip(self._all.values(), kept):
+            if subscription.rate is not None and rate_state is not None:
+                subscription.rate.restore(rate_state)
 
-    def _rates(self) -> List[OutputRateLimiter]:
+    def _rate_limiters(self) -> List[OutputRateLimiter]:
         return [subscription.rate for subscription in self._all.values() if subscription.rate is not None]
 
-    def _topic(self, topic: Term) -> str:
+    def _topic_text(self, topic: Term) -> str:
         """Return a topic as text.
 
         A topic such as ``robot/marker1`` is read as a division, but means a name.

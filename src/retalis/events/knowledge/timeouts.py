@@ -57,16 +57,16 @@ class Timeouts:
 
     def __init__(self, clock: AlarmClock, waiting: Container[int], give_up: Callable[[int, int], None]):
         self._clock = clock
-        self._waiting = waiting
+        self._pending_orders = waiting
         self._give_up = give_up
-        self._due: List[Tuple[int, int]] = []
-        self._room = _STALE_TOLERANCE
+        self._deadlines: List[Tuple[int, int]] = []
+        self._rebuild_size = _STALE_TOLERANCE
         """Size of the heap at which deadlines of answered queries are removed."""
-        self._set: Set[int] = set()
+        self._alarm_instants: Set[int] = set()
         """Instants for which an alarm is set; usually one."""
 
     def __len__(self) -> int:
-        return len(self._due)
+        return len(self._deadlines)
 
     def add(self, order: int, end: int, wait: int) -> None:
         """Add a deadline, ``wait`` ns after the later one of the end of the query's event and the present instant."""
@@ -74,49 +74,51 @@ class Timeouts:
 
     def add_at(self, order: int, instant: int) -> None:
         """Add a deadline at an instant."""
-        if len(self._due) > self._room:
+        if len(self._deadlines) > self._rebuild_size:
             # Twice the remaining size as the next threshold makes the rebuild O(1) per deadline, amortized.
-            self._due = [entry for entry in self._due if entry[1] in self._waiting]
-            heapify(self._due)
-            self._room = 2 * len(self._due) + _STALE_TOLERANCE
-        heappush(self._due, (instant, order))
+            self._deadlines = [entry for entry in self._deadlines if entry[1] in self._pending_orders]
+            heapify(self._deadlines)
+            self._rebuild_size = 2 * len(self._deadlines) + _STALE_TOLERANCE
+        heappush(self._deadlines, (instant, order))
         self._set_alarm()
 
     def clear(self) -> None:
         """Remove all deadlines, because the clock went back and has dropped its alarms."""
-        self._due = []
-        self._set = set()
+        self._deadlines = []
+        self._alarm_instants = set()
 
     def _set_alarm(self) -> None:
-        while self._due and self._due[0][1] not in self._waiting:
-            heappop(self._due)
+        while self._deadlines and self._deadlines[0][1] not in self._pending_orders:
+            heappop(self._deadlines)
         # An alarm cannot be removed from the clock. An earlier alarm sets the next one when it rings, so none is
         # set now.
-        if self._due and not any(instant <= self._due[0][0] for instant in self._set):
-            instant = self._due[0][0]
-            self._set.add(instant)
+        if self._deadlines and not any(instant <= self._deadlines[0][0] for instant in self._alarm_instants):
+            instant = self._deadlines[0][0]
+            self._alarm_instants.add(instant)
             self._clock.call_at(instant, TimeoutAlarm(self, instant))
 
     def ring(self, set_for: int, now: int) -> None:
         """Give up the queries whose deadline has passed, when an alarm rings that was set for an instant."""
-        self._set.discard(set_for)
+        self._alarm_instants.discard(set_for)
         try:
-            while self._due and self._due[0][0] <= max(now, set_for):
-                instant, order = heappop(self._due)
-                if order in self._waiting:
+            while self._deadlines and self._deadlines[0][0] <= max(now, set_for):
+                instant, order = heappop(self._deadlines)
+                if order in self._pending_orders:
                     self._give_up(order, instant)
         finally:  # `give_up` may raise
             self._set_alarm()
 
     def kept(self) -> Tuple[List[Tuple[int, int]], List[int]]:
         """Return the deadlines of pending queries, and the instants of alarms; see `restore`."""
-        return [entry for entry in self._due if entry[1] in self._waiting], sorted(self._set)
+        return [entry for entry in self._deadlines if entry[1] in self._pending_orders], sorted(
+            self._alarm_instants
+        )
 
     def restore(self, due: List[Tuple[int, int]], alarms: List[int]) -> None:
         """Set deadlines and instants of alarms; the alarms are set in the clock already."""
-        self._due = list(due)
-        heapify(self._due)
-        self._set = set(alarms)
+        self._deadlines = list(due)
+        heapify(self._deadlines)
+        self._alarm_instants = set(alarms)
 
 
 class TimeoutAlarm:

@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from ..rules.rule_base import RuleBase
 
 
-_END = atom("end_of_file")
+_END_OF_FILE = atom("end_of_file")
 _MODULES = frozenset((functor("module", 2), functor("module", 3)))
-_OF_FILES = ("double_quotes", "back_quotes")
+_FILE_FLAGS = ("double_quotes", "back_quotes")
 """Flags that apply until the end of the file that sets them."""
 
 Use = Callable[[Term, bool], None]
@@ -70,11 +70,11 @@ class Consultation:
             LimitError: if a resource limit is exceeded.
         """
         flags = self._rules.logic.flags
-        kept = {name: flags[name] for name in _OF_FILES}
+        saved_flags = {name: flags[name] for name in _FILE_FLAGS}
         try:
             _PrologFile(self._rules, self._directives, self._use, note_calls).load(file)
         finally:
-            flags.update(kept)
+            flags.update(saved_flags)
 
 
 class _Omissions:
@@ -98,9 +98,9 @@ class _Omissions:
 
     def append(self, error: RetalisError) -> None:
         """Record an omitted term."""
-        before = len(self._errors)
+        previous_count = len(self._errors)
         self._errors.append(error)
-        if self._is_accepted and len(self._errors) > before:
+        if self._is_accepted and len(self._errors) > previous_count:
             self._warn(Omission(error))
 
     # Memory for errors is bounded: `Errors` counts those beyond its limit, and these are not reported one by one.
@@ -141,10 +141,10 @@ class _PrologFile:
         self._use = use
         self._note_calls = note_calls
         self._omitted = _Omissions(rules.on_warning, None)
-        self._conditions = ConditionalCompilation(self._holds)
+        self._conditions = ConditionalCompilation(self._condition_holds)
         self._expansion = TermExpansion(rules.logic)
         self._checker = FileChecker(rules.logic.brief, rules.declared.now())
-        self._late: List[FileEntry] = []
+        self._final_entries: List[FileEntry] = []
 
     def load(self, file: Consulted) -> None:
         """Consult the text, then run the goals that are scheduled for the end."""
@@ -161,46 +161,46 @@ class _PrologFile:
         """Expand ``end_of_file``, and run the goals of ``initialization/1``."""
         # As in SWI-Prolog, `term_expansion/2` is called for `end_of_file` and may append clauses.
         try:
-            self._expanded(_END, None, None)
+            self._process_expansion(_END_OF_FILE, None, None)
         except RetalisError as error:
             self._omit(error, None)
-        for step in self._late:
+        for step in self._final_entries:
             try:
-                self._run(step.term, step.goals, step.place)
+                self._run_goal(step.term, step.goals, step.place)
             except RetalisError as error:
                 self._omit(error, step.place)
 
     def _process_terms(self, program: Program) -> None:
         """Process the terms of a text; the terms of included files take the place of the ``include`` directive."""
-        for read in program:
-            if isinstance(read, SyntaxFault):
+        for read_term in program:
+            if isinstance(read_term, SyntaxFault):
                 if not self._conditions.skip:
-                    self._omitted.append(read)
+                    self._omitted.append(read_term)
                 continue
-            term = deref(read.term)
-            if term is _END:
+            term = deref(read_term.term)
+            if term is _END_OF_FILE:
                 return
-            place = read.place
+            place = read_term.place
             try:
                 if term.__class__ is tuple and term[0] in DIRECTIVES:
-                    self._directive(read, program)
+                    self._process_directive(read_term, program)
                     # Operators are shared with the reader. Flags are copied at its start, so a directive's change
                     # must be passed on.
                     self._follow_flags(program)
                 elif not self._conditions.skip:
-                    self._read(read, place)
+                    self._process_term(read_term, place)
             except RetalisError as error:
                 self._omit(error, place)
 
-    def _directive(self, read: ReadTerm, program: Program) -> None:
-        term: Any = deref(read.term)
-        place = read.place_of(term, 1)
+    def _process_directive(self, read_term: ReadTerm, program: Program) -> None:
+        term: Any = deref(read_term.term)
+        place = read_term.place_of(term, 1)
         if self._conditions.take(term[1], place) or self._conditions.skip:
             return
         name = included(term)
         if name is None:
             self._name_module(term[1])
-            self._read(read, read.place)
+            self._process_term(read_term, read_term.place)
             return
         try:
             self._include(name, program)
@@ -215,41 +215,45 @@ class _PrologFile:
             if isinstance(name, Var):
                 name.ref = atom(path.stem)
 
-    def _read(self, read: ReadTerm, place: Place) -> None:
-        term = deref(read.term)
-        if self._expanded(term, read, place):
+    def _process_term(self, read_term: ReadTerm, place: Place) -> None:
+        term = deref(read_term.term)
+        if self._process_expansion(term, read_term, place):
             return
-        if read.singletons and self._rules.warn_singletons:
-            self._rules.on_warning(RuleError(f"singleton variables: {', '.join(read.singletons)}", place))
-        self._take(self._expansion.goals(term), read, place)
+        if read_term.singletons and self._rules.warn_singletons:
+            self._rules.on_warning(
+                RuleError(f"singleton variables: {', '.join(read_term.singletons)}", place)
+            )
+        self._check_and_run(self._expansion.goals(term), read_term, place)
 
-    def _expanded(self, term: Term, read: Optional[ReadTerm], place: Optional[Place]) -> bool:
+    def _process_expansion(self, term: Term, read_term: Optional[ReadTerm], place: Optional[Place]) -> bool:
         """Process the expansion of a term by ``term_expansion/2``; return whether there is one."""
         expansion = self._expansion.terms(term)
         for expanded in expansion or ():
-            if expanded is not _END:
-                self._take(self._expansion.goals(expanded), read if expanded is term else None, place)
+            if expanded is not _END_OF_FILE:
+                self._check_and_run(
+                    self._expansion.goals(expanded), read_term if expanded is term else None, place
+                )
         return expansion is not None
 
-    def _take(self, term: Term, read: Optional[ReadTerm], place: Optional[Place]) -> None:
+    def _check_and_run(self, term: Term, read_term: Optional[ReadTerm], place: Optional[Place]) -> None:
         """Process a term; if it is the one that was read, the places of its parts are known."""
         checker = self._checker
-        if read is not None and term is deref(read.term):
-            checker.read(read, place)
+        if read_term is not None and term is deref(read_term.term):
+            checker.read(read_term, place)
         else:
             checker.term(term, nowhere, place)
         steps = checker.steps[:]
         checker.steps.clear()
         # The checker collects over all terms of a file, so what belongs to this term is taken out of it.
-        if not self._accepted(checker):
+        if not self._accept_checked(checker):
             return
         for step in steps:
             try:
-                self._do(step)
+                self._process_entry(step)
             except RetalisError as error:
                 self._omit(error, step.place or place)
 
-    def _accepted(self, checker: FileChecker) -> bool:
+    def _accept_checked(self, checker: FileChecker) -> bool:
         """Report the findings about a term and activate its rules; return whether there are no errors."""
         if checker.warnings:
             for warning in checker.warnings:
@@ -270,7 +274,7 @@ class _PrologFile:
             self._omitted.accept()
         return not errors
 
-    def _do(self, entry: FileEntry) -> None:
+    def _process_entry(self, entry: FileEntry) -> None:
         if entry.kind == "clause":
             # Only clauses of the event language's predicates are guarded: a Prolog file may redefine library
             # predicates.
@@ -288,11 +292,11 @@ class _PrologFile:
             self._use(entry.term, entry.kind == "ensure")
             self._omitted.accept()
         elif entry.kind == "later":
-            self._late.append(entry)
+            self._final_entries.append(entry)
         else:
-            self._run(entry.term, entry.goals, entry.place)
+            self._run_goal(entry.term, entry.goals, entry.place)
 
-    def _run(self, goal: Term, goals: Goals, place: Optional[Place]) -> None:
+    def _run_goal(self, goal: Term, goals: Goals, place: Optional[Place]) -> None:
         warning = self._directives.run(goal, goals, place)
         self._omitted.accept()
         if warning is not None:
@@ -308,7 +312,7 @@ class _PrologFile:
             self._process_terms(program)
             outer.flags = program.flags
 
-    def _holds(self, goal: Term, place: Optional[Place]) -> bool:
+    def _condition_holds(self, goal: Term, place: Optional[Place]) -> bool:
         """Return whether the goal of an ``if`` succeeds; a goal that raises an error counts as failed."""
         try:
             return self._logic.once(goal)

@@ -60,7 +60,7 @@ _CLAUSE = functor(":-", 2)
 _GRAMMAR = functor("-->", 2)
 DIRECTIVES = frozenset((functor(":-", 1), functor("?-", 1)))
 PROPERTY_FACT = functor("event_rule_property", 3)
-_LESS = functor("<", 2)
+_LESS_THAN = functor("<", 2)
 _MINUS = functor("-", 1)
 _RENAMED = {
     functor("print_trigger", 1): functor("external_trigger", 1),
@@ -68,7 +68,7 @@ _RENAMED = {
     functor("module", 2): functor("etalis_module", 2),
 }
 _UNWRAPPED = frozenset(functor(name, 1) for name in ("db", "prolog", "static"))
-_USING = {
+_LOAD_KINDS = {
     functor("use_module", 1): "use",
     functor("use_module", 2): "use",
     functor("ensure_loaded", 1): "ensure",
@@ -76,8 +76,8 @@ _USING = {
 }
 _INITIALIZATION_AT = functor("initialization", 2)
 _INITIALIZATION = frozenset((functor("initialization", 1), _INITIALIZATION_AT))
-_NOW, _AFTER, _MAIN = atom("now"), atom("after_load"), atom("main")
-_LATER = (_AFTER, atom("restore"), atom("restore_state"), atom("program"))
+_NOW, _AFTER_LOAD, _MAIN = atom("now"), atom("after_load"), atom("main")
+_AFTER_LOAD_TIMES = (_AFTER_LOAD, atom("restore"), atom("restore_state"), atom("program"))
 _REV = functor("rev", 1)
 _INSERT = functor("ins_event_rule", 2)
 _DASH = functor("-", 2)
@@ -140,7 +140,7 @@ class FileChecker:
         # The numbers of problems before the check identify those of this term.
         counts = [(problems, len(problems)) for problems in (self.errors, self.warnings)]
         try:
-            self._sort(term, spot, place)
+            self._classify(term, spot, place)
         except RetalisError as error:
             self.errors.append(error if error.place else RuleError(error.message, place))
         # A term of 1,000 nested operators exceeds the recursion limit of the checks; this is an error of the file.
@@ -148,20 +148,20 @@ class FileChecker:
             self.errors.append(RuleError(TOO_DEEP, place))
         # Without a position the text of the term is the only way to tell which term is meant.
         if place is None and self._show is not None:
-            for problems, before in counts:
-                for position in range(before, len(problems)):
+            for problems, previous_count in counts:
+                for position in range(previous_count, len(problems)):
                     problems[position] = RuleError(f"{self._show(term)}: {problems[position].message}")
 
-    def _sort(self, term: Any, spot: Spot, place: Optional[Place]) -> None:
+    def _classify(self, term: Any, spot: Spot, place: Optional[Place]) -> None:
         head = term[0] if term.__class__ is tuple else None
         if is_rule(term):
-            self._rule(term, spot, place)
+            self._add_rule(term, spot, place)
         elif head in DIRECTIVES:
-            self._directive(term, spot, place)
-        elif head in _USING:
-            self._use(term, place)
+            self._add_directive(term, spot, place)
+        elif head in _LOAD_KINDS:
+            self._add_use_steps(term, place)
         elif head is PROPERTY_FACT:
-            self._property(Property(deref(term[1]), _name(term[2]), deref(term[3])), term, spot, place)
+            self._add_property(Property(deref(term[1]), _name(term[2]), deref(term[3])), term, spot, place)
             self.steps.append(FileEntry("clause", term, place))
         else:
             # ETALIS programs use these names; the clause is added under both names, since goals may call either.
@@ -169,51 +169,51 @@ class FileChecker:
                 self.steps.append(FileEntry("clause", (_RENAMED[head], *term[1:]), place))
             elif head in _UNWRAPPED:
                 self.steps.append(FileEntry("clause", deref(term[1]), place))
-            self._no_rule(term, spot, place)
+            self._warn_of_likely_rule(term, spot, place)
             if head is _CLAUSE:
                 self._declared.fit(made_by_goals(calls(term, 2)), term, self._names, spot, place)
             self.steps.append(FileEntry("clause", term, place))
 
-    def _directive(self, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
+    def _add_directive(self, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
         # Such a rule would be a goal that is called once, which is never intended.
         goal, goal_place = deref(term[1]), spot(term, 1) or place
         if is_rule(goal):
             raise RuleError("an event rule is written without :- before it", goal_place)
         if goal.__class__ is tuple and goal[0] in _INITIALIZATION:
-            self._later(goal, spot, goal_place)
+            self._add_initialization(goal, spot, goal_place)
             return
-        if goal.__class__ is tuple and goal[0] in _USING:
-            self._use(goal, goal_place)
+        if goal.__class__ is tuple and goal[0] in _LOAD_KINDS:
+            self._add_use_steps(goal, goal_place)
             return
         goals = goals_of(term, spot)
         self._declared.fit(made_by_goals(calls(term, 1)), term, self._names, spot, place)
         self.steps.append(FileEntry("directive", goal, goal_place, goals))
         self._declared.take(goals, spot)
 
-    def _use(self, goal: CompoundTerm, place: Optional[Place]) -> None:
+    def _add_use_steps(self, goal: CompoundTerm, place: Optional[Place]) -> None:
         """Process a directive that loads a file, with clauses for predicates that it renames."""
-        self.steps.append(FileEntry(_USING[goal[0]], deref(goal[1]), place))
+        self.steps.append(FileEntry(_LOAD_KINDS[goal[0]], deref(goal[1]), place))
         self.steps += [FileEntry("clause", clause, place) for clause in renaming(*goal[1:])]
 
-    def _later(self, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
+    def _add_initialization(self, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
         """Process ``initialization/1,2``: the goal is called after loading or at the time that the term states."""
-        when = deref(term[2]) if term[0] is _INITIALIZATION_AT else _AFTER
+        call_time = deref(term[2]) if term[0] is _INITIALIZATION_AT else _AFTER_LOAD
         goals = goals_of(term, spot)
-        if when is _MAIN:
+        if call_time is _MAIN:
             self._warn(
                 "initialization(Goal, main) is not called: nothing here is started as a program of its own",
                 place,
             )
-        elif when is _NOW:
+        elif call_time is _NOW:
             self.steps.append(FileEntry("directive", deref(term[1]), place, goals))
-        elif when in _LATER:
+        elif call_time in _AFTER_LOAD_TIMES:
             self.steps.append(FileEntry("later", deref(term[1]), place, goals))
         else:
             raise RuleError(
                 "initialization/2 takes now, after_load, restore, restore_state, program or main", place
             )
 
-    def _no_rule(self, term: Term, spot: Spot, place: Optional[Place]) -> None:
+    def _warn_of_likely_rule(self, term: Term, spot: Spot, place: Optional[Place]) -> None:
         """Warn about a clause that was probably meant as an event rule."""
         if term.__class__ is not tuple:
             return
@@ -242,23 +242,28 @@ class FileChecker:
     def _warn(self, message: str, place: Optional[Place]) -> None:
         self.warnings.append(RuleError(message, place))
 
-    def _property(self, prop: Property, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
+    def _add_property(self, prop: Property, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
         """Process a property from a term whose last arguments are its name and value."""
-        problem, last = prop.problem, len(term) - 1
+        problem, value_position = prop.problem, len(term) - 1
         if problem is None:
             self.steps.append(FileEntry("property", prop, place))
         elif prop.known:
-            raise RuleError(problem, spot(term, last) or place)
+            raise RuleError(problem, spot(term, value_position) or place)
         else:
-            self._warn(problem, spot(term, last - 1) or place)
+            self._warn(problem, spot(term, value_position - 1) or place)
 
-    def _rule(self, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
+    def _add_rule(self, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
         label, rule = labelled(term)
         if label is not None and label.__class__ is tuple:
             name = label[0].name
             for item in list_items(label[1]) or ():
-                part: Any = deref(item)  # the label was looked at by `labelled`
-                self._property(Property(atom(name), _name(part[1]), deref(part[2])), part, spot, place)
+                property_term: Any = deref(item)  # the label was looked at by `labelled`
+                self._add_property(
+                    Property(atom(name), _name(property_term[1]), deref(property_term[2])),
+                    property_term,
+                    spot,
+                    place,
+                )
             label = atom(name)
         self.rules.append(self.definition(rule, label, spot, place))
 
@@ -278,8 +283,8 @@ class FileChecker:
         if names is not None:
             self._names = names
         # A variable that occurs once and has no name is anonymous: no value has to be stored for it.
-        once = (var for var, number in occurrences([rule], None).items() if number == 1)
-        anonymous = frozenset(var for var in once if var not in self._names)
+        single_variables = (var for var, number in occurrences([rule], None).items() if number == 1)
+        anonymous = frozenset(var for var in single_variables if var not in self._names)
         reader = PatternReader(
             lambda part, number=0: spot(part, number) or place, self.warnings.append, anonymous
         )
@@ -300,20 +305,20 @@ class FileChecker:
                 self.warnings.append,
             )
             for call in query_goals(head):
-                self._called(call, spot, place)
-            self._doubt(rule, spot)
+                self._note_call(call, spot, place)
+            self._warn_of_pattern(rule, spot)
             pattern = reader.read(rule, 2)
             if goal is not None:
                 pattern = Action(pattern, goal, False)
             definition = RuleDefinition(rule, head, pattern, label, place, self._names)
-            self._unbound(head, pattern, head_place or place)
-        self._goals(reader.goals, pattern, spot, place)
+            self._check_head_variables(head, pattern, head_place or place)
+        self._check_goals(reader.goals, pattern, spot, place)
         # Predicates of `check` have no time, so their use elsewhere is an error unless the program defines them
         # itself.
         for call in reader.untimed:
             assert call.term.__class__ is tuple
             self.untimed.append(Unknown(call.term[0], spot(call.term) or place))
-        self._doubt_parts(reader, pattern, spot, place)
+        self._warn_of_parts(reader, pattern, spot, place)
         heads = [] if definition.head is None else [head_event(rule, 1)]
         emitted = made_by_goals((*reader.goals, *query_goals(definition.head or TRUE)))
         self._declared.fit(chain(heads, reader.events, emitted), rule, self._names, spot, place)
@@ -323,18 +328,20 @@ class FileChecker:
             self.inner.append(self.definition(nested, None, spot, spot(nested) or place))
         return definition
 
-    def _doubt_parts(
+    def _warn_of_parts(
         self, reader: PatternReader, pattern: Pattern, spot: Spot, place: Optional[Place]
     ) -> None:
         """Warn about likely mistakes in aggregates and absences."""
-        for aggregate, part in reader.aggregates:
-            check_aggregate(aggregate, part, pattern, self._names, reader.place, self.warnings.append)
+        for aggregate, aggregate_term in reader.aggregates:
+            check_aggregate(
+                aggregate, aggregate_term, pattern, self._names, reader.place, self.warnings.append
+            )
         for absence in reader.absences:
             doubted = gap_doubt(absence, spot, self._names)
             if doubted is not None:
                 self._warn(doubted, spot(absence) or place)
 
-    def _doubt(self, rule: CompoundTerm, spot: Spot) -> None:
+    def _warn_of_pattern(self, rule: CompoundTerm, spot: Spot) -> None:
         """Warn about an unbracketed rule inside a pattern (two arrows in a row), and about a variable as pattern."""
         inner, begin = deref(rule[2]), spot(rule, 2)
         if inner.__class__ is Var:
@@ -344,38 +351,42 @@ class FileChecker:
         if inner.__class__ is tuple and inner[0] in ARROWS and begin is not None and begin.character != "(":
             self._warn("this rule is inside the pattern of another; put it in brackets", spot(inner))
 
-    def _goals(self, goals: List[Subgoal], pattern: Pattern, spot: Spot, place: Optional[Place]) -> None:
+    def _check_goals(
+        self, goals: List[Subgoal], pattern: Pattern, spot: Spot, place: Optional[Place]
+    ) -> None:
         """Check and record the goals of a rule; unknown predicates may be defined later in the file."""
         counts = occurrences([], pattern)
         for call in goals:
             term = call.term
             # All occurrences of the variable are calls, so nothing can bind it to a goal.
-            if term.__class__ is Var and counts[term] == sum(other.term is term for other in goals):
+            if term.__class__ is Var and counts[term] == sum(subgoal.term is term for subgoal in goals):
                 name = self._names.get(term, "this variable")
                 raise RuleError(f"{name} never gets a goal to call", spot(call.parent, call.number) or place)
-            self._called(call, spot, place)
+            self._note_call(call, spot, place)
 
-    def _called(self, call: Subgoal, spot: Spot, place: Optional[Place]) -> None:
+    def _note_call(self, call: Subgoal, spot: Spot, place: Optional[Place]) -> None:
         """Record the predicate that a goal of a rule calls."""
         term = call.term
         module = call.parent[1] if call.parent[0] is COLON else None
         if term.__class__ is tuple:
             self.calls.append(Unknown(term[0], spot(term) or place, "", _advice(term), module))
         elif term.__class__ is Atom:
-            where = spot(call.parent, call.number) or place
-            self.calls.append(Unknown(term.functor, where, module=module))
+            goal_place = spot(call.parent, call.number) or place
+            self.calls.append(Unknown(term.functor, goal_place, module=module))
 
-    def _unbound(self, head: Term, pattern: Pattern, place: Optional[Place]) -> None:
-        bound = {*bound_by(pattern), *_bound_later(head)}
-        free = [var for var in variables(head) if var not in bound]
+    def _check_head_variables(self, head: Term, pattern: Pattern, place: Optional[Place]) -> None:
+        bound_variables = {*bound_by(pattern), *_variables_bound_by_query(head)}
+        unbound_variables = [var for var in variables(head) if var not in bound_variables]
         event = deref(head[1]) if head.__class__ is tuple and head[0] in ALARMS else head
-        if event.__class__ is Var and event in free:
+        if event.__class__ is Var and event in unbound_variables:
             subject = "the head" if event is head else "the event of this alarm"
             raise RuleError(f"nothing in the pattern gives {subject} a value", place)
-        if free:
-            names = [self._names[var] for var in free if var in self._names]
+        if unbound_variables:
+            names = [self._names[var] for var in unbound_variables if var in self._names]
             subject = (
-                f"{' and '.join(names)} in the head" if names else f"{len(free)} variable(s) in the head"
+                f"{' and '.join(names)} in the head"
+                if names
+                else f"{len(unbound_variables)} variable(s) in the head"
             )
             note = (
                 " (rev retracts exactly the event that it names)"
@@ -385,7 +396,7 @@ class FileChecker:
             self._warn(f"nothing in the pattern can bind {subject}{note}", place)
 
 
-def _bound_later(head: Term) -> List[Var]:
+def _variables_bound_by_query(head: Term) -> List[Var]:
     """Return the variables of a synchronized event that its query binds."""
     if head.__class__ is tuple and head[0] in SYNCHRONIZED:
         return variables(head[2])
@@ -444,7 +455,7 @@ def clause_error(logic: PrologSystem, term: Term) -> Optional[str]:
             term, _ = translate_single_sided(term)
         head, _ = split_clause(copy(term))
         # `a < -b` reads as a comparison with a negative term; the user meant `a <- b`.
-        if head.__class__ is tuple and head[0] is _LESS and _is_negative(deref(head[2])):
+        if head.__class__ is tuple and head[0] is _LESS_THAN and _is_negative(deref(head[2])):
             return "this compares two terms; the arrow of an event rule is <-, without a space"
         key = head[0] if head.__class__ is tuple else head.functor if head.__class__ is Atom else None
         assert key is not None  # or `split_clause` has raised an error
@@ -470,7 +481,7 @@ def included(term: Term) -> Optional[Term]:
 
 
 _SINGLE_SIDED = functor("=>", 2)
-_GIVING_WAY: Dict[Functor, Callable[[Term], bool]] = {
+_REPLACEABLE_PREDICATES: Dict[Functor, Callable[[Term], bool]] = {
     TIMER: sets_timer,
     functor("timers", 1): lambda term: False,
     functor("module", 2): lambda term: False,
@@ -527,7 +538,7 @@ def fact_error(
     key = None if _has_body(term) else _key(term)
     if key is None or key in defined or not (is_guarded or logic.is_of_system)(key):
         return None
-    if key in _GIVING_WAY and not _GIVING_WAY[key](term):
+    if key in _REPLACEABLE_PREDICATES and not _REPLACEABLE_PREDICATES[key](term):
         return None
     return (
         f"a fact of {key} would replace the built-in predicate: write :- before a goal; "

@@ -99,9 +99,9 @@ class LoadRollback:
             rules.logic.database.give_back(predicate)
         for predicate in list(rules.logic.database.predicates.values()):
             if predicate.kind == "user":
-                kept = self._clauses.get(predicate, ())
+                previous_clauses = self._clauses.get(predicate, ())
                 for clause in list(predicate.live()):
-                    if clause not in kept:
+                    if clause not in previous_clauses:
                         predicate.remove(clause)
                 # A predicate that the load has created and that has no clauses left is unknown again, so calls raise
                 # an error.
@@ -126,7 +126,7 @@ class CheckedProgram(NamedTuple):
     def may_stop_half_way(self) -> bool:
         """True if an error can occur after a part has taken effect; not for rules, labels, or a single clause."""
         kinds = [step.kind if isinstance(step, FileEntry) else "" for step in self.steps]
-        return kinds != ["clause"] and any(kind != "property" for kind in kinds)
+        return kinds != ["clause"] and any(step_kind != "property" for step_kind in kinds)
 
 
 class _Reading(NamedTuple):
@@ -211,14 +211,14 @@ class EventFileLoader:
     def load_terms(self, terms: Sequence[Tuple[Term, Optional[Place]]]) -> None:
         """Load terms; see `RuleBase.load_terms`."""
         logic = self._rules.logic
-        reading = self._reading(FileChecker(logic.brief, self._rules.declared.now()), Errors())
+        reading = self._start_reading(FileChecker(logic.brief, self._rules.declared.now()), Errors())
         for term, place in terms:
             name = included(term)
             if name is None:
                 reading.checker.term(copy(term), nowhere, place)
             else:
                 self._include(name, place, reading)
-        self._finish(lambda errors: self._checked(reading.checker, errors), reading.errors)
+        self._finish(lambda errors: self._check_contents(reading.checker, errors), reading.errors)
 
     def load_read(self, read: ReadTerm) -> None:
         """Load a parsed term like an event file of one term.
@@ -231,7 +231,7 @@ class EventFileLoader:
         checker.read(read)
         # `preparing` compiles goals and predicates now, so that the first events do not wait for it.
         with rules.logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
-            self._finish(lambda errors: self._checked(checker, errors), Errors())
+            self._finish(lambda errors: self._check_contents(checker, errors), Errors())
 
     def _load_file(self, path: Path) -> None:
         text = self._files.text(path)
@@ -241,21 +241,21 @@ class EventFileLoader:
     def _load(self, text: str, source: str) -> None:
         rules = self._rules
         with rules.logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
-            self._finish(lambda errors: self._accept(text, source, errors), Errors())
+            self._finish(lambda errors: self._parse_and_check(text, source, errors), Errors())
 
-    def _accept(self, text: str, source: str, errors: Errors) -> CheckedProgram:
-        if not is_event_file(text, self._rules.logic, self._opened):
+    def _parse_and_check(self, text: str, source: str, errors: Errors) -> CheckedProgram:
+        if not is_event_file(text, self._rules.logic, self._open_included):
             return CheckedProgram([Consulted(text, source)], [], [])
-        reading = self._reading(FileChecker(declared=self._rules.declared.now()), errors)
+        reading = self._start_reading(FileChecker(declared=self._rules.declared.now()), errors)
         self._read(read_program(text, reading.operators, source, OF_FILES), reading)
         errors.extend(reading.conditions.unclosed())
-        return self._checked(reading.checker, errors)
+        return self._check_contents(reading.checker, errors)
 
-    def _opened(self, name: Term) -> Tuple[str, str]:
+    def _open_included(self, name: Term) -> Tuple[str, str]:
         path = self._files.find(name)
         return self._files.text(path), str(path)
 
-    def _reading(self, checker: FileChecker, errors: Errors) -> _Reading:
+    def _start_reading(self, checker: FileChecker, errors: Errors) -> _Reading:
         def holds(goal: Term, place: Optional[Place]) -> bool:
             try:
                 return self._rules.logic.once(goal)
@@ -266,41 +266,41 @@ class EventFileLoader:
 
     def _read(self, program: Program, reading: _Reading) -> None:
         """Read the terms of a text; the terms of included files take the place of the ``include`` directive."""
-        for read in program:
-            if isinstance(read, SyntaxFault):
+        for read_term in program:
+            if isinstance(read_term, SyntaxFault):
                 if not reading.conditions.skip:
-                    reading.errors.append(read)
+                    reading.errors.append(read_term)
                 continue
             try:
-                self._read_one(read, program, reading)
+                self._read_term(read_term, program, reading)
             except RetalisError as error:
-                reading.errors.append(error if error.place else RuleError(error.message, read.place))
+                reading.errors.append(error if error.place else RuleError(error.message, read_term.place))
 
-    def _read_one(self, read: ReadTerm, program: Program, reading: _Reading) -> None:
-        term = deref(read.term)
+    def _read_term(self, read_term: ReadTerm, program: Program, reading: _Reading) -> None:
+        term = deref(read_term.term)
         directive = term[1] if term.__class__ is tuple and term[0] in DIRECTIVES else None
-        if directive is not None and reading.conditions.take(directive, read.place_of(term, 1)):
+        if directive is not None and reading.conditions.take(directive, read_term.place_of(term, 1)):
             return
         if reading.conditions.skip:
             return
         name = included(term)
         if name is not None:
-            self._include(name, read.place_of(term, 1), reading, program)
+            self._include(name, read_term.place_of(term, 1), reading, program)
             return
         # Terms that the program has generated have no positions of their own; errors point to the original term.
         expansion = self._expansion.terms(term)
         if expansion is not None:
             for expanded_term in expansion:
-                reading.checker.term(self._expansion.goals(expanded_term), nowhere, read.place)
+                reading.checker.term(self._expansion.goals(expanded_term), nowhere, read_term.place)
             return
         expanded = self._expansion.goals(term)
         if expanded is term:
-            reading.checker.read(read)
+            reading.checker.read(read_term)
         else:
-            reading.checker.term(expanded, nowhere, read.place)
-        if read.singletons and self._rules.warn_singletons:
-            names = ", ".join(read.singletons)
-            self._rules.on_warning(RuleError(f"singleton variables: {names}", read.place))
+            reading.checker.term(expanded, nowhere, read_term.place)
+        if read_term.singletons and self._rules.warn_singletons:
+            names = ", ".join(read_term.singletons)
+            self._rules.on_warning(RuleError(f"singleton variables: {names}", read_term.place))
         # The directive runs only in step 3, but its operators and flags are needed to read the rest of the file.
         if directive is not None:
             apply_reader_settings(directive, program)
@@ -322,7 +322,7 @@ class EventFileLoader:
         except (UsageError, PrologError) as error:
             reading.errors.append(RuleError(error.message, place))
 
-    def _checked(self, checker: FileChecker, errors: Errors) -> CheckedProgram:
+    def _check_contents(self, checker: FileChecker, errors: Errors) -> CheckedProgram:
         """Check what depends on the logic: clauses, predicates that goals call, files that are used."""
         errors.extend(checker.errors)
         logic = self._rules.logic
@@ -334,7 +334,7 @@ class EventFileLoader:
                 if problem is not None:
                     errors.append(RuleError(problem, step.place))
             if step.kind in ("use", "ensure"):
-                accepted = self._used(step, errors)
+                accepted = self._check_used_file(step, errors)
                 if accepted is not None:
                     steps.append(accepted)
             else:
@@ -347,12 +347,12 @@ class EventFileLoader:
                     "write check instead of where, do or another operator"
                 )
                 errors.append(RuleError(message, call.place))
-        rules = self._compiled([*checker.rules, *checker.inner], errors)
+        rules = self._compile_rules([*checker.rules, *checker.inner], errors)
         for warning in checker.warnings.with_rest():
             self._rules.on_warning(warning)
         return CheckedProgram(steps, rules, checker.calls)
 
-    def _compiled(self, definitions: List[RuleDefinition], errors: Errors) -> List[EventRule]:
+    def _compile_rules(self, definitions: List[RuleDefinition], errors: Errors) -> List[EventRule]:
         rules = []
         for definition in definitions:
             try:
@@ -363,7 +363,7 @@ class EventFileLoader:
                 errors.append(RuleError(TOO_DEEP, definition.place))
         return rules
 
-    def _used(self, step: FileEntry, errors: Errors) -> Optional[CheckedProgram]:
+    def _check_used_file(self, step: FileEntry, errors: Errors) -> Optional[CheckedProgram]:
         """Return the checked contents of a file that is used; None for a library or a file that is already loaded."""
         name = deref(step.term)
         try:
@@ -375,13 +375,13 @@ class EventFileLoader:
                 return None
             text = self._files.text(path)
             with self._files.inside(path), self._files.relative_to(path.parent):
-                accepted = self._accept(text, str(path), errors)
+                accepted = self._parse_and_check(text, str(path), errors)
             return accepted._replace(folder=path.parent, path=path)
         except (UsageError, PrologError) as error:
             errors.append(RuleError(error.message, step.place))
             return None
 
-    def _finish(self, accepted: Callable[[Errors], CheckedProgram], errors: Errors) -> None:
+    def _finish(self, check_program: Callable[[Errors], CheckedProgram], errors: Errors) -> None:
         """Check the whole program, then make it take effect; undo everything after an error."""
         loaded = set(self._files.loaded)
         rollback: Optional[LoadRollback] = None
@@ -389,15 +389,15 @@ class EventFileLoader:
         if outermost:
             self._rollbacks = [LoadSavepoint(self._rules, loaded)]
         try:
-            checked = accepted(errors)
+            checked = check_program(errors)
             if errors:
                 # A full copy of the clause sets costs time in proportion to the program, so it is made only if
                 # necessary.
-                raise ProgramErrors(_in_order(errors))
+                raise ProgramErrors(_sort_errors(errors))
             if checked.may_stop_half_way:
                 rollback = LoadRollback(self._rules)
                 self._rollbacks.append(rollback)
-            self._act(checked)
+            self._activate(checked)
         except RetalisError as error:
             if rollback is not None:
                 rollback.restore()
@@ -420,19 +420,19 @@ class EventFileLoader:
         """Undo a load that was interrupted."""
         self._active_files.clear()
         # The first two entries belong to the outermost load; restoring its state undoes nested loads, too.
-        for before in self._rollbacks[:2]:
-            before.restore()
+        for rollback in self._rollbacks[:2]:
+            rollback.restore()
         self._rollbacks = []
         self._deferred_calls = None
 
-    def _act(self, accepted: CheckedProgram) -> None:
-        self._active_files.append(accepted)
+    def _activate(self, checked: CheckedProgram) -> None:
+        self._active_files.append(checked)
         try:
-            with self._files.relative_to(accepted.folder):
-                self._process_in_module(accepted)
+            with self._files.relative_to(checked.folder):
+                self._process_in_module(checked)
         finally:
             self._active_files.pop()
-        self._warn_of_unknown(accepted.calls)
+        self._warn_of_unknown(checked.calls)
 
     def _warn_of_unknown(self, unknown: List[Unknown]) -> None:
         if self._deferred_calls is not None:
@@ -441,51 +441,51 @@ class EventFileLoader:
         for warning in unknown_calls(self._rules.logic, unknown, self._rules.terms):
             self._rules.on_warning(warning)
 
-    def _process_in_module(self, accepted: CheckedProgram) -> None:
-        with self._modules.of_file(not accepted.rules):
-            self._process_entries(accepted)
+    def _process_in_module(self, checked: CheckedProgram) -> None:
+        with self._modules.of_file(not checked.rules):
+            self._process_entries(checked)
 
-    def _process_entries(self, accepted: CheckedProgram) -> None:
-        rules, late = self._rules, []
-        for step in accepted.steps:
+    def _process_entries(self, checked: CheckedProgram) -> None:
+        rules, final_steps = self._rules, []
+        for step in checked.steps:
             if isinstance(step, CheckedProgram):
                 module = "" if step.path is None else self._files.module(step.path)
                 # A file that precedes this one may have loaded it meanwhile.
                 if not module:
-                    self._act(step)
+                    self._activate(step)
                     module = self._modules.last
                 self._modules.bring_in(module)
             elif isinstance(step, Consulted):
-                self._consult(step, accepted)
+                self._consult(step, checked)
             elif step.kind == "later":
-                late.append(step)
+                final_steps.append(step)
             elif step.kind == "clause":
                 rules.logic.add_clause(step.term, step.place)
             elif isinstance(step.term, Property):
                 rules.set_property(step.term)
             else:
-                self._run(step)
+                self._run_directive(step)
         # Rules are activated after all clauses, so that an event of a directive cannot reach a rule whose clauses are
         # incomplete; goals of `initialization/1` follow, so that their events reach the rules.
-        for rule in accepted.rules:
+        for rule in checked.rules:
             rules.activate(rule)
-        for step in late:
-            self._run(step)
+        for step in final_steps:
+            self._run_directive(step)
 
-    def _consult(self, file: Consulted, accepted: CheckedProgram) -> None:
-        if accepted.path is None:
-            self._consulting.load(file, accepted.calls.extend)
+    def _consult(self, file: Consulted, checked: CheckedProgram) -> None:
+        if checked.path is None:
+            self._consulting.load(file, checked.calls.extend)
             return
-        with self._files.inside(accepted.path):
-            self._consulting.load(file, accepted.calls.extend)
+        with self._files.inside(checked.path):
+            self._consulting.load(file, checked.calls.extend)
 
-    def _run(self, step: FileEntry) -> None:
+    def _run_directive(self, step: FileEntry) -> None:
         warning = self._directives.run(step.term, step.goals, step.place)
         if warning is not None:
             self._rules.on_warning(warning)
 
 
-def _in_order(errors: Errors) -> Errors:
+def _sort_errors(errors: Errors) -> Errors:
     """Sort errors by file, in the order in which the files first occur, then by line and column."""
     files: Dict[Optional[str], int] = {}
     for error in errors:

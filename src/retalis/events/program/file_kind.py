@@ -27,7 +27,7 @@ def apply_reader_settings(goal: Term, program: Program) -> None:
             continue
         arguments = [deref(argument) for argument in goal_part[1:]]
         if goal_part[0] is _OP and arguments[0].__class__ is int and arguments[1].__class__ is Atom:
-            for name in _names(arguments[2]):
+            for name in _operator_names(arguments[2]):
                 try:
                     program.operators.add(arguments[0], arguments[1].name, name)
                 except (RetalisError, ValueError):
@@ -40,7 +40,7 @@ def apply_reader_settings(goal: Term, program: Program) -> None:
                 program.flags = program.flags._replace(**changed)
 
 
-def _names(term: Term) -> List[str]:
+def _operator_names(term: Term) -> List[str]:
     items = list_items(term)
     terms = [deref(item) for item in items] if items else [term]
     return [item.name for item in terms if item.__class__ is Atom]
@@ -95,39 +95,39 @@ _MAX_INCLUDE_DEPTH = 50
 """Maximum depth of included files."""
 
 
-def _has_rules(program: Program, logic: PrologSystem, opened: Opened, depth: int) -> bool:
-    for read in program:
-        if isinstance(read, SyntaxFault):
+def _has_rules(program: Program, logic: PrologSystem, open_included: Opened, depth: int) -> bool:
+    for read_term in program:
+        if isinstance(read_term, SyntaxFault):
             # A rule with a syntax error must not turn the file into a Prolog program, where it would only be a
             # warning.
-            if read.place is not None and "<-" in read.place.text:
+            if read_term.place is not None and "<-" in read_term.place.text:
                 return True
             continue
-        term = deref(read.term)
+        term = deref(read_term.term)
         if is_rule(term) or term.__class__ is tuple and (term[0] is PROPERTY_FACT or term[0] is RULE):
             return True
         if term.__class__ is not tuple or term[0] not in DIRECTIVES:
             continue
         name = included(term)
         if name is not None and depth < _MAX_INCLUDE_DEPTH:
-            included_file = _text(name, opened)
+            included_file = _text_of_included(name, open_included)
             if included_file is not None:
                 inner = read_program(included_file[0], program.operators, included_file[1], program.flags)
-                if _has_rules(inner, logic, opened, depth + 1):
+                if _has_rules(inner, logic, open_included, depth + 1):
                     return True
                 program.flags = inner.flags
             continue
-        first = next(iter(conjuncts(term[1])))
-        key = first[0] if first.__class__ is tuple else first.functor if isinstance(first, Atom) else None
+        goal = next(iter(conjuncts(term[1])))
+        key = goal[0] if goal.__class__ is tuple else goal.functor if isinstance(goal, Atom) else None
         if key is not None and _is_event_predicate(logic, key):
             return True
         apply_reader_settings(term[1], program)
     return False
 
 
-def _text(name: Term, opened: Opened) -> Optional[Tuple[str, str]]:
+def _text_of_included(name: Term, open_included: Opened) -> Optional[Tuple[str, str]]:
     try:
-        return opened(name)
+        return open_included(name)
     except RetalisError:
         # Reading the file later reports the error.
         return None

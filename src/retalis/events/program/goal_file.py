@@ -60,33 +60,33 @@ def goals_of(
         load: executes a function exclusively, with the permissions of a program file in a folder.
     """
     if folder is None:
-        yield from _goals(text, source, None, operators, files, load)
+        yield from _goals_of_text(text, source, None, operators, files, load)
         return
     with files.inside(folder / Path(source).name):
-        yield from _goals(text, source, folder, operators, files, load)
+        yield from _goals_of_text(text, source, folder, operators, files, load)
 
 
-def _goals(
+def _goals_of_text(
     text: str, source: str, folder: Optional[Path], operators: Operators, files: SourceFiles, load: Load
 ) -> Iterator[Union[FileGoal, RetalisError]]:
-    for read in read_goals(text, operators, source):
-        if isinstance(read, SyntaxFault):
-            yield read
+    for entry in read_goals(text, operators, source):
+        if isinstance(entry, SyntaxFault):
+            yield entry
             continue
-        term = goal_of(read.term)
+        term = goal_of(entry.term)
         if term.__class__ is not tuple or term[0] is not _INCLUDE:
-            yield FileGoal(term, read.place, folder)
+            yield FileGoal(term, entry.place, folder)
             continue
         try:
             # Included files are opened with the permissions of the program, when the goals before them have been
             # called.
-            path, inner = load(folder, partial(_found, files, term[1]))
+            path, inner = load(folder, partial(_find_text, files, term[1]))
             yield from goals_of(inner, str(path), path.parent, operators, files, load)
         except RetalisError as error:
-            yield RuleError(error.message, read.place)
+            yield RuleError(error.message, entry.place)
 
 
-def _found(files: SourceFiles, name: Term) -> Tuple[Path, str]:
+def _find_text(files: SourceFiles, name: Term) -> Tuple[Path, str]:
     path = files.find(name)
     return path, files.text(path)
 
@@ -104,28 +104,28 @@ def read_goals(text: str, operators: Operators, source: str) -> Iterator[Read]:
         if _is_blank(lines[position]):
             position += 1
             continue
-        goal = _read(lines, position, position + 1, operators, source)
+        goal = _read_lines(lines, position, position + 1, operators, source)
         end = position + 1
         if isinstance(goal, SyntaxFault) and characters_left > 0:
             stop = max(stop, end)
             while stop < len(lines) and not _ends_goal(lines[stop]):
                 stop += 1
             if stop < len(lines):
-                longer = _read(lines, position, stop + 1, operators, source)
+                longer = _read_lines(lines, position, stop + 1, operators, source)
                 # If the longer text also has an error, but beyond its first line, the lines belong together.
-                if not isinstance(longer, SyntaxFault) or _line(longer) > position + 1:
+                if not isinstance(longer, SyntaxFault) or _line_number(longer) > position + 1:
                     goal, end = longer, stop + 1
                 else:
                     characters_left -= sum(map(len, lines[position : stop + 1]))
         yield (
-            _unfinished(goal, lines, position)
+            _with_full_stop_advice(goal, lines, position)
             if isinstance(goal, SyntaxFault) and end == position + 1
             else goal
         )
         position = end
 
 
-def _unfinished(fault: SyntaxFault, lines: List[str], position: int) -> SyntaxFault:
+def _with_full_stop_advice(fault: SyntaxFault, lines: List[str], position: int) -> SyntaxFault:
     """Return the error of a line, with advice about the full stop if the line ends in the middle of a term."""
     place = fault.place
     follows = position + 1 < len(lines) and not _is_blank(lines[position + 1])
@@ -146,11 +146,11 @@ def _ends_goal(line: str) -> bool:
     return line.rstrip().endswith(".") or line.split("%")[0].rstrip().endswith(".")
 
 
-def _line(fault: SyntaxFault) -> int:
+def _line_number(fault: SyntaxFault) -> int:
     return 0 if fault.place is None else fault.place.line
 
 
-def _read(lines: List[str], start: int, end: int, operators: Operators, source: str) -> Read:
+def _read_lines(lines: List[str], start: int, end: int, operators: Operators, source: str) -> Read:
     try:
         return read_term("\n".join(lines[start:end]), operators, source, first_line=start + 1)
     except SyntaxFault as fault:

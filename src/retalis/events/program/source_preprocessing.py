@@ -49,12 +49,12 @@ class ConditionalCompilation:
 
     def __init__(self, holds: Holds):
         self._holds = holds
-        self._open: List[_Branch] = []
+        self._open_branches: List[_Branch] = []
 
     @property
     def skip(self) -> bool:
         """True if the following terms are skipped."""
-        return bool(self._open) and not self._open[-1].counts
+        return bool(self._open_branches) and not self._open_branches[-1].counts
 
     def take(self, goal: Term, place: Optional[Place]) -> bool:
         """Process a directive if it belongs to conditional compilation; return whether it does.
@@ -66,34 +66,34 @@ class ConditionalCompilation:
         key = goal[0] if goal.__class__ is tuple else goal.functor if isinstance(goal, Atom) else None
         if goal.__class__ is tuple and key is _IF:
             branch = _Branch(place, not self.skip)
-            self._open.append(branch)
+            self._open_branches.append(branch)
             # Conditions in skipped text are not called: their predicates may not exist.
             branch.choose(branch.outside and self._holds(goal[1], place))
         elif goal.__class__ is tuple and key is _ELIF:
-            branch = self._innermost("elif", place)
+            branch = self._innermost_branch("elif", place)
             branch.choose(branch.outside and not branch.chosen and self._holds(goal[1], place))
         elif key is _ELSE:
-            branch = self._innermost("else", place)
+            branch = self._innermost_branch("else", place)
             branch.choose(True)
             branch.last = True
         elif key is _ENDIF:
             # `endif` may follow `else`, which `elif` and a second `else` may not.
-            self._innermost("endif", place, closes=True)
-            self._open.pop()
+            self._innermost_branch("endif", place, closes=True)
+            self._open_branches.pop()
         else:
             return False
         return True
 
     def unclosed(self) -> List[RuleError]:
         """Return an error for each ``if`` without ``endif``."""
-        return [RuleError("this if has no endif", branch.place) for branch in self._open]
+        return [RuleError("this if has no endif", branch.place) for branch in self._open_branches]
 
-    def _innermost(self, name: str, place: Optional[Place], closes: bool = False) -> _Branch:
-        if not self._open:
+    def _innermost_branch(self, name: str, place: Optional[Place], closes: bool = False) -> _Branch:
+        if not self._open_branches:
             raise RuleError(f"there is no if before this {name}", place)
-        if self._open[-1].last and not closes:
+        if self._open_branches[-1].last and not closes:
             raise RuleError(f"there is an else before this {name}", place)
-        return self._open[-1]
+        return self._open_branches[-1]
 
 
 _TERM, _GOAL = functor("term_expansion", 2), functor("goal_expansion", 2)
@@ -103,7 +103,7 @@ _DIRECTIVES = frozenset((functor(":-", 1), functor("?-", 1)))
 _MAX_EXPANSIONS = 1000
 """Maximum number of expansions of a goal; a goal whose expansion contains itself would be expanded forever."""
 
-_INSIDE: Dict[Functor, Tuple[int, ...]] = {
+_GOAL_POSITIONS: Dict[Functor, Tuple[int, ...]] = {
     COMMA: (1, 2),
     **dict.fromkeys((functor(name, 2) for name in (";", "|", "->", "*->", "forall")), (1, 2)),
     **dict.fromkeys((functor(name, 1) for name in ("\\+", "call", "once", "ignore")), (1,)),
@@ -129,14 +129,14 @@ class TermExpansion:
         Raises:
             PrologError: the error of the program's predicate.
         """
-        if not self._is_there(_TERM):
+        if not self._is_defined(_TERM):
             return None
         result = Var()
         if not self._logic.once((_TERM, term, result)):
             return None
-        found = deref(result)
-        items = list_items(found)
-        return [found] if items is None else [deref(item) for item in items]
+        expansion = deref(result)
+        items = list_items(expansion)
+        return [expansion] if items is None else [deref(item) for item in items]
 
     def goals(self, term: Term) -> Term:
         """Return a clause or directive with expanded goals.
@@ -146,41 +146,41 @@ class TermExpansion:
             RuleError: if an expansion does not end.
         """
         term = deref(term)
-        if term.__class__ is not tuple or not self._is_there(_GOAL):
+        if term.__class__ is not tuple or not self._is_defined(_GOAL):
             return term
         if term[0] is _NECK or term[0] is _SINGLE_SIDED:
-            body = self._goal(term[2])
+            body = self._expand_goal(term[2])
             # The identical object is returned if nothing was expanded: the positions of its parts are known by
             # identity.
             return term if body is term[2] else (term[0], term[1], body)
         if term[0] in _DIRECTIVES:
-            goal = self._goal(term[1])
+            goal = self._expand_goal(term[1])
             return term if goal is term[1] else (term[0], goal)
         return term
 
-    def _is_there(self, key: Functor) -> bool:
+    def _is_defined(self, key: Functor) -> bool:
         predicate = self._logic.database.predicates.get(key)
         return predicate is not None and not predicate.library and len(predicate) > 0
 
-    def _goal(self, given: Term) -> Term:
+    def _expand_goal(self, original: Term) -> Term:
         """Return a goal with all inner goals expanded, or the identical object if none was."""
-        goal, times = deref(given), 0
+        goal, expansion_count = deref(original), 0
         # Expanded until there is no further expansion, as in SWI-Prolog; then the goals inside of the result.
         while goal.__class__ is not Var:
             result = Var()
             if not self._logic.once((_GOAL, goal, result)):
                 break
-            times += 1
-            if times > _MAX_EXPANSIONS:
+            expansion_count += 1
+            if expansion_count > _MAX_EXPANSIONS:
                 raise RuleError(
                     f"goal_expansion/2 does not end: it goes on expanding {self._logic.brief(goal)}"
                 )
             goal = deref(result)
-        inside = _INSIDE.get(goal[0]) if goal.__class__ is tuple else None
-        if inside is None or goal.__class__ is not tuple:
-            return goal if times else given
-        parts = list(goal)
-        for at in inside:
-            parts[at] = self._goal(parts[at])
-        changed = any(new is not old for new, old in zip(parts, goal))
-        return tuple(parts) if changed else goal if times else given
+        goal_positions = _GOAL_POSITIONS.get(goal[0]) if goal.__class__ is tuple else None
+        if goal_positions is None or goal.__class__ is not tuple:
+            return goal if expansion_count else original
+        arguments = list(goal)
+        for position in goal_positions:
+            arguments[position] = self._expand_goal(arguments[position])
+        changed = any(expanded is not unexpanded for expanded, unexpanded in zip(arguments, goal))
+        return tuple(arguments) if changed else goal if expansion_count else original

@@ -32,7 +32,7 @@ class Flag(NamedTuple):
     whole: bool = False
 
 
-def _switch(default: str = "off") -> Flag:
+def _switch_flag(default: str = "off") -> Flag:
     return Flag(atom(default), _SWITCH)
 
 
@@ -41,26 +41,26 @@ _SECONDS = Flag(-1, (), "a number of seconds from 0, or -1 for none", 0)
 # Flags without effect here exist in ETALIS, and programs written for it set them.
 FLAGS: Dict[str, Flag] = {
     "event_consumption_policy": Flag(atom("recent"), tuple(policy.value for policy in ConsumptionPolicy)),
-    "out_of_order": _switch(),
-    "revision_flag": _switch(),
-    "etalis_justification": _switch(),
-    "rule_sharing": _switch(),
+    "out_of_order": _switch_flag(),
+    "revision_flag": _switch_flag(),
+    "etalis_justification": _switch_flag(),
+    "rule_sharing": _switch_flag(),
     "garbage_control": Flag(atom("off"), ("off", "general", "pattern")),
     "garbage_window": _SECONDS,
     "garbage_window_step": _SECONDS,
     "max_gap": _SECONDS,
     "state_ttl": _SECONDS,
     "max_keys": Flag(100_000, (), "a number of keys from 1", 1, True),
-    "logging": _switch(),
-    "logging_to_file": _switch(),
-    "store_fired_events": _switch(),
-    "store_fired_events_java": _switch(),
-    "java_notification": _switch(),
-    "output_temporary_files": _switch(),
+    "logging": _switch_flag(),
+    "logging_to_file": _switch_flag(),
+    "store_fired_events": _switch_flag(),
+    "store_fired_events_java": _switch_flag(),
+    "java_notification": _switch_flag(),
+    "output_temporary_files": _switch_flag(),
     "prolog_backend": Flag(atom("swi"), ("swi",)),
-    "db_trace": _switch(),
-    "subPatterns": _switch("on"),
-    "save_ruleId": _switch(),
+    "db_trace": _switch_flag(),
+    "subPatterns": _switch_flag("on"),
+    "save_ruleId": _switch_flag(),
     UNDECLARED.name: Flag(atom("allowed"), ("allowed", STRICTLY.name)),
 }
 
@@ -153,7 +153,7 @@ class Flags:
         assert isinstance(value, (int, float))
         return value
 
-    def _text(self, name: str) -> str:
+    def _word(self, name: str) -> str:
         value = self._values[name]
         assert isinstance(value, Atom)
         return value.name
@@ -161,7 +161,7 @@ class Flags:
     def mode(self) -> NetworkOptions:
         """Return the network options that the flags determine."""
         return NetworkOptions(
-            ConsumptionPolicy(self._text("event_consumption_policy")),
+            ConsumptionPolicy(self._word("event_consumption_policy")),
             self.is_on("out_of_order"),
             self.is_on("revision_flag") or self.is_on("etalis_justification"),
             self.is_on("revision_flag"),

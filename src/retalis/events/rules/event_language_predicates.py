@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from .rule_base import RuleBase
 
 _IF = functor("if", 1)
-_ONCE = ("not_loaded", "changed")
+_IF_NEW = ("not_loaded", "changed")
 
 
 def define_load_goals(rules: "RuleBase") -> None:
@@ -34,19 +34,21 @@ def define_load_goals(rules: "RuleBase") -> None:
     logic, loader = rules.logic, rules.loader
 
     def load(machine: Machine, names: Term, options: Term = NIL) -> bool:
-        given = [deref(option) for option in list_items(options) or ()]
-        once = any(
-            option.__class__ is tuple and option[0] is _IF and getattr(deref(option[1]), "name", "") in _ONCE
-            for option in given
+        option_terms = [deref(option) for option in list_items(options) or ()]
+        only_new = any(
+            option.__class__ is tuple
+            and option[0] is _IF
+            and getattr(deref(option[1]), "name", "") in _IF_NEW
+            for option in option_terms
         )
         items = list_items(names)
         for name in [names] if items is None else items:
-            loader.use(name, once)
+            loader.use(name, only_new)
         return True
 
     def context(machine: Machine, key: Term, value: Term) -> Iterator[bool]:
         path = rules.files.innermost
-        for entry in () if path is None else _known(path):
+        for entry in () if path is None else _load_context_of(path):
             # Bindings are undone before the next solution, as each solution of a nondeterministic predicate starts
             # afresh.
             mark = len(machine.trail)
@@ -67,7 +69,7 @@ def define_load_goals(rules: "RuleBase") -> None:
     logic.define_nondeterministic("prolog_load_context", 2, context)
 
 
-def _known(path: Path) -> Tuple[Tuple[Term, Term], ...]:
+def _load_context_of(path: Path) -> Tuple[Tuple[Term, Term], ...]:
     """Return the properties of the file that is being loaded, as ``prolog_load_context/2`` reports them."""
     return (
         (atom("directory"), atom(str(path.parent))),
@@ -89,7 +91,9 @@ def define_predicates(rules: "RuleBase") -> None:
     _ListingGoals(rules).define(logic)
 
 
-def _each(machine: Machine, terms: Sequence[Term], results: Iterator[Tuple[Term, ...]]) -> Iterator[bool]:
+def _unify_each(
+    machine: Machine, terms: Sequence[Term], results: Iterator[Tuple[Term, ...]]
+) -> Iterator[bool]:
     """Unify terms with one solution after another."""
     # The solutions are collected first, because a goal may change what they are computed from.
     for solution in list(results):
@@ -226,20 +230,20 @@ class _FlagGoals:
             undo(machine.trail, mark)
 
     def increase(self, machine: Machine, name: Term) -> bool:
-        key = _key(name)
+        key = _key_of_term(name)
         self.counters[key] = self.counters.get(key, 0) + 1
         return True
 
     def count(self, machine: Machine, name: Term, value: Term) -> bool:
-        return bool(machine.unify(value, self.counters.get(_key(name), 0)))
+        return bool(machine.unify(value, self.counters.get(_key_of_term(name), 0)))
 
     def reset_counter(self, machine: Machine, name: Term) -> bool:
-        self.counters.pop(_key(name), None)
+        self.counters.pop(_key_of_term(name), None)
         return True
 
     def set_value(self, machine: Machine, name: Term, value: Term) -> bool:
         # `nil` is the value of a flag that is not set, so setting it removes the entry.
-        key, value = _key(name), copy(value)
+        key, value = _key_of_term(name), copy(value)
         if value is _NO_VALUE:
             self.values.pop(key, None)
         else:
@@ -247,13 +251,13 @@ class _FlagGoals:
         return True
 
     def get_value(self, machine: Machine, name: Term, value: Term) -> bool:
-        return bool(machine.unify(value, copy(self.values.get(_key(name), _NO_VALUE))))
+        return bool(machine.unify(value, copy(self.values.get(_key_of_term(name), _NO_VALUE))))
 
 
 _NO_VALUE = atom("nil")
 
 
-def _key(term: Term) -> Hashable:
+def _key_of_term(term: Term) -> Hashable:
     try:
         return freeze(deref(term))
     except ValueError:
@@ -288,14 +292,14 @@ class _ListingGoals:
     def stored(self, machine: Machine, event: Term) -> Iterator[bool]:
         events = self.rules.store.stored()
         stored = [((EVENT2, term, interval_term(start, end)),) for term, start, end in events]
-        return _each(machine, (event,), iter(stored))
+        return _unify_each(machine, (event,), iter(stored))
 
     def justify(self, machine: Machine, event: Term, interval: Term, why: Term) -> Iterator[bool]:
         explanations = self.rules.justifier.explanations(resolve(event), resolve(interval))
-        return _each(machine, (event, interval, why), explanations)
+        return _unify_each(machine, (event, interval, why), explanations)
 
     def edges(self, machine: Machine, head: Term, body: Term) -> Iterator[bool]:
-        return _each(machine, (head, body), self.rules.justifier.edges())
+        return _unify_each(machine, (head, body), self.rules.justifier.edges())
 
     def see(self, machine: Machine) -> bool:
         logic = self.rules.logic

@@ -120,12 +120,12 @@ class InputReader:
             PrologError: if the arguments of the goal are invalid.
         """
         if text.startswith("event("):
-            event = self._stamped(text)
+            event = self._parse_stamped(text)
             if event is not None:
                 return event
         return event_of(self._reader.read(text))
 
-    def _stamped(self, text: str) -> Optional[InputEvent]:
+    def _parse_stamped(self, text: str) -> Optional[InputEvent]:
         """Parse ``event(E,[T,T])`` with two equal timestamps as other nodes write it; return None for other texts.
 
         The text before the timestamps, closed by ``)``, must read as ``event(E)``. This proves that the timestamps
@@ -138,12 +138,12 @@ class InputReader:
         # Two equal timestamps, compared as text.
         if position < 0 or stamps != f"{stamp},{stamp}])":
             return None
-        last = stamp.rfind(",") + 1
+        nanosecond_start = stamp.rfind(",") + 1
         # Texts of one second share their first six numbers, so the cache saves the conversion of the calendar date.
-        second = self._seconds.get(stamp[:last])
-        if second is None:
-            second = self._learn(stamp[:last])
-        if second is None or not _NANOSECOND.fullmatch(stamp, last):
+        second_instant = self._seconds.get(stamp[:nanosecond_start])
+        if second_instant is None:
+            second_instant = self._cache_second(stamp[:nanosecond_start])
+        if second_instant is None or not _NANOSECOND.fullmatch(stamp, nanosecond_start):
             return None
         try:
             goal = self._reader.read(text[:position] + ")")
@@ -152,10 +152,10 @@ class InputReader:
             return None
         if goal.__class__ is not tuple or goal[0] is not EVENT1:
             return None
-        instant = WholeSeconds(second + int(stamp[last:-1]))
+        instant = WholeSeconds(second_instant + int(stamp[nanosecond_start:-1]))
         return InputEvent(callable_of(goal[1]), instant, instant, self._reader.ground)
 
-    def _learn(self, text: str) -> Optional[int]:
+    def _cache_second(self, text: str) -> Optional[int]:
         """Convert the text of a datime without its nanoseconds to an instant and cache it; return None if invalid."""
         match = _SECOND.fullmatch(text)
         if match is None:
@@ -180,7 +180,7 @@ def event_of(goal: Term) -> Optional[InputEvent]:
     return None if reader is None else reader(goal[1:])
 
 
-def _event1(arguments: Sequence[Term]) -> InputEvent:
+def _without_interval(arguments: Sequence[Term]) -> InputEvent:
     term = callable_of(arguments[0])
     # event(event(E,[T1,T2])) is the same as event(E,[T1,T2]).
     if term.__class__ is tuple and term[0] is _EVENT2:
@@ -192,24 +192,24 @@ def _with_interval(arguments: Sequence[Term]) -> InputEvent:
     stamps = list_items(arguments[1])
     if stamps is None or len(stamps) != 2:
         raise type_error("interval", arguments[1])
-    return _checked(arguments, instant_of(stamps[0]), instant_of(stamps[1]))
+    return _check_interval(arguments, instant_of(stamps[0]), instant_of(stamps[1]))
 
 
 def _with_instant(arguments: Sequence[Term]) -> InputEvent:
     instant = timestamps.from_parts(integer(arguments[1]), integer(arguments[2]))
-    return _checked(arguments, instant, instant)
+    return _check_interval(arguments, instant, instant)
 
 
 def _with_instants(arguments: Sequence[Term]) -> InputEvent:
     start = timestamps.from_parts(integer(arguments[1]), integer(arguments[2]))
     end = timestamps.from_parts(integer(arguments[3]), integer(arguments[4]))
-    return _checked(arguments, start, end)
+    return _check_interval(arguments, start, end)
 
 
 EVENT1 = functor("event", 1)
 _EVENT2 = functor("event", 2)
 READERS: Dict[Functor, Callable[[Sequence[Term]], InputEvent]] = {
-    EVENT1: _event1,
+    EVENT1: _without_interval,
     _EVENT2: _with_interval,
     functor("new_event", 2): _with_interval,
     functor("new_event", 3): _with_instant,
@@ -217,7 +217,7 @@ READERS: Dict[Functor, Callable[[Sequence[Term]], InputEvent]] = {
 }
 
 
-def _checked(arguments: Sequence[Term], start: int, end: int) -> InputEvent:
+def _check_interval(arguments: Sequence[Term], start: int, end: int) -> InputEvent:
     if end < start or not (timestamps.in_range(start) and timestamps.in_range(end)):
         raise type_error("interval", arguments[1])
     return InputEvent(callable_of(arguments[0]), start, end)
@@ -291,13 +291,13 @@ class _FiringGoals:
             )
             goals = [callable_of(arguments[0])]
         # The terms are copied, because their variables may be bound or unbound again before their turn.
-        return self._each([copy(goal) for goal in goals], after)
+        return self._run_goals([copy(goal) for goal in goals], after)
 
     def fire_and_return(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Optional[Frame]:
         goals = [(_EVENT1, copy(item)) for item in items_of(arguments[0])]
         if not machine.unify(arguments[1], make_list([])):
             return None
-        return self._each(goals, after)
+        return self._run_goals(goals, after)
 
     def exists(self, machine: Machine, name: Term) -> bool:
         files = self.rules.files
@@ -309,16 +309,16 @@ class _FiringGoals:
         text = files.text(path)
         goals: List[Term] = []
         errors = Errors()
-        for read in read_program(text, self.rules.logic.operators, str(path)):
-            if isinstance(read, SyntaxFault):
-                errors.append(read)
+        for read_term in read_program(text, self.rules.logic.operators, str(path)):
+            if isinstance(read_term, SyntaxFault):
+                errors.append(read_term)
             else:
-                goals.append(read.term)
+                goals.append(read_term.term)
         if errors:
             raise ProgramErrors(errors)
-        return self._each(goals, after)
+        return self._run_goals(goals, after)
 
-    def _each(self, goals: Sequence[Term], after: Frame) -> Optional[Frame]:
+    def _run_goals(self, goals: Sequence[Term], after: Frame) -> Optional[Frame]:
         """Return a frame that calls the goals in order; goals that fail or raise are reported and skipped."""
         stream = _Stream(self.rules, goals)
         return stream.run((stream, after))
@@ -338,16 +338,20 @@ class _Stream:
         # Only the first remaining goal: the frame is activated again when the goal and its consequences are done.
         for goal in self.goals:
             next_frame: Optional[Frame] = self.machine.attempt(
-                self.call, (goal,), self._done(frame), (_FAILED, self, goal, frame), self._raised(goal)
+                self.call,
+                (goal,),
+                self._return_frame(frame),
+                (_FAILED, self, goal, frame),
+                self._error_handler(goal),
             )
             return next_frame
         after: Frame = frame[1]
         return after
 
-    def _done(self, frame: Frame) -> Callable[[Values], Frame]:
+    def _return_frame(self, frame: Frame) -> Callable[[Values], Frame]:
         return lambda outputs: frame
 
-    def _raised(self, goal: Term) -> Callable[[PrologError], None]:
+    def _error_handler(self, goal: Term) -> Callable[[PrologError], None]:
         def report(error: PrologError) -> None:
             # A goal that raises also fails; the mark tells `_Failed` that it has been reported.
             self.goals = iter([_RAISED, *self.goals])

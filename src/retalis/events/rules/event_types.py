@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from .rule_base import RuleBase
 
 _DECLARED = functor("$declared_event", 1)
-_NEED_NONE = frozenset(functor(name, arity) for name, arity in (("null", 0), ("null_event", 0)))
-_NONE: List[Clause] = []
+_ALWAYS_DECLARED = frozenset(functor(name, arity) for name, arity in (("null", 0), ("null_event", 0)))
+_NO_CLAUSES: List[Clause] = []
 
 
 class EventTypes:
@@ -41,8 +41,8 @@ class EventTypes:
         logic: PrologSystem = rules.logic
         self._logic = logic
         self._flags = rules.flags
-        self._clauses: List[Clause] = _NONE
-        self._number = self._dead = 0
+        self._clauses: List[Clause] = _NO_CLAUSES
+        self._clause_count = self._dead_count = 0
         self._read: Dict[Clause, List[Declaration]] = {}
         self._strict = False
         self._known = Declarations(logic.brief)
@@ -56,30 +56,30 @@ class EventTypes:
             self._logic.brief,
             self._found(),
             self._flags.get(UNDECLARED.name) is STRICTLY,
-            self._needs_none,
+            self._needs_no_declaration,
         )
 
     def _found(self) -> Iterable[Declaration]:
         predicate = self._logic.database.predicates.get(_DECLARED)
         # The new dictionary keeps only clauses that still exist.
-        before, self._read = self._read, {}
+        previous, self._read = self._read, {}
         for clause in () if predicate is None else predicate.live():
-            known = before.get(clause)
-            if known is None:
-                known = _read(clause)
-            self._read[clause] = known
-            yield from known
+            declarations = previous.get(clause)
+            if declarations is None:
+                declarations = _read(clause)
+            self._read[clause] = declarations
+            yield from declarations
 
-    def _needs_none(self, key: Functor) -> bool:
-        return key in _NEED_NONE or type_name(key.name) is not None or self._is_external_event(key)
+    def _needs_no_declaration(self, key: Functor) -> bool:
+        return key in _ALWAYS_DECLARED or type_name(key.name) is not None or self._is_external_event(key)
 
     def _declare(self, machine: Machine, declared: Term) -> bool:
-        known = self.now()
+        declarations = self.now()
         goal = (DECLARE_EVENT, deref(declared))
         try:
             for declaration, _ in declared_in(goal, nowhere):
                 self.in_use = True
-                if known.add(declaration):
+                if declarations.add(declaration):
                     self._logic.add_clause((_DECLARED, declaration.term))
         except (RuleError, UsageError) as error:
             raise domain_error("event_declaration", declared, error.message) from None
@@ -94,18 +94,23 @@ class EventTypes:
     def refusal(self, term: Term) -> str:
         """Return the reason why an event does not match its declaration, or "" if it matches."""
         predicate = self._logic.database.predicates.get(_DECLARED)
-        clauses, dead = (_NONE, 0) if predicate is None else (predicate.clauses, predicate.dead)
+        clauses, dead = (_NO_CLAUSES, 0) if predicate is None else (predicate.clauses, predicate.dead)
         strict = self._flags.get(UNDECLARED.name) is STRICTLY
         # The declarations are parsed again if the clauses have changed. A list of clauses only grows, or is replaced
         # by another list, so its identity and length, the number of dead clauses and the flag identify its contents.
-        number = len(clauses)
+        clause_count = len(clauses)
         if (
             clauses is not self._clauses
-            or number != self._number
-            or dead != self._dead
+            or clause_count != self._clause_count
+            or dead != self._dead_count
             or strict != self._strict
         ):
-            self._clauses, self._number, self._dead, self._strict = clauses, number, dead, strict
+            self._clauses, self._clause_count, self._dead_count, self._strict = (
+                clauses,
+                clause_count,
+                dead,
+                strict,
+            )
             self._known = self.now()
         return self._known.refusal(term)
 
@@ -115,9 +120,9 @@ class EventTypes:
         Raises:
             PrologError: if it does not match its declaration.
         """
-        wrong = self.refusal(pattern) if self.in_use else ""
-        if wrong:
-            raise domain_error("declared_event", pattern, wrong)
+        reason = self.refusal(pattern) if self.in_use else ""
+        if reason:
+            raise domain_error("declared_event", pattern, reason)
 
 
 def _read(clause: Clause) -> List[Declaration]:

@@ -103,7 +103,7 @@ def _remove_from_group(groups: _Groups, key: Hashable, rule: EventRule) -> None:
 
 log = logging.getLogger("retalis")
 
-_CONFIGURING = frozenset(
+_NETWORK_FLAGS = frozenset(
     ("event_consumption_policy", "out_of_order", "revision_flag", "etalis_justification", "garbage_control")
     + ("garbage_window", "garbage_window_step", "state_ttl", "max_keys")
 )
@@ -158,7 +158,7 @@ class RuleBase:
         self.on_warning = on_warning
         self.under_way = ConditionState()
         self._table = RuleIndex()
-        self.flags = Flags(self._flag_changed)
+        self.flags = Flags(self._apply_flag)
         self.declared = EventTypes(self, is_external_event)
         self.mode: NetworkOptions = self.flags.mode()
         self.key_bounds = self.flags.key_bounds()
@@ -224,7 +224,7 @@ class RuleBase:
             RetalisError: if a goal or pattern cannot be compiled.
         """
         self.serial += 1
-        return EventRule(self, definition, self.serial, self._name(definition))
+        return EventRule(self, definition, self.serial, self._rule_title(definition))
 
     def activate(self, rule: EventRule) -> None:
         """Activate a rule, so that it receives events."""
@@ -250,7 +250,7 @@ class RuleBase:
         """
         term = deref(term)
         if is_rule(term):
-            rules = self._same_rules(term)[:1]
+            rules = self._rules_equal_to(term)[:1]
         else:
             rules = self._table.labelled(term)
         for rule in rules:
@@ -262,8 +262,8 @@ class RuleBase:
         matching = []
         for rule in self.rules:
             trail: Trail = []
-            own = rule.definition.head
-            if own is not None and unify(copy(own), copy(head), trail):
+            rule_head = rule.definition.head
+            if rule_head is not None and unify(copy(rule_head), copy(head), trail):
                 matching.append(rule)
         for rule in matching:
             self.remove(rule)
@@ -271,10 +271,10 @@ class RuleBase:
 
     def remove(self, rule: EventRule) -> None:
         """Remove a rule and its partial matches."""
-        known = self._table.discard(rule)
+        was_active = self._table.discard(rule)
         rule.unlisten()
         rule.clear()
-        if known:
+        if was_active:
             self.fired_before += rule.firings.number
 
     def set_aside(self, rule: EventRule) -> None:
@@ -292,9 +292,9 @@ class RuleBase:
         # `remove` below counts their matches in `fired_before` only if they are in the table.
         for rule in deleted:
             self._table.add(rule)
-        kept = set(rules)
+        kept_rules = set(rules)
         for rule in self.rules:
-            if rule in kept:
+            if rule in kept_rules:
                 self._table.discard(rule)
             else:
                 self.remove(rule)
@@ -312,27 +312,27 @@ class RuleBase:
         self._table.mend()
         self.flags.mend()
         # All listeners that no rule owns are removed: an interrupt may have left those of a half-removed rule.
-        chosen = set(self.tracker.listeners)
+        owned_listeners = set(self.tracker.listeners)
         # Each node sets its timeout again.
         self.deadlines.clear()
         for rule in self.rules:
             rule.mend()
             if not rule.sound:
                 self._configure(rule)
-            chosen.update(rule.listeners)
-        self.dispatcher.keep_only(ListenerPhase.RULES, chosen)
+            owned_listeners.update(rule.listeners)
+        self.dispatcher.keep_only(ListenerPhase.RULES, owned_listeners)
         self.tracker.mend()
         self.timers.mend()
 
-    def _same_rules(self, term: Term) -> List[EventRule]:
+    def _rules_equal_to(self, term: Term) -> List[EventRule]:
         checker = FileChecker()
         checker.term(copy(term), nowhere, None)
         if not checker.rules:
             return []
         # The label is part of the identity only if the given term has one.
-        wanted = checker.rules[0]
-        candidates = self._table.alike(wanted.key)
-        return [rule for rule in candidates if wanted.label is None or label_of(rule) is wanted.label]
+        definition = checker.rules[0]
+        candidates = self._table.alike(definition.key)
+        return [rule for rule in candidates if definition.label is None or label_of(rule) is definition.label]
 
     def note_conditions(self, conditions: Term, caller: str) -> None:
         """Warn of unknown predicates in the conditions of a memory or subscription."""
@@ -348,7 +348,7 @@ class RuleBase:
         ]
         return [*(rule.definition.term for rule in self.rules), *bodies]
 
-    def _name(self, definition: RuleDefinition) -> str:
+    def _rule_title(self, definition: RuleDefinition) -> str:
         show = self.logic.brief
         head = "(no head)"
         # Variables of a rule that was added at run time have no names; numbered ones would differ in each message.
@@ -362,13 +362,13 @@ class RuleBase:
 
     def set_property(self, prop: Property) -> None:
         """Set a property of a label; it is applied at once to the rules with the label."""
-        known = self._properties.setdefault(term_key(prop.label), [])
+        properties = self._properties.setdefault(term_key(prop.label), [])
         # A property with a word has one value, so it replaces the previous one. Numbers of a window accumulate; the
         # smallest applies.
         if prop.word is not None:
-            known[:] = [known_property for known_property in known if known_property.name != prop.name]
-        if prop not in known:
-            known.append(prop)
+            properties[:] = [other for other in properties if other.name != prop.name]
+        if prop not in properties:
+            properties.append(prop)
         for rule in self._table.labelled(prop.label):
             self._configure(rule)
 
@@ -398,8 +398,8 @@ class RuleBase:
         windows = times.get("window", []) + times.get("event_rule_window", [])
         rule.configure(mode, min(windows) if windows else None, self.flags.garbage_control(times))
 
-    def _flag_changed(self, name: str) -> None:
-        if name in _CONFIGURING:
+    def _apply_flag(self, name: str) -> None:
+        if name in _NETWORK_FLAGS:
             self.mode = self.flags.mode()
             self.key_bounds = self.flags.key_bounds()
             self.tracker.configure()
@@ -482,21 +482,21 @@ class RuleBase:
         if not is_absolute(head) or (alarm is not None and alarm[2] >= self.clock.now()):
             return
         rule.alarms_past += 1
-        then = "it is an ordinary event" if alarm is None else "it fires at once"
-        text = f": the instant of its alarm is in the past, so {then}; {rule.alarms_past} so far"
+        consequence = "it is an ordinary event" if alarm is None else "it fires at once"
+        text = f": the instant of its alarm is in the past, so {consequence}; {rule.alarms_past} so far"
         self._warn_rarely(rule, rule.alarms_past, text)
 
     def took_nothing_back(self, term: Term, rule: Optional[EventRule]) -> None:
         """Report an event ``rev(E)`` without an event E to retract, at the occurrences 1, 2, 4, 8 and so on."""
         self.revs_of_nothing += 1
-        number = self.revs_of_nothing
-        if number & (number - 1) == 0:
+        occurrence_count = self.revs_of_nothing
+        if occurrence_count & (occurrence_count - 1) == 0:
             prefix = "" if rule is None else f"{rule.name}: "
             text = (
                 f"{prefix}rev retracts nothing: no event {self.logic.brief(term)} that still holds is known"
             )
             place = None if rule is None else rule.place
-            self.on_warning(RuleError(f"{text}; {number} so far", place))
+            self.on_warning(RuleError(f"{text}; {occurrence_count} so far", place))
 
     def rule_failed(self, rule: EventRule, error: RuleError) -> None:
         """Report an error that prevented a rule from firing."""
@@ -530,7 +530,7 @@ class RuleBase:
         )
         self._warn_rarely(rule, rule.dropped, text)
 
-    def _warn_rarely(self, rule: EventRule, number: int, text: str) -> None:
+    def _warn_rarely(self, rule: EventRule, occurrence_count: int, text: str) -> None:
         """Log a warning at the occurrences 1, 2, 4, 8 and so on."""
-        if number & (number - 1) == 0:
+        if occurrence_count & (occurrence_count - 1) == 0:
             self.on_warning(RuleError(f"{rule.name}{text}", rule.place))

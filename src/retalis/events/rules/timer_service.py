@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 # Heaps up to this size are never rebuilt.
 _SMALL_QUEUE = 64
-_BEFORE_ALL = -1
+_FIRST_ORDER = -1
 """Order of the node alarm: before all other alarms of the same instant."""
 
 _Deadline = Tuple[int, int, int, int, TimedNode]
@@ -101,7 +101,7 @@ class NodeTimers:
         heap, armed = self._heap, self._armed
         if heap and (not armed or heap[0][0] < armed[0]):
             heapq.heappush(armed, heap[0][0])
-            self._rules.clock.put_back(heap[0][0], _BEFORE_ALL, self._ring)
+            self._rules.clock.put_back(heap[0][0], _FIRST_ORDER, self._ring)
 
     def _drop_stale_top(self) -> None:
         """Remove stale entries from the top of the heap."""
@@ -112,8 +112,8 @@ class NodeTimers:
 
     def _drop_all_stale(self) -> None:
         """Remove all stale and duplicate entries."""
-        wanted = {id(entry[-1]): entry for entry in self._heap if _is_current(entry)}
-        self._heap = list(wanted.values())
+        current_entries = {id(entry[-1]): entry for entry in self._heap if _is_current(entry)}
+        self._heap = list(current_entries.values())
         heapq.heapify(self._heap)
         self._rebuild_size = 2 * len(self._heap) + _SMALL_QUEUE
 
@@ -129,12 +129,12 @@ class NodeTimers:
         heap = self._heap
         try:
             if heap and heap[0][0] <= instant:
-                due, *_, node = heapq.heappop(heap)
+                due_instant, *_, node = heapq.heappop(heap)
                 node.woken = None
                 # An inactive rule is being reloaded; its nodes set their timeouts again if the rule is activated.
                 if node.rule.active:
                     machine = self._rules.logic.machine
-                    self._rules.dispatcher.apart(lambda: machine.run(node.ring(due, machine.done)))
+                    self._rules.dispatcher.apart(lambda: machine.run(node.ring(due_instant, machine.done)))
         # Also after an error or interrupt, otherwise no later node would be woken.
         finally:
             self._arm()
@@ -218,14 +218,14 @@ class ProgramTimer:
 
     def __init__(self, event: Term, schedule: Schedule):
         self.key: Hashable = term_key((TIMER, event, schedule.term))
-        self.name = _name_of(event)
+        self.name = _event_key(event)
         self.event = event
         self.schedule = schedule
         self.instant: Optional[int] = None
         self.set_for: Optional[int] = None
 
 
-def _name_of(event: Term) -> Hashable:
+def _event_key(event: Term) -> Hashable:
     try:
         return freeze(event)
     except ValueError:
@@ -253,15 +253,15 @@ class TimerTable:
     def remove(self, key: Hashable) -> ProgramTimer:
         """Remove and return a timer."""
         timer = self.by_key.pop(key)
-        same = self._by_name[timer.name]
-        del same[key]
-        if not same:
+        timers_of_event = self._by_name[timer.name]
+        del timers_of_event[key]
+        if not timers_of_event:
             del self._by_name[timer.name]
         return timer
 
     def unifying(self, event: Term) -> List[ProgramTimer]:
         """Return the timers whose events unify with a term; ground events are found by their key."""
-        name = _name_of(event)
+        name = _event_key(event)
         if name is None:
             return [timer for timer in self.by_key.values() if may_unify(timer.event, event)]
         general = self._by_name.get(None, {}).values()
@@ -306,21 +306,21 @@ class Timers:
             PrologError: if there are too many timers.
         """
         timer = ProgramTimer(copy(event), schedule_of(copy(when)))
-        known = self._all.by_key.get(timer.key) or self._inactive.pop(timer.key, None)
+        existing = self._all.by_key.get(timer.key) or self._inactive.pop(timer.key, None)
         now = self._goal_time()
-        if known is None:
+        if existing is None:
             if len(self) >= MAX_TIMERS:
                 raise resource_error("timers", reason=f"more than {MAX_TIMERS} timers are set")
             if now > 0 and timer.schedule.next(now) is None:
                 self._warn_past(timer)
                 return
-            known = timer
+            existing = timer
         # During a reload an unchanged timer is reactivated with its alarm, so its period does not start again.
-        elif known.key not in self._all.by_key and known.set_for is not None:
-            self._all.add(known)
+        elif existing.key not in self._all.by_key and existing.set_for is not None:
+            self._all.add(existing)
             return
-        self._all.add(known)
-        self._schedule_next(known, now)
+        self._all.add(existing)
+        self._schedule_next(existing, now)
 
     def cancel(self, event: Term) -> int:
         """Remove the timers whose events unify with a term; return their number."""
@@ -416,19 +416,19 @@ class Timers:
         schedule = timer.schedule
         if not schedule.repeats:
             return False
-        behind = (self._program.clock.coming() - instant) // schedule.period
-        if behind < MAX_RINGS_PER_JUMP:
+        missed_count = (self._program.clock.coming() - instant) // schedule.period
+        if missed_count < MAX_RINGS_PER_JUMP:
             return False
-        timer.instant = instant + behind * schedule.period
+        timer.instant = instant + missed_count * schedule.period
         self._jumps += 1
-        self.left_out += behind
+        self.left_out += missed_count
         # Warned at jump 1, 2, 4, 8 and so on.
         if self._jumps & (self._jumps - 1) == 0:
             show = self._program.logic.brief
-            seconds = behind * schedule.period // SECOND
+            seconds = missed_count * schedule.period // SECOND
             self._program.on_warning(
                 UsageError(
-                    f"time has jumped by {seconds} s: {counted(behind, 'event')} of timer "
+                    f"time has jumped by {seconds} s: {counted(missed_count, 'event')} of timer "
                     f"{show(timer.event)}, {show(schedule.term)} left out; {self.left_out} of all timers so far"
                 )
             )
@@ -516,8 +516,8 @@ class Timers:
     def restore(self, kept: Sequence[KeptTimer], left_out: int) -> None:
         """Restore timers and their alarms from data."""
         self.left_out = left_out
-        for event, when, instant, set_for, order in kept:
-            timer = ProgramTimer(event, schedule_of(when))
+        for event, schedule_term, instant, set_for, order in kept:
+            timer = ProgramTimer(event, schedule_of(schedule_term))
             timer.instant, timer.set_for = instant, set_for
             self._all.add(timer)
             self._program.clock.put_back(set_for, order, TimerAlarm(self, timer, set_for))
@@ -544,8 +544,8 @@ class TimerAlarm:
         self.timers.ring(self)
 
 
-_LISTED = functor("timer", 3)
-_WAITS = atom("waits")
+_TIMER_ROW = functor("timer", 3)
+_WAITING = atom("waits")
 
 
 def define_timers(logic: PrologSystem, timers: Timers, require: Callable[[Term], None]) -> None:
@@ -587,6 +587,6 @@ class _TimerGoals:
     def list(self, machine: Machine, listed: Term) -> bool:
         rows: List[Any] = []
         for timer in self.timers:
-            instant = _WAITS if timer.instant is None else shown(WholeSeconds(timer.instant))
-            rows.append((_LISTED, copy(timer.event), copy(timer.schedule.term), instant))
+            instant = _WAITING if timer.instant is None else shown(WholeSeconds(timer.instant))
+            rows.append((_TIMER_ROW, copy(timer.event), copy(timer.schedule.term), instant))
         return bool(machine.unify(listed, make_list(rows)))
